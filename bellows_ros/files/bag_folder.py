@@ -8,12 +8,9 @@ import re
 import sys
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Stamps
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml
 import lz4.frame
-import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -40,46 +37,8 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Batch(NamedTuple):
-    """Messages of one topic that are stored together."""
-
-    topic: Channel
-    log_times_ns: Stamps
-    """When each was recorded (N,), ns."""
-    data: bytes
-    """What their bytes lie in ..."""
-    starts: Stamps
-    """... from where on each (N,) ..."""
-    sizes: Stamps
-    """... and how many (N,)."""
-
-    @classmethod
-    def of(
-        cls, topic: Channel, log_times_ns: Sequence[int] | Stamps, messages: Sequence[bytes]
-    ) -> 'Batch':
-        """Return messages that lie apart as a batch."""
-        sizes = np.fromiter(map(len, messages), np.int64, len(messages))
-        return cls(topic, np.array(log_times_ns, dtype=np.int64), b''.join(messages),
-                   np.cumsum(sizes) - sizes, sizes)
-
-    def chosen(self, index: Any) -> 'Batch':
-        """Return some of the messages, by a slice, a mask or indices."""
-        return self._replace(log_times_ns=self.log_times_ns[index], starts=self.starts[index],
-                             sizes=self.sizes[index])
-
-    def messages(self) -> list[bytes]:
-        """Return the bytes of each message."""
-        ends = (self.starts + self.sizes).tolist()
-        return [self.data[start:end] for start, end in zip(
-            self.starts.tolist(), ends, strict=True)]
-
-
-def rows_of(data: bytes, starts: Stamps, size: int) -> Any:
-    """Return as many bytes from each start on as rows (N, size)."""
-    if not len(starts):
-        return np.empty((0, size), np.uint8)
-    return sliding_window_view(np.frombuffer(data, np.uint8), size)[starts]
-
+Stored = tuple[Channel, int, bytes]
+"""What `Message` has, of each of very many messages."""
 
 Wanted = Callable[[Channel], bool]
 

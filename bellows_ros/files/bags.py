@@ -12,7 +12,6 @@ endless query.
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from functools import cache
-from itertools import chain
 from pathlib import Path
 import sqlite3
 from typing import Any, BinaryIO, NamedTuple
@@ -21,7 +20,7 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files import bag_folder, File, mcap, messages
-from bellows_ros.files.bag_folder import Batch, Channel, DamagedError, Message, Wanted, ZSTD_MAGIC
+from bellows_ros.files.bag_folder import Channel, DamagedError, Message, Stored, Wanted, ZSTD_MAGIC
 import numpy as np
 
 # A recording of a topic may have so many messages: five hours at 500 Hz, some 1 GB once read.
@@ -86,22 +85,14 @@ class _Bag:
         self.counts: dict[Channel, int] = {}
         self.notes = list(self._listed.notes)
 
-    def messages(self, wanted: Wanted) -> Iterator[Message]:
+    def messages(self, wanted: Wanted) -> Iterator[Stored]:
         """Yield the messages of the wanted topics, file by file."""
-        for batches in self.batches(wanted):
-            starts = [start for batch in batches for start in batch.starts.tolist()]
-            stored = [Message(batch.topic, log_time, data) for batch in batches
-                      for log_time, data in zip(
-                          batch.log_times_ns.tolist(), batch.messages(), strict=True)]
-            yield from (stored[i] for i in np.argsort(starts, kind='stable'))
-
-    def batches(self, wanted: Wanted) -> Iterator[list[Batch]]:
-        """Yield them topic by topic as they are stored together, which is much quicker."""
         for file in self._listed.files:
             losses: list[str] = []
             try:
-                for batches in _file_batches(file, wanted, self.counts, losses):
-                    yield [_decompressed(batch) for batch in batches]
+                for topic, log_time_ns, data in _stored_in(file, wanted, self.counts, losses):
+                    plain = _decompressed(topic, data) if data[:4] == ZSTD_MAGIC else data
+                    yield topic, log_time_ns, plain
             except (DamagedError, bag_folder.ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
@@ -141,7 +132,7 @@ def topics(path: File, notes: list[str] | None = None) -> list[TopicCount]:
 
     """
     bag = _Bag(path)
-    list(bag.batches(lambda topic: False))
+    list(bag.messages(lambda topic: False))
     if notes is not None:
         notes += bag.notes
     return sorted(TopicCount(t.name, t.type_name, n) for t, n in bag.counts.items())
@@ -176,7 +167,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
         readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
         return readable and (not wanted or topic.name in wanted)
 
-    stored = list(bag.messages(chosen))
+    stored = list(map(Message._make, bag.messages(chosen)))
     bag.require_messages()
     read_topics = {topic.name for topic in bag.counts if chosen(topic)}
     if wanted - read_topics or not read_topics:
@@ -241,9 +232,9 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
                 and topic.encoding == 'cdr'}
         return bool(collectors[topic])
 
-    for batch in chain.from_iterable(bag.batches(is_wanted)):
-        for collector in collectors[batch.topic].values():
-            collector.add(batch)
+    for topic, log_time_ns, data in bag.messages(is_wanted):
+        for collector in collectors[topic].values():
+            collector.add(log_time_ns, data)
     bag.require_messages()
     contents = Contents({}, {}, tuple(bag.notes))
     for role, name in roles.items():
@@ -255,7 +246,7 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     return contents
 
 
-def messages_of(path: File, types: Collection[str], topic: str = '') -> Iterator[Message]:
+def messages_of(path: File, types: Collection[str], topic: str = '') -> Iterator[Stored]:
     """
     Return the messages of some types, in CDR and in the order of the files.
 
@@ -316,6 +307,10 @@ def accepted_types(role: str) -> tuple[str, ...]:
     return tuple(name for name, x in messages.LAYOUTS.items() if (x.twist if twists else x.pose))
 
 
+_BATCH = 4096
+"""So many messages are decoded together."""
+
+
 class _Collector:
     """The messages of one topic and type for one role, decoded in batches as they come."""
 
@@ -328,25 +323,34 @@ class _Collector:
         assert part  # as accepted types have it
         covariance = layout.pose_covariance if self._by_stamp else 0
         self._part = slice(part.start, part.stop + covariance)
-        self._count = 0
         self._frames: dict[tuple[str, ...], int] = {}
+        self._count, self._times, self._messages = 0, list[int](), list[bytes]()
         self._decoded: list[messages.Decoded] = []
 
-    def add(self, batch: Batch) -> None:
-        """Decode messages, unless there are too many."""
-        batch = batch.chosen(slice(0, MAX_MESSAGES - self._count))
-        self._count += len(batch.starts)
-        self._decoded.append(messages.decode(batch, self._layout, self._part, self._frames))
+    def add(self, log_time_ns: int, data: bytes) -> None:
+        """Take a message, and decode all taken at times."""
+        self._times.append(log_time_ns)
+        self._messages.append(data[:messages.MAX_MESSAGE_BYTES + 1])  # longer is not decoded
+        if len(self._times) == _BATCH:
+            self._decode()
+
+    def _decode(self) -> None:
+        """Decode what was taken, unless it is too much."""
+        self._count += len(self._times)
+        if self._count > MAX_MESSAGES:
+            raise BellowsError(f"Topic '{self.topic.name}' has more than {MAX_MESSAGES} messages. "
+                               'Give a shorter recording.')
+        self._decoded.append(messages.decode(
+            self._messages, self._times, self._layout, self._part, self._frames))
+        self._times, self._messages = [], []
 
     def stream(self, recording: Path) -> Stream:
         """Return the usable messages as they were recorded, measured poses by their stamps."""
+        self._decode()
         stamps_ns, values, frame, log_times = (
             np.concatenate([getattr(part, name) for part in self._decoded])
             for name in ('stamps_ns', 'values', 'frame', 'arrivals_ns'))
-        self._decoded.clear()
-        order: Any = np.argsort(stamps_ns if self._by_stamp else log_times, kind='stable')
-        if np.array_equal(order, np.arange(len(order))):
-            order = slice(None)  # which copies nothing
+        order = np.argsort(stamps_ns if self._by_stamp else log_times, kind='stable')
         decoded = messages.Decoded(
             stamps_ns[order], values[order], frame[order], list(self._frames), log_times[order])
         name = self.topic.name
@@ -368,10 +372,6 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
         raise BellowsError(
             f"Topic '{name}' has messages of two types, {filled[0].topic.type_name} and "
             f'{filled[1].topic.type_name}. Record them under two names.')
-    if filled and bag.counts[filled[0].topic] > MAX_MESSAGES:
-        raise BellowsError(
-            f"Topic '{name}' has more than {MAX_MESSAGES} messages. "
-            'Give a shorter recording.')
     if filled:
         return filled[0].stream(bag.path)
     where = f"'{name}' in recording '{bag.path}'"
@@ -398,29 +398,18 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
         f'{remedy}')
 
 
-def _decompressed(batch: Batch) -> Batch:
-    """
-    Return messages decompressed where each was compressed.
-
-    A damaged one is empty then, which is counted later.
-    """
-    size = len(ZSTD_MAGIC)
-    firsts = bag_folder.rows_of(batch.data, batch.starts[batch.sizes >= size], size)
-    if not (firsts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
-        return batch
-    is_layout = batch.topic.type_name in messages.LAYOUTS
-    limit, plain = messages.MAX_MESSAGE_BYTES if is_layout else MAX_PLAN_BYTES, batch.messages()
-    for i, data in enumerate(plain):
-        if data.startswith(ZSTD_MAGIC):
-            plain[i] = b''
-            with suppress(DamagedError):
-                plain[i] = bag_folder.decompressed('zstd', data, limit)
-    return Batch.of(batch.topic, batch.log_times_ns, plain)
+def _decompressed(topic: Channel, data: bytes) -> bytes:
+    """Return a compressed message; a damaged one is empty then, which is counted later."""
+    is_layout = topic.type_name in messages.LAYOUTS
+    with suppress(DamagedError):
+        return bag_folder.decompressed(
+            'zstd', data, messages.MAX_MESSAGE_BYTES if is_layout else MAX_PLAN_BYTES)
+    return b''
 
 
-def _file_batches(
+def _stored_in(
     path: Path, wanted: Wanted, counts: dict[Channel, int], losses: list[str]
-) -> Iterator[list[Batch]]:
+) -> Iterator[Stored]:
     """Yield the wanted messages of a file, whose first bytes identify storage and compression."""
     with path.open('rb') as stored:
         compressed = stored.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
@@ -444,16 +433,11 @@ def _file_batches(
 
 # ----------------------------------------------------------------------------------- databases
 
-_BATCH = 4096
-
-
 def scan_database(
     path: Path, file: BinaryIO | None, wanted: Wanted, counts: dict[Channel, int]
-) -> Iterator[list[Batch]]:
+) -> Iterator[Stored]:
     """
     Yield the messages of the wanted topics, topic by topic, in the order they are stored in.
-
-    In batches of some thousand.
 
     Parameters
     ----------
@@ -479,8 +463,12 @@ def scan_database(
                 raise DamagedError(f'SQLite finds it damaged: {verdict!s:.200}')
             numbers = _topics(database, counts)
             for topic_id, topic in numbers.items():
-                if wanted(topic):
-                    yield from _messages(database, topic_id, topic)
+                for log_time_ns, data in database.execute(
+                        'SELECT timestamp, data FROM messages WHERE topic_id = ?',
+                        (topic_id,)) if wanted(topic) else ():
+                    if not (isinstance(log_time_ns, int) and isinstance(data, bytes)):
+                        raise DamagedError("its table 'messages' is damaged")
+                    yield topic, log_time_ns, data
     except (sqlite3.Error, OverflowError, UnicodeError) as error:
         raise DamagedError(f'SQLite cannot read it: {error}') from None
 
@@ -524,14 +512,3 @@ def _topics(database: sqlite3.Connection, counts: dict[Channel, int]) -> dict[in
     if amounts:
         raise DamagedError(f'{sum(amounts.values())} messages have a topic it does not list')
     return numbers
-
-
-def _messages(
-    database: sqlite3.Connection, topic_id: int, topic: Channel
-) -> Iterator[list[Batch]]:
-    """Yield the messages of one topic in batches."""
-    rows = database.execute('SELECT timestamp, data FROM messages WHERE topic_id = ?', (topic_id,))
-    while batch := rows.fetchmany(_BATCH):
-        if not all(isinstance(time, int) and isinstance(data, bytes) for time, data in batch):
-            raise DamagedError("its table 'messages' is damaged")
-        yield [Batch.of(topic, *zip(*batch, strict=True))]

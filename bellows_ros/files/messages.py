@@ -8,7 +8,7 @@ needed here.
 What cannot be used is left out of a stream, and counted by reason.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import struct
 
@@ -17,7 +17,6 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.screening import REFUSALS, UNIT_TOLERANCE, unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_folder import Batch, rows_of
 import numpy as np
 
 Indices = Stamps
@@ -101,20 +100,23 @@ class Decoded:
 
 
 def decode(
-    batch: Batch, layout: Layout, part: slice, numbers: dict[tuple[str, ...], int] | None = None,
+    messages: Sequence[bytes], log_times_ns: Sequence[int], layout: Layout, part: slice,
+    numbers: dict[tuple[str, ...], int],
 ) -> Decoded:
     """
     Decode messages of one type.
 
     Parameters
     ----------
-    batch : Batch
+    messages : sequence of bytes (N,)
         CDR with its four-byte head, of either endianness.
+    log_times_ns : sequence of int (N,)
+        When each was recorded, ns.
     layout : Layout
         Of their type.
     part : slice
         Which of the doubles to return.
-    numbers : dict, optional
+    numbers : dict
         The frames met before, with their indices; gets the new ones.
 
     Returns
@@ -122,52 +124,46 @@ def decode(
     Decoded
 
     """
-    count = len(batch.starts)
+    count = len(messages)
     stamps_ns = np.zeros(count, dtype=np.int64)
     values = np.zeros((count, part.stop - part.start))
     frame = np.full(count, -1, dtype=np.int64)
-    numbers = {} if numbers is None else numbers
-    for head, names, index, raw in _by_layout(batch, layout.strings):
-        dtype = _dtype(head, raw.shape[1], layout)
-        if dtype is None:
+    for (size, head, strings), (names, members) in _alike(messages, layout.strings).items():
+        doubles_at = _doubles_at(_STRINGS_AT + len(strings))
+        padding = size - doubles_at - 8 * layout.doubles
+        if size > MAX_MESSAGE_BYTES or not 0 <= padding <= _MAX_PADDING:
             continue
-        rows = raw.view(dtype)[:, 0]
+        dtype = _dtype('<' if head[1] else '>', doubles_at, size, layout)
+        rows = np.frombuffer(b''.join([messages[i] for i in members]), dtype)
+        index = np.array(members)
         stamps_ns[index] = rows['sec'].astype(np.int64) * NS_PER_S + rows['nanosec']
         values[index] = rows['doubles'][:, part]
         sound = (rows['sec'] >= 0) & (rows['nanosec'] < NS_PER_S)
         frame[index[sound]] = numbers.setdefault(names, len(numbers))
-    return Decoded(stamps_ns, values, frame, list(numbers), np.maximum(batch.log_times_ns, 0))
+    return Decoded(stamps_ns, values, frame, list(numbers), np.maximum(log_times_ns, 0))
 
 
-def _by_layout(
-    batch: Batch, strings: int
-) -> Iterator[tuple[bytes, tuple[str, ...], Indices, np.ndarray]]:
+def _alike(
+    messages: Sequence[bytes], strings: int
+) -> dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]]:
     """
-    Yield messages that agree in size and, but for the stamp, in their head.
+    Return messages that agree in all but the stamp and the doubles.
 
-    Head and strings, their indices, and their bytes as rows. Mostly all agree with the first, and
-    are compared with it at once.
+    By their size, their head and the bytes of their strings: the strings, and their indices.
+    Those with damaged strings are left out.
     """
-    rest = np.flatnonzero((batch.sizes > _STRINGS_AT) & (batch.sizes <= MAX_MESSAGE_BYTES))
-    for message in batch.chosen(rest[:1]).messages():
-        names, end = _strings(message, strings)
-        same = rest[batch.sizes[rest] == len(message)]
-        rows = rows_of(batch.data, batch.starts[same], len(message))
-        of_head = np.ones(len(message), dtype=bool)
-        of_head[_STAMP_AT:_STRINGS_AT] = of_head[end:] = False
-        agree = (rows[:, of_head] == rows[0, of_head]).all(axis=1)
-        if end:
-            yield rows[0, of_head].tobytes(), names, same[agree], rows[agree]
-            rest = np.setdiff1d(rest, same[agree], assume_unique=True)
-    groups: dict[tuple[bytes, int], tuple[tuple[str, ...], list[int]]] = {}
-    for i, message in zip(rest.tolist(), batch.chosen(rest).messages(), strict=True):
-        names, end = _strings(message, strings)
-        if end:
-            head = message[:_STAMP_AT] + message[_STRINGS_AT:end]
-            groups.setdefault((head, len(message)), (names, []))[1].append(i)
-    for (head, size), (names, members) in groups.items():
-        index = np.array(members)
-        yield head, names, index, rows_of(batch.data, batch.starts[index], size)
+    groups: dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]] = {}
+    end = 0  # of the strings of the message before, mostly also of this one
+    for i, message in enumerate(messages):
+        key = len(message), message[:_STAMP_AT], message[_STRINGS_AT:end]
+        if key not in groups:
+            names, end = _strings(message, strings)
+            if not end:
+                continue
+            key = (*key[:2], message[_STRINGS_AT:end])
+            groups.setdefault(key, (names, []))
+        groups[key][1].append(i)
+    return groups
 
 
 class Reader:
@@ -241,23 +237,18 @@ def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
         return (), 0
 
 
-def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
-    """Return the memory layout of messages with this head, or None if it differs."""
-    order = '<' if head[1] else '>'
-    doubles_at = _doubles_at(head)
-    if not 0 <= size - doubles_at - 8 * layout.doubles <= _MAX_PADDING:
-        return None
+def _doubles_at(end: int) -> int:
+    """Return where the doubles begin behind strings: aligned to 8, counted after the head."""
+    return end + (_STAMP_AT - end) % 8
+
+
+def _dtype(order: str, doubles_at: int, size: int, layout: Layout) -> np.dtype[np.void]:
+    """Return the memory layout of messages of a byte order and a size."""
     return np.dtype({
         'names': ['sec', 'nanosec', 'doubles'],
         'formats': [f'{order}i4', f'{order}u4', (f'{order}f8', (layout.doubles,))],
         'offsets': [_STAMP_AT, _STAMP_AT + 4, doubles_at],
         'itemsize': size})
-
-
-def _doubles_at(head: bytes) -> int:
-    """Return where the doubles begin: aligned to 8, counted after the first 4 bytes."""
-    end = len(head) + _STRINGS_AT - _STAMP_AT
-    return end + (_STAMP_AT - end) % 8
 
 
 def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layout) -> np.ndarray:
@@ -283,15 +274,15 @@ def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layo
     head = HEAD
     for name in names:
         head = with_text(head, name)
-    size = _doubles_at(head) + 8 * layout.doubles
-    rows = np.zeros(len(stamps_ns), _dtype(head, size, layout))
+    strings = head[_STAMP_AT:]
+    doubles_at = _doubles_at(_STRINGS_AT + len(strings))
+    size = doubles_at + 8 * layout.doubles
+    message = (HEAD + bytes(_STRINGS_AT - _STAMP_AT) + strings).ljust(size, b'\0')
+    raw = np.tile(np.frombuffer(message, f'V{size}'), len(stamps_ns))
+    rows = raw.view(_dtype('<', doubles_at, size, layout))
     rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, NS_PER_S)
     rows['doubles'][:, np.r_[*filter(None, (layout.pose, layout.twist))]] = values
-    raw = rows.view(np.uint8).reshape(len(rows), size)
-    raw[:, :_STAMP_AT] = np.frombuffer(head[:_STAMP_AT], np.uint8)
-    raw[:, _STRINGS_AT:_STRINGS_AT + len(head) - _STAMP_AT] = np.frombuffer(
-        head[_STAMP_AT:], np.uint8)
-    return rows.view(f'V{size}')
+    return raw
 
 
 def encode_bool(value: bool) -> bytes:

@@ -1,7 +1,6 @@
 """Decoding and encoding of messages, against rosbags' own."""
 
 from bellows_ros.files import messages as cdr
-from bellows_ros.files.bag_folder import Batch, Channel
 from hypothesis import given, strategies
 import numpy as np
 from numpy.testing import assert_array_equal
@@ -21,9 +20,9 @@ def parts(kind):
     return {k: v for k, v in (('pose', layout.pose), ('twist', layout.twist)) if v}
 
 
-def batch(messages):
-    """Return messages as a storage gives them."""
-    return Batch.of(Channel('topic', '', 'cdr'), range(len(messages)), messages)
+def decode(messages, kind, part):
+    """Return messages decoded, as they were recorded one after the other."""
+    return cdr.decode(messages, range(len(messages)), cdr.LAYOUTS[kind], part, {})
 
 
 def names(kind, frame_id, child_frame_id):
@@ -45,7 +44,7 @@ def test_decoding_returns_what_rosbags_encoded(
         kind, stamp_ns, **given_parts, frame_id=frame_id, child_frame_id=child_frame_id,
         little_endian=little_endian)
     for name, part in parts(kind).items():
-        decoded = cdr.decode(batch([data]), cdr.LAYOUTS[kind], part)
+        decoded = decode([data], kind, part)
         assert decoded.stamps_ns[0] == stamp_ns
         assert decoded.frames == [names(kind, frame_id, child_frame_id)]
         assert_array_equal(decoded.values, [given_parts[name]])
@@ -70,7 +69,7 @@ def test_messages_that_differ_in_all_but_their_type_are_decoded_together():
     frames = ['world', 'a', 'world', 'frame', 'world', 'frame']
     data = [made.encoded(made.POSE, t, pose=v, frame_id=f, little_endian=i % 2 == 0)
             for i, (t, v, f) in enumerate(zip(made.stamps(6), values, frames, strict=True))]
-    decoded = cdr.decode(batch(data), cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = decode(data, made.POSE, slice(0, 7))
     assert_array_equal(decoded.values, values)
     assert_array_equal(decoded.stamps_ns, made.stamps(6))
     assert [decoded.frames[i] for i in decoded.frame] == [(f,) for f in frames]
@@ -81,14 +80,14 @@ def test_a_message_cut_short_anywhere_is_not_decoded(kind):
     data = made.encoded(kind, made.EPOCH_NS, pose=made.pose_values(1)[0], twist=[1.0] * 6)
     cut = [data[:size] for size in range(len(data))]
     for part in parts(kind).values():
-        decoded = cdr.decode(batch([data, *cut]), cdr.LAYOUTS[kind], part)
+        decoded = decode([data, *cut], kind, part)
         assert_array_equal(decoded.frame, [0] + [-1] * len(cut))
 
 
 def test_padding_at_the_end_is_allowed_and_more_is_not():
     data = made.encoded(made.POSE, made.EPOCH_NS, pose=made.pose_values(1)[0])
     padded = [data + bytes(n) for n in range(6)]
-    decoded = cdr.decode(batch(padded), cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = decode(padded, made.POSE, slice(0, 7))
     assert_array_equal(decoded.frame, [0, 0, 0, 0, -1, -1])
 
 
@@ -106,7 +105,7 @@ def test_damaged_messages_are_not_decoded(at, value):
     good = made.encoded(made.POSE, made.EPOCH_NS, pose=made.pose_values(1)[0])
     damaged = bytearray(good)
     damaged[at] = value
-    decoded = cdr.decode(batch([bytes(damaged), good]), cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = decode([bytes(damaged), good], made.POSE, slice(0, 7))
     assert decoded.frame[0] == -1
     assert decoded.frame[1] >= 0
 
@@ -114,5 +113,5 @@ def test_damaged_messages_are_not_decoded(at, value):
 def test_messages_that_are_too_long_are_not_decoded():
     name = 'x' * cdr.MAX_MESSAGE_BYTES
     data = made.encoded(made.POSE, made.EPOCH_NS, pose=[0.0] * 7, frame_id=name)
-    decoded = cdr.decode(batch([data]), cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = decode([data], made.POSE, slice(0, 7))
     assert_array_equal(decoded.frame, [-1])
