@@ -325,7 +325,7 @@ class _Collector:
         self._part = slice(part.start, part.stop + covariance)
         self._frames: dict[tuple[str, ...], int] = {}
         self._count, self._times, self._messages = 0, list[int](), list[bytes]()
-        self._decoded: list[messages.Decoded] = []
+        self._decoded: list[np.ndarray] = []
 
     def add(self, log_time_ns: int, data: bytes) -> None:
         """Take a message, and decode all taken at times."""
@@ -347,20 +347,15 @@ class _Collector:
     def stream(self, recording: Path) -> Stream:
         """Return the usable messages as they were recorded, measured poses by their stamps."""
         self._decode()
-        stamps_ns, values, frame, log_times = (
-            np.concatenate([getattr(part, name) for part in self._decoded])
-            for name in ('stamps_ns', 'values', 'frame', 'arrivals_ns'))
-        order = np.argsort(stamps_ns if self._by_stamp else log_times, kind='stable')
-        decoded = messages.Decoded(
-            stamps_ns[order], values[order], frame[order], list(self._frames), log_times[order])
+        decoded = np.concatenate(self._decoded)
+        order = np.argsort(decoded['stamp' if self._by_stamp else 'arrival'], kind='stable')
+        make: Any = messages.twist_stream if self._twists else messages.pose_stream
         name = self.topic.name
-        stream: Stream = (
-            messages.twist_stream(name, decoded, self._layout.strings > 1) if self._twists
-            else messages.pose_stream(name, decoded))
+        stream: Stream = make(name, decoded[order], list(self._frames))
         if not len(stream):
             raise BellowsError(
                 f"Topic '{name}' in recording '{recording}' has no usable message. "
-                f'Of {len(stamps_ns)}: {messages.describe(stream.refused)}. '
+                f'Of {len(decoded)}: {messages.describe(stream.refused)}. '
                 'Check what publishes it, and record again.')
         return stream
 

@@ -9,7 +9,7 @@ What cannot be used is left out of a stream, and counted by reason.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import struct
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
@@ -72,37 +72,10 @@ LAYOUTS: Mapping[str, Layout] = {
     'nav_msgs/msg/Odometry': Layout(2, 85, _POSE, twist=slice(43, 49), pose_covariance=36)}
 
 
-@dataclass(frozen=True, eq=False)
-class Decoded:
-    """
-    Messages of one topic, decoded.
-
-    Parameters
-    ----------
-    stamps_ns : int array (N,)
-        Header stamps, ns.
-    values : array (N, D)
-        The doubles asked for.
-    frame : int array (N,)
-        Index into `frames`; -1 where the message could not be decoded.
-    frames : list of tuple of str
-        The frame names met: frame_id, and child_frame_id where the type has one.
-    arrivals_ns : int array (N,)
-        When the messages were received, ns, not decreasing.
-
-    """
-
-    stamps_ns: Stamps
-    values: Array
-    frame: Stamps
-    frames: list[tuple[str, ...]]
-    arrivals_ns: Stamps
-
-
 def decode(
     messages: Sequence[bytes], log_times_ns: Sequence[int], layout: Layout, part: slice,
     numbers: dict[tuple[str, ...], int],
-) -> Decoded:
+) -> np.ndarray:
     """
     Decode messages of one type.
 
@@ -121,13 +94,16 @@ def decode(
 
     Returns
     -------
-    Decoded
+    structured array (N,)
+        stamp and arrival (ns), frame (its index; -1 where the message could not be decoded), and
+        values, the doubles asked for.
 
     """
-    count = len(messages)
-    stamps_ns = np.zeros(count, dtype=np.int64)
-    values = np.zeros((count, part.stop - part.start))
-    frame = np.full(count, -1, dtype=np.int64)
+    decoded = np.zeros(len(messages), [
+        ('stamp', 'i8'), ('arrival', 'i8'), ('frame', 'i8'),
+        ('values', 'f8', (part.stop - part.start,))])
+    decoded['arrival'] = np.maximum(log_times_ns, 0)
+    decoded['frame'] = -1
     for (size, head, strings), (names, members) in _alike(messages, layout.strings).items():
         doubles_at = _doubles_at(_STRINGS_AT + len(strings))
         padding = size - doubles_at - 8 * layout.doubles
@@ -136,11 +112,11 @@ def decode(
         dtype = _dtype('<' if head[1] else '>', doubles_at, size, layout)
         rows = np.frombuffer(b''.join([messages[i] for i in members]), dtype)
         index = np.array(members)
-        stamps_ns[index] = rows['sec'].astype(np.int64) * NS_PER_S + rows['nanosec']
-        values[index] = rows['doubles'][:, part]
+        decoded['stamp'][index] = rows['sec'].astype(np.int64) * NS_PER_S + rows['nanosec']
+        decoded['values'][index] = rows['doubles'][:, part]
         sound = (rows['sec'] >= 0) & (rows['nanosec'] < NS_PER_S)
-        frame[index[sound]] = numbers.setdefault(names, len(numbers))
-    return Decoded(stamps_ns, values, frame, list(numbers), np.maximum(log_times_ns, 0))
+        decoded['frame'][index[sound]] = numbers.setdefault(names, len(numbers))
+    return decoded
 
 
 def _alike(
@@ -297,6 +273,7 @@ def decode_bool(message: bytes) -> bool | None:
 
 
 Refused = dict[str, tuple[int, ...]]
+Frames = Sequence[tuple[str, ...]]
 
 MIN_QUATERNION_NORM = 1e-6
 """A shorter quaternion is zero."""
@@ -314,7 +291,7 @@ def describe(refused: Mapping[str, tuple[int, ...]]) -> str:
         for reason, indices in refused.items() if indices) or 'none'
 
 
-def pose_stream(name: str, decoded: Decoded) -> PoseStream:
+def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
     """
     Return the usable poses.
 
@@ -322,9 +299,12 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
     ----------
     name : str
         Topic.
-    decoded : Decoded
-        In the recording's order; values are x, y, z, the quaternion (x, y, z, w), and the
-        covariance where that is wanted.
+    decoded : array (N,)
+        As of `decode`, in the recording's order; values are x, y, z, the quaternion (x, y, z, w),
+        and the covariance where that is wanted.
+    frames : sequence of tuple of str
+        The names of the frames by their indices: frame_id, and child_frame_id where the type has
+        one.
 
     Returns
     -------
@@ -333,31 +313,29 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
         first that applies.
 
     """
-    covariance, decoded = decoded.values[:, 7:], replace(decoded, values=decoded.values[:, :7])
+    poses, covariance = decoded['values'][:, :7], decoded['values'][:, 7:]
     with np.errstate(over='ignore', invalid='ignore'):  # infinite where the square overflows
-        norm = np.linalg.norm(decoded.values[:, 3:], axis=1)
+        norm = np.linalg.norm(poses[:, 3:], axis=1)
     unusable = {
         'zero_quaternion': norm < MIN_QUATERNION_NORM,
         'not_unit': np.abs(norm - 1.0) > UNIT_TOLERANCE}
-    used, frame_id, refused = _drop_invalid(decoded, decoded.values[:, :3], unusable)
+    used, names, refused = _drop_invalid(decoded, poses, poses[:, :3], frames, unusable)
     return PoseStream(
-        name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
-        quaternion_to_rotation(decoded.values[used, 3:]), refused,
+        name, names[0], decoded['stamp'][used], poses[used, :3],
+        quaternion_to_rotation(poses[used, 3:]), refused,
         covariance[used].reshape(-1, 6, 6) if covariance.size else None)
 
 
-def twist_stream(name: str, decoded: Decoded, in_child_frame: bool) -> TwistStream:
+def twist_stream(name: str, decoded: np.ndarray, frames: Frames) -> TwistStream:
     """
-    Return the usable twists, in the axes they were recorded in.
+    Return the usable twists, in the axes they were recorded in: of Odometry those of its child.
 
     Parameters
     ----------
     name : str
         Topic.
-    decoded : Decoded
-        In the recording's order; values are linear, then angular.
-    in_child_frame : bool
-        True for Odometry, whose twist is in its child frame: that frame becomes the stream's.
+    decoded, frames
+        As of `pose_stream`; values are linear, then angular.
 
     Returns
     -------
@@ -365,36 +343,36 @@ def twist_stream(name: str, decoded: Decoded, in_child_frame: bool) -> TwistStre
         With `refused` as in `pose_stream`.
 
     """
-    used, frame_id, refused = _drop_invalid(
-        decoded, decoded.values, {}, -1 if in_child_frame else 0)
+    twists = decoded['values']
+    used, names, refused = _drop_invalid(decoded, twists, twists, frames, {})
     return TwistStream(
-        name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
-        decoded.values[used, 3:], refused)
+        name, names[-1], decoded['stamp'][used], twists[used, :3], twists[used, 3:], refused)
 
 
 def _drop_invalid(
-    decoded: Decoded, lengths: Array, unusable: Mapping[str, Mask], frame_name: int = 0
-) -> tuple[Stamps, str, Refused]:
-    """Return the indices of the usable messages, their frame, and the others by reason."""
-    finite = np.isfinite(decoded.values).all(axis=1)
+    decoded: np.ndarray, values: Array, lengths: Array, frames: Frames,
+    unusable: Mapping[str, Mask]
+) -> tuple[Stamps, tuple[str, ...], Refused]:
+    """Return the indices of the usable messages, their frames, and the others by reason."""
+    finite = np.isfinite(values).all(axis=1)
     tests = {
-        'malformed': decoded.frame < 0,
-        'zero_stamp': decoded.stamps_ns == 0,
+        'malformed': decoded['frame'] < 0,
+        'zero_stamp': decoded['stamp'] == 0,
         'nan': ~finite,
         'out_of_range': finite & (np.abs(lengths) > MAX_VALUE).any(axis=1),
         **unusable}
-    usable = np.arange(len(decoded.stamps_ns))
+    usable = np.arange(len(decoded))
     refused: Refused = {}
     for reason, bad in tests.items():
         usable = _drop(refused, reason, usable, bad[usable])
     # The frame that most messages have; of equals, the one met first.
-    frame = int(np.argmax(np.bincount(decoded.frame[usable]))) if len(usable) else 0
-    usable = _drop(refused, 'frame_id', usable, decoded.frame[usable] != frame)
-    of_stamps = unusable_stamps(decoded.stamps_ns[usable], decoded.arrivals_ns[usable])
+    frame = int(np.argmax(np.bincount(decoded['frame'][usable]))) if len(usable) else 0
+    usable = _drop(refused, 'frame_id', usable, decoded['frame'][usable] != frame)
+    of_stamps = unusable_stamps(decoded['stamp'][usable], decoded['arrival'][usable])
     for reason, bad in of_stamps.items():
         _drop(refused, reason, usable, bad)
     usable = usable[~np.logical_or.reduce(list(of_stamps.values()))]
-    return usable, decoded.frames[frame][frame_name] if len(usable) else '', refused
+    return usable, frames[frame] if len(usable) else ('',), refused
 
 
 def _drop(refused: Refused, reason: str, usable: Stamps, bad: Mask) -> Stamps:
