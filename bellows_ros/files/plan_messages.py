@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion
 from bellows_ros.core.parameters.table import short
-from bellows_ros.core.planning.points import require_count
+from bellows_ros.core.planning.points import JointPath, require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import Values
@@ -148,17 +148,26 @@ def _encode(head: bytes, fields: Fields, columns: Mapping[str, Any]) -> bytes:
 
 def encode_multi_dof(plan: PlanMessage) -> bytes:
     """Encode a MultiDOFJointTrajectory of one joint, little-endian."""
-    head = _header(plan.stamp_ns, plan.frame_id)
-    head = with_number(head, len(plan.names))
-    for name in plan.names:
-        head = with_text(head, name)
-    head = with_number(head, len(plan.times_ns))
+    head = _head(plan.stamp_ns, plan.frame_id, plan.names, len(plan.times_ns))
     values = (plan.poses, plan.twists, plan.accelerations)
     parts = tuple(int(value is not None) for value in values)
     seconds, nanoseconds = np.divmod(plan.times_ns, NS_PER_S)
     return _encode(head, _point('<', parts), {
         'sec': seconds, 'nanosec': nanoseconds, **dict(zip('abc', values, strict=True)),
         **dict(zip(('na', 'nb', 'nc'), parts, strict=True))})
+
+
+def encode_joints(
+    stamp_ns: int, frame_id: str, names: Sequence[str], motion: JointPath
+) -> bytes:
+    """Encode a JointTrajectory with velocities and accelerations, little-endian."""
+    head, count = _head(stamp_ns, frame_id, names, len(motion.seconds)), len(names)
+    form, times_ns = f'({count},)<f8', np.round(motion.seconds * NS_PER_S).astype(np.int64)
+    fields = (('na', '<u4'), ('a', form), ('nb', '<u4'), ('b', form), ('nc', '<u4'), ('c', form),
+              ('no_effort', '<u4'), ('sec', '<i4'), ('nanosec', '<u4'))
+    return _encode(head, fields, {
+        **dict(zip('abc', motion[1:], strict=True)), 'na': count, 'nb': count, 'nc': count,
+        'no_effort': 0, 'sec': times_ns // NS_PER_S, 'nanosec': times_ns % NS_PER_S})
 
 
 def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) -> bytes:
@@ -170,6 +179,14 @@ def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) ->
               ('pose', '(7,)<f8'))
     return _encode(head, fields, {
         'sec': seconds, 'nanosec': nanoseconds, 'size': len(text), 'text': text, 'pose': poses})
+
+
+def _head(stamp_ns: int, frame_id: str, names: Sequence[str], points: int) -> bytes:
+    """Return what is before the points of a trajectory."""
+    head = with_number(_header(stamp_ns, frame_id), len(names))
+    for name in names:
+        head = with_text(head, name)
+    return with_number(head, points)
 
 
 def _header(stamp_ns: int, frame_id: str) -> bytes:

@@ -26,7 +26,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.signals.transforms import Chain
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, plan_messages, read_text, safe_yaml
-from bellows_ros.files.bags import decoded, message_types, messages_of
+from bellows_ros.files.bags import decoded, messages_of
 from bellows_ros.files.plan_messages import JointPlan, MULTI_DOF, ns_of, PATH, PlanMessage
 import numpy as np
 
@@ -225,21 +225,6 @@ def path_points(message: Any) -> PlanMessage:
     poses = np.array([_pose(p.pose.position, p.pose.orientation) for p in message.poses])
     return PlanMessage(
         ns_of(message.header.stamp), message.header.frame_id, ('tool',), stamps - stamps[0], poses)
-
-
-def encode_joints(plan: JointPlan) -> bytes:
-    """Encode a JointTrajectory with velocities and accelerations."""
-    store = message_types()
-    Header, Time, Duration, Point, Message = (store.types[name] for name in (
-        'std_msgs/msg/Header', 'builtin_interfaces/msg/Time', 'builtin_interfaces/msg/Duration',
-        'trajectory_msgs/msg/JointTrajectoryPoint', JOINTS))
-    points = [
-        Point(q, v, a, np.zeros(0), Duration(*divmod(int(time), NS_PER_S)))
-        for time, q, v, a in zip(
-            plan.times_ns, plan.position, np.asarray(plan.velocity),
-            np.asarray(plan.acceleration), strict=True)]
-    header = Header(Time(*divmod(plan.stamp_ns, NS_PER_S)), plan.frame_id)
-    return bytes(store.serialize_cdr(Message(header, list(plan.names), points), JOINTS))
 
 
 def recorded_joints(path: File, arm: Arm) -> PlanMessage:

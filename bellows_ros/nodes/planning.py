@@ -10,11 +10,10 @@ import time
 from typing import Any
 
 from bellows_ros.core.model.equilibrium import largest_step
-from builtin_interfaces.msg import Duration
 from nav_msgs.msg import Odometry, Path
 import numpy as np
 from std_msgs.msg import Header, String
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from .conversions import stamp_to_ns, write_odometry
 from .guarding import LATCHED, Worker
@@ -421,7 +420,7 @@ class Steering(Answers):
 
     def _steer_joints(self, message: JointTrajectory) -> None:
         """Publish a motion, steered, in the same joints; slower where their speeds need that."""
-        _, planned, joints = self._reader.of_joints(message)
+        plan, planned, joints = self._reader.of_joints(message)
 
         @cache
         def steered(scale: float) -> tuple[Trajectory, JointPath]:
@@ -433,12 +432,5 @@ class Steering(Answers):
             return tool, math.inf, joint_excess(joints.arm, path, math.inf)
 
         scale, _ = stretched(NO_LIMITS, motion)
-        answer = JointTrajectory(header=message.header, joint_names=joints.arm.moving)
-        answer.points = [
-            JointTrajectoryPoint(
-                positions=q.tolist(), velocities=v.tolist(), accelerations=a.tolist(),
-                time_from_start=Duration(**dict(zip(
-                    ('sec', 'nanosec'), divmod(round(seconds * NS_PER_S), NS_PER_S),
-                    strict=True))))
-            for seconds, q, v, a in zip(*steered(scale)[1], strict=True)]
-        self._joints.publish(answer)
+        self._joints.publish(plan_messages.encode_joints(
+            plan.stamp_ns, plan.frame_id, joints.arm.moving, steered(scale)[1]))

@@ -506,10 +506,8 @@ def write_prediction(
     joints = []
     if source.joints is not None:
         motion = source.joints.along(tool, source.tool)
-        joint_plan = plan_messages.JointPlan(
-            frame, 0, source.joints.arm.moving,
-            np.round(motion.seconds * NS_PER_S).astype(np.int64), *motion[1:])
-        joints.append(('/tool_arm/plan_joints', plans.JOINTS, plans.encode_joints(joint_plan)))
+        joints.append(('/tool_arm/plan_joints', plans.JOINTS, plan_messages.encode_joints(
+            0, frame, source.joints.arm.moving, motion)))
     bag_writer.write_bag(path, [
         *(bag_writer.Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
             *joints,
