@@ -4,9 +4,10 @@ Writing rosbag2 recordings of poses and twists, whole or not at all.
 The same content, name and rosbags version give the same bytes.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 import heapq
+from itertools import repeat
 from pathlib import Path
 import sqlite3
 
@@ -40,11 +41,6 @@ class Encoded:
     type_name: str
     stamps_ns: Stamps
     data: Sequence[bytes] | np.ndarray
-
-    def messages(self, number: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield log time, connection number and bytes of each message."""
-        for stamp_ns, data in zip(self.stamps_ns, self.data, strict=True):
-            yield int(stamp_ns), number, bytes(data)
 
 
 def as_messages(
@@ -126,7 +122,8 @@ def write_bag(
                 connections = {
                     name: writer.add_connection(*name, typestore=bags.message_types())
                     for name in dict.fromkeys(names)}
-                streams = [r.messages(number) for number, r in enumerate(recorded)]
+                streams = [zip(map(int, r.stamps_ns), repeat(number), map(bytes, r.data))
+                           for number, r in enumerate(recorded)]
                 for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
                     writer.write(connections[names[number]], log_time_ns, data)
             if storage == 'mcap':

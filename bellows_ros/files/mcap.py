@@ -133,35 +133,27 @@ class _Scan:
             raise DamagedError('it does not end as an MCAP file does')
 
     def _read_other(self, kind: int, body: bytes) -> None:
-        """Read what is no message."""
+        """Read what is no message; refuse a file whose statistics count others."""
         if kind == _SCHEMA:
             (number,) = struct.unpack_from('<H', body)
             self._schemas[number], _ = _text(body, 2)
-        elif kind == _CHANNEL:
-            self._add_channel(body)
+        elif kind == _CHANNEL:  # the summary at the end repeats them
+            number, schema = struct.unpack_from('<HH', body)
+            name, end = _text(body, 4)
+            encoding, _ = _text(body, end)
+            topic = Channel(name, self._schemas.get(schema, ''), encoding)
+            if self.channels.setdefault(number, topic) != topic:
+                raise DamagedError(f'channel {number} is defined twice and differently')
+            self.met[number] += 0
+            self._counts.setdefault(topic, 0)
+            if self._wanted(topic):
+                self._wanted_channels.add(number)
         elif kind == _STATISTICS:
-            self._compare(body)
-
-    def _compare(self, body: bytes) -> None:
-        """Refuse a file with fewer or more messages than its statistics count."""
-        (size,) = struct.unpack_from('<42xI', body)  # behind totals and times
-        for channel, count in struct.iter_unpack('<HQ', body[46:46 + size]):
-            if self.met[channel] != count:
-                raise DamagedError(
-                    f'it has {self.met[channel]} messages in channel {channel}, but says {count}')
-
-    def _add_channel(self, body: bytes) -> None:
-        """Remember a topic; the summary at the end repeats them."""
-        number, schema = struct.unpack_from('<HH', body)
-        name, end = _text(body, 4)
-        encoding, _ = _text(body, end)
-        topic = Channel(name, self._schemas.get(schema, ''), encoding)
-        if self.channels.setdefault(number, topic) != topic:
-            raise DamagedError(f'channel {number} is defined twice and differently')
-        self.met[number] += 0
-        self._counts.setdefault(topic, 0)
-        if self._wanted(topic):
-            self._wanted_channels.add(number)
+            (size,) = struct.unpack_from('<42xI', body)  # behind totals and times
+            for number, count in struct.iter_unpack('<HQ', body[46:46 + size]):
+                if self.met[number] != count:
+                    raise DamagedError(f'it has {self.met[number]} messages in channel {number}, '
+                                       f'but says {count}')
 
 
 def _exactly(file: BinaryIO, size: int) -> bytes:
