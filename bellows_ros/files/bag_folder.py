@@ -137,11 +137,6 @@ def _listed_files(folder: Path) -> Listing:
     information = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
     if not isinstance(information, dict):
         raise _damaged(folder, "it has no 'rosbag2_bagfile_information'")
-    form = information.get('compression_format')
-    if form not in (None, '', 'none', 'zstd'):
-        raise BellowsError(
-            f"Recording '{folder}' is compressed with '{str(form)[:40]}'; zstd is supported. "
-            "Decompress it with 'ros2 bag convert'.")
     names = information.get('relative_file_paths')
     if not isinstance(names, list) or not all(
             isinstance(name, str) and 0 < len(name) <= MAX_NAME_LENGTH for name in names):

@@ -297,7 +297,6 @@ def test_another_encoding_is_refused(folder):
 @pytest.mark.parametrize('changes, named', [
     *(({'relative_file_paths': names}, 'relative_file_paths')
       for names in (None, 'b.mcap', [None], [''], ['b' * 5000])),
-    *(({'compression_format': form}, f"'{form}'") for form in ('lz4', ['zstd'])),
     *(({'relative_file_paths': [name], 'version': version}, f"'{name}'")
       for name in ('gone.mcap', '.', '/etc/passwd', '../o/other.mcap', 'sub/../../o.mcap',
                    'C:\\b.mcap', '..') for version in (3, 9))])
