@@ -52,6 +52,11 @@ class SensorInput:
     qos : QoSProfile, optional
         As for any sensor unless given: without asking for lost messages.
 
+    Attributes
+    ----------
+    topic : str
+        Full name.
+
     """
 
     def __init__(
@@ -66,11 +71,7 @@ class SensorInput:
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
             on_publishers=on_publishers)
-
-    @property
-    def topic(self) -> str:
-        """Full name of the topic."""
-        return str(self._subscription.topic_name)
+        self.topic = str(self._subscription.topic_name)
 
     def note(self, stamp_ns: int | None = None) -> int:
         """
