@@ -242,9 +242,6 @@ class Outputs:
         if state != self._last_state:
             self._last_state = state
             self._state.publish(String(data=state))
-            if state in ('detached', 'lost', 'inactive') and self._markers.subscribed:
-                self._markers.publish(MarkerArray(markers=[
-                    Marker(ns=NAMESPACE, action=Marker.DELETEALL)]))
         self._publish_ok(not is_above and state in OK_STATES and (
             time.monotonic_ns() >= self._safe_from_ns))
 
