@@ -19,7 +19,6 @@ are summed.
 """
 
 from collections.abc import Callable
-from functools import wraps
 from math import factorial
 
 from bellows_ros.core.geometry.arrays import Array
@@ -32,22 +31,6 @@ from numpy.typing import ArrayLike
 SERIES_BELOW = 1.0
 # The first omitted term at t = SERIES_BELOW is below 1e-19 of the sum.
 SERIES_TERMS = 10
-# Rotations converted at a time, so that what is in between stays in the processor's cache.
-PART_LENGTH = 8192
-
-
-def _in_parts(function: Callable[[ArrayLike], Array]) -> Callable[[ArrayLike], Array]:
-    """Return a function of each element of an array that converts long arrays in parts."""
-    @wraps(function)
-    def converted(values: ArrayLike) -> Array:
-        array = np.asarray(values, dtype=np.float64)
-        if array.ndim < 2 or len(array) <= PART_LENGTH:
-            return function(array)
-        parts = [function(array[start:start + PART_LENGTH])
-                 for start in range(0, len(array), PART_LENGTH)]
-        return np.ascontiguousarray(np.concatenate(parts))
-
-    return converted
 
 
 def _even_function(
@@ -100,7 +83,7 @@ def hat(v: ArrayLike) -> Array:
     array (..., 3, 3)
 
     """
-    v = _array(v, 3)
+    v = np.asarray(v, dtype=np.float64)
     S = np.zeros((*v.shape, 3))
     S[..., 2, 1] = v[..., 0]
     S[..., 0, 2] = v[..., 1]
@@ -108,7 +91,6 @@ def hat(v: ArrayLike) -> Array:
     return S - np.swapaxes(S, -1, -2)
 
 
-@_in_parts
 def exp_so3(phi: ArrayLike) -> Array:
     """
     Return the rotation matrices of rotation vectors (G.74).
@@ -123,13 +105,12 @@ def exp_so3(phi: ArrayLike) -> Array:
     array (..., 3, 3)
 
     """
-    phi = _array(phi, 3)
+    phi = np.asarray(phi, dtype=np.float64)
     t2 = _squared(phi)
     return _rotation_polynomial(phi, _alpha(t2), _half_beta(t2))
 
 
-@_in_parts
-def log_so3(R: ArrayLike) -> Array:
+def log_so3(R: Array) -> Array:
     """
     Return the rotation vectors of rotation matrices, the inverse of `exp_so3` for |phi| < pi.
 
@@ -151,7 +132,7 @@ def log_so3(R: ArrayLike) -> Array:
     return log_quaternion(rotation_to_quaternion(R))
 
 
-def dexp(phi: ArrayLike) -> Array:
+def dexp(phi: Array) -> Array:
     """
     Return the right-trivialised derivative of the exponential map (G.65, with 1/|phi|^2).
 
@@ -168,12 +149,11 @@ def dexp(phi: ArrayLike) -> Array:
     array (..., 3, 3)
 
     """
-    phi = _array(phi, 3)
     t2 = _squared(phi)
     return _rotation_polynomial(phi, _half_beta(t2), _gamma(t2))
 
 
-def dexp_inverse(phi: ArrayLike) -> Array:
+def dexp_inverse(phi: Array) -> Array:
     """
     Return the inverse of `dexp`, valid for |phi| < 2 pi.
 
@@ -189,12 +169,11 @@ def dexp_inverse(phi: ArrayLike) -> Array:
     array (..., 3, 3)
 
     """
-    phi = _array(phi, 3)
     t2 = _squared(phi)
     return _rotation_polynomial(phi, np.full(t2.shape, -0.5), -0.5 * _delta(t2) / _half_beta(t2))
 
 
-def d2exp(phi: ArrayLike, a: ArrayLike) -> Array:
+def d2exp(phi: Array, a: Array) -> Array:
     """
     Return the derivative of `dexp` along a, applied to a (G.73 twice along it, norms squared).
 
@@ -212,7 +191,6 @@ def d2exp(phi: ArrayLike, a: ArrayLike) -> Array:
     array (..., 3)
 
     """
-    phi, a = _array(phi, 3), _array(a, 3)
     t2 = _squared(phi)[..., None]
     along = np.sum(phi * a, axis=-1, keepdims=True)
     phi_a = np.cross(phi, a)
@@ -221,7 +199,6 @@ def d2exp(phi: ArrayLike, a: ArrayLike) -> Array:
         _gamma(t2) * np.cross(a, phi_a) + along * (_delta(t2) * phi_a + _eps(t2) * twice))
 
 
-@_in_parts
 def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> Array:
     """
     Return the rotation matrices of quaternions, which are divided by their norm.
@@ -241,20 +218,18 @@ def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> Array:
         If a quaternion is zero or not finite: it is no rotation.
 
     """
-    q = _array(quaternion_xyzw, 4)
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    norm = np.linalg.norm(quaternion_xyzw, axis=-1, keepdims=True)
     if not np.all(np.isfinite(norm) & (norm > 0.0)):
         raise BellowsError(
             'A quaternion is zero or not finite, hence not a rotation. Leave such samples out '
             'first.')
-    q = q / norm
+    q = quaternion_xyzw / norm
     v, w = q[..., :3], q[..., 3]
     # exp(phi) with phi^ = v^ |phi| / sin(|phi|/2): I + 2 w v^ + 2 (v^)^2.
     return _rotation_polynomial(v, 2.0 * w, np.full(w.shape, 2.0))
 
 
-@_in_parts
-def rotation_to_quaternion(R: ArrayLike) -> Array:
+def rotation_to_quaternion(R: Array) -> Array:
     """
     Return the unit quaternions (x, y, z, w), w >= 0, of rotation matrices.
 
@@ -271,7 +246,6 @@ def rotation_to_quaternion(R: ArrayLike) -> Array:
     array (..., 4)
 
     """
-    R = _array(R, 3, 3)
     # Component by component in memory, which takes a third of the time.
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(R, (-2, -1), (0, 1)).copy()
     xx, yy, zz, ww = diagonal = np.array(
@@ -300,7 +274,7 @@ def rpy_rotation(rpy: Array) -> Array:
     return np.asarray(yaw @ pitch @ roll)
 
 
-def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
+def quaternion_product(p: Array, q: Array) -> Array:
     """
     Return the quaternions of the composed rotations R(p) R(q).
 
@@ -316,7 +290,6 @@ def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
     array (..., 4)
 
     """
-    p, q = _array(p, 4), _array(q, 4)
     px, py, pz, pw = np.moveaxis(p, -1, 0)
     qx, qy, qz, qw = np.moveaxis(q, -1, 0)
     product = np.stack([
@@ -327,7 +300,7 @@ def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
     return np.moveaxis(product, 0, -1)
 
 
-def quaternion_conjugate(quaternion_xyzw: ArrayLike) -> Array:
+def quaternion_conjugate(quaternion_xyzw: Array) -> Array:
     """
     Return the quaternions of the inverse rotations.
 
@@ -341,16 +314,16 @@ def quaternion_conjugate(quaternion_xyzw: ArrayLike) -> Array:
     array (..., 4)
 
     """
-    return np.asarray(_array(quaternion_xyzw, 4) * np.array([-1.0, -1.0, -1.0, 1.0]))
+    return np.asarray(quaternion_xyzw * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
-def log_quaternion(quaternion_xyzw: ArrayLike) -> Array:
+def log_quaternion(q: Array) -> Array:
     """
     Return the rotation vectors of unit quaternions of either sign.
 
     Parameters
     ----------
-    quaternion_xyzw : array (..., 4)
+    q : array (..., 4)
         Unit quaternions.
 
     Returns
@@ -359,7 +332,6 @@ def log_quaternion(quaternion_xyzw: ArrayLike) -> Array:
         Rotation vectors, rad, of length at most pi.
 
     """
-    q = _array(quaternion_xyzw, 4)
     v, w = q[..., :3], q[..., 3]
     s = np.sqrt(_squared(v))
     half = np.arctan2(s, np.abs(w))
@@ -368,7 +340,7 @@ def log_quaternion(quaternion_xyzw: ArrayLike) -> Array:
     return np.where(w < 0.0, -2.0, 2.0)[..., None] * factor[..., None] * v
 
 
-def transform(R: ArrayLike, o: ArrayLike) -> Array:
+def transform(R: Array, o: ArrayLike) -> Array:
     """
     Return the homogeneous transformation matrices of rotations and positions.
 
@@ -385,15 +357,14 @@ def transform(R: ArrayLike, o: ArrayLike) -> Array:
         ``T_a_b``.
 
     """
-    R, o = _array(R, 3, 3), _array(o, 3)
-    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], o.shape[:-1]), 4, 4))
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], np.shape(o)[:-1]), 4, 4))
     T[..., :3, :3] = R
     T[..., :3, 3] = o
     T[..., 3, 3] = 1.0
     return T
 
 
-def inverse_transform(T: ArrayLike) -> Array:
+def inverse_transform(T: Array) -> Array:
     """
     Return ``T_b_a`` of ``T_a_b``.
 
@@ -407,12 +378,11 @@ def inverse_transform(T: ArrayLike) -> Array:
     array (..., 4, 4)
 
     """
-    T = _array(T, 4, 4)
     R_inverse = np.swapaxes(T[..., :3, :3], -1, -2)
     return transform(R_inverse, -apply(R_inverse, T[..., :3, 3]))
 
 
-def adjoint(T: ArrayLike) -> Array:
+def adjoint(T: Array) -> Array:
     """
     Return X(T) = [[R, o^ R], [0, R]], which maps a twist from b to a (2.24).
 
@@ -426,7 +396,6 @@ def adjoint(T: ArrayLike) -> Array:
     array (..., 6, 6)
 
     """
-    T = _array(T, 4, 4)
     R = T[..., :3, :3]
     X = np.zeros((*T.shape[:-2], 6, 6))
     X[..., :3, :3] = R
@@ -435,7 +404,7 @@ def adjoint(T: ArrayLike) -> Array:
     return X
 
 
-def wrench_transform(T_a_b: ArrayLike) -> Array:
+def wrench_transform(T_a_b: Array) -> Array:
     """
     Return X(T_a_b^-1)^T, which maps a wrench from b to a (2.28).
 
@@ -452,7 +421,7 @@ def wrench_transform(T_a_b: ArrayLike) -> Array:
     return np.swapaxes(adjoint(inverse_transform(T_a_b)), -1, -2)
 
 
-def exp_se3(xi: ArrayLike) -> Array:
+def exp_se3(xi: Array) -> Array:
     """
     Return the pose reached in unit time with a constant twist.
 
@@ -466,12 +435,11 @@ def exp_se3(xi: ArrayLike) -> Array:
     array (..., 4, 4)
 
     """
-    xi = _array(xi, 6)
     phi = xi[..., 3:]
     return transform(exp_so3(phi), apply(dexp(phi), xi[..., :3]))
 
 
-def log_se3(T: ArrayLike) -> Array:
+def log_se3(T: Array) -> Array:
     """
     Return the constant twist that reaches a pose in unit time.
 
@@ -488,7 +456,6 @@ def log_se3(T: ArrayLike) -> Array:
         Linear part (m) first, rotation vector (rad) last.
 
     """
-    T = _array(T, 4, 4)
     phi = log_so3(T[..., :3, :3])
     return np.concatenate([apply(dexp_inverse(phi), T[..., :3, 3]), phi], axis=-1)
 
@@ -523,12 +490,3 @@ def _rotation_polynomial(v: Array, linear: Array, quadratic: Array) -> Array:
 def _squared(v: Array) -> Array:
     """Return the squared length of vectors."""
     return np.asarray(np.einsum('...i,...i->...', v, v))
-
-
-def _array(values: ArrayLike, *shape: int) -> Array:
-    """Return a float array whose last axes have the given sizes, or raise an error."""
-    array: Array = np.asarray(values, dtype=np.float64)
-    if array.shape[-len(shape):] != shape:
-        expected = ', '.join(map(str, shape))
-        raise BellowsError(f'Expected an array of shape (..., {expected}), got {array.shape}.')
-    return array

@@ -275,7 +275,8 @@ def _deviation(poses: PoseStream, stamps_ns: Stamps, size: int) -> Array:
     """Return how far poses are from polynomials (m, rad), in the median over short windows."""
     count = len(stamps_ns) // size
     t, o, R = (part[:count * size].reshape(count, size, *part.shape[1:])
-               for part in (stamps_ns, poses.position, poses.rotation))
+               for part in ((stamps_ns - stamps_ns[0]).astype(np.float64), poses.position,
+                            poses.rotation))
     t = (t - t[:, :1]) / (t[:, -1:] - t[:, :1])
     Q, _ = np.linalg.qr((2.0 * t - 1.0)[:, :, None] ** np.arange(ORDER + 1))
     moved = np.stack([o - o[:, :1], lie.log_so3(np.swapaxes(R[:, :1], 2, 3) @ R)])

@@ -2,7 +2,6 @@
 
 from fractions import Fraction
 from math import factorial, pi
-import re
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.errors import BellowsError
@@ -179,22 +178,3 @@ def test_leading_axes_and_single_elements_are_alike():
     assert_allclose(T[1, 2], lie.exp_se3(xi[1, 2]), atol=1e-15)
     assert_allclose(lie.log_se3(T)[0, 1], lie.log_se3(T[0, 1]), atol=1e-15)
     assert lie.log_so3(np.zeros((0, 3, 3))).shape == (0, 3)
-
-
-@pytest.mark.parametrize('function, argument', [
-    (lie.exp_so3, np.zeros(4)), (lie.log_so3, np.eye(4)), (lie.adjoint, np.eye(3)),
-    (lie.hat, 1.0)])
-def test_wrong_shapes_are_named(function, argument):
-    with pytest.raises(BellowsError, match=rf'{re.escape(str(np.shape(argument)))}\.$'):
-        function(argument)
-
-
-@pytest.mark.parametrize(('function', 'values'), [
-    (lie.exp_so3, np.random.default_rng(3).normal(size=(2 * lie.PART_LENGTH + 7, 3))),
-    (lie.rotation_to_quaternion, random_poses(2 * lie.PART_LENGTH + 7)[:, :3, :3]),
-])
-def test_long_arrays_are_converted_in_parts_to_the_same_numbers(function, values):
-    whole = function(values)
-    assert_array_equal(whole[-9:], function(values[-9:]))
-    assert_array_equal(whole[lie.PART_LENGTH - 2:lie.PART_LENGTH + 2],
-                       function(values[lie.PART_LENGTH - 2:lie.PART_LENGTH + 2]))
