@@ -14,9 +14,9 @@ import pytest
 from . import recordings as made
 
 T0 = 1_700_000_000_000_000_000
-MOUNT = exp_se3([0.1, -0.2, 0.3, 0.3, 0.1, -0.4])
-FLANGE = exp_se3([0.0, 0.0, 0.12, 0.0, 0.5, 0.0])
-CAMERA = exp_se3([1.0, 0.4, 1.5, 2.0, 0.3, 0.1])
+MOUNT = exp_se3(np.array([0.1, -0.2, 0.3, 0.3, 0.1, -0.4]))
+FLANGE = exp_se3(np.array([0.0, 0.0, 0.12, 0.0, 0.5, 0.0]))
+CAMERA = exp_se3(np.array([1.0, 0.4, 1.5, 2.0, 0.3, 0.1]))
 
 
 def base_in_rail(s):

@@ -100,7 +100,7 @@ def with_tool_earlier(recording: Recording, seconds: float) -> Recording:
     twist, (of_tool, of_package) = recording.tool_twist, recording.filters
     return _joined(replace(
         recording, tool_pose=trajectory.earlier(recording.tool_pose, seconds),
-        tool_twist=twist and trajectory.earlier(twist, seconds), _filtered={},
+        tool_twist=twist and trajectory.earlier(twist, seconds),
         filters=(replace(of_tool, poses=trajectory.earlier(of_tool.poses, seconds)), of_package)))
 
 

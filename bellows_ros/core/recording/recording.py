@@ -460,8 +460,9 @@ class Filter:
         return np.asarray(
             self.whole[before] & self.whole[np.searchsorted(self.stamps_ns, stamps_ns)])
 
+    @cached_property
     def filtered(self) -> Filtered:
-        """Return the filtered poses."""
+        """The filtered poses."""
         return savgol(self.poses, self.half_window, self.order)
 
 
@@ -516,7 +517,6 @@ class Recording:
     digest: str = ''
     files: tuple[Mapping[str, Any], ...] = ()
     relaxation: Relaxation = NO_RELAXATION
-    _filtered: dict[Filter, Trajectory] = field(default_factory=dict, repr=False)
     _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:
@@ -526,22 +526,16 @@ class Recording:
         result: T = self._cache[key]
         return result
 
-    @property
+    @cached_property
     def tool(self) -> Trajectory:
         """Tool tip E in the world, filtered, with body twists of the filter."""
-        of_tool = self.filters[0]
-        if of_tool not in self._filtered:
-            self._filtered[of_tool] = resample(of_tool.filtered(), self.measured_tool.stamps_ns,
-                                               self.report.tool.timing.longest_step_ns)
-        return self._filtered[of_tool]
+        return resample(self.filters[0].filtered, self.measured_tool.stamps_ns,
+                        self.report.tool.timing.longest_step_ns)
 
-    @property
+    @cached_property
     def package(self) -> Trajectory:
         """Centre of mass B in the world, filtered, with body twists and their derivatives."""
-        of_package, ends = self.filters[1], self.measured_tool.stamps_ns[[0, -1]]
-        if of_package not in self._filtered:
-            self._filtered[of_package] = of_package.filtered().between(*ends)
-        return self._filtered[of_package]
+        return self.filters[1].filtered.between(*self.measured_tool.stamps_ns[[0, -1]])
 
     @property
     def aligned_tool(self) -> Trajectory:
