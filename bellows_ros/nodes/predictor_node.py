@@ -222,7 +222,7 @@ class Diagnostics:
         lines = [health.prediction_status('prediction', health.PredictionReport(
             state, live.phase(time.monotonic_ns()), pipeline.values['cup.name'] or 'cup.*',
             pipeline.compute.reset(), {**live.counts, **failures}, restarts,
-            live.tool.check.verdict, pipeline.outputs.uncertainty.available, above))]
+            live.tool.verdict, pipeline.outputs.uncertainty.available, above))]
         if state != 'active':
             return lines
         started = tuple(reason for reason, count in restarts.items() if count)

@@ -70,21 +70,18 @@ class PoseStep(NamedTuple):
     """Size relative to what an arm can do; above 1 is impossible."""
     suspicion: float
     """Size relative to the limit of suspicion."""
-    position_jump: float
-    """Deviation from a steady motion, m."""
-    rotation_jump: float
-    """The same for rotations, rad."""
-    speed: float
-    """Smaller speed of this step and the one before, m/s: one jump is no motion."""
-    turn_speed: float
-    """Smaller rate of the two, rad/s."""
+    jump: tuple[float, float]
+    """Deviation from a steady motion, m and rad."""
+    speeds: tuple[float, float]
+    """Smaller speed (m/s) and rate (rad/s) of this step and the one before: one jump is no motion.
+    """
     velocity: Vector
     """In the axes of the poses' frame, m/s."""
     rate: Vector
     """In the tool's axes, rad/s."""
 
 
-REST = PoseStep(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
+REST = PoseStep(0.0, 0.0, (0.0, 0.0), (0.0, 0.0), ZERO, ZERO)
 
 
 class Reference(NamedTuple):
@@ -115,7 +112,7 @@ def change(a: Vector, b: Vector) -> tuple[float, float]:
 def _pose_step(
     o: Vector, q: Quaternion, velocity: Vector, rate: Vector, period: float,
     other_o: Vector, other_q: Quaternion, seconds: float,
-) -> tuple[float, float, float, float, float, float, Vector, Vector]:
+) -> tuple[float, float, tuple[float, float], tuple[float, float], Vector, Vector]:
     """
     Return the `PoseStep` from a pose to another after some seconds; numba is slow at named tuples.
 
@@ -143,7 +140,7 @@ def _pose_step(
         suspicion = max(
             jump / (SUSPECT_TOLERANCE[0] + jitter + SUSPECT_ACCELERATION[0] * squared),
             turn_jump / (SUSPECT_TOLERANCE[1] + turn_jitter + SUSPECT_ACCELERATION[1] * squared))
-    return excess, suspicion, jump, turn_jump, speed, turn_speed, v, w
+    return excess, suspicion, (jump, turn_jump), (speed, turn_speed), v, w
 
 
 class ToolArrivals:
@@ -268,7 +265,7 @@ class Screen(StampScreen):
     @property
     def jump(self) -> tuple[float, float]:
         """Deviation (m, rad) of the newest pose from a steady motion."""
-        return self._step.position_jump, self._step.rotation_jump
+        return self._step.jump
 
     def judge(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
@@ -346,7 +343,7 @@ class Screen(StampScreen):
         if refused is None or last is None or stamp_ns <= refused.stamp_ns:
             return False
         of_refused, of_accepted = (
-            each._replace(period=0.0).step_to(stamp_ns, o, q)[2:4] for each in (refused, last))
+            each._replace(period=0.0).step_to(stamp_ns, o, q).jump for each in (refused, last))
         return of_refused < of_accepted
 
     def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:
@@ -367,4 +364,4 @@ def _cannot_stop(last: Reference) -> bool:
     return any(
         (speed - deceleration * last.period) * last.period > tolerance
         for speed, deceleration, tolerance in zip(
-            last.step[4:6], MAX_DECELERATION, STOP_TOLERANCE, strict=True))
+            last.step.speeds, MAX_DECELERATION, STOP_TOLERANCE, strict=True))

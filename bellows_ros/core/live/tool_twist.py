@@ -3,10 +3,8 @@ The tool's twist at the stamps of its poses: measured, interpolated or estimated
 
 Measured twists come in any order and at any rate (`Pairing`). One of the same stamp is taken as it
 is; between two it is interpolated; where neither is to be had without waiting long, the pose goes
-on alone, and its twist is estimated from the last poses (`PoseHistory`).
-
-Measured twists are checked against the poses, in both choices of axes (`TwistCheck`).
-`ToolMotion` joins both.
+on alone, and its twist is estimated from the last poses. Measured twists are checked against the
+poses, in both choices of axes (`ToolMotion`).
 """
 
 from collections import deque
@@ -224,37 +222,6 @@ MIN_DETERMINANT = 1e-4
 """Of the normal matrix in units of the time spanned; three even samples have 0.06."""
 
 
-class PoseHistory:
-    """
-    The last poses of the tool, and the slope of a quadratic through them.
-
-    The quadratic is fitted by least squares to the positions and to the rotation vectors relative
-    to one of the poses; its slope there is that pose's body twist. Three poses give the exact
-    quadratic; more of them average noise.
-    """
-
-    def __init__(self) -> None:
-        """Reserve memory for `HISTORY` poses."""
-        # stamp (s, from the first), position, quaternion xyzw
-        self._rows, = as_inputs(np.zeros((HISTORY, 8)))
-        self._count = self._origin_ns = 0
-
-    def clear(self) -> None:
-        """Forget all poses."""
-        self._count = 0
-
-    def append(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> None:
-        """Add the newest pose, and drop the oldest when full."""
-        if self._count == 0:
-            self._origin_ns = stamp_ns
-        seconds = (stamp_ns - self._origin_ns) * 1e-9
-        self._count = append_row(self._rows, self._count, seconds, position, quaternion_xyzw)
-
-    def state(self, back: int = 0) -> State:
-        """Return the pose that many samples before the newest, with its estimated body twist."""
-        return pose_with_slope(self._rows, self._count, self._count - 1 - back)
-
-
 @kernel
 def append_row(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) -> int:
     """Write a pose after the others, dropping the first when full; return how many there are."""
@@ -369,59 +336,6 @@ def squared(v: Vector, w: Vector) -> float:
     return t3.dot(v, v) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, w)
 
 
-class TwistCheck:
-    """
-    Comparison of measured twists with the slopes of the poses, now and then.
-
-    Parameters
-    ----------
-    in_world : bool
-        True where the twists count as in world axes, False as in tool axes.
-
-    """
-
-    def __init__(self, in_world: bool) -> None:
-        """Start without comparisons."""
-        self._in_world = in_world
-        self._recent: deque[tuple[Quaternion, Vector, Vector]] = deque(maxlen=LATER_POSES + 1)
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget all comparisons."""
-        self._recent.clear()
-        self._due_ns = -1
-        self._count = 0
-        self._squares: tuple[float, ...] = 0.0, 0.0, 0.0  # as of `misfits`
-
-    def skip(self) -> None:
-        """Record that a pose came without a measured twist."""
-        self._recent.clear()
-
-    def add(self, pose: PoseSample, twist: TwistSample, history: PoseHistory) -> None:
-        """Record a twist at the newest pose; compare an earlier one with its slope when due."""
-        self._recent.append((pose.quaternion_xyzw, twist.linear, twist.angular))
-        if len(self._recent) <= LATER_POSES or pose.stamp_ns < self._due_ns:
-            return
-        v, w = history.state(LATER_POSES)[2:4]
-        self._due_ns = pose.stamp_ns + PERIOD_NS
-        squares = misfits(*self._recent[0], v, w)
-        self._squares = tuple(
-            FORGETTING * before + new for before, new in zip(self._squares, squares, strict=True))
-        self._count += 1
-
-    @property
-    def verdict(self) -> str:
-        """'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
-        energy, *misfit = self._squares
-        weight = (1.0 - FORGETTING ** self._count) / (1.0 - FORGETTING)
-        if self._count < MIN_COMPARISONS or not MIN_SQUARED_SPEED * weight < energy < math.inf:
-            return 'unknown'
-        chosen, other = misfit if self._in_world else misfit[::-1]
-        if not chosen > MAX_MISFIT * energy:
-            return 'fits'
-        return 'other_axes' if other < 0.25 * chosen else 'does_not_fit'
-
-
 @kernel
 def with_measured_twist(
     before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
@@ -456,23 +370,26 @@ class ToolMotion:
     """
     The motion of E from messages of its pose and twist, or of another frame of the tool.
 
+    A missing twist is the slope of a quadratic through the last poses, fitted by least squares to
+    the positions and to the rotation vectors relative to one of the poses; its slope there is that
+    pose's body twist. Three poses give the exact quadratic; more of them average noise. Measured
+    twists are compared with such slopes now and then.
+
     Parameters
     ----------
     in_world : bool
         Whether twists are in axes of the world, else in those of the frame.
 
-    Attributes
-    ----------
-    check : TwistCheck
-        Of measured twists against the poses.
-
     """
 
     def __init__(self, in_world: bool) -> None:
-        """Start without poses."""
-        self._history, self._in_world = PoseHistory(), in_world
+        """Reserve memory for `HISTORY` poses."""
+        # stamp (s, from the first), position, quaternion xyzw
+        self._rows, = as_inputs(np.zeros((HISTORY, 8)))
+        self._in_world = in_world
         self._tip: tuple[Vector, Quaternion] | None = None
-        self.check = TwistCheck(in_world)
+        self._recent: deque[tuple[Quaternion, Vector, Vector]] = deque(maxlen=LATER_POSES + 1)
+        self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
         """Set the pose (4, 4) of E in the frame that poses and twists are of."""
@@ -481,8 +398,10 @@ class ToolMotion:
 
     def clear(self) -> None:
         """Forget all poses and comparisons."""
-        self._history.clear()
-        self.check.clear()
+        self._count = self._origin_ns = self._compared = 0
+        self._recent.clear()
+        self._due_ns = -1
+        self._squares: tuple[float, ...] = 0.0, 0.0, 0.0  # as of `misfits`
 
     def pose(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> PoseSample:
         """Return the pose of E for that of the frame, in the world, m."""
@@ -493,8 +412,15 @@ class ToolMotion:
         return PoseSample(stamp_ns, position, q)
 
     def add(self, pose: PoseSample) -> None:
-        """Record the next pose of E."""
-        self._history.append(*pose)
+        """Record the next pose of E, and drop the oldest when full."""
+        if self._count == 0:
+            self._origin_ns = pose.stamp_ns
+        seconds = (pose.stamp_ns - self._origin_ns) * 1e-9
+        self._count = append_row(self._rows, self._count, seconds, *pose[1:])
+
+    def state(self, back: int = 0) -> State:
+        """Return the pose that many samples before the newest, with its estimated body twist."""
+        return pose_with_slope(self._rows, self._count, self._count - 1 - back)
 
     def measured(
         self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
@@ -503,15 +429,34 @@ class ToolMotion:
         q = pose.quaternion_xyzw
         if self._tip is not None:
             twist = _at_tip(twist, *self._tip, q, self._in_world)
-        self.check.add(pose, twist, self._history)
+        self._recent.append((q, twist.linear, twist.angular))
+        if len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
+            self._due_ns = pose.stamp_ns + PERIOD_NS
+            squares = misfits(*self._recent[0], *self.state(LATER_POSES)[2:4])
+            self._squares = tuple(FORGETTING * before + new for before, new in zip(
+                self._squares, squares, strict=True))
+            self._compared += 1
         return with_measured_twist(
             before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds)
 
     def estimated(self, has_before: bool) -> tuple[State | None, State]:
         """Return E at the last two poses (the first, if any) with twists of the poses alone."""
-        self.check.skip()
+        self._recent.clear()
         # a later pose improves the slope at the one before
-        return self._history.state(back=1) if has_before else None, self._history.state()
+        return self.state(back=1) if has_before else None, self.state()
+
+    @property
+    def verdict(self) -> str:
+        """Whether measured twists fit: 'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
+        energy, *misfit = self._squares
+        weight = (1.0 - FORGETTING ** self._compared) / (1.0 - FORGETTING)
+        if self._compared < MIN_COMPARISONS or not (
+                MIN_SQUARED_SPEED * weight < energy < math.inf):
+            return 'unknown'
+        chosen, other = misfit if self._in_world else misfit[::-1]
+        if not chosen > MAX_MISFIT * energy:
+            return 'fits'
+        return 'other_axes' if other < 0.25 * chosen else 'does_not_fit'
 
 
 def _at_tip(

@@ -6,7 +6,7 @@ The estimate is exact on quadratics, and of second order on smooth motions.
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.live.tool_screening import TwistSample
-from bellows_ros.core.live.tool_twist import MAX_QUEUE, Pairing, PoseHistory
+from bellows_ros.core.live.tool_twist import MAX_QUEUE, Pairing, ToolMotion
 from bellows_ros.core.signals.screening import PoseSample
 import numpy as np
 from numpy.testing import assert_allclose
@@ -118,9 +118,9 @@ def test_random_arrivals_lose_no_pose_and_keep_the_order():
 
 def filled(positions, rotations, stamps_ns):
     """Return a history that has seen these poses."""
-    history = PoseHistory()
+    history = ToolMotion(in_world=True)
     for o, R, stamp in zip(positions, rotations, stamps_ns, strict=True):
-        history.append(int(stamp), tuple(o), tuple(rotation_to_quaternion(R)))
+        history.add(PoseSample(int(stamp), tuple(o), tuple(rotation_to_quaternion(R))))
     return history
 
 
@@ -152,10 +152,10 @@ def test_second_order_on_a_smooth_motion():
 
 
 def test_one_pose_has_no_twist_and_two_have_that_of_the_line():
-    history = PoseHistory()
-    history.append(10, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    history = ToolMotion(in_world=True)
+    history.add(PoseSample(10, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
     assert history.state()[2:] == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    history.append(10 + 2_000_000, (1.002, 0.0, 0.0), (0.0, 0.0, 0.001, 1.0))
+    history.add(PoseSample(10 + 2_000_000, (1.002, 0.0, 0.0), (0.0, 0.0, 0.001, 1.0)))
     _, _, v, w = history.state()
     assert_allclose(v, [np.cos(0.002), -np.sin(0.002), 0.0], atol=1e-8)  # in the turned axes
     assert_allclose(w, [0.0, 0.0, 1.0], atol=1e-6)
