@@ -9,6 +9,7 @@ OK: works as intended. WARN: works, but needs attention. ERROR: does not work.
 from array import array
 from collections.abc import Mapping
 from enum import IntEnum
+from functools import partial
 import math
 from typing import NamedTuple
 
@@ -167,21 +168,31 @@ def _refusals(report: InputReport) -> str:
     return f'{refused} of {report.messages} messages refused: {_listed(report.refused)}'
 
 
+def _first(*cases: tuple[object, Level, str]) -> tuple[Level, str]:
+    """Return level and message of the first case that applies."""
+    return next((level, message) for applies, level, message in cases if applies)
+
+
 def _judge_input(report: InputReport, optional: bool) -> tuple[Level, str]:
     """Return level and message of an input."""
+    topic, rate, age, silent = report.topic, report.rate_hz, report.age['p50'], report.silent
     worst = Level.WARN if optional else Level.ERROR
     refused = sum(report.refused.values())
+    since = f'for {silent:.1f} s' if math.isfinite(silent) else 'so far'
     if report.messages == 0:
-        return _judge_silence(report, optional, worst)
-    if refused:
-        return worst if refused >= report.messages else Level.WARN, f'{_refusals(report)}.'
-    if report.mismatch:
-        return Level.WARN, report.mismatch
-    age = report.age['p50']
-    if abs(age) > MAX_AGE:
-        return Level.WARN, INPUTS['behind' if age > 0.0 else 'ahead'].format(seconds=abs(age))
-    is_single = not math.isfinite(report.rate_hz)
-    return Level.OK, 'A single message.' if is_single else f'{report.rate_hz:.4g} Hz.'
+        return _first(
+            (report.mismatch, worst, report.mismatch),
+            (report.publishers, worst, INPUTS['silent'].format(topic=topic, since=since)),
+            (optional, Level.OK, INPUTS['estimated'].format(topic=topic)),
+            (True, worst, INPUTS['absent'].format(topic=topic)))
+    return _first(
+        (refused >= report.messages, worst, f'{_refusals(report)}.'),
+        (refused, Level.WARN, f'{_refusals(report)}.'),
+        (report.mismatch, Level.WARN, report.mismatch),
+        (age > MAX_AGE, Level.WARN, INPUTS['behind'].format(seconds=age)),
+        (age < -MAX_AGE, Level.WARN, INPUTS['ahead'].format(seconds=-age)),
+        (math.isfinite(rate), Level.OK, f'{rate:.4g} Hz.'),
+        (True, Level.OK, 'A single message.'))
 
 
 def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> Status:
@@ -192,19 +203,6 @@ def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> S
         return status
     return status._replace(
         level=Level.WARN, message=INPUTS['unpaired'].format(unpaired=unpaired, poses=poses))
-
-
-def _judge_silence(report: InputReport, optional: bool, worst: Level) -> tuple[Level, str]:
-    """Return level and message of a silent input."""
-    topic, silent = report.topic, report.silent
-    if report.mismatch:
-        return worst, report.mismatch
-    if report.publishers:
-        since = f'for {silent:.1f} s' if math.isfinite(silent) else 'so far'
-        return worst, INPUTS['silent'].format(topic=topic, since=since)
-    if optional:
-        return Level.OK, INPUTS['estimated'].format(topic=topic)
-    return worst, INPUTS['absent'].format(topic=topic)
 
 
 def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> Status:
@@ -221,17 +219,15 @@ def _judge_vacuum(report: InputReport, held: bool, latched: bool) -> tuple[Level
     """Return level and message of the vacuum signal."""
     worst = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
     state, topic = f'the package counts as {"" if held else "not "}held', report.topic
-    if report.mismatch:
-        return worst, report.mismatch
-    if report.publishers == 0:
-        return worst, INPUTS['no_vacuum'].format(topic=topic, state=state)
-    if any(report.refused.values()):
-        return worst, f'{_refusals(report)}; {state}. Publish the absolute pressure, Pa.'
-    if not math.isfinite(report.silent):
-        return Level.WARN, f'No message on {topic} so far: {state}.'
-    if not (report.messages or latched):
-        return worst, f'{topic} has been silent for {report.silent:.1f} s: {state}.'
-    return Level.OK, 'Held.' if held else 'Not held.'
+    return _first(
+        (report.mismatch, worst, report.mismatch),
+        (not report.publishers, worst, INPUTS['no_vacuum'].format(topic=topic, state=state)),
+        (any(report.refused.values()), worst,
+         f'{_refusals(report)}; {state}. Publish the absolute pressure, Pa.'),
+        (math.isinf(report.silent), Level.WARN, f'No message on {topic} so far: {state}.'),
+        (not (report.messages or latched), worst,
+         f'{topic} has been silent for {report.silent:.1f} s: {state}.'),
+        (True, Level.OK, 'Held.' if held else 'Not held.'))
 
 
 class PredictionReport(NamedTuple):
@@ -266,26 +262,21 @@ def prediction_status(name: str, report: PredictionReport) -> Status:
 
 def _judge_prediction(report: PredictionReport) -> tuple[Level, str]:
     """Return level and message of the prediction."""
-    restarts, phase = report.restarts, report.phase
-    if report.state != 'active':
-        return Level.OK, f'{report.state.capitalize()}: nothing is published.'
-    if restarts.get('no_equilibrium'):
-        return Level.ERROR, FAULTS['no_equilibrium']
-    if failures := restarts.get('failure'):
-        return Level.ERROR, f'{failures} callbacks failed, a fault of this node. Report its log.'
-    if phase == 'lost':
-        return Level.ERROR, PHASES[phase]
-    if report.above:
-        return Level.ERROR, FAULTS['above']
-    if reasons := _listed(restarts):
-        return Level.WARN, f'Started again from static equilibrium: {reasons}.'
-    if phase in ('coasting', 'settling'):
-        return Level.WARN, PHASES[phase]
-    if report.twist_verdict in TWISTS:
-        return Level.WARN, TWISTS[report.twist_verdict]
-    if not report.has_covariance:
-        return Level.WARN, FAULTS['no_covariance']
-    return Level.OK, PHASES.get(phase, 'Predicting.')
+    restarts, phase, verdict = report.restarts, report.phase, report.twist_verdict
+    failures, reasons = restarts.get('failure'), _listed(restarts)
+    return _first(
+        (report.state != 'active', Level.OK,
+         f'{report.state.capitalize()}: nothing is published.'),
+        (restarts.get('no_equilibrium'), Level.ERROR, FAULTS['no_equilibrium']),
+        (failures, Level.ERROR,
+         f'{failures} callbacks failed, a fault of this node. Report its log.'),
+        (phase == 'lost', Level.ERROR, PHASES['lost']),
+        (report.above, Level.ERROR, FAULTS['above']),
+        (reasons, Level.WARN, f'Started again from static equilibrium: {reasons}.'),
+        (phase in ('coasting', 'settling'), Level.WARN, PHASES.get(phase, '')),
+        (verdict in TWISTS, Level.WARN, TWISTS.get(verdict, '')),
+        (not report.has_covariance, Level.WARN, FAULTS['no_covariance']),
+        (True, Level.OK, PHASES.get(phase, 'Predicting.')))
 
 
 def load_status(
@@ -300,20 +291,15 @@ def load_status(
         'distance from envelope': number(
             excess.value if excess else math.nan) if load.has_envelope else 'not known',
         'largest bending (rad)': number(bending)}
-    level, message = Level.OK, 'Within all known limits.'
-    if factor < required:
-        level = Level.ERROR if factor < 1.0 else Level.WARN
-        limit = '1: the cup lets go' if factor < 1.0 else f'safety.least, {required:g}'
-        message = FAULTS['unsafe'].format(factor=factor, mode=mode, limit=limit)
-    elif bending > FLAT_MOMENT_BENDING:
-        level, message = Level.WARN, FAULTS['bending'].format(bending=bending)
-    elif excess is not None and excess.outside:
-        level, message = Level.WARN, excess.text
-    elif not (has_grip or load.has_envelope):
-        message = FAULTS['no_limits']
-    elif safety is None and excess is None:
-        message = 'No load: no package is held.'
-    return Status(name, level, message, values)
+    unsafe = partial(FAULTS['unsafe'].format, factor=factor, mode=mode)
+    return Status(name, *_first(
+        (factor < min(required, 1.0), Level.ERROR, unsafe(limit='1: the cup lets go')),
+        (factor < required, Level.WARN, unsafe(limit=f'safety.least, {required:g}')),
+        (bending > FLAT_MOMENT_BENDING, Level.WARN, FAULTS['bending'].format(bending=bending)),
+        (excess and excess.outside, Level.WARN, excess.text if excess else ''),
+        (not (has_grip or load.has_envelope), Level.OK, FAULTS['no_limits']),
+        (safety is None and excess is None, Level.OK, 'No load: no package is held.'),
+        (True, Level.OK, 'Within all known limits.')), values)
 
 
 def summary(live: LivePredictor) -> str:
