@@ -19,7 +19,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
-from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import at_tip, frozen, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,7 +92,7 @@ class Alignment:
             Without twists.
 
         """
-        return replace(markers, rotation=_turned(markers.rotation, self.R_tool_markers_tool))
+        return at_tip(markers, lie.transform(self.R_tool_markers_tool, np.zeros(3)))
 
     def package(self, markers: Trajectory) -> Trajectory:
         """
@@ -113,14 +113,8 @@ class Alignment:
             Without twists.
 
         """
-        rotation = _turned(markers.rotation, self.R_package_markers_lip)
-        position = markers.position + lie.apply(rotation, self.origin_to_com)
-        return replace(markers, position=frozen(position), rotation=rotation)
-
-
-def _turned(rotation: Array, R: Array) -> Array:
-    """Return rotations (N, 3, 3) times R, the same array where R is the identity."""
-    return rotation if np.array_equal(R, np.eye(3)) else np.asarray(frozen(rotation @ R))
+        R = self.R_package_markers_lip
+        return at_tip(markers, lie.transform(R, R @ self.origin_to_com))
 
 
 class MeanPose(NamedTuple):
