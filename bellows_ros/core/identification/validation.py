@@ -109,7 +109,7 @@ class Validation(residuals.Comparison):
     @cached_property
     def wrench(self) -> Array:
         """Of the cup at the lip in the free simulation, in lip axes, N and N m (N, 6)."""
-        return lip_wrenches(self.model, self.tool, self.package)
+        return lip_wrenches(self.model, tool_rows(self.tool), tool_rows(self.package))
 
     @cached_property
     def noise(self) -> Array:

@@ -149,6 +149,7 @@ def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -
     return load
 
 
+@kernel
 def factors_along(model: ModelTuple, grip: Grip, tool: Array, body: Array) -> Array:
     """
     Return safety factors (N, 2), as in `MODES`, and whose they are (N, 2).
@@ -156,7 +157,11 @@ def factors_along(model: ModelTuple, grip: Grip, tool: Array, body: Array) -> Ar
     Of rows (N, 13) of tool and package; those of cups are their rows in the grip.
     """
     out = np.empty((len(tool), 4))
-    _write_factors(model, grip, tool, body, out)
+    for k in range(len(tool)):
+        lip = kernels.lip_relative_to_tool(model[1][1], row_state(tool[k]), row_state(body[k]))
+        f, m = kernels.cup_wrench(model[0], *lip)
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = least_factors(
+            grip, model[0], *lip, (), f, m)
     return out
 
 
@@ -191,16 +196,6 @@ def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
     return Margin(
         float(factors[row, mode]), mode_name(grip, int(mode), int(factors[row, 2 + mode])),
         float(seconds[row]))
-
-
-@kernel
-def _write_factors(model: ModelTuple, grip: Grip, tool: Array, body: Array, out: Array) -> None:
-    """Write the factors of every row."""
-    for k in range(len(tool)):
-        lip = kernels.lip_relative_to_tool(model[1][1], row_state(tool[k]), row_state(body[k]))
-        f, m = kernels.cup_wrench(model[0], *lip)
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = least_factors(
-            grip, model[0], *lip, (), f, m)
 
 
 def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | None:

@@ -286,17 +286,12 @@ def _simulate(
         before = after
 
 
-def lip_wrenches(model: ModelTuple, tool: Trajectory, body: Trajectory) -> Array:
-    """Return the wrenches (N, 6) of the cup on the package at the lip, in S axes, N and N m."""
-    out = np.empty((len(tool), 6))
-    _lip_wrenches(model, tool_rows(tool), tool_rows(body), out)
-    return out
-
-
 @kernel
-def _lip_wrenches(model: ModelTuple, tool: Array, body: Array, out: Array) -> None:
-    """Write the wrench of every row."""
-    for k in range(len(out)):
+def lip_wrenches(model: ModelTuple, tool: Array, body: Array) -> Array:
+    """Return the wrenches (N, 6) of the cup at the lip, in S axes, N and N m, of rows (N, 13)."""
+    out = np.empty((len(tool), 6))
+    for k in range(len(tool)):
         f, m = kernels.lip_wrench(model, row_state(tool[k]), row_state(body[k]))
         out[k, 0], out[k, 1], out[k, 2] = f
         out[k, 3], out[k, 4], out[k, 5] = m
+    return out

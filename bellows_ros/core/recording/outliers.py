@@ -118,6 +118,13 @@ def _without_bends(increments: Array, jumps: Jumps, gap: Mask) -> Jumps:
     return jumps
 
 
+# Powers of the time of `LONG_SIDE` samples before a jump; the weights of samples in a line at the
+# last one and one after it; and orthonormal combinations of samples that vanish on every line.
+POWERS = np.vander(np.arange(1.0 - LONG_SIDE, 1.0), LONG_SIDE, increasing=True)
+HERE, SLOPE = np.linalg.pinv(POWERS[:, :2])
+BEYOND, CURVED = HERE + SLOPE, np.linalg.qr(POWERS)[0][:, 2:]
+
+
 def long_window(increments: Array, breaks: Mask) -> Jumps:
     """Return the jumps between lines through `LONG_SIDE` samples without breaks on each side."""
     m = LONG_SIDE
@@ -128,28 +135,15 @@ def long_window(increments: Array, breaks: Mask) -> Jumps:
         path = np.pad(np.cumsum(increments, axis=1), ((0, 0), (1, 0), (0, 0)))
         sides = sliding_window_view(path, m, axis=1)
         before, after = sides[:, :count], sides[:, m:m + count, :, ::-1]
-        here, beyond, curved = _line_weights(m)
         inside = slice(m - 1, m - 1 + count)
-        start[:, inside] = after @ beyond - before @ here
-        end[:, inside] = after @ here - before @ beyond
+        start[:, inside] = after @ BEYOND - before @ HERE
+        end[:, inside] = after @ HERE - before @ BEYOND
         misfit[:, inside] = np.sqrt(np.sum(
-            (before @ curved) ** 2 + (after @ curved) ** 2, axis=(2, 3)))
+            (before @ CURVED) ** 2 + (after @ CURVED) ** 2, axis=(2, 3)))
         unobserved[inside] = any_within(breaks, 2 * m - 1)
     jumps = _jumps(*_without_acceleration(start, end, 2 * m + 1), unobserved)
     jumps.jump[misfit > MAX_LINE_MISFIT * np.linalg.norm(jumps.jump, axis=2)] = 0.0
     return _without_bends(increments, jumps, breaks)
-
-
-def _line_weights(count: int) -> tuple[Array, Array, Array]:
-    """
-    Return the weights of samples in a line at the last one and one after it, and the residual.
-
-    The last is (count, count - 2): orthonormal combinations that vanish on every line.
-    """
-    time = np.arange(1.0 - count, 1.0)
-    basis, _ = np.linalg.qr(np.vander(time, count, increasing=True))
-    value, slope = np.linalg.pinv(np.stack([np.ones(count), time], axis=1))
-    return value, value + slope, basis[:, 2:]
 
 
 def _without_acceleration(start: Array, end: Array, width: int) -> tuple[Array, Array]:

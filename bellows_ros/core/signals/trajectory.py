@@ -297,28 +297,24 @@ def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
 def _freeze_arrays(owner: Any, of: str, **shapes: tuple[int, ...]) -> None:
     """Check and freeze the owner's stamps and arrays with so many numbers for each, if given."""
     _store(owner, 'stamps_ns', checked_stamps(owner.stamps_ns, of))
-    for name, shape in shapes.items():
-        if getattr(owner, name) is not None:
-            _freeze(owner, of, name, (len(owner), *shape))
-    if 'rotation' in shapes:
-        _require_rotations(owner.rotation, of)
-
-
-def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
-    """Check one of the owner's float arrays and store it, or a copy if it is writeable."""
-    given = getattr(owner, name)
-    array = np.asarray(given.as_matrix() if hasattr(given, 'as_matrix') else given, np.float64)
-    if not _is_frozen(array):
-        array = np.array(array, order='C')
-    if array.shape != shape:
-        raise BellowsError(
-            f'{of}: {name} must have shape {shape} for {shape[0]} stamps, not {array.shape}.')
-    if not np.all(np.isfinite(array)):
-        finite = np.isfinite(array).reshape(shape[0], -1).all(axis=1)
-        raise BellowsError(
-            f'{of}: {name} of sample {int(np.argmin(finite))} is not finite. '
-            'Leave such samples out.')
-    _store(owner, name, array)
+    for name, of_one in shapes.items():
+        given, shape = getattr(owner, name), (len(owner), *of_one)
+        if given is None:
+            continue
+        array = np.asarray(given.as_matrix() if hasattr(given, 'as_matrix') else given, np.float64)
+        if not _is_frozen(array):
+            array = np.array(array, order='C')
+        if array.shape != shape:
+            raise BellowsError(
+                f'{of}: {name} must have shape {shape} for {shape[0]} stamps, not {array.shape}.')
+        if not np.all(np.isfinite(array)):
+            finite = np.isfinite(array).reshape(shape[0], -1).all(axis=1)
+            raise BellowsError(
+                f'{of}: {name} of sample {int(np.argmin(finite))} is not finite. '
+                'Leave such samples out.')
+        if name == 'rotation':
+            _require_rotations(array, of)
+        _store(owner, name, array)
 
 
 def frozen(array: NDArray[Any]) -> Any:
