@@ -14,6 +14,8 @@ poses into the frame of the tool's before anything else is done with them.
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+import tomllib
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
@@ -23,6 +25,9 @@ from bellows_ros.core.signals.trajectory import at_tip, frozen, NS_PER_S, PoseSt
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
+
+WARNINGS = tomllib.loads(Path(__file__).with_name('warnings.toml').read_text())
+"""What the user should know of a recording, in words: of a `topic`, and of the `package`."""
 
 DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of gravity in a world with z up."""
@@ -256,11 +261,7 @@ class Rest(NamedTuple):
         if not self.is_turned:
             return ()
         tool, package, turned = np.rad2deg([*self.tilts, self.turned])
-        return (f'At rest the z axis of the tool is {tool:.1f} degrees and that of the package '
-                f'{package:.1f} degrees off the vertical, and the two frames are rotated by '
-                f'{turned:.1f} degrees. If the tool was upright then, set '
-                'recording.align_at_rest; if the two are tracked in different worlds, set '
-                'recording.package_world: estimate instead.',)
+        return (WARNINGS['package']['turned'].format(tool=tool, package=package, turned=turned),)
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:

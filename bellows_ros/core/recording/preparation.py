@@ -18,7 +18,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-from .alignment import aligned_at_rest, Alignment, in_world, rest_of, standstill
+from .alignment import aligned_at_rest, Alignment, in_world, rest_of, standstill, WARNINGS
 from .outliers import find_outliers, increments_of, LastingStep, repeats_in_motion
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
@@ -224,53 +224,42 @@ def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list
     """Return what the user should know of how the package was picked up."""
     aside = float(np.linalg.norm(alignment.lateral_offset))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
-    return [warning for is_due, warning in (
-        (aside > MAX_LATERAL_OFFSET,
-         f'The package was picked up {aside * 1e3:.1f} mm beside its middle. The alignment '
-         'corrects this, but not package.com and package.inertia: check them.'),
-        (settings.align_at_rest and lateral_com > MAX_LATERAL_COM,
-         f'The centre of mass lies {lateral_com * 1e3:.1f} mm beside the axis of the cup, so '
-         'the cup is bent at rest, but the alignment takes this pose as unbent. Set '
-         'recording.align_at_rest to false if the poses are already those of E and S.')) if is_due]
+    return [WARNINGS['package'][name].format(aside=1e3 * size) for name, size, is_due in (
+        ('aside', aside, aside > MAX_LATERAL_OFFSET),
+        ('com_aside', lateral_com, settings.align_at_rest and lateral_com > MAX_LATERAL_COM))
+        if is_due]
 
 
 def stream_warnings(report: StreamReport) -> list[str]:
     """Return what the user should know about the poses of one topic, before or after a fit."""
-    recorded, time, name = report.recorded, report.timing, report.recorded.name
+    recorded, time, arrivals = report.recorded, report.timing, report.arrivals
+
+    def said(name: str, **values: object) -> str:
+        return str(WARNINGS['topic'][name].format(topic=recorded.name, **values))
+
     lasting = lasting_steps(report)
     steps = [
-        f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} mrad "
-        f'{(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s after its '
-        'start and does not return, so all later poses are offset from the earlier ones. Use the '
-        'recording up to there, or from there on.'
+        said('step', shift=1e3 * step.position, turn=1e3 * step.rotation,
+             at=(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S)
         for step in lasting]
     if len(lasting) > MAX_STEPS:
-        steps = [
-            f"Topic '{name}' jumps {len(lasting)} times by up to "
-            f'{1e3 * max(step.position for step in lasting):.1f} mm and does not return. Its '
-            'noise has heavy tails, or tracking is lost again and again: see that all markers '
-            'are seen.']
+        steps = [said('steps', count=len(lasting), shift=1e3 * max(step[1] for step in lasting))]
     good = recorded.position[report.outliers.good]
     travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
-    if report.arrivals:
-        steps.append(report.arrivals.sentence(name))
+    if arrivals:
+        steps.append(said(
+            'arrivals', replaced=arrivals.replaced, jitter=1e3 * arrivals.jitter_s,
+            latest=1e3 * arrivals.latest_s, smoother=1e3 * arrivals.smoother,
+            rougher=1e3 * arrivals.rougher))
     elif bursts := burst_sentence(report):
         return [bursts, *steps]
     return steps + [warning for is_due, warning in (
-        (travel > MAX_TRAVEL,
-         f"Topic '{name}' moves through {travel:.0f} m. Its positions may be in millimetres; they "
-         'must be in metres (REP-103).'),
-        (time.rate_hz < LOW_RATE_HZ,
-         f"Topic '{name}' has only {time.rate_hz:.0f} Hz, too few for twists of a cup's modes. "
-         f'Output error can fit such poses; the other methods need {LOW_RATE_HZ:.0f} Hz.'),
-        (repeats > MAX_REPEAT_FRACTION * len(recorded),
-         f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
-         'than it is measured, so its actual rate is lower.'),
+        (travel > MAX_TRAVEL, said('travel', travel=travel)),
+        (time.rate_hz < LOW_RATE_HZ, said('low_rate', rate=time.rate_hz, least=LOW_RATE_HZ)),
+        (repeats > MAX_REPEAT_FRACTION * len(recorded), said('repeats', count=repeats)),
         (time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER,
-         f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
-         f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
-         'stamp the poses when they are measured.')) if is_due]
+         said('jitter', jitter=1e3 * time.jitter_s, rate=time.rate_hz))) if is_due]
 
 
 def burst_sentence(*reports: StreamReport) -> str:
@@ -278,8 +267,7 @@ def burst_sentence(*reports: StreamReport) -> str:
     bursts = [f"'{report.recorded.name}'" for report in reports
               if sum(gap.duration_s for gap in report.timing.gaps) > MAX_GAP_FRACTION * float(
                   np.ptp(report.recorded.stamps_ns)) / NS_PER_S]
-    return (f'The poses of {" and ".join(bursts)} come in bursts, as if stamped on arrival: stamp '
-            'them when they are measured.') if bursts else ''
+    return WARNINGS['topic']['bursts'].format(topics=' and '.join(bursts)) if bursts else ''
 
 
 def lasting_steps(report: StreamReport) -> list[LastingStep]:

@@ -199,17 +199,6 @@ class ArrivalStamps(NamedTuple):
     rougher: Array
     smoother: Array
 
-    def sentence(self, name: str) -> str:
-        """Return what the user should know."""
-        return (
-            f"The stamps of topic '{name}' are times of arrival, which jitter by "
-            f'{self.jitter_s * 1e3:.2g} ms (range {self.latest_s * 1e3:.2g} ms). All '
-            f'{self.replaced} were replaced by uniform times of sampling, at which the poses '
-            f'deviate from smooth motion by {self.smoother[0] * 1e3:.2g} mm and '
-            f'{self.smoother[1] * 1e3:.2g} mrad instead of {self.rougher[0] * 1e3:.2g} and '
-            f'{self.rougher[1] * 1e3:.2g}. What all were late by at least is not known: stamp the '
-            'poses when they are measured, or set fit.time_offset.')
-
 
 def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
     """Return poses with the stamps of their sampling, where theirs are times of arrival."""
