@@ -87,20 +87,15 @@ def strain_jacobian(o: Vector, R: Matrix) -> tuple[Matrix, Matrix, Matrix]:
 
 
 @kernel
-def stress_jacobian(
-    o: Vector, R: Matrix, K: Blocks, branches: tuple[kernels.Branch, ...], strains: kernels.Strains
-) -> Square:
-    """Return the derivative K J of K h, with K (1 + r1 + r2) for a cup that relaxes."""
+def stress_jacobian(o: Vector, R: Matrix, K: Blocks) -> Square:
+    """Return the derivative K J of K h."""
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
     K_Ro = t3.transposed(K[1])
-    KJ = (
+    return (
         t3.multiply(K[0], J_oo),
         t3.add_scaled_matrix(t3.multiply(K[0], q_hat), 1.0, t3.multiply(K[1], J_RR)),
         t3.multiply(K_Ro, J_oo),
         t3.add_scaled_matrix(t3.multiply(K_Ro, q_hat), 1.0, t3.multiply(K[2], J_RR)))
-    if len(strains) == 0:
-        return KJ
-    return add_scaled_square(KJ, branches[0][0] + branches[1][0], KJ)
 
 
 @kernel
@@ -117,7 +112,10 @@ def spring_jacobian(
     h, h_R = kernels.effective_strain(h_now, branches, strains), h_now[1]
     s_o, s_R = kernels.multiply_blocks(K, h[0], h[1])
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
-    Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, K, branches, strains)
+    Z = stress_jacobian(o, R, K)
+    if len(strains) > 0:  # what a sudden strain meets
+        Z = add_scaled_square(Z, branches[0][0] + branches[1][0], Z)
+    Z_oo, Z_oR, Z_Ro, Z_RR = Z
     RR = t3.add_scaled_matrix(t3.multiply(t3.hat(s_o), q_hat), -1.0, t3.outer(s_R, h_R))
     RR = t3.add_scaled_matrix(RR, 1.0, t3.multiply(R, t3.hat(s_R)))
     RR = t3.add_scaled_matrix(RR, 1.0, t3.multiply_transposed(J_RR, Z_RR))
@@ -237,7 +235,7 @@ def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Squar
     """
     c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
-    Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, model[0][2], (), ())
+    Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, model[0][2])
     quarter = scale_square(0.25, (
         t3.transposed(Z_oo), t3.transposed(Z_Ro), t3.transposed(Z_oR), t3.transposed(Z_RR)))
     return accelerations(model[1], shift_left(c, quarter)), shift_right(
