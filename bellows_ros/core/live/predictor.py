@@ -252,7 +252,7 @@ class LivePredictor:
             self.restarts[verdict.restart] += 1
             self._forget_motion()
         if self._screen.suspect:
-            self.package.settling.inflate(stamp_ns, *self._screen.jump)
+            self.package.settling.inflate(stamp_ns, *self._screen.suspect)
         self.arrivals.add(arrival_ns)
         self.pairing.add_pose(self.tool.pose(stamp_ns, position, quaternion_xyzw))
         return predictions + self._release()

@@ -238,8 +238,8 @@ class Screen(StampScreen):
         Frame of the accepted poses; '' before the first.
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
-    suspect : bool
-        Whether the newest accepted pose is suspect, by the `jump` (m, rad) that led there.
+    suspect : (float, float) or None
+        The jump (m, rad) from a steady motion to the newest accepted pose, where that is suspect.
 
     """
 
@@ -258,14 +258,9 @@ class Screen(StampScreen):
         self.forget_stamps()
         self._last: Reference | None = None
         self._step = REST  # from there, if judged by its place
-        self.suspect = False
+        self.suspect: tuple[float, float] | None = None
         self._elsewhere: Reference | None = None  # the newest of poses that were refused
         self._elsewhere_run = 0
-
-    @property
-    def jump(self) -> tuple[float, float]:
-        """Deviation (m, rad) of the newest pose from a steady motion."""
-        return self._step.jump
 
     def judge(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
@@ -323,14 +318,15 @@ class Screen(StampScreen):
         if last is None:
             return screening.GOOD
         if o == last.position and q == last.quaternion_xyzw:
-            self._step, self.suspect = REST, False
+            self._step, self.suspect = REST, None
             return Verdict('repeated_pose', '') if _cannot_stop(last) else screening.GOOD
         is_doubted = self._elsewhere is not None
         if is_doubted:  # then the time since the last one tells of no burst
             last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
         self._step = step = last.step_to(stamp_ns, o, q)
         if step.excess <= 1.0 and not (is_doubted and self._is_elsewhere(stamp_ns, o, q)):
-            self.suspect = step.suspicion > (SUSPICION_AFTER_JUMPS if is_doubted else 1.0)
+            limit = SUSPICION_AFTER_JUMPS if is_doubted else 1.0
+            self.suspect = step.jump if step.suspicion > limit else None
             return screening.GOOD
         self._note_elsewhere(stamp_ns, o, q)
         if self._elsewhere_run >= JUMP_RUN:
