@@ -10,11 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.model.kernels import ORIGIN
-from bellows_ros.core.model.simulation import tool_rows, ToolRows, write_row
+from bellows_ros.core.model.simulation import tool_rows, ToolRows
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.signals.resampling import resample, subdivided
 from bellows_ros.core.signals.screening import MAX_TOOL_RATE, MAX_TOOL_SPEED, UNIT_TOLERANCE
@@ -69,32 +66,38 @@ def plan_of(
 
     """
     _require_points(stamps_ns, (poses, twist, acceleration), name)
-    durations = np.diff(stamps_ns) / NS_PER_S
-    rows, sizes, fit = np.empty((len(poses), 13)), np.empty((len(poses), 5)), np.zeros(4)
-    given_twist = np.zeros((len(poses), 6)) if twist is None else np.array(twist)
-    _write_motion(
-        *as_inputs(poses, given_twist, durations), twist_frame == 'world', rows, sizes, fit)
-    _refuse(np.abs(sizes[:, 0] - 1.0) > UNIT_TOLERANCE, name,
+    length = np.linalg.norm(poses[:, 3:], axis=1)
+    _refuse(np.abs(length - 1.0) > UNIT_TOLERANCE, name,
             'has a quaternion that is not of unit length', f'length 1 to {UNIT_TOLERANCE:g}',
             'Are its numbers x, y, z, w in this order?')
-    _require_reachable(durations, sizes, name)
+    q = poses[:, 3:] / length[:, None]
+    R = lie.quaternion_to_rotation(q)
+    in_tool = np.swapaxes(R, -1, -2) if twist_frame == 'world' else np.eye(3)
+    v, w = (lie.apply(in_tool, rate)
+            for rate in np.hsplit(np.zeros((len(poses), 6)) if twist is None else twist, 2))
+    t = (stamps_ns - stamps_ns[0]) / NS_PER_S
+    step = np.diff(poses[:, :3], axis=0)
+    turn = lie.log_quaternion(lie.quaternion_product(lie.quaternion_conjugate(q[:-1]), q[1:]))
+    _require_reachable(np.diff(t), step, turn, v, w, name)
     if twist is None:
-        t = (stamps_ns - stamps_ns[0]) / NS_PER_S
-        q = _near_quaternions(lie.quaternion_to_rotation(poses[:, 3:]))
-        curve = scipy.interpolate.CubicSpline(t, np.hstack([poses[:, :3], q]), bc_type='clamped')
-        rows[:, 7:] = body_twists(q, curve(t, 1))[1]
-    elif len(poses) >= MIN_FITTED_POINTS:
-        _require_fitting(np.sqrt(fit / (3 * len(durations))), name)
-    plan, fine_ns = ToolRows(stamps_ns, rows), _without_gaps(stamps_ns)
+        q_near = _near_quaternions(R)
+        curve = scipy.interpolate.CubicSpline(
+            t, np.hstack([poses[:, :3], q_near]), bc_type='clamped')
+        body = body_twists(q_near, curve(t, 1))[1]
+    else:
+        body = np.hstack([v, w])
+        if len(poses) >= MIN_FITTED_POINTS:
+            _require_fitting(np.diff(t), step, lie.apply(R, v), name, 'velocities')
+            _require_fitting(np.diff(t), turn, w, name, 'angular velocities')
+    plan = ToolRows(stamps_ns, np.hstack([poses[:, :3], q, body]))
+    fine_ns = _without_gaps(stamps_ns)
     if len(fine_ns) == len(stamps_ns):
         return plan
     if acceleration is not None:
-        R, (linear, angular) = lie.quaternion_to_rotation(poses[:, 3:]), np.hsplit(acceleration, 2)
-        if twist_frame == 'world':
-            angular = lie.apply(np.swapaxes(R, -1, -2), angular)
-        else:  # d/dt R v = R (dv/dt + w x v)
-            linear = lie.apply(R, linear + np.cross(rows[:, 10:], rows[:, 7:10]))
-        acceleration = np.hstack([linear, angular])
+        linear, angular = np.hsplit(acceleration, 2)
+        if twist_frame == 'tool':  # d/dt R v = R (dv/dt + w x v)
+            linear = lie.apply(R, linear + np.cross(w, v))
+        acceleration = np.hstack([linear, lie.apply(in_tool, angular)])
     return ToolRows(fine_ns, tool_rows(_refined(plan.trajectory(), fine_ns, acceleration)))
 
 
@@ -260,50 +263,11 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
             'in seconds.')
 
 
-@kernel
-def _write_motion(
-    poses: Any, twists: Any, durations: Any, in_world: bool, rows: Array, sizes: Array, fit: Array
+def _require_reachable(
+    durations: Array, step: Array, turn: Array, v: Array, w: Array, name: str
 ) -> None:
-    """
-    Write a plan as tool rows (N, 13), its peak rates, and the fit of twists to poses.
-
-    sizes (N, 5) are the length of the quaternion, of the step to the next point its shift (m) and
-    turn (rad), and speed (m/s) and rate (rad/s) of the twist. fit (4,), zero before, are sums of
-    squares: of the steps' linear and angular velocities, and of what the twists miss them by.
-    """
-    o, q, v, w = ORIGIN
-    for k in range(len(rows)):
-        o_before, q_before, v_before, w_before = o, q, v, w
-        pose, twist = poses[k], twists[k]
-        o, q = (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6])
-        length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-        unit = length if length > 0.0 else 1.0
-        q = (q[0] / unit, q[1] / unit, q[2] / unit, q[3] / unit)
-        R = t3.rotation_matrix(q)
-        v, w = (twist[0], twist[1], twist[2]), (twist[3], twist[4], twist[5])
-        linear = t3.apply_transposed(R, v) if in_world else v
-        w = t3.apply_transposed(R, w) if in_world else w
-        v = v if in_world else t3.apply(R, v)
-        write_row(rows[k], (o, q, linear, w))
-        sizes[k, 0], sizes[k, 1], sizes[k, 2] = length, 0.0, 0.0
-        sizes[k, 3], sizes[k, 4] = math.sqrt(t3.dot(v, v)), math.sqrt(t3.dot(w, w))
-        if k > 0:
-            step = t3.subtract(o, o_before)
-            turn = t3.turn_between(q_before, q)
-            moved, turned = t3.dot(step, step), t3.dot(turn, turn)
-            sizes[k - 1, 1], sizes[k - 1, 2] = math.sqrt(moved), math.sqrt(turned)
-            h = durations[k - 1]
-            miss = t3.add_scaled(t3.scale(1.0 / h, step), -0.5, t3.add(v, v_before))
-            miss_turn = t3.add_scaled(t3.scale(1.0 / h, turn), -0.5, t3.add(w, w_before))
-            fit[0] += moved / (h * h)
-            fit[1] += t3.dot(miss, miss)
-            fit[2] += turned / (h * h)
-            fit[3] += t3.dot(miss_turn, miss_turn)
-
-
-def _require_reachable(durations: Array, sizes: Array, name: str) -> None:
-    """Refuse a motion that no arm can follow; sizes as in `_write_motion`."""
-    moved, turned = sizes[:-1, 1], sizes[:-1, 2]
+    """Refuse steps (m, rad) between points, and velocities, that no arm can follow."""
+    moved, turned, speed, rate = (np.linalg.norm(each, axis=1) for each in (step, turn, v, w))
     jump = (moved > JUMP_TOLERANCE[0] + MAX_TOOL_SPEED * durations) | (
         turned > JUMP_TOLERANCE[1] + MAX_TOOL_RATE * durations)
     if jump.any():
@@ -312,19 +276,21 @@ def _require_reachable(durations: Array, sizes: Array, name: str) -> None:
             f'{name} jumps between points {i} and {i + 1}: by {moved[i]:.4g} m and '
             f'{turned[i]:.3g} rad in {durations[i]:.3g} s; expected at most {MAX_TOOL_SPEED:g} '
             f'm/s and {MAX_TOOL_RATE:g} rad/s, as no arm is faster. Check units and times.')
-    _refuse((sizes[:, 3] > MAX_TOOL_SPEED) | (sizes[:, 4] > MAX_TOOL_RATE), name,
+    _refuse((speed > MAX_TOOL_SPEED) | (rate > MAX_TOOL_RATE), name,
             'is faster than any arm',
             f'at most {MAX_TOOL_SPEED:g} m/s and {MAX_TOOL_RATE:g} rad/s', 'Check the units.')
 
 
-def _require_fitting(fit: Array, name: str) -> None:
-    """Refuse velocities that are not those of the poses; as `_write_motion` has it, but RMS."""
-    for what, (size, miss) in (('velocities', fit[:2]), ('angular velocities', fit[2:])):
-        if miss > MAX_VELOCITY_MISFIT * size + JUMP_TOLERANCE[0]:
-            raise BellowsError(
-                f'{name}: its {what} do not fit its poses: they differ by {miss:.3g} from steps '
-                f'of {size:.3g} (RMS, m/s or rad/s); expected the same motion. Check '
-                'tool_twist.frame (world or tool) and the units, or leave velocities out.')
+def _require_fitting(durations: Array, steps: Array, rate: Array, name: str, what: str) -> None:
+    """Refuse velocities (N, 3), m/s or rad/s, that are not those of the steps between points."""
+    of_steps = steps / durations[:, None]
+    size, miss = (float(np.sqrt(np.mean(each**2))) for each in (
+        of_steps, of_steps - 0.5 * (rate[1:] + rate[:-1])))
+    if miss > MAX_VELOCITY_MISFIT * size + JUMP_TOLERANCE[0]:
+        raise BellowsError(
+            f'{name}: its {what} do not fit its poses: they differ by {miss:.3g} from steps '
+            f'of {size:.3g} (RMS, m/s or rad/s); expected the same motion. Check '
+            'tool_twist.frame (world or tool) and the units, or leave velocities out.')
 
 
 MIN_GAIN = 0.01
