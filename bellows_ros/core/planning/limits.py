@@ -47,12 +47,7 @@ def read_rates(settings: Settings, default: float | None = None) -> dict[str, fl
 
 
 class TooFastError(BellowsError):
-    """A motion does not exist within a limit of this name; it may in more time."""
-
-    def __init__(self, message: str, limit: str) -> None:
-        """Name the limit."""
-        super().__init__(message)
-        self.limit = limit
+    """A motion would bend the cup too far; in more time it may exist."""
 
 
 class Limits(NamedTuple):
@@ -119,10 +114,10 @@ def stretched(
         """Return the factor on time that is needed at least, 1 if none is, and the limit."""
         try:
             tool, safety_factor, *joints = motion(scale)
-        except TooFastError as error:
+        except TooFastError:
             if scale >= MAX_STRETCH:
                 raise
-            return MIN_STRETCH, error.limit
+            return MIN_STRETCH, 'bending'
         rates = demands(tool)
         inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
         factors = [

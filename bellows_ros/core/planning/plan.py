@@ -20,7 +20,7 @@ from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.validity_range import beyond, Envelope, parameter_envelope
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
-from bellows_ros.errors import BellowsError, UnstableError
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 SETTLED_ANGLE = math.radians(0.5)
@@ -42,9 +42,6 @@ PEAK_MOMENT_BENDING = 0.25 * math.pi
 
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
 """Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
-
-TILT_TOLERANCE = 0.05
-"""The package hangs nearly alike if gravity turns by less than this in tool axes (rad)."""
 
 NO_ABORT = np.zeros(1, np.bool_)
 """Does not stop a prediction."""
@@ -179,7 +176,7 @@ class PlanSimulation:
         self._start = self._end = adapted(
             model, simulation.row_state(rows[0]), start or simulation.steady_start(model, tool))
         if self._tail:
-            self._end = rest_after(model, rows[0], self._start, rows[-1])
+            self._end = simulation.rest(model, rows[-1])
         self._longest, self._stop = longest or largest_step(model), stop
         simulation.require_steps(float(tool.seconds[-1]) / self._longest)
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
@@ -191,7 +188,7 @@ class PlanSimulation:
         if self._steady:
             other._start = simulation.steady_start(model, self.tool, self._start)
         if self._tail:
-            other._end = rest_after(model, self._rows[0], other._start, self._rows[-1], self._end)
+            other._end = simulation.rest(model, self._rows[-1], self._end)
         return other
 
     def load(self, duration_scale: float, ceiling: float = math.inf) -> float:
@@ -246,29 +243,6 @@ class PlanSimulation:
         if self._stop[0]:
             raise BellowsError('The prediction was stopped before its end.')
         return result
-
-
-def rest_after(
-    model: ModelTuple, first: Array, start: State, last: Array, guess: State | None = None
-) -> State:
-    """
-    Return the package at rest under a row, starting from its rest under another one.
-
-    The guess is replaced by the first rest, moved rigidly, where the tool hardly tilts in between.
-    Where the search from it fails, it starts from the nominal pose.
-    """
-    (o, q, *_), (o_end, q_end, *_) = simulation.row_state(first), simulation.row_state(last)
-    R, R_end = t3.rotation_matrix(q), t3.rotation_matrix(q_end)
-    tilt = t3.subtract(t3.apply_transposed(R, model[2]), t3.apply_transposed(R_end, model[2]))
-    if t3.norm(tilt) <= TILT_TOLERANCE * t3.norm(model[2]):
-        shift = t3.apply_transposed(R, t3.subtract(start[0], o))
-        turn = t3.quaternion_product(t3.quaternion_conjugate(q), start[1])
-        guess = (t3.add(o_end, t3.apply(R_end, shift)), t3.quaternion_product(q_end, turn),
-                 t3.ZERO, t3.ZERO)
-    try:
-        return simulation.rest(model, last, guess)
-    except UnstableError:
-        return simulation.rest(model, last)
 
 
 @kernel

@@ -304,7 +304,7 @@ def _too_far() -> TooFastError:
     """Return the error for a motion beyond the cup's reach."""
     return TooFastError(
         'This motion of the package would bend the cup by more than 45 degrees. Give the motion '
-        'more time, by --limits for example, or use --method zvd.', 'bending')
+        'more time, by --limits for example, or use --method zvd.')
 
 
 def _tool_above(model: ModelTuple, body: Array) -> State:
@@ -498,9 +498,7 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     four continuous derivatives.
     """
     T_E = lie.transform(tool.rotation[[0, -1]], tool.position[[0, -1]])
-    first, last = simulation.tool_rows(tool)[[0, -1]]
-    start = simulation.rest(model, first)
-    rests = start, planning.rest_after(model, first, start, last)
+    rests = [simulation.rest(model, row) for row in simulation.tool_rows(tool)[[0, -1]]]
     T_B = lie.transform(lie.quaternion_to_rotation(np.array([state[1] for state in rests])),
                         np.array([state[0] for state in rests]))
     T_E_B = lie.inverse_transform(T_E) @ T_B

@@ -64,7 +64,7 @@ def test_the_shortest_time_is_found_however_fast_the_demand_falls(power):
 def test_what_is_possible_in_more_time_alone_is_sought_there():
     def motion(scale):
         if scale < 1.3:
-            raise TooFastError('It bends.', 'bending')
+            raise TooFastError('It bends.')
         return timed(PLAN, scale), math.inf
 
     scale, reason = stretched(NO_LIMITS, motion)
