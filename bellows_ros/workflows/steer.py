@@ -237,7 +237,7 @@ def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> 
         tool = steer(source.model, timed(source.tool, scale), method, of_package).tool
         factor = math.inf
         if grip is not None and limits.safety_factor > 0.0:
-            factor = 1.0 / PlanSimulation(source.model, grip, tool, tail=TAIL).load(1.0)
+            factor = PlanSimulation(source.model, grip, tool, tail=TAIL).safety(1.0)
         joints = source.joints
         return tool, factor, (1.0, '') if joints is None else joint_excess(
             joints.arm, joints.along(tool, source.tool), limits.joint_acceleration)

@@ -99,37 +99,30 @@ class Arm(NamedTuple):
             Of the moving joints in their order, rad or m and per second; at rest without.
 
         """
-        T, axes = self._chain(position)
-        twist = np.zeros((len(position), 6))
-        return T, twist if velocity is None else lie.apply(self._columns(T, axes), velocity)
+        T, J = self._moved(position)
+        return T, lie.apply(J, np.zeros_like(position) if velocity is None else velocity)
 
     def jacobian(self, position: Array) -> Array:
         """Return the derivative (N, 6, M) of the tool's displacement in body axes."""
-        return self._columns(*self._chain(position))
+        return self._moved(position)[1]
 
-    def _chain(self, position: Array) -> tuple[Array, list[tuple[bool, Array, Array]]]:
-        """Return poses of the tool, and of each joint if it turns, its place and its axis."""
+    def _moved(self, position: Array) -> tuple[Array, Array]:
+        """Return poses and Jacobian of the tool, of each joint's twist of it in its axes."""
         T = np.tile(np.eye(4), (len(position), 1, 1))
-        axes: list[tuple[bool, Array, Array]] = []
+        moved: list[tuple[bool, Array, Array]] = []
         for joint in self.joints:
             T = T @ joint.origin
-            if joint.kind == 'fixed':
-                continue
-            q = np.multiply.outer(position[:, len(axes)], joint.axis)
-            turns = joint.kind in TURNING
-            axes.append((turns, T[:, :3, 3], T[:, :3, :3] @ joint.axis))
-            T = T @ (lie.transform(lie.exp_so3(q), [0, 0, 0]) if turns
-                     else lie.transform(np.eye(3), q))
-        return T, axes
-
-    @staticmethod
-    def _columns(T: Array, axes: list[tuple[bool, Array, Array]]) -> Array:
-        """Return the Jacobian (N, 6, M): each joint's twist of the tool, in axes of the tool."""
+            if joint.kind != 'fixed':
+                turns, q = joint.kind in TURNING, np.multiply.outer(
+                    position[:, len(moved)], joint.axis)
+                moved.append((turns, T[:, :3, 3], T[:, :3, :3] @ joint.axis))
+                T = T @ (lie.transform(lie.exp_so3(q), [0, 0, 0]) if turns
+                         else lie.transform(np.eye(3), q))
         columns = [
             [np.cross(axis, T[:, :3, 3] - place), axis] if turns else [axis, 0.0 * axis]
-            for turns, place, axis in axes]
+            for turns, place, axis in moved]
         J = np.swapaxes(T[:, None, :3, :3], -1, -2) @ np.array(columns).transpose(2, 1, 3, 0)
-        return np.asarray(J.reshape(len(T), 6, len(axes)))
+        return T, J.reshape(len(T), 6, len(moved))
 
     def positions(self, T: Array, guess: Array) -> Array:
         """

@@ -216,13 +216,13 @@ def fastest(
     def margin(scale: float, part: float, run: PlanSimulation) -> float:
         """Return the excess of the factor, less two sigma, over the required one."""
         needed = required / max(1.0 - 2.0 * part, 0.01)
-        return _factor(run, scale, 1.0 / (ABORT_BELOW * needed)) / needed - 1.0
+        return run.safety(scale, ABORT_BELOW * needed) / needed - 1.0
 
     def sigma(scale: float) -> float:
         """Return the standard deviation as a part of the safety factor."""
-        factors = [_factor(run, scale) for run in spread]
+        factors = [run.safety(scale) for run in spread]
         return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (
-            2.0 * PERTURBATION * _factor(quick, scale))
+            2.0 * PERTURBATION * quick.safety(scale))
 
     speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
     scale = max(MIN_TIME_SCALE, speed / MAX_TOOL_SPEED)
@@ -241,12 +241,6 @@ def fastest(
         past = [past[1], excess]
         scale *= 1.0 + SCAN_STEP
     return None
-
-
-def _factor(run: PlanSimulation, scale: float, ceiling: float = math.inf) -> float:
-    """Return the smallest safety factor, or one that is below that of a ceiling of the load."""
-    load = run.load(scale, ceiling)
-    return 1.0 / load if load > 0.0 else math.inf
 
 
 def _local_maximum(margin: Callable[[float], float], scale: float) -> tuple[float, float]:
@@ -270,6 +264,6 @@ def _narrowed(
     while high > (1.0 + TOLERANCE) * low:
         middle = math.sqrt(low * high)
         low, high = (low, middle) if margin(middle) >= 0.0 else (middle, high)
-    factor, ends = _factor(run, high), (0.99 * high, 1.01 * high)
-    slope = (_factor(run, ends[1]) - _factor(run, ends[0])) / (ends[1] - ends[0])
+    factor, slower, faster = (run.safety(part * high) for part in (1.0, 1.01, 0.99))
+    slope = (slower - faster) / (0.02 * high)
     return Fastest(high, factor, part * factor, abs(part * factor / slope) if slope else 0.0)

@@ -191,11 +191,13 @@ class PlanSimulation:
             other._end = simulation.rest(model, self._rows[-1], self._end)
         return other
 
-    def load(self, duration_scale: float, ceiling: float = math.inf) -> float:
-        """Return 1 over the smallest safety factor, or a load above a ceiling if one is."""
+    def safety(self, duration_scale: float, least: float = 0.0) -> float:
+        """Return the smallest safety factor, or one that is below another where one is."""
+        ceiling = 1.0 / least if least else math.inf
         if self._simulate_plan(duration_scale, ceiling):
             self._simulate_decay(ceiling)
-        return float(self._extremes[0][:2, 0].max())
+        load = float(self._extremes[0][:2, 0].max())
+        return 1.0 / load if load > 0.0 else math.inf
 
     def predict(self) -> PlanPrediction:
         """Return the prediction of the plan as it is, and of the package swinging out."""
@@ -305,14 +307,11 @@ def record_sample(
     wrench[3], wrench[4], wrench[5] = m
     shift = (o[0], o[1], o[2] + cup[1])
     turn = t3.turn_between(tool[1], body[1])
-    if update_peak(extremes, 0, t, loads[0]):
-        peaks[0, 2] = peeling
-    if update_peak(extremes, 1, t, loads[1]):
-        peaks[1, 2] = slipping
-    update_peak(extremes, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
-    update_peak(extremes, 3, t, t3.norm(shift))
-    update_peak(extremes, 4, t, t3.norm(f))
-    update_peak(extremes, 5, t, t3.norm(m))
+    values = (loads[0], loads[1], math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]),
+              t3.norm(shift), t3.norm(f), t3.norm(m))
+    for i in range(6):
+        if update_peak(extremes, i, t, values[i]) and i < 2:
+            peaks[i, 2] = (peeling, slipping)[i]
     for i in range(3):
         lip[i, 0], lip[i, 1] = min(lip[i, 0], shift[i]), max(lip[i, 1], shift[i])
         lip[i + 3, 0], lip[i + 3, 1] = min(lip[i + 3, 0], turn[i]), max(lip[i + 3, 1], turn[i])

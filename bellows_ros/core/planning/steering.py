@@ -91,10 +91,10 @@ def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wre
     """Return the wrench at the lip, in S axes, that causes these rates of the package (3.5)."""
     mass, com, inertia, _ = model[1]
     _, q, v, w = body[:4]
-    f = t3.scale(mass, t3.subtract(
-        t3.add(dv, t3.cross(w, v)), t3.apply_transposed(t3.rotation_matrix(q), model[2])))
-    tau = t3.add(t3.apply(inertia, dw), t3.cross(w, t3.apply(inertia, w)))
-    return f, t3.add(tau, t3.cross(com, f))
+    free_dv, free_dw = kernels.newton_euler(
+        model[1], model[2], t3.rotation_matrix(q), v, w, t3.ZERO, t3.ZERO)
+    f = t3.scale(mass, t3.subtract(dv, free_dv))
+    return f, t3.add(t3.apply(inertia, t3.subtract(dw, free_dw)), t3.cross(com, f))
 
 
 @kernel
