@@ -164,7 +164,7 @@ class Drop:
         position = self.package.position - states[:, :3]
         turn = lie.log_quaternion(lie.quaternion_product(
             lie.quaternion_conjugate(states[:, 3:7]), self._orientation))
-        return np.vstack([position.T, (self._slopes @ position).T, turn.T])
+        return np.hstack([position, self._slopes @ position, turn]).T
 
     @cached_property
     def _orientation(self) -> Array:
@@ -173,13 +173,7 @@ class Drop:
     @cached_property
     def _slopes(self) -> Array:
         """From positions to velocities of the local polynomials, no further than to the ends."""
-        count = len(self.package)
-        out, step = np.zeros((count, count)), float(np.median(np.diff(self.package.seconds)))
-        n = half_window(step)
-        row = weights(n, ORDER, 1.0 / step)[1]
-        for k in range(n, count - n):
-            out[k, k - n:k + n + 1] = row
-        return out
+        return _derivative(np.eye(len(self.package)), self.package.seconds, 1, 'constant')
 
 
 class Explained(NamedTuple):
@@ -376,9 +370,17 @@ def _fall(drop: Drop) -> float:
     return float(seconds[free_fall_samples(position, seconds, drop.model[2])[0]])
 
 
-def half_window(step: float) -> int:
-    """Return half the samples, a step (s) apart, that a velocity is taken from."""
-    return max(2, round(WINDOW / step))
+def half_window(seconds: Array) -> int:
+    """Return half the samples that a velocity is taken from, of samples at times (s)."""
+    return max(2, round(WINDOW / float(np.median(np.diff(seconds)))))
+
+
+def _derivative(values: Array, seconds: Array, order: int, ends: Any) -> Array:
+    """Return a derivative (N, M) of local polynomials; `np.pad` says what stands at the ends."""
+    n = half_window(seconds)
+    row = weights(n, ORDER, 1.0 / float(np.median(np.diff(seconds))))[order]
+    windows = np.lib.stride_tricks.sliding_window_view(values, 2 * n + 1, axis=0)
+    return np.pad(windows @ row, ((n, n), (0, 0)), ends)
 
 
 def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[int, int]:
@@ -398,12 +400,9 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
         If there is none.
 
     """
-    step = float(np.median(np.diff(seconds)))
-    n = half_window(step)
+    n = half_window(seconds)
     if len(seconds) > 2 * n:
-        row = weights(n, ORDER, 1.0 / step)[2]
-        windows = np.lib.stride_tricks.sliding_window_view(position, 2 * n + 1, axis=0)
-        felt = np.pad(np.linalg.norm(windows @ row - gravity, axis=1), n, 'edge')
+        felt = np.linalg.norm(_derivative(position, seconds, 2, 'edge') - gravity, axis=1)
         impact = np.flatnonzero(felt > IMPACT_ACCELERATION)
         free = felt[:max(impact[0] - n, 0) if len(impact) else None] < FREE_FALL_BELOW
         edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0)).reshape(-1, 2)
@@ -605,7 +604,7 @@ class _DropFit:
         drop = self.drop
         released, states = self._predicted(law, self.nuisance)
         errors = self.errors(law) * self.sizes
-        n = half_window(float(np.median(np.diff(drop.package.seconds))))
+        n = half_window(drop.package.seconds)
         up = np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
         after = int(np.searchsorted(drop.package.seconds[:-1], max(released, 0.0)))
         noise = np.repeat(np.maximum(drop.noise, 0.1 * np.array(MIN_NOISE)), 3)[:, None]
