@@ -140,10 +140,7 @@ class SteerReport(CommandResult):
                        if name != self.method},
             'time_scale': self.time_scale, 'limit': self.limit,
             'smoothed': self.steered.smoothed,
-            'modes': [{'frequency': mode.frequency, 'damping_ratio': mode.damping,
-                       'swing': mode.tilt,
-                       'units': {'frequency': 'Hz', 'damping_ratio': '1', 'swing': 'rad'}}
-                      for mode in self.steered.modes],
+            'modes': self.steered.modes,
             'advice': self.advice, 'notes': self.notes,
             'plan': self.source.path, 'frame_id': self.source.frame_id})
 

@@ -66,9 +66,9 @@ class SwingMode(NamedTuple):
 
     frequency: float
     """Undamped, Hz."""
-    damping: float
+    damping_ratio: float
     """Ratio to the critical one."""
-    tilt: float
+    swing: float
     """Rotation of the package by this mode after a plan, rad."""
 
 
@@ -396,8 +396,8 @@ def impulses(modes: Sequence[SwingMode], method: str) -> tuple[Array, Array]:
     """
     delays, sizes = np.zeros(1), np.ones(1)
     for mode in modes:
-        root = math.sqrt(1.0 - mode.damping ** 2)
-        k = math.exp(-mode.damping * math.pi / root)
+        root = math.sqrt(1.0 - mode.damping_ratio ** 2)
+        k = math.exp(-mode.damping_ratio * math.pi / root)
         powers = np.array([1.0, k] if method == 'zv' else [1.0, 2.0 * k, k * k])
         half = 0.5 / (mode.frequency * root)
         delays = np.add.outer(delays, half * np.arange(len(powers))).ravel()
@@ -413,14 +413,15 @@ def to_shape(modes: Sequence[SwingMode], method: str) -> list[SwingMode]:
     """
     groups: list[list[SwingMode]] = []
     for mode in modes:
-        if mode.tilt <= MIN_RESIDUAL_SWING or math.log(mode.tilt / MIN_RESIDUAL_SWING) < (
-                2.0 * math.pi * mode.frequency * mode.damping * impulses([mode], method)[0][-1]):
+        decay = 2.0 * math.pi * mode.frequency * mode.damping_ratio  # 1/s
+        if mode.swing <= MIN_RESIDUAL_SWING or math.log(
+                mode.swing / MIN_RESIDUAL_SWING) < decay * impulses([mode], method)[0][-1]:
             continue
         if groups and mode.frequency < (1.0 + MERGE_TOLERANCE) * groups[-1][-1].frequency:
             groups[-1].append(mode)
         else:
             groups.append([mode])
-    return [SwingMode(*np.average(group, axis=0, weights=[mode.tilt for mode in group]).tolist())
+    return [SwingMode(*np.average(group, axis=0, weights=[mode.swing for mode in group]).tolist())
             for group in groups]
 
 

@@ -140,7 +140,7 @@ def test_impulses_cancel_a_mode(method):
     assert (sizes > 0.0).all()
     for mode in modes:
         s = 2 * np.pi * mode.frequency * (
-            -mode.damping + 1j * math.sqrt(1 - mode.damping ** 2))
+            -mode.damping_ratio + 1j * math.sqrt(1 - mode.damping_ratio ** 2))
         terms = sizes * np.exp(-s * delays)
         assert abs(terms.sum()) < 1e-12 * abs(terms).sum()
         if method == 'zvd':
@@ -155,7 +155,7 @@ def test_modes_are_those_of_mass_and_spring():
         frequency, damping = math.sqrt(k / m) / (2 * math.pi), d / (2 * math.sqrt(k * m))
         near = min(modes, key=lambda mode: abs(mode.frequency - frequency))
         assert_allclose(near[:2], (frequency, damping), rtol=0.02)  # at rest it is stretched
-        assert near.tilt < 1e-6  # a slide does not drive them
+        assert near.swing < 1e-6  # a slide does not drive them
 
 
 def test_modes_alike_are_one():
