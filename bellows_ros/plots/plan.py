@@ -287,8 +287,8 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
             for o, marker, name in ((valve, 'v', 'valve'), (path[0], 'o', 'lets go')):
                 panel.plot([o[i]], [o[j]], marker, color=colours.text, markersize=6.0,
                            zorder=5, label=name)
-        if result.target is not None:
-            side.plot(result.target[0], result.case.release.height, '+', color=colours.text,
+        if result.aim is not None:
+            side.plot(result.aim.target[0], result.case.release.height, '+', color=colours.text,
                       markersize=12, markeredgewidth=1.6)
         side.axhline(result.case.release.height, color=colours.text, linewidth=1.0)
         side.set_ylabel('z (m), from the side')
@@ -328,9 +328,9 @@ def _draw_landing(above: Any, close: Any, result: toss.TossResult, colours: Them
         if result.drawn is not None:
             panel.plot(*(scale * result.drawn.errors[:, :2] + about).T, '.', markersize=2.0,
                        color=colours.error, alpha=0.5, label='drawn tosses')
-    if result.target is not None:
+    if result.aim is not None:
         for panel, about, scale in ((above, np.zeros(2), 1.0), (close, centre, 1e3)):
-            panel.plot(*(scale * np.subtract(result.target, about)), '+', color=colours.text,
+            panel.plot(*(scale * np.subtract(result.aim.target, about)), '+', color=colours.text,
                        markersize=12, markeredgewidth=1.6, label='target')
     close.set_aspect('equal', adjustable='datalim')
     close.set_title('where the package lands', fontsize=10)

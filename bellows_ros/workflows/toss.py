@@ -49,9 +49,8 @@ class TossResult(CommandResult):
     toss: Toss
     parts: landing.Contributions
     aim: landing.Aim | None
-    asked: Toss | None
-    """With a target, the toss at the given time."""
-    target: tuple[float, float] | None
+    distance_as_asked: float | None
+    """Distance (m) from the target, if there is one, with the valve at the given time."""
     drawn: landing.MonteCarlo | None
 
     @property
@@ -61,10 +60,7 @@ class TossResult(CommandResult):
 
     def shares(self) -> list[Share]:
         """Return the contribution of each uncertain number, the largest first."""
-        return sorted((
-            Share(name, float(std), *map(float, np.linalg.norm(part.reshape(2, 3), axis=1)))
-            for name, std, part, _ in zip(*self.parts, strict=True)),
-            key=lambda share: -share.metres)
+        return self._shares(self.parts.names)
 
     def groups(self) -> list[Share]:
         """
@@ -72,13 +68,17 @@ class TossResult(CommandResult):
 
         Numbers of the law of release that are correlated are one, 'release'.
         """
-        shares = []
         independent = np.array_equal(self.parts.correlation, np.eye(len(self.parts.std)))
-        for group in (*GROUPS, *(RELEASE_NAMES if independent else ['release'])):
-            std, covariance = self.parts.of(group)
+        return self._shares((*GROUPS, *(RELEASE_NAMES if independent else ['release'])))
+
+    def _shares(self, names: tuple[str, ...]) -> list[Share]:
+        """Return the contributions of what names begin, where there is any."""
+        shares = []
+        for name in names:
+            std, covariance = self.parts.of(name)
             if len(std):
                 sizes = np.sqrt(np.diag(covariance).reshape(2, 3).sum(axis=1)).tolist()
-                shares.append(Share(group, float(std[0]) if len(std) == 1 else math.nan, *sizes))
+                shares.append(Share(name, float(std[0]) if len(std) == 1 else math.nan, *sizes))
         return sorted(shares, key=lambda share: -share.metres)
 
     @property
@@ -105,12 +105,11 @@ class TossResult(CommandResult):
             'budget': _budget(self.shares()),
             'budget_of_groups': _budget(self.groups()),
             'warnings': self.warnings, 'plan': self.source.path}
-        if self.aim is not None and self.target is not None:
+        if self.aim is not None:
             content['target'] = {
-                'position': list(self.target), 'valve_time': self.aim.switched,
+                'position': list(self.aim.target), 'valve_time': self.aim.switched,
                 'distance': self.aim.distance, 'angle': self.aim.angle,
-                'distance_as_asked': self.distance_as_asked,
-                'units': {'distance': 'm', 'angle': 'rad', 'distance_as_asked': 'm'}}
+                'distance_as_asked': self.distance_as_asked}
         if self.drawn is not None:
             content['monte_carlo'] = {
                 'count': len(self.drawn.errors), 'failed': self.drawn.failed,
@@ -120,18 +119,11 @@ class TossResult(CommandResult):
         return results.with_units(content)
 
     @property
-    def distance_as_asked(self) -> float | None:
-        """Distance from the target at the given release time, m."""
-        if self.asked is None or self.target is None:
-            return None
-        return float(np.linalg.norm(np.subtract(self.asked.landing[0][:2], self.target)))
-
-    @property
     def reached(self) -> bool:
         """Whether the target, if there is one, is in the 95 % ellipse of the landing."""
-        return self.aim is None or self.target is None or bool(landing.coverage(
+        return self.aim is None or bool(landing.coverage(
             self.covariance + TOLERANCE**2 * np.eye(6),
-            np.subtract([self.toss.landing[0][:2]], self.target)))
+            np.subtract([self.toss.landing[0][:2]], self.aim.target)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -238,9 +230,10 @@ def toss_plan(
             'plan in a world with z up.')
     progress('following the plan')
     held = HeldMotion(source.model, source.grip, source.tool)
-    asked = aim = None
+    aim = distance = None
     if target is not None:
-        asked = None if switched is None else toss(held, release, switched)
+        if switched is not None:
+            distance = math.dist(toss(held, release, switched).landing[0][:2], target)
         rotation = None if target_rotation is None else quaternion_to_rotation(target_rotation)
         aim = landing.aim(held, release, target, rotation)
         switched = aim.switched
@@ -252,7 +245,7 @@ def toss_plan(
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
     drawn = landing.draw(case, nominal, monte_carlo) if monte_carlo else None
-    return TossResult(source, case, nominal, parts, aim, asked, target, drawn)
+    return TossResult(source, case, nominal, parts, aim, distance, drawn)
 
 
 # ------------------------------------------------------------------ the release of recorded drops

@@ -199,6 +199,8 @@ class Aim(NamedTuple):
     """In the plane, m."""
     angle: float
     """From the wanted rotation, rad; 0 if none is given."""
+    target: tuple[float, float]
+    """x and y in the world, m."""
 
 
 def aim(
@@ -268,4 +270,4 @@ def aim(
             'No release during the plan leads to a landing. Check landing.height, release.*, and '
             'whether the plan throws the package.')
     shift, turn = (float(np.linalg.norm(part)) for part in np.split(miss(switched), [2]))
-    return Aim(switched, shift, turn / reach)
+    return Aim(switched, shift, turn / reach, target)
