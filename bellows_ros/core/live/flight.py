@@ -44,8 +44,7 @@ class Landing(NamedTuple):
     toss: Toss
     """Times are s since then."""
     covariance: Array
-    """Of position on the floor and rotation vector, in world axes (6, 6); written over by the next
-    landing."""
+    """Of position on the floor and rotation vector, in world axes (6, 6)."""
 
 
 def _after_now(tool: ToolRows | None) -> tuple[Array, Array]:
@@ -103,7 +102,6 @@ class Flight:
         self._factor = factor_columns(values)
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
-        self._covariance = np.zeros((6, 6))
         self.forget()
 
     def warm_up(self, model: ModelTuple) -> None:
@@ -260,17 +258,19 @@ class Flight:
             self._of_state[:] = covariance(prediction)
         k = self._count % len(release.DIFFERENCE_STEPS)
         try:
-            is_sound, landing = release.toss_with_covariance(
+            is_sound, landing = release.toss_with_derivatives(
                 model, self.grip or release.NO_GRIP, self._release, self._factor, prediction.tool,
                 adapted(model, prediction.tool, prediction.body),
                 *_after_now(self._future(prediction)), self._ahead, longest,
                 *((k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))),
-                (self._of_state, self._by, self._covariance))
+                self._by)
         except (BellowsError, ArithmeticError, ValueError):
             is_sound = False
+        by_state, by_law = self._by[:, :12], self._by[:, 12:]
+        of_landing = by_state @ self._of_state @ by_state.T + by_law @ by_law.T
+        is_sound = is_sound and math.isfinite(of_landing.trace())
         self._count = self._count + 1 if is_sound else 0
-        return Landing(
-            prediction.stamp_ns, Toss(*landing), self._covariance) if is_sound else None
+        return Landing(prediction.stamp_ns, Toss(*landing), of_landing) if is_sound else None
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
         """Return the time (s) until the valve should be switched for the target, or None."""

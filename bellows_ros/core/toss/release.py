@@ -341,38 +341,17 @@ def changed_law(law: Law, k: float, by: Law) -> Law:
 
 
 @kernel
-def write_covariance(of_state: Array, by: Array, covariance: Array) -> bool:
-    """Write the covariance (6, 6) of a landing from its derivatives (6, 20); return if finite."""
-    covariance[:] = 0.0
-    total = 0.0
-    for i in range(6):
-        for k in range(20):
-            part = by[i, k]
-            if k < 12:
-                part = 0.0
-                for m in range(12):
-                    part += by[i, m] * of_state[m, k]
-            for j in range(6):
-                covariance[i, j] += part * by[j, k]
-            total += covariance[i, i]
-    return total - total == 0.0
-
-
-@kernel
-def toss_with_covariance(
+def toss_with_derivatives(
     model: ModelTuple, grip: Grip, release: Release, factor: Factor, tool: State, body: State,
-    rows: Any, seconds: Any, until: float, max_step: float, first: int, last: int,
-    covariances: tuple[Array, Array, Array],
+    rows: Any, seconds: Any, until: float, max_step: float, first: int, last: int, by: Array,
 ) -> tuple[bool, tuple[float, State, float, State]]:
     """
-    Write the covariance (6, 6) of a landing; return whether it is finite, and `toss_along` from 0.
+    Write derivatives of a landing; return whether all of them land, and `toss_along` from 0.
 
-    The arrays are the covariance (12, 12) of the package's shift, turn and twist, in body axes,
-    the derivatives (6, 20) of the `landing_error` by these and by the law of release, changed by
-    each column of the factor of its covariance, and that of the landing. The derivatives from the
-    first to before the last are renewed.
+    They are derivatives (6, 20) of the `landing_error` by the package's shift, turn and twist, in
+    body axes, and by the law of release, changed by each column of the factor of its covariance.
+    Those from the first to before the last are renewed.
     """
-    of_state, by, covariance = covariances
     nominal = -1.0, body, -1.0, body
     for i in range(first - 1, last):
         j = i if i >= first else -1  # the first is the toss itself
@@ -395,7 +374,7 @@ def toss_with_covariance(
             shift, turn = landing_error(toss_changed[3], nominal[3], model[2])
             for k in range(3):
                 by[k, j], by[k + 3, j] = shift[k] / size, turn[k] / size
-    return write_covariance(of_state, by, covariance), nominal
+    return True, nominal
 
 
 class Toss(NamedTuple):
