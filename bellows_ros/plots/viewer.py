@@ -14,7 +14,6 @@ from pathlib import Path
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
-from types import SimpleNamespace
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Stamps
@@ -205,18 +204,17 @@ def _blueprint(rr: Any, replayed: Replayed) -> Any:
         position=centre + reach * EYE, look_target=centre, eye_up=(0.0, 0.0, 1.0))
     axes = [rrb.TimeSeriesView(origin=f'package/{name}', name=f'{name} of B in the tool')
             for name in AXES]
-    views = SimpleNamespace(
-        package=rrb.Grid(*axes, grid_columns=2, name='Package in the tool'),
-        **{what: rrb.Vertical(*(
+    tabs = [rrb.Grid(*axes, grid_columns=2, name='Package in the tool')]
+    for what, words in (('deflection', 'Deflection of the cup'),
+                        ('error', 'Predicted minus measured')):
+        tabs.append(rrb.Vertical(*(
             rrb.TimeSeriesView(origin='/', name=f'{words} ({unit})',
                                contents=[f'{what}/{name}' for name in names])
-            for unit, names in (('mm', AXES[:3]), ('mrad', AXES[3:]))), name=words)
-           for what, words in (('deflection', 'Deflection of the cup'),
-                               ('error', 'Predicted minus measured'))})
+            for unit, names in (('mm', AXES[:3]), ('mrad', AXES[3:]))), name=words))
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin='world', name='Tool, cup, package', eye_controls=eye),
-            rrb.Tabs(views.package, views.deflection, views.error), column_shares=[2, 3]),
+            rrb.Tabs(*tabs), column_shares=[2, 3]),
         rrb.BlueprintPanel(state='collapsed'), rrb.SelectionPanel(state='collapsed'),
         rrb.TimePanel(state='collapsed', timeline=TIMELINE, play_state='playing', loop_mode='all'))
 
