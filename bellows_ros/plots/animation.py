@@ -2,9 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from functools import partial
 import io
-from itertools import chain
 from pathlib import Path
 import shutil
 import subprocess
@@ -33,8 +31,7 @@ RINGS, SIDES = 25, 13  # of the drawn cup; the last point of a ring is its first
 CONVOLUTIONS = 2.5
 RADIUS = 0.020  # m
 
-BOX_EDGES = [[0, 1], [0, 2], [0, 4], [1, 3], [1, 5], [2, 3], [2, 6], [3, 7], [4, 5], [4, 6],
-             [5, 7], [6, 7]]
+BOX_EDGES = [[i, i | bit] for i in range(8) for bit in (1, 2, 4) if not i & bit]
 BOX_FACES = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
 """Of the corners of `box_corners`."""
 
@@ -127,7 +124,7 @@ def _write(
     """Write views side by side, from the first time to the last of all."""
     ending = f'.{require_picture(path, FILMS)}'
     rate_hz = FRAMES_PER_SECOND[ending]
-    encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
+    encode = _gif if ending == '.gif' else _mp4
     times = np.arange(min(view.seconds[0] for view in views),
                       max(view.seconds[-1] for view in views), speed / rate_hz)
     pictures = _drawn(views, times, title, note, theme, progress)
@@ -228,18 +225,17 @@ def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:
     return data.getvalue()
 
 
-def _mp4(pictures: Iterator[Any], rate_hz: float, ffmpeg: str) -> bytes:
+def _mp4(pictures: Iterator[Any], rate_hz: float) -> bytes:
     """Return an MP4, made by ffmpeg, that plays everywhere and before it is loaded to its end."""
-    first = next(pictures)
-    height, width = first.shape[:2]
+    width, height = (round(DPI * side) for side in SIZE)
     with TemporaryDirectory() as folder:
         target = Path(folder, 'animation.mp4')
-        command = [ffmpeg, '-loglevel', 'error', '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-s',
+        command = [_ffmpeg(), '-loglevel', 'error', '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-s',
                    f'{width}x{height}', '-r', f'{rate_hz:g}', '-i', '-', '-pix_fmt', 'yuv420p',
                    '-movflags', '+faststart', str(target)]
         with subprocess.Popen(command, stdin=subprocess.PIPE) as process, \
                 suppress(BrokenPipeError):  # it has ended early; its exit code is checked below
-            for frame in chain((first,), pictures):
+            for frame in pictures:
                 process.stdin.write(frame.tobytes())  # type: ignore[union-attr]
         if process.returncode != 0:
             raise BellowsError('ffmpeg failed, with the reason above. Write a .gif instead.')
