@@ -253,13 +253,11 @@ def _truth_bytes(
     """
     sampled_ns = plans['package'].sampled_ns
     sampled_ns = sampled_ns[truth.at(sampled_ns).tracked]
-    at = truth.at(sampled_ns)
-    bodies = {'tool': at.tool, 'package': at.package}
-    arrays = {
-        name: array for body, motion in bodies.items() for name, array in (
-            (body, transform(
-                R_world_level @ motion.rotation, apply(R_world_level, motion.position))),
-            (f'{body}_twist', np.asarray(motion.twist)))}
+    at, arrays = truth.at(sampled_ns), dict[str, Array]()
+    for name, motion in (('tool', at.tool), ('package', at.package)):
+        arrays[name] = transform(
+            R_world_level @ motion.rotation, apply(R_world_level, motion.position))
+        arrays[f'{name}_twist'] = np.asarray(motion.twist)
     file = io.BytesIO()
     np.savez(file, t=(sampled_ns - recipe.start_ns) / NS_PER_S, **arrays,  # type: ignore[arg-type]
              K=cup.stiffness, P=cup.damping)

@@ -386,9 +386,8 @@ def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "
                     f'long, got {len(amplitude)} and {len(frequency)} numbers.')
             parts += [(offset + index, a, f) for a, f in zip(amplitude, frequency, strict=True)]
-    axes = np.array([part[0] for part in parts], dtype=np.int64)
-    amplitudes, frequencies = np.array([part[1:] for part in parts]).reshape(-1, 2).T
-    return axes, amplitudes, np.stack([frequencies, frequencies], axis=1)
+    axes, amplitudes, frequencies = np.array(parts).reshape(-1, 3).T
+    return axes.astype(np.int64), amplitudes, np.stack([frequencies, frequencies], axis=1)
 
 
 def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
