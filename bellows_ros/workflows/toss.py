@@ -109,7 +109,8 @@ class TossResult(CommandResult):
             content['target'] = {
                 'position': list(self.aim.target), 'valve_time': self.aim.switched,
                 'distance': self.aim.distance, 'angle': self.aim.angle,
-                'distance_as_asked': self.distance_as_asked}
+                'distance_as_asked': self.distance_as_asked,
+                'units': {'distance_as_asked': 'm'}}
         if self.drawn is not None:
             content['monte_carlo'] = {
                 'count': len(self.drawn.errors), 'failed': self.drawn.failed,
