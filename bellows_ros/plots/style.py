@@ -13,6 +13,7 @@ from html import escape
 import io
 from pathlib import Path
 import re
+import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
@@ -46,13 +47,8 @@ class Theme:
         return self.predicted, self.error, self.measured
 
 
-THEMES = {
-    'light': Theme(
-        background='#ffffff', text='#1b1f24', quiet='#57606a', grid='#e3e6ea',
-        measured='#9fb4c9', predicted='#b3261e', error='#5b4a9e'),
-    'dark': Theme(
-        background='#0d1117', text='#e6edf3', quiet='#9198a1', grid='#262c36',
-        measured='#5b7fa6', predicted='#ffb454', error='#b7a8ff')}
+LOOK = tomllib.loads(Path(__file__).with_name('pictures.toml').read_text())
+THEMES = {name: Theme(**colours) for name, colours in LOOK['themes'].items()}
 
 
 @contextmanager
@@ -70,22 +66,10 @@ def drawing(theme: Theme) -> Iterator[Any]:
     import matplotlib
     import matplotlib.figure
 
-    base = matplotlib.rc_params_from_file(STYLE, use_default_template=False)
-    with matplotlib.rc_context({**base, **_colours(theme)}):
+    colours = {name: getattr(theme, purpose)
+               for purpose, names in LOOK['colours'].items() for name in names}
+    with matplotlib.rc_context({**LOOK['style'], **colours}):
         yield matplotlib.figure
-
-
-STYLE = Path(__file__).with_name('pictures.mplstyle')
-
-
-def _colours(theme: Theme) -> dict[Any, Any]:
-    """Return matplotlib's settings of a theme's colours."""
-    return {name: colour for colour, names in (
-        (theme.text, 'text.color axes.labelcolor xtick.labelcolor ytick.labelcolor'),
-        (theme.background, 'figure.facecolor savefig.facecolor axes.facecolor '
-         'axes3d.xaxis.panecolor axes3d.yaxis.panecolor axes3d.zaxis.panecolor'),
-        (theme.quiet, 'axes.edgecolor xtick.color ytick.color'), (theme.grid, 'grid.color'),
-    ) for name in names.split()}
 
 
 PICTURES, FILMS = ('.png', '.svg', '.pdf'), ('.gif', '.mp4')
