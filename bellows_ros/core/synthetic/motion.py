@@ -333,18 +333,18 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
 def pose_from(settings: Settings) -> Pose:
     """Return a pose given by position and either rpy or quaternion_xyzw; identity if neither."""
     position = settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m')
-    rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
-    quaternion = settings.vector('quaternion_xyzw', 4, (0.0, 0.0, 0.0, 1.0))
-    if 'rpy' in settings and 'quaternion_xyzw' in settings:
+    if 'quaternion_xyzw' not in settings:
+        rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
+        return Pose(position, lie.rpy_rotation(rpy))
+    if 'rpy' in settings:
         raise BellowsError(
             f"Settings '{settings.name('rpy')}' and '{settings.name('quaternion_xyzw')}' are both "
             'given. Give one of them.')
-    if 'quaternion_xyzw' in settings:
-        length = float(np.linalg.norm(quaternion))
-        if abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE:
-            raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
-        return Pose(position, lie.quaternion_to_rotation(quaternion / length))
-    return Pose(position, lie.rpy_rotation(rpy))
+    quaternion = settings.vector('quaternion_xyzw', 4)
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE:
+        raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
+    return Pose(position, lie.quaternion_to_rotation(quaternion / length))
 
 
 def _oscillation(
