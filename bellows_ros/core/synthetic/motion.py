@@ -289,14 +289,15 @@ class Planned(Motion):
         """A hundredth of the rate of its points, Hz."""
         return 0.01 * (len(self.tool) - 1) / self.duration
 
-    def trajectory(self, stamps_ns: Stamps, start_ns: int) -> Trajectory:
+    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """Return the motion between the points; after the last it stays there."""
         first, last = self.tool.stamps_ns[[0, -1]]
-        at, places = np.unique(
-            np.clip(stamps_ns - start_ns + first, first, last), return_inverse=True)
+        stamps = np.clip(first + np.round(t * NS_PER_S).astype(np.int64), first, last)
+        at, places = np.unique(stamps, return_inverse=True)
         sampled = resample(self.tool, at)
-        return Trajectory(stamps_ns, sampled.position[places], sampled.rotation[places],
-                          np.asarray(sampled.twist)[places])
+        R, twist = sampled.rotation, np.asarray(sampled.twist)
+        return (sampled.position[places], lie.apply(R, twist[:, :3])[places], R[places],
+                twist[places, 3:])
 
 
 def motion_from(settings: Settings, phases: Generator) -> Motion:
@@ -333,18 +334,18 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
 def pose_from(settings: Settings) -> Pose:
     """Return a pose given by position and either rpy or quaternion_xyzw; identity if neither."""
     position = settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m')
-    if 'quaternion_xyzw' not in settings:
-        rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
-        return Pose(position, lie.rpy_rotation(rpy))
-    if 'rpy' in settings:
+    rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
+    quaternion = settings.vector('quaternion_xyzw', 4, (0.0, 0.0, 0.0, 1.0))
+    if 'rpy' in settings and 'quaternion_xyzw' in settings:
         raise BellowsError(
             f"Settings '{settings.name('rpy')}' and '{settings.name('quaternion_xyzw')}' are both "
             'given. Give one of them.')
-    quaternion = settings.vector('quaternion_xyzw', 4)
-    length = float(np.linalg.norm(quaternion))
-    if abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE:
-        raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
-    return Pose(position, lie.quaternion_to_rotation(quaternion / length))
+    if 'quaternion_xyzw' in settings:
+        length = float(np.linalg.norm(quaternion))
+        if abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE:
+            raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
+        return Pose(position, lie.quaternion_to_rotation(quaternion / length))
+    return Pose(position, lie.rpy_rotation(rpy))
 
 
 def _oscillation(
