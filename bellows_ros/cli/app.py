@@ -1,14 +1,14 @@
 """
 Find the command, run it, and turn errors into a message and an exit code.
 
-A command is a module of this package with its name, whose `run(arguments, console)` does the work
-and returns the exit code. It is imported only to run; its help is in `commands.toml`.
+A command is a module of this package with its name, whose `run(arguments, console)` does
+the work and returns an `options.Outcome`. It is imported only to run; its help is in
+`commands.toml`.
 """
 
 import argparse
 from collections.abc import Sequence
 import difflib
-import importlib
 import os
 import sys
 import textwrap
@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
 
-from .arguments import arguments_of, COMMANDS, Output, PROGRAM, STDOUT
+from .arguments import arguments_of, COMMANDS, PROGRAM
 from .console import Console, run_guarded, USER_ERROR
 
 WIDTH = 79
@@ -84,14 +84,9 @@ def _run(arguments: list[str], console: Console) -> int:
     name, *rest = arguments
     configure_process()
     parsed = command_parser(name).parse_args(rest)
-    from .options import require_named_outputs
+    from .options import run_command
 
-    require_named_outputs(parsed)
-    if any(isinstance(value, Output) and value == STDOUT for value in vars(parsed).values()):
-        console.keep_stdout_free()
-    code: int = importlib.import_module(f'{__package__}.{name}').run(parsed, console)
-    console.warn(*console.final_warnings)
-    return code
+    return run_command(name, parsed, console)
 
 
 def _complete() -> None:

@@ -8,19 +8,16 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.report import formatted, in_milli, listed, with_error
 from bellows_ros.workflows.identification import compare_files, ResultComparison
 
-from . import options
-from .console import Console, NOT_USABLE, OK
+from .console import Console
+from .options import Outcome
 
 SETTING_WIDTH = 60  # characters of a setting
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Compare, write, report."""
+def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Compare."""
     result = compare_files(arguments.before, arguments.after)
-    options.write_result(arguments.json, result)
-    print_result(result, console)
-    console.wrote(arguments.json)
-    return NOT_USABLE if result.fits.matters else OK
+    return Outcome(result, not result.fits.matters)
 
 
 def print_result(result: ResultComparison, console: Console) -> None:

@@ -6,8 +6,8 @@ there, and not where NO_COLOR is set or TERM is dumb. Signals that end a command
 and none divides finished work.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 import errno
 from io import TextIOWrapper
 import os
@@ -52,6 +52,8 @@ class Console:
     ----------
     final_warnings : list of str
         Printed when the work has been done.
+    progress : Progress
+        Of the work, on stderr.
 
     """
 
@@ -60,6 +62,7 @@ class Console:
         self._out, self._err, self._signals = out, err, signals
         self._gap = self._begun = False
         self.final_warnings: list[str] = []
+        self.progress = Progress(self, err)
 
     def keep_stdout_free(self) -> None:
         """Print results on stderr from now on: stdout takes a file's content."""
@@ -92,12 +95,6 @@ class Console:
             indent = text[:len(text) - len(text.lstrip())]
             for line in _wrapped(text.strip(), indent, 2 * indent):
                 self.line(line, style)
-
-    def wrote(self, *files: str, then: Sequence[str] = ()) -> None:
-        """Name the files that were written, leaving out '' and '-', and say what comes next."""
-        named = [file for file in files if file not in ('', '-')]
-        for line in (*(f'Wrote {file}.' for file in named), *(then if named else ())):
-            self.line(line)
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
         """Print rows in columns between empty lines; all but the first right-aligned if wanted."""
@@ -133,15 +130,6 @@ class Console:
         self._out.flush()
         print(text, file=self._err)
 
-    @contextmanager
-    def progress(self) -> Iterator['Progress']:
-        """Show progress on stderr while the work in this context runs."""
-        progress = Progress(self, self._err)
-        try:
-            yield progress
-        finally:
-            progress.clear()
-
     def _styled(self, stream: TextIO, text: str, style: str) -> str:
         """Return a string in a style, where the stream shows it."""
         shown = style and _is_terminal(stream) and not os.environ.get('NO_COLOR')
@@ -152,9 +140,14 @@ class Progress:
     """One line with the current stage, a bar, and the time left."""
 
     def __init__(self, console: Console, stream: TextIO) -> None:
-        """Start the clock."""
+        """Show nothing yet."""
         self._console, self._stream, self._shown = console, stream, _is_terminal(stream)
-        self._start, self._next, self._stage = time.monotonic(), 0.0, ''
+        self._start, self._next, self._stage = 0.0, 0.0, ''
+
+    def __enter__(self) -> 'Progress':
+        """Start the clock."""
+        self._start = time.monotonic()
+        return self
 
     def __call__(self, stage: str, fraction: float | None = None) -> None:
         """Show a stage and, if known, the completed fraction of the whole work."""
@@ -169,7 +162,7 @@ class Progress:
         self._stream.write(CLEAR_LINE + printable(shown)[:width])
         self._stream.flush()
 
-    def clear(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave no trace on the terminal."""
         if self._shown and self._stage:
             self._stream.write(CLEAR_LINE)

@@ -8,41 +8,35 @@ from bellows_ros.workflows import convert
 from bellows_ros.workflows.convert import Conversion
 
 from . import options
-from .console import Console, OK
+from .console import Console
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Convert and report."""
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Convert."""
     span = options.interval_settings(arguments)
     text = arguments.out.lower().endswith(convert.TEXT_ENDINGS)
     frames = bool(arguments.tool_frame or arguments.package_frame) and not text
     _require_possible(arguments, text, frames)
     source, topics = arguments.sources[0], arguments.topic
     topic = topics[0] if topics else ''
-    with console.progress() as progress:
-        progress('converting')
-        if text:
-            done = convert.to_tum(source, arguments.out, topic, span)
-        else:
-            if frames:
-                bodies = convert.bodies_in_transforms(
-                    source, arguments.tool_frame, arguments.package_frame, arguments.world_frame,
-                    topics)
-            elif _is_of_units(arguments):
-                bodies = convert.bodies_in_recording(
-                    source, topics, arguments.unit == 'mm', arguments.quaternion == 'wxyz')
-            elif arguments.tool_link:
-                bodies = convert.tool_of_joints(
-                    source, arguments.tool_link, str(arguments.urdf or ''), topic)
-            else:
-                bodies = convert.bodies_in_files(arguments.sources, topics, arguments.markers)
-            done = convert.to_bag(bodies, arguments.out, arguments.storage, arguments.force, span)
-    options.write_result(arguments.json, done)
-    print_result(done, console)
-    console.wrote(arguments.json)
-    console.wrote(done.out, then=() if text else (
+    console.progress('converting')
+    if text:
+        done = convert.to_tum(source, arguments.out, topic, span)
+        return options.Outcome(done)
+    if frames:
+        bodies = convert.bodies_in_transforms(
+            source, arguments.tool_frame, arguments.package_frame, arguments.world_frame, topics)
+    elif _is_of_units(arguments):
+        bodies = convert.bodies_in_recording(
+            source, topics, arguments.unit == 'mm', arguments.quaternion == 'wxyz')
+    elif arguments.tool_link:
+        bodies = convert.tool_of_joints(
+            source, arguments.tool_link, str(arguments.urdf or ''), topic)
+    else:
+        bodies = convert.bodies_in_files(arguments.sources, topics, arguments.markers)
+    done = convert.to_bag(bodies, arguments.out, arguments.storage, arguments.force, span)
+    return options.Outcome(done, then=(
         'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
-    return OK
 
 
 def _is_of_units(arguments: argparse.Namespace) -> bool:

@@ -10,17 +10,18 @@ from bellows_ros.report import column, with_error
 from bellows_ros.workflows.excite import DesignedMotion, excite, write_motion
 
 from .console import Console
-from .options import run_plan_command
+from .options import Outcome, plan_settings, write_plot
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Design, write, report."""
-    return run_plan_command(
-        arguments, console, lambda values, progress: excite(
-            values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
-            arguments.beside, arguments.seed, progress, arguments.series, arguments.hold),
-        print_result, lambda result: write_motion(
-            arguments.out, result, arguments.csv, arguments.urscript, arguments.force))
+def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Design and write."""
+    result = excite(
+        plan_settings(arguments, console), load(arguments.limits), arguments.time,
+        str(arguments.urdf or ''), arguments.beside, arguments.seed, console.progress,
+        arguments.series, arguments.hold)
+    write_motion(arguments.out, result, arguments.csv, arguments.urscript, arguments.force)
+    write_plot(arguments.plot, result)
+    return Outcome(result, inputs=())
 
 
 def print_result(result: DesignedMotion, console: Console) -> None:

@@ -1,16 +1,17 @@
 """Write a cup for MuJoCo, as SDF, or as C."""
 
 import argparse
+from collections.abc import Sequence
 
 from bellows_ros.core.model import cup_package, grip
 from bellows_ros.core.parameters import checks
 from bellows_ros.files import atomic, exports
 
 from . import options
-from .console import Console, OK
+from .console import Console
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Write the model, and list what the format cannot express."""
     values = options.read_settings(arguments, cup_for=console)
     settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
@@ -21,10 +22,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     gravity = tuple(checks.gravity_of(settings).tolist())
     atomic.write_text(arguments.out, target.write(
         cup, package, gravity, grip.grip_of(settings), arguments.name))
-    options.write_result(arguments.json, {
+
+    return options.Outcome((target.name, lost), content={
         'format': arguments.to, 'file': arguments.out, 'not_expressed': lost})
-    console.wrote(arguments.out, arguments.json)
-    console.line(f'What differs or is left out in {target.name}:')
-    for sentence in lost:
-        console.paragraph(f'  - {sentence}')
-    return OK
+
+
+def print_result(lost: tuple[str, Sequence[str]], console: Console) -> None:
+    """Print what the format, whose name comes first, cannot express."""
+    console.line(f'What differs or is left out in {lost[0]}:')
+    console.paragraph(*(f'  - {sentence}' for sentence in lost[1]))

@@ -5,24 +5,25 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import Values
 from bellows_ros.report import column, formatted, in_milli, listed, many, print_identification
-from bellows_ros.workflows.identification import save
+from bellows_ros.workflows.identification import Identification, save
 from bellows_ros.workflows.identify import identify
 
 from . import options
-from .arguments import STDOUT
-from .console import Console, NOT_USABLE, OK
+from .arguments import Output
+from .console import Console
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import ReleaseResult
 
+OUTPUTS = {'out': 'output.parameters', 'json': 'output.json', 'report': 'output.report'}
+"""The parameters that name what options do."""
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Identify, write, report."""
+
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Identify and write."""
     settings = _settings(arguments, console)
-    cup_file, json_file, page = (
-        str(settings.get(f'output.{name}', '')) for name in ('parameters', 'json', 'report'))
-    options.require_outputs((cup_file, json_file, page), options.inputs_of(settings))
     if arguments.release:
         return _release(arguments, settings, console)
 
@@ -30,54 +31,55 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         console.warn(
             'numba is not installed, and without it the fit takes about half a minute for each '
             'second recorded. Install numba, or set fit.method: least_squares.')
-    with console.progress() as progress:
-        result = identify(settings, progress, arguments.params, arguments.jobs, arguments.dask,
-                          arguments.force)
-    usable = not result.refusals
-    written = usable or (arguments.force and result.fit.usable)
-    save(result, cup_file if written else '', json_file, arguments.force)
-    if page:
+    result = identify(settings, console.progress, arguments.params, arguments.jobs,
+                      arguments.dask, arguments.force)
+    if arguments.report:
         from bellows_ros.report.build import write_page
 
-        write_page(result, page)
-    if STDOUT in (cup_file, json_file, page):
-        console.keep_stdout_free()
-    print_identification(result, console)
-    console.line()
-    console.wrote(json_file, page)
-    if not usable:
-        file_state = f'its file was {"written because of --force" if written else "not written"}'
-        console.paragraph(
-            f'This cup is refused: {file_state if cup_file else "do not use it"}.', style='red')
-    elif cup_file:
-        console.wrote(cup_file, then=(
-            'Next, check how well it predicts another recording:',
-            '  bellows replay BAG ' + ' '.join(
-                f'--params {file}' for file in (*arguments.params, cup_file))))
-    else:
-        console.line('The cup was not written to a file; give --out cup.yaml to keep it.')
-    return OK if usable else NOT_USABLE
+        write_page(result, arguments.report)
+    then, cup_file, usable = _next(arguments, result), arguments.out, not result.refusals
+    arguments.out = cup_file if usable or arguments.force and result.fit.usable else ''
+    save(result, arguments.out, '', arguments.force)
+    return options.Outcome(result, usable, then)
 
 
-def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: Console) -> int:
-    """Identify the valve, write, report."""
+def _next(arguments: argparse.Namespace, result: Identification) -> tuple[str, ...]:
+    """Return what became of the cup, and what to do with it."""
+    if result.refusals:
+        written = 'written because of --force' if (
+            arguments.force and result.fit.usable) else 'not written'
+        state = f'its file was {written}' if arguments.out else 'do not use it'
+        return (f'This cup is refused: {state}.',)
+    if not arguments.out:
+        return ('The cup was not written to a file; give --out cup.yaml to keep it.',)
+    files = ' '.join(f'--params {file}' for file in (*arguments.params, arguments.out))
+    return 'Next, check how well it predicts another recording:', f'  bellows replay BAG {files}'
+
+
+def _release(
+    arguments: argparse.Namespace, settings: Values, console: Console
+) -> options.Outcome:
+    """Identify the valve and write."""
     if excluded := [
             f'--{name}' for name in ('report', 'jobs', 'dask') if getattr(arguments, name)]:
         raise BellowsError(
             f'--release cannot be combined with {", ".join(excluded)}. Leave it out.')
     from bellows_ros.files.parameter_files import write_parameters
-    from bellows_ros.files.results import provenance
     from bellows_ros.workflows.toss import identify_release
 
-    with console.progress() as progress:
-        result = identify_release(settings, progress)
+    result = identify_release(settings, console.progress)
     if arguments.out:
         write_parameters(arguments.out, result.parameters())
-    options.write_result(arguments.json, {
-        **result.as_json(), 'provenance': provenance(result.bags, arguments.params)})
-    _print_release(result, console)
-    console.wrote(arguments.out, arguments.json)
-    return OK
+    return options.Outcome(result, inputs=result.bags)
+
+
+def print_result(result: 'Identification | ReleaseResult', console: Console) -> None:
+    """Print the cup, or the law of the valve."""
+    if isinstance(result, Identification):
+        print_identification(result, console)
+        console.line()
+    else:
+        _print_release(result, console)
 
 
 def _print_release(result: 'ReleaseResult', console: Console) -> None:
@@ -114,9 +116,13 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
 
 
 def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
-    """Return the parameters of files and --set, with those that have an argument."""
+    """Return the parameters, and those that have an argument; outputs are arguments then."""
     values = options.read_settings(arguments, 'identifier', console if arguments.release else None)
-    named = {
-        'bags': [str(bag) for bag in arguments.bags], 'output.parameters': str(arguments.out),
-        'output.json': str(arguments.json), 'output.report': str(arguments.report)}
-    return {**values, **{name: value for name, value in named.items() if value}}
+    if arguments.bags:
+        values['bags'] = tuple(map(str, arguments.bags))
+    for option, name in OUTPUTS.items() if not arguments.release else ():
+        chosen = getattr(arguments, option) or values.get(name, '')
+        values[name] = str(chosen)
+        setattr(arguments, option, Output(chosen))
+    options.require_named_outputs(arguments, options.inputs_of(values))
+    return values

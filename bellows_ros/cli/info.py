@@ -11,7 +11,7 @@ from bellows_ros.report import many
 from bellows_ros.workflows.info import Info, info, TopicInfo
 
 from . import options
-from .console import Console, OK
+from .console import Console
 from .parameters import template_with
 
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
@@ -19,24 +19,19 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
 """What the recording cannot tell: comments of the file, to fill in."""
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Look, write, report."""
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Look and write."""
     options.require_absent(arguments.write_params, arguments.force)
-
-    with console.progress() as progress:
-        progress(f'reading {arguments.bag}')
-        result = info(arguments.bag, options.interval_settings(arguments))
-    options.write_result(arguments.json, result)
+    console.progress(f'reading {arguments.bag}')
+    result = info(arguments.bag, options.interval_settings(arguments))
     if arguments.write_params:
         write_text(arguments.write_params, template_with(
             [PARAMETERS[name] for name in UNKNOWN], result.settings,
             [f'How to read {result.path}, as found by bellows info; check it.']))
-    print_result(result, console)
-    console.wrote(arguments.json)
-    console.wrote(arguments.write_params, then=(
+    return options.Outcome(result, then=(
         'Fill in the package there, then:',
-        f'  bellows identify --params {arguments.write_params} --out cup.yaml'))
-    return OK
+        f'  bellows identify --params {arguments.write_params} --out cup.yaml',
+    ) if arguments.write_params else ())
 
 
 def print_result(result: Info, console: Console) -> None:

@@ -1,18 +1,19 @@
-"""Options shared by the commands, the settings they give, and the order of work on plans."""
+"""What the commands share: the order of their work, the settings, and checks of outputs."""
 
 import argparse
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+import importlib
 from itertools import permutations
 import os
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros import __version__
 from bellows_ros.core.parameters import checks, table
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import atomic, bag_folder, parameter_files, results, Values
+from bellows_ros.files import atomic, bag_folder, File, parameter_files, results, Values
 
 from .arguments import Binary, Folder, Output, STDOUT
 from .console import Console, NOT_USABLE, OK
@@ -24,6 +25,56 @@ INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.fil
 """Parameters that name inputs."""
 
 
+class Outcome(NamedTuple):
+    """
+    What a command has done.
+
+    Parameters
+    ----------
+    result
+        What `print_result` of its module prints, and whose `as_json()` is written to --json, with
+        the version.
+    succeeded : bool
+        Whether the exit code is 0.
+    then : tuple of str
+        What comes next, where a file was written.
+    inputs : sequence of path or None
+        Recordings and plans that the JSON file names with their digests, beside the parameter
+        files; None where it has no provenance, or its own.
+    content : mapping or None
+        Is written to --json instead.
+
+    """
+
+    result: Any
+    succeeded: bool = True
+    then: tuple[str, ...] = ()
+    inputs: Sequence[File] | None = None
+    content: Mapping[str, Any] | None = None
+
+
+def run_command(name: str, arguments: argparse.Namespace, console: Console) -> int:
+    """Check the outputs, work, write --json, print, name what was written; return the code."""
+    require_named_outputs(arguments)
+    command = importlib.import_module(f'{__package__}.{name}')
+    with console.progress:
+        done: Outcome = command.run(arguments, console)
+        if arguments.json:
+            content = done.content or {**results.plain(done.result), 'version': __version__}
+            more = {} if done.inputs is None else {
+                'provenance': results.provenance(done.inputs, arguments.params)}
+            results.write_json(arguments.json, {**content, **more})
+    written = [value for key, value in sorted(
+        vars(arguments).items(), key=lambda item: item[0] == 'out') if isinstance(value, Output)]
+    if STDOUT in written:
+        console.keep_stdout_free()
+    command.print_result(done.result, console)
+    for line in *(f'Wrote {file}.' for file in written if file not in ('', STDOUT)), *done.then:
+        console.line(line)
+    console.warn(*console.final_warnings)
+    return OK if done.succeeded else NOT_USABLE
+
+
 def require_absent(output: str, force: bool) -> None:
     """Refuse an output that exists, unless it may be replaced."""
     if output and os.path.exists(output) and not force:
@@ -32,10 +83,26 @@ def require_absent(output: str, force: bool) -> None:
             'holds is then lost.')
 
 
-def write_result(target: str, content: Any) -> None:
-    """Write a result to the target of --json, if there is one."""
-    if target:
-        results.write_json(target, content)
+def plan_settings(
+    arguments: argparse.Namespace, console: Console, films: tuple[str, ...] = ()
+) -> dict[str, table.Value]:
+    """Return the parameters of a command on a plan; refuse what it could not write or draw."""
+    values = read_settings(arguments, cup_for=console)
+    require_absent(arguments.out, arguments.force)
+    if arguments.plot:
+        from bellows_ros.plots import style
+
+        require_pictures()
+        style.require_picture(arguments.plot, (*style.PICTURES, *films))
+    return values
+
+
+def write_plot(path: str, result: Any) -> None:
+    """Draw a result where --plot names a picture."""
+    if path:
+        from bellows_ros.plots import style
+
+        style.write_figure(path, result.plot())
 
 
 def read_settings(
@@ -169,56 +236,3 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
     require_outputs(
         [item for item in named if isinstance(item, Output)],
         [*inputs, *(item for item in named if isinstance(item, Path))])
-
-
-def run_plan_command(
-    arguments: argparse.Namespace, console: Console,
-    work: Callable[[Values, Callable[..., None]], Any],
-    print_result: Callable[[Any, Console], None], write: Callable[[Any], None],
-    film: Callable[[Any], None] | None = None,
-    succeeded: Callable[[Any], bool] = lambda result: True
-) -> int:
-    """
-    Read, work, write, report.
-
-    Parameters
-    ----------
-    arguments, console
-        Of the command.
-    work : callable
-        From parameters by name and a progress to a `workflows.CommandResult`.
-    print_result : callable
-        Prints the result.
-    write : callable
-        Writes a result as the recording `out`.
-    film : callable
-        Writes a film of a result as `plot`.
-    succeeded : callable
-        Whether the exit code is 0.
-
-    """
-    values = read_settings(arguments, cup_for=console)
-    require_absent(arguments.out, arguments.force)
-    from bellows_ros.plots import style
-
-    if arguments.plot:
-        require_pictures()
-        style.require_picture(arguments.plot, (*style.PICTURES, *(style.FILMS if film else ())))
-    with console.progress() as progress:
-        progress('planning')
-        result = work(values, progress)
-        if arguments.out:
-            write(result)
-        if film and arguments.plot.lower().endswith(style.FILMS):
-            film(result)
-        elif arguments.plot:
-            style.write_figure(arguments.plot, result.plot())
-        if arguments.json:
-            plans = [arguments.plan] if 'plan' in arguments else []
-            write_result(arguments.json, {
-                **result.as_json(), 'version': __version__,
-                'provenance': results.provenance(plans, arguments.params)})
-    print_result(result, console)
-    console.wrote(*(getattr(arguments, name, '')
-                    for name in ('json', 'plot', 'csv', 'urscript', 'out')))
-    return OK if succeeded(result) else NOT_USABLE

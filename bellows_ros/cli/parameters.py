@@ -10,25 +10,25 @@ from bellows_ros.files import Values
 from bellows_ros.files.parameter_files import format_parameters
 
 from . import options
-from .console import Console, OK, WIDTH
+from .console import Console, WIDTH
 
 SECTION = 'ros__parameters:\n'
 INDENT = '    '
 EXAMPLE_LIST = "['recording']"
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Print the parameters."""
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Choose the parameters, and print their file."""
     chosen = _chosen(arguments.names)
     if arguments.yaml:
         print(template(chosen), end='')
-        return OK
-    if arguments.json:
-        content = {p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen}
-        options.write_result(arguments.json, content)
-        console.wrote(arguments.json)
-        return OK
-    for parameter in chosen:
+    return options.Outcome([] if arguments.yaml or arguments.json else chosen, content={
+        p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen})
+
+
+def print_result(parameters: list[Parameter], console: Console) -> None:
+    """Print the table."""
+    for parameter in parameters:
         console.line(parameter.name, 'bold')
         users = ' and '.join(parameter.used_by)
         facts = f'{parameter.constraint}; {parameter.default_text}; {users}'
@@ -36,7 +36,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             for line in textwrap.wrap(
                     text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT):
                 console.line(line)
-    return OK
 
 
 def _chosen(prefixes: list[str]) -> list[Parameter]:

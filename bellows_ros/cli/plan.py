@@ -7,17 +7,19 @@ from bellows_ros.report import with_error
 from bellows_ros.workflows.plan import plan, PlanReport, write_prediction
 
 from .console import Console
-from .options import run_plan_command
+from .options import Outcome, plan_settings, write_plot
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Read, predict, write, report."""
-    return run_plan_command(
-        arguments, console, lambda values, progress: plan(
-            arguments.plan, values, str(arguments.urdf or ''), arguments.topic, arguments.fastest),
-        print_result, lambda report: write_prediction(
-            arguments.out, report.source, report.driven[0], report.driven[1], arguments.force),
-        succeeded=lambda report: report.holds)
+def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Predict and write."""
+    values = plan_settings(arguments, console)
+    console.progress('planning')
+    report = plan(
+        arguments.plan, values, str(arguments.urdf or ''), arguments.topic, arguments.fastest)
+    if arguments.out:
+        write_prediction(arguments.out, report.source, *report.driven[:2], arguments.force)
+    write_plot(arguments.plot, report)
+    return Outcome(report, report.holds, inputs=[arguments.plan])
 
 
 def print_result(report: PlanReport, console: Console) -> None:

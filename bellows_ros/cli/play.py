@@ -12,13 +12,13 @@ from bellows_ros.workflows.recordings import interval_masks
 import numpy as np
 
 from . import options
-from .console import Console, OK
+from .console import Console
 
 if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Played
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Read, and play."""
     if not (math.isfinite(arguments.rate) and arguments.rate > 0.0):
         raise BellowsError(f'--rate must be a number above 0, got {arguments.rate:g}.')
@@ -27,18 +27,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     pairs = [f'/{text.lstrip("/")}'.partition(':=') for text in arguments.topics]
     renamed = {topic: name or topic for topic, _, name in pairs}
-    with console.progress() as progress:
-        progress(f'reading {arguments.bag}')
-        messages, notes = read_messages(arguments.bag, renamed)
-        stamps_ns = np.array([message.log_time_ns for message in messages])
-        chosen, = interval_masks([stamps_ns], options.interval_settings(arguments))
-        messages = [messages[k] for k in np.flatnonzero(chosen)]
-        names = {m.topic.name: m.topic.name for m in messages} | renamed
-        console.warn(*notes)
-        played = play(messages, names, arguments.rate, arguments.stamps == 'now', progress)
-    options.write_result(arguments.json, with_units({'bag': str(arguments.bag), **vars(played)}))
-    print_result(played, console)
-    return OK
+    console.progress(f'reading {arguments.bag}')
+    messages, notes = read_messages(arguments.bag, renamed)
+    stamps_ns = np.array([message.log_time_ns for message in messages])
+    chosen, = interval_masks([stamps_ns], options.interval_settings(arguments))
+    messages = [messages[k] for k in np.flatnonzero(chosen)]
+    names = {m.topic.name: m.topic.name for m in messages} | renamed
+    console.warn(*notes)
+    played = play(messages, names, arguments.rate, arguments.stamps == 'now', console.progress)
+    return options.Outcome(
+        played, content=with_units({'bag': str(arguments.bag), **vars(played)}))
 
 
 def print_result(played: 'Played', console: Console) -> None:

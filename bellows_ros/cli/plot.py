@@ -12,14 +12,14 @@ from bellows_ros.plots import animation, plan, recording, style
 from bellows_ros.workflows.plot import data_json, loads, margins, motion, replayed, spectra, within
 
 from . import options
-from .console import Console, OK, Progress
+from .console import Console, Progress
 
 WITHOUT_CUP = ('motion', 'spectra', 'path')
 FULL_RANGE = (float('-inf'), float('inf'))  # s
 MAX_SPEED = 100.0  # times real time
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Read, draw, write."""
     needs_cup = arguments.what not in WITHOUT_CUP
     values = options.read_settings(arguments, cup_for=console if needs_cup else None)
@@ -39,14 +39,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     note = f'{arguments.bag}{"; cup of the thesis" if needs_cup and not has_cup else ""}'
     if arguments.what == 'animation':
         note += f'; {arguments.speed:g} times real time'
-    with console.progress() as progress:
-        progress(f'reading {arguments.bag}')
-        content = _draw(arguments, settings, has_cup, note, progress)
-    options.write_result(arguments.json, {
+    console.progress(f'reading {arguments.bag}')
+    content = _draw(arguments, settings, has_cup, note, console.progress)
+    return options.Outcome(None, content={
         'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out,
-        **data_json(content)})
-    console.wrote(arguments.out, arguments.json)
-    return OK
+        **(data_json(content) if arguments.json else {})})
+
+
+def print_result(result: None, console: Console) -> None:
+    """Print nothing: the picture is all."""
 
 
 def _draw(

@@ -1,6 +1,8 @@
 """Predict a recording with a cup, and report how well it does."""
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.errors import BellowsError, require_pictures
@@ -9,7 +11,7 @@ from bellows_ros.report import print_replay
 from bellows_ros.workflows import plot, replay
 
 from . import options
-from .console import Console, NOT_USABLE, OK
+from .console import Console
 
 PERCENT = 100.0
 
@@ -32,14 +34,12 @@ def _check(arguments: argparse.Namespace, settings: Values) -> None:
             'topic with --observe, and --calibrate-alarms or --set measured.calibrate=true.')
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Replay, write, report."""
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Replay and write."""
     settings = options.read_settings(arguments, cup_for=console)
-
     _check(arguments, settings)
-    with console.progress() as progress:
-        result = replay.replay(
-            arguments.bag, settings, progress, arguments.observe, arguments.calibrate_alarms)
+    result = replay.replay(
+        arguments.bag, settings, console.progress, arguments.observe, arguments.calibrate_alarms)
     limit = MAX_NRMSE if arguments.limit is None else arguments.limit / PERCENT
     if result.observed and arguments.out:
         parameter_files.write_parameters(arguments.out, result.observed.parameters, [
@@ -48,23 +48,32 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         from bellows_ros.report.build import replay_report
 
         atomic.write_text(arguments.report, replay_report(result, arguments.params))
+    view = None
     if arguments.view is not None and result.live:
         from bellows_ros.plots.viewer import open_view, write_view
 
         shown = plot.with_bodies(result.values, result.recording, result.live)
         if arguments.view:
             write_view(arguments.view, shown, result.bag)
-    options.write_result(arguments.json, result.as_json(limit, arguments.params))
+        else:
+            view = partial(open_view, shown, result.bag)
+    failing = result.validation.failing(limit)
+    worse = failing if arguments.limit is not None else result.validation.worse_than_noise
+    return options.Outcome(
+        (result, limit, view), not worse,
+        ('Open it with:', f'  rerun {arguments.view}') if arguments.view else (),
+        content=result.as_json(limit, arguments.params) if arguments.json else {})
+
+
+def print_result(
+    shown: tuple[replay.Replay, float, Callable[[], None] | None], console: Console
+) -> None:
+    """Print the errors, with their limit, and how fast the prediction was; open the viewer."""
+    result, limit, view = shown
     print_replay(result, console, limit)
     if result.live:
         console.paragraph(
             f'The live prediction took {result.live.took:.2f} s, '
             f'{result.live.real_time_factor:.0f} times faster than real time.')
-    console.wrote(arguments.json, arguments.report, arguments.out)
-    if arguments.view:
-        console.wrote(arguments.view, then=('Open it with:', f'  rerun {arguments.view}'))
-    elif arguments.view is not None:
-        open_view(shown, result.bag)
-    failing = result.validation.failing(limit)
-    worse = failing if arguments.limit is not None else result.validation.worse_than_noise
-    return NOT_USABLE if worse else OK
+    if view:
+        view()

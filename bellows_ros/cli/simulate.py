@@ -9,21 +9,17 @@ from bellows_ros.report import many
 from bellows_ros.workflows.simulate import simulate_recording, SimulationReport
 
 from . import options
-from .console import Console, OK
+from .console import Console
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Simulate, write and report."""
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Simulate and write."""
     values = options.read_settings(arguments, cup_for=console)
     options.require_absent(arguments.out, arguments.force)
-    motion = load(arguments.motion)
-    with console.progress() as progress:
-        report = simulate_recording(
-            values, motion, arguments.out, progress, arguments.force, arguments.plan or '')
-    options.write_result(arguments.json, report)
-    print_result(report, console)
-    console.wrote(arguments.json)
-    return OK
+    report = simulate_recording(
+        values, load(arguments.motion), arguments.out, console.progress, arguments.force,
+        arguments.plan or '')
+    return options.Outcome(report)
 
 
 def print_result(report: SimulationReport, console: Console) -> None:

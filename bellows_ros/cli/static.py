@@ -16,26 +16,23 @@ from bellows_ros.workflows import static
 from bellows_ros.workflows.static import StaticBag, StaticResult
 
 from . import options
-from .console import Console, NOT_USABLE, OK
+from .console import Console
 
 MILLIMETRES, DEGREES = (1e3, 'mm', 'position'), (math.degrees(1.0), 'deg', 'rotation')
 """Factor from SI and name of a unit, and the standard error of a standstill in it."""
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Find, write, report."""
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Find and write."""
     settings = options.read_settings(arguments)
     bags = _bags(arguments, settings)
     options.require_named_outputs(arguments, [bag for bag, _ in bags])
-    with console.progress() as progress:
-        result = static.static_check(bags, settings, progress)
+    result = static.static_check(bags, settings, console.progress)
     if arguments.out:
         static.save_length(result, arguments.out)
-    options.write_result(
-        arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
-    print_result(result, console)
-    console.wrote(arguments.out, arguments.json)
-    return OK if result.spring is None or result.spring.passed else NOT_USABLE
+    return options.Outcome(
+        result, result.spring is None or result.spring.passed,
+        content={**result.as_json(), 'settings': settings, 'version': __version__})
 
 
 def _bags(arguments: argparse.Namespace, settings: Mapping[str, Value]) -> list[StaticBag]:

@@ -4,30 +4,33 @@ import argparse
 import math
 
 from bellows_ros.plots.animation import write_steering
+from bellows_ros.plots.style import FILMS
 from bellows_ros.report import formatted
 from bellows_ros.workflows import plan, steer
 
 from .console import Console
-from .options import run_plan_command
+from .options import Outcome, plan_settings, write_plot
 
 DEGREES = math.degrees(1.0)
 FILM_SPEED = 0.25
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Read, steer, write, report."""
-    def write(report: steer.SteerReport) -> None:
-        motion = report.motions[report.method]
+def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Steer and write."""
+    values = plan_settings(arguments, console, FILMS)
+    console.progress('planning')
+    report = steer.steer_plan(
+        arguments.plan, values, arguments.method, arguments.limits or '',
+        str(arguments.urdf or ''), arguments.topic)
+    motion = report.motions[report.method]
+    if arguments.out:
         plan.write_prediction(
             arguments.out, report.source, motion.tool, motion.prediction.states, arguments.force)
-
-    return run_plan_command(
-        arguments, console, lambda values, progress: steer.steer_plan(
-            arguments.plan, values, arguments.method, arguments.limits or '',
-            str(arguments.urdf or ''), arguments.topic),
-        print_result, write,
-        lambda report: write_steering(
-            arguments.plot, report, f'{arguments.plan}', FILM_SPEED))
+    if arguments.plot.lower().endswith(FILMS):
+        write_steering(arguments.plot, report, f'{arguments.plan}', FILM_SPEED)
+    else:
+        write_plot(arguments.plot, report)
+    return Outcome(report, inputs=[arguments.plan])
 
 
 def print_result(report: steer.SteerReport, console: Console) -> None:

@@ -10,21 +10,16 @@ from bellows_ros.workflows.identification import excitation_json, selection_json
 from bellows_ros.workflows.identify import StructureAdvice, structures
 
 from . import options
-from .console import Console, NOT_USABLE, OK
+from .console import Console
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Look, compare, report."""
+def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Look and compare."""
     settings: dict[str, Any] = options.read_settings(arguments, 'identifier')
     if arguments.bags:
         settings['bags'] = [str(bag) for bag in arguments.bags]
-
-    with console.progress() as progress:
-        result = structures(settings, progress)
-    options.write_result(arguments.json, result)
-    print_result(result, console)
-    console.wrote(arguments.json)
-    return OK if result.selection.fits else NOT_USABLE
+    result = structures(settings, console.progress)
+    return options.Outcome(result, bool(result.selection.fits))
 
 
 def print_result(result: StructureAdvice, console: Console) -> None:

@@ -11,23 +11,24 @@ from bellows_ros.workflows.toss import toss_plan, TossResult, write_toss
 import numpy as np
 
 from .console import Console
-from .options import run_plan_command
+from .options import Outcome, plan_settings, write_plot
 
 MILLI = 1e3
 MAX_TARGET = 100.0
 """Largest coordinate of a target, m."""
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Predict, write, report."""
+def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Predict and write."""
     _require_numbers(arguments)
-    return run_plan_command(
-        arguments, console, lambda values, progress: toss_plan(
-            arguments.plan, values, arguments.release, arguments.target,
-            arguments.target_rotation, arguments.monte_carlo, progress,
-            str(arguments.urdf or ''), arguments.topic),
-        print_result, lambda result: write_toss(arguments.out, result, arguments.force),
-        succeeded=lambda result: result.reached)
+    result = toss_plan(
+        arguments.plan, plan_settings(arguments, console), arguments.release, arguments.target,
+        arguments.target_rotation, arguments.monte_carlo, console.progress,
+        str(arguments.urdf or ''), arguments.topic)
+    if arguments.out:
+        write_toss(arguments.out, result, arguments.force)
+    write_plot(arguments.plot, result)
+    return Outcome(result, result.reached, inputs=[arguments.plan])
 
 
 def _require_numbers(arguments: argparse.Namespace) -> None:

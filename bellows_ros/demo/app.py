@@ -70,7 +70,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
         ) from None
     package, bag = parameter_files.read_parameters(bags / PACKAGE), bags / IDENTIFICATION
     console.line(f'1. Identify the cup from {bag}', 'bold')
-    with console.progress() as progress:
+    with console.progress as progress:
         result = identify.identify(
             resolve({**package, 'bags': [str(bag)]}, PACKAGE_PARAMETERS), progress)
     identification.save(result, out / 'cup.yaml', out / 'fit.json')
@@ -78,7 +78,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
     bag = bags / VALIDATION
     console.line(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)
-    with console.progress() as progress:
+    with console.progress as progress:
         exchange = _predict_live(bag, settings, [out / 'cup.yaml', bags / PACKAGE], out, progress)
     console.line('3. Compare its poses with the measured ones', 'bold')
     comparison = compare_recorded(

@@ -9,7 +9,6 @@ import re
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from bellows_ros import __version__
 from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.recording.conventions import reordered
@@ -90,7 +89,7 @@ class Conversion(NamedTuple):
         """Return the content of the JSON file."""
         bodies = [results.attributes(body, 'topic', 'source', 'poses', 'left_out')
                   for body in self.bodies]
-        return {**self._asdict(), 'bodies': bodies, 'version': __version__}
+        return {**self._asdict(), 'bodies': bodies}
 
 
 def bodies_in_files(

@@ -13,7 +13,6 @@ from operator import itemgetter
 import os
 from typing import Any, NamedTuple, TYPE_CHECKING
 
-from bellows_ros import __version__
 from bellows_ros.core.identification import causes, identifiability, methods
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
@@ -402,8 +401,7 @@ class StructureAdvice(NamedTuple):
             'structures': identification.selection_json(self.selection),
             'recordings': self.recordings,
             'warnings': self.warnings,
-            'settings': dict(self.values),
-            'version': __version__})
+            'settings': dict(self.values)})
 
 
 def structures(settings: Values, progress: Progress = no_progress) -> StructureAdvice:

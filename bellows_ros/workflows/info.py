@@ -14,7 +14,6 @@ import re
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from bellows_ros import __version__
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.identification.causes import finding_sentence, IN_DEGREES
@@ -192,7 +191,7 @@ class Info(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return results.with_units({**self._asdict(), 'valve': self.valve, 'version': __version__})
+        return results.with_units({**self._asdict(), 'valve': self.valve})
 
 
 def info(path: File, span: Values = MappingProxyType({})) -> Info:
