@@ -1,7 +1,7 @@
 """What the commands share: the order of their work, the settings, and checks of outputs."""
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 import importlib
 from itertools import permutations
@@ -53,10 +53,10 @@ class Outcome(NamedTuple):
     content: Mapping[str, Any] | None = None
 
 
-def run_command(name: str, arguments: argparse.Namespace, console: Console) -> int:
+def run_command(arguments: argparse.Namespace, console: Console) -> int:
     """Check the outputs, work, write --json, print, name what was written; return the code."""
     require_named_outputs(arguments)
-    command = importlib.import_module(f'{__package__}.{name}')
+    command = importlib.import_module(f'{__package__}.{arguments.command}')
     with console.progress:
         done: Outcome = command.run(arguments, console)
         if arguments.json:
@@ -195,9 +195,9 @@ def _parsed(kind: str, text: str) -> object:
     return text
 
 
-def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> None:
+def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] = ()) -> None:
     """
-    Refuse output that cannot be written or is an input, before any work; '' is none.
+    Check, before any work, every `Output` of a command line against every `Path` and other input.
 
     Raises
     ------
@@ -206,6 +206,11 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
         or lies in what is read, or what is no text is for stdout.
 
     """
+    named = [item for value in vars(arguments).values()
+             for item in (value if isinstance(value, list) else [value])]
+    outputs = [item for item in named if isinstance(item, Output)]
+    read: list[str | Path] = [*inputs, *(item for item in named if isinstance(item, Path))]
+    targets = list[Path]()
     files = [name for name in outputs if name not in ('', STDOUT)]
     to_stdout = [name for name in outputs if name == STDOUT]
     if any(isinstance(name, Binary) for name in to_stdout):
@@ -216,7 +221,6 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
         raise BellowsError(
             f"{len(to_stdout)} outputs are '{STDOUT}', stdout, which has room for one. Give the "
             'others names.')
-    read, targets = list(inputs), []
     for name in files:
         bag_folder.require_no_input(name, read)
         targets.append(Path(os.path.realpath(
@@ -227,12 +231,3 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
             raise BellowsError(
                 f"Two outputs have the same name, or one is in the other: '{target}'. Rename "
                 'one.')
-
-
-def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] = ()) -> None:
-    """Check every `Output` of a command line against every `Path` and other input."""
-    named = [item for value in vars(arguments).values()
-             for item in (value if isinstance(value, list) else [value])]
-    require_outputs(
-        [item for item in named if isinstance(item, Output)],
-        [*inputs, *(item for item in named if isinstance(item, Path))])

@@ -16,7 +16,7 @@ import sys
 import tempfile
 from typing import Any
 
-from bellows_ros.cli.app import command_parser, COMMANDS
+from bellows_ros.cli.app import COMMANDS, program_parser
 from bellows_ros.cli.arguments import PROGRAM
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
@@ -134,11 +134,12 @@ def commands() -> Iterator[str]:
                 'The work of the nodes from a shell, without ROS. Each command has `--help` with '
                 'examples; `eval "$(register-python-argcomplete bellows)"` completes commands, '
                 'options and parameters in the shell (extra `complete`).', '')
+    parsers = program_parser().commands
     for name, entry in COMMANDS.items():
         does = entry['does']
         yield from (f'## bellows {name}', '', f'{does[0].upper()}{does[1:]}.', '',
                     entry['text'], '')
-        rows = [_argument(action) for action in command_parser(name)._actions[1:]]  # not --help
+        rows = [_argument(action) for action in parsers[name]._actions[1:]]  # not --help
         if rows:
             yield from ('| argument | meaning |', '|---|---|', *rows, '')
         for example in entry['examples']:

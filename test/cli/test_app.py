@@ -58,7 +58,7 @@ for line in {lines!r}:
 
 
 @pytest.mark.parametrize(('arguments', 'named'), [
-    (['indentify'], "'indentify'.*'identify'"), (['xyz'], "'xyz'.* identify"),
+    (['indentify'], "'indentify'.*'identify'"), (['xyz'], "'xyz'.* 'identify'"),
     (['replay'], 'BAG'), (['simulate', '--out', 'x'], '--motion'),
     (['replay', 'bag', '--jsn', 'x'], "'--jsn'.*'--json'"),
     (['plot', 'path', 'bag', '--outt', 'x'], "'--outt'.*'--out'")])
