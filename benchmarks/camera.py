@@ -45,8 +45,9 @@ def run(short: bool) -> dict[str, Any]:
         for grip, more in (('', {}), (', gripped 10 mm beside', OFFSET_GRIP)):
             result = replay(Path(folder) / 'bag', parameters | more, observe=CAMERA_TOPIC).observed
             assert result is not None
-            counted = np.isfinite(result.both.error).all(axis=1)
-            counted &= result.both.stamps_ns > result.both.stamps_ns[0] + SETTLING_TIME * 1e9
+            both = result.estimates['both']
+            counted = np.isfinite(both.error).all(axis=1)
+            counted &= both.stamps_ns > both.stamps_ns[0] + SETTLING_TIME * 1e9
             errors |= {
                 name + (grip if name != 'camera alone' else ''): _rms(estimate.error[counted])
                 for name, estimate in result.estimates.items()}

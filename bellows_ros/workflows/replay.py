@@ -104,9 +104,10 @@ class Observed(NamedTuple):
     ----------
     topic : str
         Of the measured poses.
-    prediction, camera, both : residuals.Comparison
-        Predicted from the tool alone; the newest measured pose; predicted and corrected. Each
-        knows at any stamp what had been measured before it, and no more.
+    estimates : mapping of str to residuals.Comparison
+        'prediction alone', from the tool; 'camera alone', the newest measured pose; 'both', which
+        is predicted and corrected. Each knows at any stamp what had been measured before it, and
+        no more.
     counts : mapping of str to int
         Measured poses that were used, and those that were not, by reason.
     alarms : tuple of (float, Alarm)
@@ -123,9 +124,7 @@ class Observed(NamedTuple):
     """
 
     topic: str
-    prediction: residuals.Comparison
-    camera: residuals.Comparison
-    both: residuals.Comparison
+    estimates: Mapping[str, residuals.Comparison]
     counts: Mapping[str, int]
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None
@@ -173,12 +172,6 @@ class Observed(NamedTuple):
             f'{first:.2f} s, {cause}: {messages[cause]}' + (
                 f' Found {1 + len(later)} times until {later[-1]:.2f} s.' if later else '')
             for cause, (first, *later) in times.items()]
-
-    @property
-    def estimates(self) -> dict[str, residuals.Comparison]:
-        """Each estimate by its name."""
-        return {
-            'prediction alone': self.prediction, 'camera alone': self.camera, 'both': self.both}
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file: RMS errors in m and rad."""
@@ -556,8 +549,9 @@ def observed(
         run, values, float(np.ptp(stream.stamps_ns)) / NS_PER_S,
         stream.covariance is not None) if calibrate_alarms else None
     return Observed(
-        topic, prediction, residuals.compare(camera, tool, package),
-        residuals.compare_recorded(corrected, tool, package), counts,
+        topic, {'prediction alone': prediction,
+                'camera alone': residuals.compare(camera, tool, package),
+                'both': residuals.compare_recorded(corrected, tool, package)}, counts,
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm)
               for alarm in observer.alarms),
         observer.payload, observer.calibration, {

@@ -87,7 +87,8 @@ def test_motion_capture_is_as_good_as_the_prediction(root):
     found = replay(root / 'bags' / 'validation', settings, observe='/package/pose').observed
     assert found.alarms == ()
     assert found.counts['gate'] >= 4
-    assert np.all(found.both.scores.rms <= found.prediction.scores.rms * 1.01)
+    assert np.all(found.estimates['both'].scores.rms
+                  <= found.estimates['prediction alone'].scores.rms * 1.01)
 
 
 def seen_in(bag, recording, settings):
@@ -154,7 +155,7 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
         settings = resolve({**values, **changes})
         found = seen_in(tmp_path / name, load(tmp_path / name, settings), settings)
         assert found.counts['covariance'] == 1
-        return found.both.scores.rms
+        return found.estimates['both'].scores.rms
 
     known = np.repeat(NOISE, 3)
     even = seen('even', known, **{'measured.noise': (1.0, 1.0)})
