@@ -14,7 +14,6 @@ from .console import Console, WIDTH
 
 SECTION = 'ros__parameters:\n'
 INDENT = '    '
-EXAMPLE_LIST = "['recording']"
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
@@ -71,8 +70,7 @@ def template_with(required: list[Parameter], values: Values, header: Sequence[st
         lines += textwrap.wrap(
             parameter.description, 97, initial_indent=comment, subsequent_indent=comment)
         unit = f'  # {parameter.unit}' if parameter.unit else ''
-        quote = "'" if isinstance(parameter.default, str) else ''
-        example = f'{quote}{parameter.default}{quote}' if parameter.default else EXAMPLE_LIST
-        lines.append(f'{INDENT}#{parameter.name}: {parameter.example or example}{unit}')
+        example = parameter.example or parameter.default
+        lines.append(f'{INDENT}#{parameter.name}: {example}{unit}')
     to_fill_in = '\n'.join([*lines, '']) if required else ''
     return head + SECTION + to_fill_in + (body if values else '')
