@@ -22,7 +22,6 @@ from bellows_ros.core.identification.objective import (
     Ensemble,
     ensemble_of,
     extra_entries,
-    Objective,
     refine,
     ROUNDS,
     SLIPS,
@@ -179,7 +178,7 @@ def _two(alone: '_Ranking', best: '_Trial', ensemble: Ensemble, world: str) -> '
         previous, best = best, first.trials[0]
         if previous.key == best.key:
             one = alone.trials[0]
-            both = alone.objective.solved(ensemble.varied(*best.varied).varied(*other.varied))
+            both = alone.ensemble.varied(*best.varied).varied(*other.varied).solved()
             half = DISTINCT * min(DISTINCT * _floored(alone.before), _floored(one.solved))
             price = PRICE * (best.hypothesis.freed + other.hypothesis.freed) * _floored(both)
             is_clear = both.excess + price < min(
@@ -191,12 +190,11 @@ def _two(alone: '_Ranking', best: '_Trial', ensemble: Ensemble, world: str) -> '
 
 
 class _Ranking(NamedTuple):
-    """What is left as it was given, and by the hypotheses, the best first."""
+    """Weighted recordings, what is left of them, and by the hypotheses, the best first."""
 
+    ensemble: Ensemble
     before: Solved
     trials: 'list[_Trial]'
-    structure: Structure
-    objective: Objective
 
     @property
     def is_explained(self) -> bool:
@@ -220,33 +218,31 @@ def _ranking(
     near: '_Trial | None' = None,
 ) -> _Ranking:
     """Return the trials of all hypotheses but one that is corrected, one from where it was."""
-    structure = ensemble.given[0].structure
-    objective = Objective.of(ensemble, corrected is not None)
-    before = objective.solved(ensemble)
-    quiet = Ensemble(ensemble.given, ())
-    level = objective.solved(quiet).excess - before.excess
+    ensemble = ensemble.weighted(corrected is not None)
+    before, quiet = ensemble.solved(), ensemble._replace(noise_draws=())
+    level = quiet.solved().excess - before.excess
     # Where noise explains what is left, causes are small: start at zero, but for a slip's time.
     is_explained = before.excess < _noise_floor(before)
     starts = {near.key: near.theta} if near else {}
     trials = _ranked(
-        _fitted(h, objective, quiet, starts.get((h.name, h.value), (
+        _fitted(h, quiet, starts.get((h.name, h.value), (
             np.zeros(h.freed) if is_explained and h.name != 'slip' else None)),
             1 if is_explained else QUICK_ROUNDS, level)
         for h in variations.hypotheses(ensemble.given, world)
         if corrected is None or h.name != corrected.name and (h.datum or corrected.datum))
     if not trials or is_explained:
         trials = _ranked(
-            _fitted(trial.hypothesis, objective, ensemble, trial.theta)
+            _fitted(trial.hypothesis, ensemble, trial.theta)
             for trial in trials if _score(trial) < before.excess and _is_above_noise(before))
         trials.sort(key=lambda trial: not trial.is_significant)
-        return _Ranking(before, trials, structure, objective)
+        return _Ranking(ensemble, before, trials)
     # With weights as they are where the best of them is true.
-    objective = Objective.of(ensemble.varied(*trials[0].varied), sound=True)
-    return _Ranking(objective.solved(ensemble), _ranked(
-        _fitted(trial.hypothesis, objective, ensemble, trial.theta)
+    sound = ensemble.varied(*trials[0].varied).weighted(sound=True)
+    ensemble = ensemble._replace(weight=sound.weight)
+    return _Ranking(ensemble, ensemble.solved(), _ranked(
+        _fitted(trial.hypothesis, ensemble, trial.theta)
         for number, trial in enumerate(trials[:MAX_REFITTED])
-        if number < MAX_FINDINGS or DISTINCT**3 * _score(trial) < _floored(trials[0].solved)),
-        structure, objective)
+        if number < MAX_FINDINGS or DISTINCT**3 * _score(trial) < _floored(trials[0].solved)))
 
 
 class _Trial(NamedTuple):
@@ -276,8 +272,8 @@ class _Trial(NamedTuple):
 
 
 def _fitted(
-    hypothesis: Hypothesis, objective: Objective, ensemble: Ensemble, start: Array | None = None,
-    rounds: int = 0, level: float = 0.0,
+    hypothesis: Hypothesis, ensemble: Ensemble, start: Array | None, rounds: int = 0,
+    level: float = 0.0,
 ) -> _Trial:
     """
     Return a hypothesis with the numbers that explain most, less a level of noise.
@@ -288,12 +284,11 @@ def _fitted(
     given, is_physical = ensemble.given[0], True
     theta = std = causes.NONE
     if hypothesis.steps:
-        theta, covariance, solved = refine(
-            objective, ensemble, hypothesis, start, rounds or ROUNDS)
+        theta, covariance, solved = refine(ensemble, hypothesis, start, rounds or ROUNDS)
         std = np.sqrt(np.diag(covariance))
         is_physical = _is_within(hypothesis.name, theta, given)
     else:
-        solved = objective.solved(ensemble.varied(hypothesis.variation, theta))
+        solved = ensemble.varied(hypothesis.variation, theta).solved()
     if hypothesis in CUP_EFFECTS:
         theta, std, is_physical = _cup_effect(hypothesis.name, solved, given.structure)
     is_physical &= bool(rounds) or _is_above_noise(solved)
@@ -376,7 +371,8 @@ def _score(trial: _Trial) -> float:
 
 def _finding(trial: _Trial, ranking: _Ranking, identifiable: Sequence[str]) -> Finding:
     """Return what is reported of a hypothesis."""
-    before, trials, structure, _ = ranking
+    ensemble, before, trials = ranking
+    structure = ensemble.given[0].structure
     labels = identifiable or structure.labels
     hypothesis, theta, std, *_ = trial
     value = hypothesis.value

@@ -69,6 +69,9 @@ MIN_SINGULAR_VALUE = 1e-7
 """Singular values below this fraction of the largest count as zero."""
 
 
+UNWEIGHTED = np.ones(6)
+
+
 class Ensemble(NamedTuple):
     """
     Recordings, and the same with noise once more.
@@ -79,16 +82,74 @@ class Ensemble(NamedTuple):
         Of each recording.
     noise_draws : tuple of tuple of Given
         For each draw the same with noise added.
+    weight : ndarray (6,)
+        One over the standard deviation of each component of a mean's residual.
 
     """
 
     given: tuple[Given, ...]
     noise_draws: tuple[tuple[Given, ...], ...]
+    weight: Array = UNWEIGHTED
 
     def varied(self, variation: Variation, theta: Array) -> 'Ensemble':
         """Return them with what was given varied by some numbers."""
-        return Ensemble(tuple(variation(recording, theta) for recording in self.given), tuple(
-            tuple(variation(recording, theta) for recording in draw) for draw in self.noise_draws))
+        given, *draws = (tuple(variation(recording, theta) for recording in run)
+                         for run in (self.given, *self.noise_draws))
+        return Ensemble(given, tuple(draws), self.weight)
+
+    def weighted(self, sound: bool = False) -> 'Ensemble':
+        """
+        Return them with weights that come from noise, and a small part of the wrench.
+
+        Noise in the cup's wrench grows with K and P. These may be absurd where what was given is
+        wrong; unless it is sound, they count up to a multiple of those of the thesis' cup.
+        """
+        parts = [equations(given) for given in self.given]
+        wrench = np.concatenate([clean[:, :, -1] for clean in parts])
+        structure = self.given[0].structure
+        spread = np.diag(regularised(Moments.of(wrench).covariance(structure)))
+        x = self._replace(weight=1.0 / np.sqrt(spread)).solved().x
+        if not sound:
+            limit = MAX_CUP_FACTOR * structure.parameters(
+                np.diag(THESIS_STIFFNESS), np.diag(THESIS_DAMPING))
+            x = np.clip(x[:len(limit)], -limit, limit)
+        noise = np.zeros(6)
+        for draw in self.noise_draws:
+            added = np.concatenate(
+                [equations(n) - clean for n, clean in zip(draw, parts, strict=True)])
+            noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(self.noise_draws)
+        return self._replace(weight=1.0 / np.sqrt(noise + MODEL_ERROR**2 * spread))
+
+    def _rows(self, given: Sequence[Given]) -> Array:
+        """Return the weighted rows [A b] (N, p + 1) of recordings."""
+        rows = np.concatenate([equations(recording) for recording in given]) * self.weight[:, None]
+        return rows.reshape(-1, rows.shape[2])
+
+    def solved(self) -> 'Solved':
+        """
+        Return the compensated least-squares solution, and its residual.
+
+        That is what noise does not explain, in wrenches weighted by what is expected of them.
+        """
+        rows = self._rows(self.given)
+        scale = np.linalg.norm(rows, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        full = rows / scale
+        noise = np.zeros((full.shape[1],) * 2)
+        for draw in self.noise_draws:
+            added = self._rows(draw) / scale - full
+            noise += added.T @ added / len(self.noise_draws)
+        U, s, Vt = np.linalg.svd(full[:, :-1], full_matrices=False)
+        determined = s > MIN_SINGULAR_VALUE * s[0]
+        root = Vt[determined].T / s[determined]
+        share, V = np.linalg.eigh(root.T @ noise[:-1, :-1] @ root)
+        root = root @ V / np.sqrt(np.maximum(1.0 - share, MIN_SIGNAL_SHARE))
+        slope = root.T @ (full[:, :-1].T @ full[:, -1] - noise[:-1, -1])
+        remaining = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
+        x = root @ slope / scale[:-1] * scale[-1]
+        root = root / scale[:-1, None]
+        excess = remaining * scale[-1] ** 2 / len(rows)
+        return Solved(rows, x, excess, U[:, determined], root @ root.T)
 
 
 def ensemble_of(
@@ -215,72 +276,6 @@ def _slider_displacements(given: Given) -> Array:
     return np.concatenate([filtered(z, W, index) for z in ends])
 
 
-class Objective(NamedTuple):
-    """
-    What noise does not explain, in wrenches weighted by what is expected of them.
-
-    Parameters
-    ----------
-    weight : ndarray (6,)
-        One over the standard deviation of each component of a mean's residual.
-
-    """
-
-    weight: Array
-
-    @classmethod
-    def of(cls, ensemble: Ensemble, sound: bool = False) -> 'Objective':
-        """
-        Return the objective whose weights come from noise, and a small part of the wrench.
-
-        Noise in the cup's wrench grows with K and P. These may be absurd where what was given is
-        wrong; unless it is sound, they count up to a multiple of those of the thesis' cup.
-        """
-        parts = [equations(given) for given in ensemble.given]
-        wrench = np.concatenate([clean[:, :, -1] for clean in parts])
-        structure = ensemble.given[0].structure
-        spread = np.diag(regularised(Moments.of(wrench).covariance(structure)))
-        first = cls(1.0 / np.sqrt(spread))
-        x = first.solved(ensemble).x
-        if not sound:
-            limit = MAX_CUP_FACTOR * structure.parameters(
-                np.diag(THESIS_STIFFNESS), np.diag(THESIS_DAMPING))
-            x = np.clip(x[:len(limit)], -limit, limit)
-        noise = np.zeros(6)
-        for draw in ensemble.noise_draws:
-            added = np.concatenate(
-                [equations(n) - clean for n, clean in zip(draw, parts, strict=True)])
-            noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(ensemble.noise_draws)
-        return cls(1.0 / np.sqrt(noise + MODEL_ERROR**2 * spread))
-
-    def rows(self, given: Sequence[Given]) -> Array:
-        """Return the weighted rows [A b] (N, p + 1) of recordings."""
-        rows = np.concatenate([equations(recording) for recording in given]) * self.weight[:, None]
-        return rows.reshape(-1, rows.shape[2])
-
-    def solved(self, ensemble: Ensemble) -> 'Solved':
-        """Return the compensated least-squares solution, and its residual."""
-        rows = self.rows(ensemble.given)
-        scale = np.linalg.norm(rows, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        full = rows / scale
-        noise = np.zeros((full.shape[1],) * 2)
-        for draw in ensemble.noise_draws:
-            added = self.rows(draw) / scale - full
-            noise += added.T @ added / len(ensemble.noise_draws)
-        U, s, Vt = np.linalg.svd(full[:, :-1], full_matrices=False)
-        determined = s > MIN_SINGULAR_VALUE * s[0]
-        root = Vt[determined].T / s[determined]
-        share, V = np.linalg.eigh(root.T @ noise[:-1, :-1] @ root)
-        root = root @ V / np.sqrt(np.maximum(1.0 - share, MIN_SIGNAL_SHARE))
-        slope = root.T @ (full[:, :-1].T @ full[:, -1] - noise[:-1, -1])
-        remaining = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
-        x = root @ slope / scale[:-1] * scale[-1]
-        root = root / scale[:-1, None]
-        excess = remaining * scale[-1] ** 2 / len(rows)
-        return Solved(rows, x, excess, U[:, determined], root @ root.T)
-
-
 class Solved(NamedTuple):
     """
     The rows [A b], the cup x (p,), mean squared residual beyond noise, a basis of A.
@@ -303,31 +298,23 @@ class Solved(NamedTuple):
     def covariance(self) -> Array:
         """Covariance (p, p) of x, that of what is not identifiable finite: 0 times it is 0."""
         return np.nan_to_num(
-            covariance_of(self, self.rows[:, :-1], self.inverse), posinf=UNIDENTIFIABLE_VARIANCE)
+            self.covariance_of(self.rows[:, :-1], self.inverse), posinf=UNIDENTIFIABLE_VARIANCE)
+
+    def covariance_of(self, D: Array, inverse: Array) -> Array:
+        """
+        Return the covariance that allows for residuals that hang together in clusters.
+
+        Of columns D that have noise, with the inverse of the information that is of motion alone.
+        """
+        unknown = np.isinf(np.diag(result.covariance_of(D.T @ D)))
+        scores = np.add.reduceat(
+            D * (self.rows @ np.append(self.x, -1.0))[:, None],
+            range(0, len(D), 6 * CLUSTER_AVERAGES))
+        return result.with_unidentifiable(inverse @ scores.T @ scores @ inverse, unknown)
 
 
 UNIDENTIFIABLE_VARIANCE = 1e200
 """Variance of what is not identifiable."""
-
-
-def covariance_of(solved: Solved, D: Array, of_motion: Array | None = None) -> Array:
-    """
-    Return the covariance that allows for residuals that hang together in clusters.
-
-    Of columns D that have noise, with the inverse of the information that is of motion alone.
-    """
-    unknown = np.isinf(np.diag(result.covariance_of(D.T @ D)))
-    inverse = _pseudo_inverse(D) if of_motion is None else of_motion
-    scores = np.add.reduceat(
-        D * (solved.rows @ np.append(solved.x, -1.0))[:, None],
-        range(0, len(D), 6 * CLUSTER_AVERAGES))
-    return result.with_unidentifiable(inverse @ scores.T @ scores @ inverse, unknown)
-
-
-def _pseudo_inverse(D: Array) -> Array:
-    """Return the inverse (n, n) of the information of columns D, as far as it goes."""
-    return result.inverse_of(D.T @ D, np.full(D.shape[1], True))
-
 
 ROUNDS, HALVINGS = 12, 5
 
@@ -335,40 +322,32 @@ CONVERGED = 0.05
 """Converged when a step is shorter than this fraction of the standard error."""
 
 
-class Refined(NamedTuple):
-    """Numbers (n,), their covariance (n, n), infinite where not identifiable, and what is left."""
-
-    theta: Array
-    covariance: Array
-    solved: Solved
-
-
 def refine(
-    objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis, start: Array | None = None,
-    rounds: int = ROUNDS,
-) -> Refined:
+    ensemble: Ensemble, hypothesis: Hypothesis, start: Array | None, rounds: int
+) -> tuple[Array, Array, Solved]:
     """
-    Return the numbers of a hypothesis with which noise explains most.
+    Return the numbers (n,) of a hypothesis with which noise explains most, and what is left.
 
-    The search begins at a start. Without one it begins at 0 and at the best of its starts, and
-    the better minimum is returned. Where K is far too small, steps are too long: they are halved
-    as long as less is left.
+    With their covariance (n, n), infinite where not identifiable. The search begins at a start.
+    Without one it begins at 0 and at the best of its starts, and the better minimum is returned.
+    Where K is far too small, steps are too long: they are halved as long as less is left.
     """
     steps = np.array(hypothesis.steps)
 
     def at(theta: Array) -> Solved:
         """Return the residuals at given unknowns."""
-        return objective.solved(ensemble.varied(hypothesis.variation, theta))
+        return ensemble.varied(hypothesis.variation, theta).solved()
 
     if start is None:
-        near = _best_start(objective, ensemble, hypothesis)
+        near = _best_start(ensemble, hypothesis)
         starts = [near, np.zeros_like(near)] if near.any() else [near]
-        return min((refine(objective, ensemble, hypothesis, begin, rounds) for begin in starts),
-                   key=lambda refined: refined.solved.excess)
+        return min((refine(ensemble, hypothesis, begin, rounds) for begin in starts),
+                   key=lambda refined: refined[2].excess)
     theta, current = start, at(start)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, current, steps)
-        step = -_pseudo_inverse(D) @ gradient
+        inverse = result.inverse_of(D.T @ D, np.full(D.shape[1], True))
+        step = -inverse @ gradient
         largest = hypothesis.furthest * steps
         step *= min(1.0, float(np.min(largest / np.maximum(np.abs(step), 1e-300))))
         best, accepted = current, np.zeros_like(step)
@@ -378,18 +357,17 @@ def refine(
                 best, accepted = further, shorter
             elif best is not current:
                 break
-        theta, current, covariance = theta + accepted, best, covariance_of(best, D)
+        theta, current, covariance = theta + accepted, best, best.covariance_of(D, inverse)
         if np.all(np.abs(accepted) <= CONVERGED * np.sqrt(np.diag(covariance))):
             break
-    return Refined(theta, covariance, current)
+    return theta, covariance, current
 
 
-def _best_start(objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis) -> Array:
+def _best_start(ensemble: Ensemble, hypothesis: Hypothesis) -> Array:
     """Return the numbers among the starts of a hypothesis that explain most, 0 without any."""
-    quiet = Ensemble(ensemble.given, ())
+    quiet = ensemble._replace(noise_draws=())
     starts = [np.zeros(len(hypothesis.steps)), *hypothesis.starts(ensemble.given[0])]
-    return min(starts, key=lambda theta: objective.solved(
-        quiet.varied(hypothesis.variation, theta)).excess)
+    return min(starts, key=lambda theta: quiet.varied(hypothesis.variation, theta).solved().excess)
 
 
 def _derivatives(
