@@ -251,15 +251,12 @@ def _polynomial(measured: Array, degree: int) -> tuple[Array, float, float, int]
     infinite where no others are left.
     """
     loads, lengths, errors = measured.T
-    largest = float(loads.max())
-    powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
-    x, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
+    x, covariance = np.polyfit(loads, lengths, degree, w=1.0 / errors, cov='unscaled')
     is_tested = _groups(loads).max() > degree
     degrees_of_freedom = len(loads) - degree - 1 if is_tested else 0
-    chi2 = float(np.sum((lengths / errors - powers @ x) ** 2))
+    chi2 = float(np.sum(((lengths - np.polyval(x, loads)) / errors) ** 2))
     scatter = max(chi2 / degrees_of_freedom, 1.0) if degrees_of_freedom else np.inf
-    variance = scatter * float(np.linalg.inv(powers.T @ powers)[0, 0])
-    return x / largest ** np.arange(degree + 1), float(np.sqrt(variance)), chi2, degrees_of_freedom
+    return x[::-1], float(np.sqrt(scatter * covariance[-1, -1])), chi2, degrees_of_freedom
 
 
 def _linear_range(coefficients: Array, largest: float) -> float:
