@@ -6,7 +6,7 @@ package. The tool is smoothed lightly, as its noise drives the package, and what
 bodies does to the comparison is simulated too: an error beyond that is the model's.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -208,7 +208,7 @@ class Validation(residuals.Comparison):
 
 def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> Validation:
     """
-    Simulate a recording from start to end, and compare it with the measurement.
+    Simulate a recording from start to end, and compare it, at the rate of the tool.
 
     Parameters
     ----------
@@ -226,13 +226,6 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
         not stay finite.
 
     """
-    numbers = tuple(np.asarray(getattr(cup, each.name)).tobytes() for each in fields(cup))
-    return recording.cached(('validated', numbers, max_samples),
-                            lambda: _validated(cup, recording, max_samples))
-
-
-def _validated(cup: Cup, recording: Recording, max_samples: int | None) -> Validation:
-    """Return the comparison with the free simulation, at the rate of the tool."""
     poses, gravity = recording.aligned_tool, recording.settings.gravity
     first, last = recording.measured_tool.stamps_ns[[0, -1]]
     poses = poses.select(slice(max(int(np.searchsorted(poses.stamps_ns, first, 'right')) - 1, 0),
