@@ -62,7 +62,7 @@ class Axis(NamedTuple):
     band_hz : (float, float)
         Frequencies between which 90 % of the velocity's power lies; nan where nothing moves.
     strain_noise, twist_noise : float
-        Standard deviation of the noise in them after filtering; nan where it is not given.
+        Standard deviation of the noise in them after filtering.
 
     """
 
@@ -177,8 +177,6 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
         Of each recording.
 
     """
-    if not passed:
-        return
     too_much = (np.sum([band.removed for band in passed], axis=0)
                 > np.sum([band.limit for band in passed], axis=0))
     first = min(passed, key=lambda band: band.end_hz)
@@ -276,8 +274,7 @@ def excitation_of(
     pairs = tuple(_correlated(
         with_unidentifiable(covariance, ~identifiable) / np.outer(std, std), structure.labels))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
-    passed = [movement.passed for movement in movements if movement.passed]
-    fast = too_fast(axes, passed) if is_filtered else ()
+    fast = too_fast(axes, [movement.passed for movement in movements]) if is_filtered else ()
     rank = int(np.count_nonzero(identifiable)) if fit else solved.rank
     return Excitation(
         structure.name, axes, parameters, rank, len(values), solved.condition_number, pairs,

@@ -266,11 +266,11 @@ class Movement(NamedTuple):
     strain, twist : Moments
         Of its displacement from nominal (m, rad) and of its twist (m/s, rad/s).
     strain_noise, twist_noise : Moments
-        Of the noise in them; of nothing without noise.
+        Of the noise in them.
     bands_hz : ndarray (2, 6)
         Frequencies between which most of the twist's power lies; nan where nothing moves.
-    passed : PassBand or None
-        What the filter leaves of the twist; None without its noise.
+    passed : PassBand
+        What the filter leaves of the twist.
 
     """
 
@@ -279,12 +279,10 @@ class Movement(NamedTuple):
     strain_noise: Moments
     twist_noise: Moments
     bands_hz: Array
-    passed: PassBand | None
+    passed: PassBand
 
 
-def movement_of(
-    samples: Samples, cup_length: float, noise: FilterNoise | None = None
-) -> Movement:
+def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Movement:
     """
     Return how the lip moved in a recording.
 
@@ -294,8 +292,8 @@ def movement_of(
         Of the recording.
     cup_length : float
         Nominal length l0, m.
-    noise : FilterNoise, optional
-        Of the recording; without it the effect of noise is not estimated.
+    noise : FilterNoise
+        Of the recording.
 
     Raises
     ------
@@ -304,15 +302,14 @@ def movement_of(
 
     """
     thinned = samples.thinned(NOISE_SAMPLES)
-    motion = np.array([thinned.lip.displacement(cup_length), thinned.lip.twist])
-    noise_motion, passed = np.empty((2, 0, 6)), None
-    if noise is not None:
-        noisy = with_noise(thinned, noise, np.random.default_rng(SEED)).lip
-        noise_motion = np.array([noisy.displacement(cup_length), noisy.twist]) - motion
-        passed = PassBand.of(samples, noise, noise_motion[1].std(axis=0))
+    noisy = with_noise(thinned, noise, np.random.default_rng(SEED)).lip
+    motion, moved = (np.array([lip.displacement(cup_length), lip.twist])
+                     for lip in (thinned.lip, noisy))
+    added = moved - motion
     return Movement(
-        Moments.of(motion[0]), Moments.of(motion[1]), Moments.of(noise_motion[0]),
-        Moments.of(noise_motion[1]), np.array(samples.twist_spectrum.band(BAND)), passed)
+        Moments.of(motion[0]), Moments.of(motion[1]), Moments.of(added[0]), Moments.of(added[1]),
+        np.array(samples.twist_spectrum.band(BAND)),
+        PassBand.of(samples, noise, added[1].std(axis=0)))
 
 
 class ReducedRecording(NamedTuple):

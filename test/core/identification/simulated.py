@@ -102,13 +102,12 @@ def without(fit, labels):
     return replace(fit, covariance=result.with_unidentifiable(fit.covariance, unknown))
 
 
-def excitation(recordings, cup_length, structure, noises=()):
-    """Return what samples can tell, with their noises where they are known."""
-    known = noises or [None] * len(recordings)
+def excitation(recordings, cup_length, structure, noises, method='least_squares'):
+    """Return what samples with their noises can tell."""
     return excitation_of([SimpleNamespace(
         statistics=statistics(samples, cup_length, structure, noise),
         movement=movement_of(samples, cup_length, noise))
-        for samples, noise in zip(recordings, known, strict=True)])
+        for samples, noise in zip(recordings, noises, strict=True)], method)
 
 
 def wrench_covariance(samples, structure):

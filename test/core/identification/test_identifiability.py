@@ -17,11 +17,10 @@ ROUND, FULL = STRUCTURES['axisymmetric'], STRUCTURES['full']
 L0 = simulated.CUP.length
 
 
-def described(recording, structure=ROUND, noisy=True):
+def described(recording, structure=ROUND):
     """Return samples of a recording and what they tell."""
     samples = samples_of(recording)
-    noises = [recording.noise] if noisy else ()
-    return samples, simulated.excitation([samples], L0, structure, noises)
+    return samples, simulated.excitation([samples], L0, structure, [recording.noise])
 
 
 @pytest.fixture(scope='module')
@@ -99,7 +98,7 @@ def test_pairs_are_those_of_the_covariance(name, axes):
     """Compare with the inverse of the normal equations, made from all rows."""
     structure = STRUCTURES[name]
     recording = simulated.record(simulated.shake(axes=axes, duration=6.0))
-    samples, found = described(recording, structure, noisy=False)
+    samples, found = described(recording, structure)
     assert found.rank == found.size
     whitening = whitening_of(simulated.wrench_covariance(samples, structure))
     A = simulated.whitened_rows(samples, L0, structure, whitening)[:, :-1]
