@@ -189,12 +189,6 @@ def _fact(name: str, sentence: str) -> Finding:
     return Finding(name, '', is_fact=True, sentence=sentence)
 
 
-def require_hanging(recording: Recording) -> None:
-    """Refuse a recording whose package is mostly not below the tool, by what is the cause."""
-    if wrong := misread(recording):
-        raise BellowsError(wrong.sentence)
-
-
 def misread(recording: Recording) -> Finding | None:
     """
     Return why a package is mostly not below the tool, None where it is.

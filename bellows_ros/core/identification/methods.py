@@ -182,7 +182,8 @@ def fitted(
 def _report(progress: Progress, iteration: Iteration) -> None:
     """Report a step of a fit."""
     step = iteration.number + 1
-    K, P = _diagonal(iteration.stiffness, 4), _diagonal(iteration.damping, 3)
+    K, P = (' '.join(f'{x:.3g}' for x in np.diag(matrix))
+            for matrix in (iteration.stiffness, iteration.damping))
     progress(f'step {step}: chi^2 {iteration.chi2:.4g}; K {K}, P {P}',
              step / (step + TYPICAL_STEPS))
 
@@ -302,10 +303,3 @@ def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
             (result.stiffness, result.stiffness_std, given.stiffness),
             (result.damping, result.damping_std, given.damping)))
     return Cup(stiffness, damping, given.length, given.relaxation)
-
-
-def _diagonal(matrix: Array, digits: int) -> str:
-    """Return the numbers on a diagonal, of lateral directions that are tied only one."""
-    numbers = np.diag(matrix)
-    tied = numbers[0] == numbers[1] and numbers[3] == numbers[4]
-    return ' '.join(f'{x:.{digits}g}' for x in (numbers[[0, 2, 3, 5]] if tied else numbers))

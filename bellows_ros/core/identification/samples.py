@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
-from bellows_ros.core.identification.causes import require_hanging
+from bellows_ros.core.identification.causes import misread
 from bellows_ros.core.model.cup_package import Package, regressor
 from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
 from bellows_ros.core.recording.recording import FilterNoise, Recording
@@ -266,7 +266,8 @@ def samples_of(recording: Recording) -> Samples:
         If the package is not on that side of the tool where the cup is.
 
     """
-    require_hanging(recording)
+    if wrong := misread(recording):
+        raise BellowsError(wrong.sentence)
     return filtered_samples(recording)
 
 
@@ -286,8 +287,7 @@ def lip_relative(
 
     `kernels.lip_relative_to_tool` for arrays: S_v_ES = X(S_H_B) B_v_AB - X(E_H_S)^-1 E_v_AE.
     """
-    if tool.twist is None or package.twist is None:
-        raise BellowsError('Tool and package need twists; filter the recording first.')
+    assert tool.twist is not None and package.twist is not None  # filtered
     com = np.asarray(com, dtype=float)
     R_E_A = np.swapaxes(tool.rotation, 1, 2)
     R_E_S = R_E_A @ package.rotation
@@ -306,8 +306,7 @@ def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> A
     c = X(S_H_B)^-T (M dv + v x* M v - f_g) in lip axes; gravity is its size along -z of the
     world, or the vector (3,) there, m/s^2.
     """
-    if motion.twist is None or motion.acceleration is None:
-        raise BellowsError('The package needs twists and accelerations; filter the recording.')
+    assert motion.twist is not None and motion.acceleration is not None  # filtered
     g = np.asarray(gravity, dtype=float)
     g = np.array([0.0, 0.0, -float(g)]) if g.ndim == 0 else g
     v, w = motion.twist[:, :3], motion.twist[:, 3:]
