@@ -254,7 +254,8 @@ class FitVerdict(NamedTuple):
                 {**finding._asdict(), 'material': finding.material,
                  'setting': causes.setting_of(finding),
                  'sentence': causes.finding_sentence(finding, self.given),
-                 'units': dict.fromkeys(('theta', 'std'), causes.CAUSES[finding.name].units)}
+                 'units': dict.fromkeys(
+                     ('theta', 'std'), causes.CAUSES[finding.name].get('units', '1'))}
                 for finding in (*self.diagnosis.findings, *self.diagnosis.besides)],
             'besides': len(self.diagnosis.besides)}
 

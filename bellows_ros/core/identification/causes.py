@@ -1,21 +1,22 @@
 """
 What may be wrong with a recording, or with what was given with it: one list of causes.
 
-Each cause has a name, the parameter to change, and a sentence with a remedy. `FACTS` are seen in a
-recording without any fit, and corrected in it. What is left is tried by wrenches (`hypotheses`),
-and by simulation (`given`): all of them end in a `Finding`.
+Each cause has a name, the parameter to change, and a sentence with a remedy, in `causes.toml`.
+Some are seen in a recording without any fit, and corrected in it. What is left is tried by
+wrenches (`hypotheses`), and by simulation (`given`): all of them end in a `Finding`.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 import json
 from operator import attrgetter
+from pathlib import Path
+import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
-from bellows_ros.core.identification.result import POSE_UNITS
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
@@ -40,6 +41,12 @@ of it is asked where it must explain nearly all, and of what the cup may be besi
 
 DOUBTED = 1.0
 """Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
+
+WORDS = tomllib.loads(Path(__file__).with_name('causes.toml').read_text())
+CAUSES: Mapping[str, Any] = WORDS['causes']
+"""All causes by name. The numbers of those in fit.free are `quantities.KINDS`."""
+
+MISREAD: Mapping[str, str] = WORDS['misread']
 
 NONE = np.empty(0)
 
@@ -174,7 +181,8 @@ def _corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
                 one.name != fact.name for fact in facts)]
             facts += new
             for one in new:
-                recording = CAUSES[one.name].corrected(recording, one)
+                if one.name in CORRECTIONS:
+                    recording = CORRECTIONS[one.name](recording, one)
         except BellowsError as error:
             if not facts:
                 raise
@@ -206,6 +214,7 @@ def _misread(recording: Recording) -> Finding | None:
     """Return the same."""
     some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
     streams = recording.tool_pose, recording.package_pose
+    names = {'tool': streams[0].name, 'package': streams[1].name}
     if not len(some):
         return None
     tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
@@ -218,38 +227,23 @@ def _misread(recording: Recording) -> Finding | None:
         return _fact('recording', wrong)
     recorded = lip if recording.settings.package_frame == 'lip' else centre
     if float(np.median(np.linalg.norm(recorded, axis=1))) < MAX_BODY_DISTANCE:
-        raise BellowsError(
-            f"topics.tool_pose ('{streams[0].name}') and topics.package_pose "
-            f"('{streams[1].name}') are poses of one body. Name that of the package; "
-            "'bellows info BAG' lists the topics.")
+        raise BellowsError(MISREAD['one_body'].format(**names))
     if away <= conventions.MAX_DISTANCE and above <= 0.0:
         return None
     if apart := _two_worlds(recording, tool, package, lip):
         return _fact('package_world', apart)
     if away > conventions.MAX_DISTANCE:
-        raise BellowsError(
-            f"The poses of '{streams[0].name}' and '{streams[1].name}' use different worlds: the "
-            f'lip of the cup is {away:.3g} m from the tool tip. Set recording.package_world.')
-    below = -float(np.median(centre[:, 2]))
-    upward = float(np.median(in_world[:, 2]))
-    other = float(np.median(apply(alignment.R_WORLD_MOTIVE, in_world)[:, 2]))  # its own inverse
+        raise BellowsError(MISREAD['apart'].format(**names, away=away))
+    below, upward, other = (1e3 * float(np.median(offset[:, 2])) for offset in (
+        -centre, in_world, apply(alignment.R_WORLD_MOTIVE, in_world)))  # its own inverse
+    above *= 1e3
     if recording.settings.package_frame == 'com' and below > 0.0:
-        return _fact('recording.package_frame', (
-            f'The package is tracked {1e3 * below:.0f} mm below the tool tip, but the lip of the '
-            f'cup would be {1e3 * above:.0f} mm above it. If the poses are those of the lip, set '
-            'recording.package_frame: lip; else check package.com.'))
+        return _fact('recording.package_frame', MISREAD['lip'].format(below=below, above=above))
     if upward > 0.0 or other > -upward:
-        where = 'the world' if upward > other else 'that of the other recording.world'
-        return _fact('topics', (
-            'topics.tool_pose and topics.package_pose are exchanged: the lip of the cup would be '
-            f'{1e3 * above:.0f} mm above the tool tip in tool axes, and '
-            f'{1e3 * max(upward, other):.0f} mm in {where}. Exchange the two; if they are right, '
-            'check recording.world.'))
-    raise BellowsError(
-        'z of the tool points the wrong way: it must point from the cup back into the arm. In '
-        f'tool axes the lip of the cup is {1e3 * above:.0f} mm above the tool tip, in the world '
-        f'{-1e3 * upward:.0f} mm below it. Turn the frame in its driver; if it is right, check '
-        'package.com.')
+        return _fact('topics', MISREAD['exchanged'].format(
+            above=above, world=max(upward, other), where='the world' if upward > other else
+            'that of the other recording.world'))
+    raise BellowsError(MISREAD['upside_down'].format(above=above, below_in_world=-upward))
 
 
 def _two_worlds(recording: Recording, tool: Trajectory, package: Trajectory, lip: Array) -> str:
@@ -266,10 +260,8 @@ def _two_worlds(recording: Recording, tool: Trajectory, package: Trajectory, lip
         return ''
     body = recording.measured_package
     motion = alignment.motion_of(pose, body.position[body.valid].mean(axis=0))
-    return (
-        f'{alignment.motion_sentence(motion)}: seen from the tool, the lip of the cup moves by '
-        f'{1e3 * before:.0f} mm, and by {1e3 * after:.0f} mm without that. Set '
-        f'recording.package_world: {checks.ESTIMATE}, or give its seven numbers.')
+    return MISREAD['two_worlds'].format(
+        motion=alignment.motion_sentence(motion), before=1e3 * before, after=1e3 * after)
 
 
 def _world_of(recording: Recording) -> Array:
@@ -507,18 +499,6 @@ def _down(given: Given, down: Array) -> str:
     return _listed(level.T @ down)
 
 
-def _unit_fields(finding: Finding, given: Given) -> Fields:
-    """Return a mass or an inertia as it was given."""
-    return {'numbers': ', '.join(
-        f'{x:g}' for x in np.atleast_1d(given[f'package.{finding.name}']))}
-
-
-def _factor_fields(finding: Finding, given: Given) -> Fields:
-    """Return an inertia as a factor of the one that would agree with the mass."""
-    factor = float(np.exp(-finding.theta[0]))
-    return {'factor': factor, 'std': factor * finding.std[0]}
-
-
 def _yaw_fields(finding: Finding, given: Given) -> Fields:
     """Return the frames of which one is turned about z."""
     words = ', or '.join(
@@ -538,152 +518,44 @@ def _size(value: float, std: float) -> str:
     return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
 
 
-class FitCause(NamedTuple):
-    """
-    What may be otherwise.
+FIELDS: Mapping[str, Callable[[Finding, Given], Fields]] = {
+    'package_world': lambda finding, given: {
+        'motion': alignment.motion_sentence(finding.theta, finding.std)},
+    **dict.fromkeys(('mass', 'inertia'), lambda finding, given: {
+        'numbers': ', '.join(f'{x:g}' for x in np.atleast_1d(given[f'package.{finding.name}']))}),
+    'factor of inertia': lambda finding, given: {
+        'factor': np.exp(-finding.theta[0]), 'std': np.exp(-finding.theta[0]) * finding.std[0]},
+    'time_offset': _clock_fields,
+    'topics.tool_twist': lambda finding, given: {'topic': given.get('topics.tool_twist', 'tool')},
+    'com': _com_fields,
+    'length': lambda finding, given: {'length': given['cup.length'] + finding.theta[0]},
+    'length or com': lambda finding, given: {'mm': abs(1e3 * finding.theta[-1])},
+    'package_marker': _marker_fields,
+    'world_drift': _drift_fields,
+    'slip': lambda finding, given: {
+        'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]},
+    'flip': lambda finding, given: {
+        'degrees': np.rad2deg(finding.theta[0]), 'since': finding.theta[1]},
+    'gravity.direction': _gravity_fields,
+    'axis of gravity': lambda finding, given: {
+        'down': _down(given, np.array(json.loads(finding.value.removeprefix('gravity '))))},
+    'yaw': _yaw_fields}
+"""What else is filled into the words of a cause."""
 
-    Parameters
-    ----------
-    setting : str
-        The parameter to change; '' where it is the cup.
-    what, remedy : str
-        What is said of it: its size, and what to do. Filled in are the finding's value, its first
-        number as a `size` in thousandths and as a `part` in %, the `side` it is to, and `fields`.
-    units : str or list of str
-        Of the numbers that are freed.
-    sides : (str, str)
-        Words for a number that is not positive, and for a positive one.
-    fields : callable
-        Returns what else is filled in.
-    corrected : callable
-        Returns a recording without it, as it is where that cannot be.
-
-    """
-
-    setting: str
-    what: str = ''
-    remedy: str = ''
-    units: Any = '1'
-    sides: tuple[str, str] = ('', '')
-    fields: Callable[[Finding, Given], Fields] = lambda finding, given: {}
-    corrected: Callable[[Recording, Finding], Recording] = lambda recording, finding: recording
-
-
-CAUSES: Mapping[str, FitCause] = {
-    'recording': FitCause('the recording', corrected=_by_convention),
-    'topics': FitCause(
-        'topics.tool_pose and topics.package_pose', corrected=lambda recording, finding: _prepared(
-            recording, tool=recording.package_pose, package=recording.tool_pose, tool_twist=None)),
-    'recording.package_frame': FitCause(
-        'recording.package_frame', 'The package poses are those of the {value}',
-        'Set recording.package_frame: {value}.',
-        corrected=lambda recording, finding: _prepared(
-            recording, settings=replace(recording.settings, package_frame='lip'))),
-    'package_world': FitCause(
-        'recording.package_world', '{motion}', f'Set recording.package_world: {checks.ESTIMATE}.',
-        POSE_UNITS, corrected=_in_one_world, fields=lambda finding, given: {
-            'motion': alignment.motion_sentence(finding.theta, finding.std)}),
-    'mass': FitCause(
-        'package.mass',
-        'package.mass is in {value}, not in kg: {numbers} kg is beyond any package for such a cup',
-        'Give it in kg.', fields=_unit_fields, corrected=_in_other_units),
-    'inertia': FitCause(
-        'package.inertia', 'package.inertia is in {value}, not in kg m^2: {numbers} kg m^2 is '
-        'beyond any package for such a cup', 'Give it in kg m^2.',
-        fields=_unit_fields, corrected=_in_other_units),
-    'factor of inertia': FitCause(
-        'package.inertia', 'package.inertia is {factor:.3g} ± {std:.2g} times the value '
-        'consistent with package.mass', 'One of the two is wrong: weigh the package, and '
-        'compute its inertia in kg m^2.', fields=_factor_fields),
-    'time_offset': FitCause(
-        'fit.time_offset', 'The stamps of the tool are {offset} {side} those of the package',
-        'Stamp both by one clock, or set fit.time_offset: true.', 's', ('ahead of', 'behind'),
-        _clock_fields, _by_one_clock),
-    'bursts': FitCause(
-        'the stamps of the poses', 'The poses of {value} come in bursts, as if stamped on arrival',
-        'Stamp them when they are measured.'),
-    'tool_twist.frame': FitCause(
-        'tool_twist.frame', "The tool's twists match its poses only in axes of the {value}",
-        'Set tool_twist.frame: {value}.'),
-    'topics.tool_twist': FitCause(
-        'topics.tool_twist', "The angular twists of '{topic}' are in {value}, not in rad/s",
-        "Correct the driver, or set topics.tool_twist: '' to leave them out.",
-        fields=lambda finding, given: {'topic': given.get('topics.tool_twist', 'tool')}),
-    'low-pass': FitCause(
-        'the tracking system', 'The poses of {value} went through a low-pass: above 25 Hz their '
-        'noise falls more steeply than noise does',
-        'It takes a part of the motion, and biases K and P: record unfiltered poses.'),
-    'com': FitCause(
-        'package.com', 'The centre of mass is not at package.com, but {shifts} from there',
-        'Check package.com: it would be {com}.', 'm', fields=_com_fields),
-    'length': FitCause(
-        'cup.length', 'cup.length is {size} mm too {side}',
-        'Measure it under vacuum, or with bellows static: it would be {length:.5f}.', 'm',
-        ('long', 'short'), lambda finding, given: {
-            'length': given['cup.length'] + finding.theta[0]}),
-    'length or com': FitCause(
-        'cup.length or package.com', 'cup.length or the z of package.com is wrong by about '
-        '{mm:.1f} mm: these recordings cannot tell which',
-        'Measure cup.length under vacuum, or with bellows static, and check package.com.',
-        fields=lambda finding, given: {'mm': abs(1e3 * finding.theta[-1])}),
-    'package_marker': FitCause(
-        'the marker frame', 'The marker frame of tool or package is turned by '
-        '{degrees:.1f} degrees, and {mm:.1f} mm off', 'Correct it, or set {setting}.',
-        ['m', 'm', 'rad', 'rad', 'rad'],
-        fields=_marker_fields),
-    'world_drift': FitCause(
-        'the mounting of the camera',
-        'The world of the package drifts against that of the tool: by {rates} per minute',
-        'Fasten the camera, and record when it has warmed up.', ['m/s'] * 3 + ['rad/s'] * 3,
-        fields=_drift_fields),
-    'slip': FitCause(
-        'recording.start or recording.end', 'The package slipped on the lip by {mm:.1f} mm, '
-        '{since:.1f} s after its first sample', 'Fit what is before or after: set recording.end '
-        'or recording.start, and check the vacuum.', ['m', 'm', 's'],
-        fields=lambda finding, given: {
-            'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]}),
-    'flip': FitCause(
-        'the tracking system', 'The orientation of the package jumps by {degrees:.0f} degrees, '
-        '{since:.1f} s after its first sample', 'Use a marker without symmetry, or leave '
-        'this out: set recording.start or recording.end.', ['rad', 's'],
-        fields=lambda finding, given: {
-            'degrees': np.rad2deg(finding.theta[0]), 'since': finding.theta[1]}),
-    'gravity.direction': FitCause(
-        'gravity.direction', 'Gravity is {degrees:.1f} degrees off gravity.direction',
-        'Level the world, or set gravity.direction: {down}.', 'rad', fields=_gravity_fields),
-    'axis of gravity': FitCause(
-        'gravity.direction', 'Gravity is not along gravity.direction',
-        'Set gravity.direction: {down}.', fields=lambda finding, given: {'down': _down(
-            given, np.array(json.loads(finding.value.removeprefix('gravity '))))}),
-    'recording.world': FitCause(
-        'recording.world', 'The world of the recording is {value}',
-        'Set recording.world: {value}.'),
-    'yaw': FitCause(
-        '', '{turns}{doubt}', 'Correct it in its driver, or set recording.align_at_rest: true if '
-        'the recording begins at rest.', fields=_yaw_fields),
-    'package.files': FitCause(
-        'package.files', 'The packages of the two recordings are {value}',
-        'Exchange the two names in package.files.'),
-    'structure': FitCause(
-        'fit.structure', 'The structure of the cup is not the given one, but {value}',
-        'Set fit.structure: {value}.'),
-    'drift': FitCause(
-        '', 'The stiffness of the cup drifts: {value} {side} by {part} % from beginning to end',
-        'It warms up, or leaks: record a cup that has warmed up, and check the vacuum.',
-        sides=('falls', 'rises')),
-    'friction': FitCause(
-        '', 'The cup has hysteresis: friction takes {part} % of the largest force of {value}',
-        'K and P are means over this motion: record motions as large and fast as in use.'),
-    'cubic': FitCause(
-        '', 'The cup is not linear: {value} is {part} % {side} at the largest deflection',
-        'The fit is the mean over this motion: record motions as large as those in use.',
-        sides=('less', 'more')),
-}
-"""All causes by name. The numbers of those in fit.free are `quantities.KINDS`."""
+CORRECTIONS: Mapping[str, Callable[[Recording, Finding], Recording]] = {
+    'recording': _by_convention,
+    'topics': lambda recording, finding: _prepared(
+        recording, tool=recording.package_pose, package=recording.tool_pose, tool_twist=None),
+    'recording.package_frame': lambda recording, finding: _prepared(
+        recording, settings=replace(recording.settings, package_frame='lip')),
+    'package_world': _in_one_world,
+    'time_offset': _by_one_clock,
+    **dict.fromkeys(('mass', 'inertia'), _in_other_units)}
+"""How a recording is corrected by what is wrong with it without any fit."""
 
 
-def _cause_of(finding: Finding) -> FitCause:
-    """Return what may be otherwise, which some names have two forms of."""
+def _name_of(finding: Finding) -> str:
+    """Return the name of a cause among `CAUSES`, which some have two forms of."""
     name = finding.name
     if name in ('com', 'length') and finding.instead:
         name = 'length or com'
@@ -691,7 +563,7 @@ def _cause_of(finding: Finding) -> FitCause:
         name = 'factor of inertia'
     elif finding.value.startswith('gravity'):
         name = 'axis of gravity'
-    return CAUSES[name]
+    return name
 
 
 def setting_of(finding: Finding) -> str:
@@ -700,19 +572,21 @@ def setting_of(finding: Finding) -> str:
         bodies = [turn.split()[0] for turn in (finding.value, finding.instead) if turn]
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
     if finding.instead:
-        return ' or '.join(CAUSES[name].setting for name in (finding.name, finding.instead))
-    return _cause_of(finding).setting
+        return ' or '.join(CAUSES[name]['setting'] for name in (finding.name, finding.instead))
+    return str(CAUSES[_name_of(finding)]['setting'])
 
 
 def finding_sentence(finding: Finding, given: Given) -> str:
     """Return what the finding is, its size, by how much residuals fall if so, and a remedy."""
     if finding.sentence:
         return finding.sentence
-    cause, fields = _cause_of(finding), {'value': finding.value}
+    name, fields = _name_of(finding), {'value': finding.value}
+    cause = CAUSES[name]
     for number, std in zip(finding.theta[:1], finding.std[:1], strict=True):
-        fields |= {'size': _size(number, std), 'side': cause.sides[int(number > 0.0)],
-                   'part': f'{100.0 * abs(number):.2g} ± {100.0 * std:.1g}'}
-    fields |= cause.fields(finding, given)
+        fields |= {'size': _size(number, std), 'part': f'{100.0 * abs(number):.2g} ± '
+                   f'{100.0 * std:.1g}', 'side': cause.get('sides', ('', ''))[int(number > 0.0)]}
+    if name in FIELDS:
+        fields |= FIELDS[name](finding, given)
     falls = f' With that, the residuals fall to {100.0 * finding.left:.2g} %.'
-    return (f'{cause.what.format(**fields)}.{falls if 0.0 < finding.left < 0.95 else ""} '
-            f'{cause.remedy.format(**fields)}')
+    return (f'{cause["what"].format(**fields)}.{falls if 0.0 < finding.left < 0.95 else ""} '
+            f'{cause["remedy"].format(**fields)}')
