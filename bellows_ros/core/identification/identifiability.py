@@ -6,13 +6,13 @@ looks like motion there, too, and biases least squares towards zero (errors in v
 bias that it compensates where the noise is given.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import noise_bias, Solution, weighted
 from bellows_ros.core.identification.reduction import Movement, PassBand, ReducedRecording
-from bellows_ros.core.identification.result import with_unidentifiable
+from bellows_ros.core.identification.result import NOTES, with_unidentifiable, WORDS
 from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import AXES, Structure
 import numpy as np
@@ -23,26 +23,14 @@ MAX_SHARE, WEAK_SHARE = 0.5, 0.05
 MAX_LISTED = 3
 """Pairs or couplings named in a warning."""
 
-DIRECTIONS = {
-    'x': ('Sideways motion along x', 'move the tool along x, or tilt it about y, at 1-3 Hz'),
-    'y': ('Sideways motion along y', 'move the tool along y, or tilt it about x, at 1-3 Hz'),
-    'z': ('Axial motion', 'move the tool up and down at 4-6 Hz'),
-    'rx': ('Bending about x', 'tilt the tool about x, or move it along y, at 1-3 Hz'),
-    'ry': ('Bending about y', 'tilt the tool about y, or move it along x, at 1-3 Hz'),
-    'rz': ('Torsion', 'turn the tool about z at 1-3 Hz'),
-}
+DIRECTIONS: Mapping[str, tuple[str, str]] = WORDS['directions']
 """The motion in each direction, and how to excite it."""
-
-OF_ONE_CUP = (
-    'in a gripper the other cups, which shear and stretch, bear most of it: identify one cup '
-    'alone, or give its value')
-"""How a gripper's cup is to be known about the axes that its other cups support."""
 
 
 def remedy_for(axis: str, structure: Structure) -> str:
-    """Return how a direction becomes identifiable."""
+    """Return how a direction becomes identifiable, where other cups of a gripper support it."""
     if structure.places and axis.startswith('r'):
-        return OF_ONE_CUP
+        return NOTES['of_one_cup']
     return DIRECTIONS.get(axis, ('', 'move all axes at once'))[1]
 
 
@@ -133,12 +121,9 @@ def advice(
             coupled += [each.label for each in both if not each.identifiable]
     if coupled:
         names = ', '.join([*coupled[:MAX_LISTED], *(['...'] if coupled[MAX_LISTED:] else [])])
-        yield (f'{len(coupled)} couplings of directions ({names}) are not identifiable from '
-               f'{source}; use a simpler fit.structure, or move all axes at once, each at its own '
-               'frequencies.')
+        yield NOTES['couplings'].format(count=len(coupled), names=names, source=source)
     for one, other, correlation in pairs[:MAX_LISTED]:
-        yield (f'{one} and {other} are nearly inseparable (correlation {correlation:+.2f}): their '
-               'directions always move together. Move one without the other.')
+        yield NOTES['inseparable'].format(one=one, other=other, correlation=correlation)
 
 
 def _direction_warnings(
@@ -150,15 +135,15 @@ def _direction_warnings(
     title = ' and '.join([DIRECTIONS[axes[0]][0], *(axis[-1] for axis in axes[1:2])])
     remedy = remedy_for(axes[0], structure)
     if unknown:
-        yield (f'{title} is hardly excited: its {" and ".join(unknown)} '
-               f'{"are" if unknown[1:] else "is"} not identifiable from {source}; {remedy}.')
+        yield NOTES['hardly_excited'].format(
+            title=title, unknown=' and '.join(unknown), are='are' if unknown[1:] else 'is',
+            source=source, remedy=remedy)
     for name, each in named.items():
         if each.weak:
             share = (f'{each.noise_share:.0%} of the information on its {name} is noise:'
                      if each.noise_share > WEAK_SHARE else f'noise disturbs its {name}:')
-            yield (f'{title} is weakly excited: {share} least squares compensates a '
-                   f'bias of {abs(each.bias):.0%}, which is right where the noise is white. Use '
-                   f'fit.method: output_error, or {remedy}.')
+            yield NOTES['weakly_excited'].format(
+                title=title, share=share, bias=abs(each.bias), remedy=remedy)
 
 
 MIN_HALF_WINDOW = 4
@@ -185,12 +170,9 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
             continue
         end, fastest = first.end_hz, axis.band_hz[1]
         tool, package = (max(int(n * end / fastest), MIN_HALF_WINDOW) for n in first.half_windows)
-        shorter = (f', or shorter windows (filter.tool.half_window: {tool}, '
-                   f'filter.package.half_window: {package})' if fastest > end else '')
-        yield (
-            f'{DIRECTIONS[axis.name][0]} of up to {fastest:.1f} Hz is too fast for the filter, '
-            f'which follows up to {end:.1f} Hz: least squares may get its stiffness and damping '
-            f'wrong by more than the standard errors. Use fit.method: output_error{shorter}.')
+        yield NOTES['too_fast'].format(
+            title=DIRECTIONS[axis.name][0], fastest=fastest, end=end, shorter=NOTES[
+                'shorter'].format(tool=tool, package=package) if fastest > end else '')
 
 
 MAX_CORRELATION = 0.95

@@ -19,6 +19,7 @@ from bellows_ros.core.identification.result import (
     Fit,
     IN_NULL_SPACE,
     MAX_RELATIVE_ERROR,
+    NOTES,
     with_unidentifiable,
     WRENCH_UNITS,
 )
@@ -60,11 +61,6 @@ MIN_SHARE = 1e-3
 
 MIN_SIGNAL_SHARE = 0.1
 """Share of the information that must be signal for noise to be removed from a direction."""
-
-TOO_SHORT = (
-    'The recordings are too short for standard errors of K and P: residuals within a filter '
-    'window are correlated, and too few windows are left. The standard errors are infinite. '
-    'Record longer.')
 
 MAX_RESIDUAL_TO_NOISE, MAX_RESIDUAL_TO_WRENCH = 1.5, 0.1
 """Residuals are too large beyond this multiple of noise and this fraction of the wrench."""
@@ -182,7 +178,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         residual_rms=residual_rms,
         noise_rms=noise_rms,
         bias=bias,
-        notes=() if significant.any() else (TOO_SHORT,),
+        notes=() if significant.any() else (NOTES['too_short'],),
         misfit=_misfit(residual_rms, noise_rms, whitening))
 
 
@@ -288,13 +284,8 @@ def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> s
     worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
     axis, unit = 'xyz'[worst % 3], WRENCH_UNITS[worst]
     what = f'moment about {axis}' if worst > 2 else f'force along {axis}'
-    return (
-        f'The model does not explain the recordings: the residual {what} is '
-        f'{residual_rms[worst]:.2g} {unit} RMS, of which noise explains {noise_rms[worst]:.2g} '
-        f'{unit}. Check '
-        'recording.world and the other frames, that the topics are not exchanged, package.mass, '
-        'package.com and cup.length, and that one clock stamps both streams; or use a richer '
-        'fit.structure, or a shorter filter window if the motion is jerky.')
+    return NOTES['too_large_residual'].format(
+        what=what, rms=residual_rms[worst], unit=unit, noise=noise_rms[worst])
 
 
 MIN_SQUARED_DISTANCE = 13.8
@@ -306,14 +297,6 @@ some percent, and where something else is wrong with a recording more than half 
 
 DEFAULT_RATIO, RATIO_STD = 1.05, 0.4
 """r2 / r1 of rubber with a constant loss factor, and its standard deviation among rubbers."""
-
-R2_ASSUMED = (
-    'The rubber relaxes, but nothing was held for long enough to tell how slowly: r2 follows from '
-    'r1 as in rubber with a constant loss factor. Record a hold of a tilt for 5 to 10 s.')
-
-NOT_RELAXING = (
-    'fit.relaxation: the recordings show no relaxation that exceeds its standard error. Record a '
-    'hold of a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
 
 RELAXATION_STEPS = 20
 """Most steps of the search; a handful suffice."""

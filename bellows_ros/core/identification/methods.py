@@ -19,7 +19,7 @@ from bellows_ros.core.identification.reduction import (
     statistics,
     whole_recordings,
 )
-from bellows_ros.core.identification.result import Fit, Freed, Iteration
+from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
 from bellows_ros.core.model.structure import given_structure, STRUCTURES
@@ -154,10 +154,7 @@ def _noise_warning(recordings: Sequence[AnyRecording]) -> Iterator[str]:
             noise.correlation > 0.0 and noise.size > negligible for body in recording.ar1_noise
             for noise, negligible in zip(body, MIN_NOISE, strict=True))]
     if names:
-        yield (
-            f'The noise of {", ".join(names)} is correlated in time: motion capture smoothing? '
-            'Least squares removes the bias of white noise only, so K and P may be too small by '
-            'more than the standard errors say. Use fit.method: output_error.')
+        yield NOTES['correlated'].format(names=', '.join(names))
 
 
 def are_differentiable(parts: Sequence[AnyRecording], values: Mapping[str, Any]) -> bool:
@@ -235,7 +232,7 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
         [recording.noise for recording in whole], values['cup.length'], simplest)
     if relaxation is None:
         if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
-            raise UndeterminedError(least_squares.NOT_RELAXING)
+            raise UndeterminedError(NOTES['not_relaxing'])
         return list(recordings)
     if simplest is not structure:
         relaxation = relaxation._replace(by=simplest.within(structure) @ relaxation.by)
@@ -248,7 +245,7 @@ def _with_relaxation_of(result: Fit, recordings: Sequence[AnyRecording]) -> Fit:
     if not whole or not any(whole[0].relaxation.strengths):
         return result
     relaxation = whole[0].relaxation
-    notes = (least_squares.R2_ASSUMED,) if relaxation.assumed else ()
+    notes = (NOTES['r2_assumed'],) if relaxation.assumed else ()
     finite = np.isfinite(np.diag(result.covariance))
     more = relaxation.by @ relaxation.covariance @ relaxation.by.T
     return replace(

@@ -27,6 +27,7 @@ from bellows_ros.core.identification.result import (
     Freed,
     Iteration,
     MAX_RELATIVE_ERROR,
+    NOTES,
     with_unidentifiable,
 )
 from bellows_ros.core.identification.search import (
@@ -71,15 +72,6 @@ MIN_SCATTER = 0.25
 
 MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
-
-ALSO_GIVEN = (
-    'Measure them more exactly and state it (package.com_std, cup.length_std, '
-    'recording.marker_std)')
-
-NOT_CONVERGED = (
-    'The search for K and P did not converge: they must not be used, and there are no standard '
-    'errors. Check package.mass, package.com, the frames and the clocks, or use a simpler '
-    'fit.structure.')
 
 
 def output_error(
@@ -198,7 +190,7 @@ def _with_relaxation(
         near = stiff.transferred(search, minimum.theta)
         search, minimum = stiff, stiff.minimum(report, near)
     if relaxation == 'on' and 'relaxation' not in search.places:
-        raise UndeterminedError(least_squares.NOT_RELAXING)
+        raise UndeterminedError(NOTES['not_relaxing'])
     return search, minimum
 
 
@@ -292,7 +284,7 @@ def _fit(
     (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
     ratio = np.array([-least_squares.DEFAULT_RATIO, 1.0])
     if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * least_squares.RATIO_STD * r1:
-        notes.append(least_squares.R2_ASSUMED)
+        notes.append(NOTES['r2_assumed'])
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
     residuals = minimum.residuals
     total = sum(len(segment.measured.package) for segment in search.segments)
@@ -308,8 +300,9 @@ def _fit(
         condition_number=_condition(minimum.information[:size, :size]),
         weight=np.diag(search.segments[0].std ** -2),
         residual_rms=np.sqrt(np.mean(residuals**2, axis=0)),
-        notes=tuple(notes) if minimum.converged else (NOT_CONVERGED,),
-        misfit=_misfit(minimum.robust_chi2),
+        notes=tuple(notes) if minimum.converged else (NOTES['not_converged'],),
+        misfit=NOTES['too_large_chi2'].format(chi2=minimum.robust_chi2) if (
+            minimum.robust_chi2 > MAX_CHI2) else '',
         chi2=minimum.squares / max(minimum.residual_count - len(x), 1),
         robust_chi2=minimum.robust_chi2 * max(search.learned(minimum), 1.0),
         converged=minimum.converged,
@@ -327,16 +320,6 @@ def _fit(
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
     )
-
-
-def _misfit(chi2: float) -> str:
-    """Return a sentence if chi^2 per degree of freedom is too large."""
-    if chi2 <= MAX_CHI2:
-        return ''
-    return (
-        f'The model does not explain the recording: chi^2 per degree of freedom is {chi2:.2f}, '
-        'expected 1. Check package.mass, package.com, the frames and whether one clock stamped '
-        'both streams (else set fit.time_offset), or use a richer fit.structure.')
 
 
 def _condition(information: Array) -> float:
@@ -364,13 +347,11 @@ def _identifiable(
     notes = list(_unidentifiable(search, errors, shares, identifiable[:size]))
     total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
     vague = identifiable[:size] & (total > 1.0)
-    notes += [
-        f'{search.structure.labels[i]} is not identifiable with what was given: its standard '
-        f'error is {100.0 * MAX_RELATIVE_ERROR * total[i]:.2g} % of its size, and '
-        f'{100.0 * MAX_RELATIVE_ERROR * std[i] / largest[i]:.2g} % with exact package, cup.length '
-        f'and markers. {ALSO_GIVEN}; or '
-        f'{remedy_for(search.structure.labels[i].split()[1], search.structure)}.'
-        for i in np.flatnonzero(vague)]
+    notes += [NOTES['vague'].format(
+        label=label, total=100.0 * MAX_RELATIVE_ERROR * both, alone=100.0 * error,
+        how=remedy_for(label.split()[1], search.structure))
+        for label, both, error, is_vague in zip(
+            search.structure.labels, total, errors, vague, strict=False) if is_vague]
     identifiable[:size] &= ~vague
     return covariance, identifiable, notes
 
@@ -427,19 +408,13 @@ def _unidentifiable(
         if is_identifiable:
             continue
         less = MAX_RELATIVE_ERROR / error
-        how = remedy_for(label.split()[1], search.structure)
+        words = 'unknown' if error >= 1.0 else 'uncertain'  # the prior limits it
         if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
-            yield (f'{label} is not identifiable: {share:.0%} of its standard error is of noise '
-                   f'that moves it; {how}.')
-        elif error >= 1.0:  # the prior limits it
-            yield (f'{label} is not identifiable: its standard error is as large as itself or '
-                   f'larger; {how}, or measure with less noise.')
-        else:
-            yield (
-                f'{label} is not identifiable from this motion with this noise: its standard '
-                f'error is {100.0 * error:.2g} % of its size. {1e2 * less:.0f} % of the noise '
-                f'would do, or {less**-2:.2g} times as long a recording'
-                f'{", or one of one cup alone" if search.structure.places else ""}.')
+            words = 'noise_moves_it'
+        yield NOTES[words].format(
+            label=label, share=share, how=remedy_for(label.split()[1], search.structure),
+            error=100.0 * error, noise=100.0 * less, times=less**-2,
+            one_cup=', or one of one cup alone' if search.structure.places else '')
 
 
 class Registered(NamedTuple):

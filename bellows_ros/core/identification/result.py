@@ -8,11 +8,17 @@ no covariances; the information about it is zero.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
+import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.model.structure import Structure, structure_named, STRUCTURES
 import numpy as np
+
+WORDS = tomllib.loads(Path(__file__).with_name('notes.toml').read_text())
+NOTES: Mapping[str, str] = WORDS['notes']
+"""What is said of fits, to be filled in."""
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
 """Of entries of K and P: translation, coupling, rotation."""
@@ -272,9 +278,7 @@ def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> t
     smallest = [float(np.linalg.eigvalsh(matrix)[0]) for matrix in (stiffness, damping)]
     refused = (smallest[0] <= 0.0, smallest[1] < -1e-12 * float(np.abs(damping).max()))
     return tuple(
-        f'The {name} (smallest eigenvalue {value:.3g}): not all of it is identifiable from the '
-        'recording, and the predictor will refuse it. Record a motion that is richer in all '
-        f'directions{simpler}; check frames, alignment, package.mass, package.com and cup.length.'
+        NOTES['indefinite'].format(name=name, value=value, simpler=simpler)
         for name, value, is_refused in zip(
             ('stiffness K is not positive definite', 'damping P is not positive semidefinite'),
             smallest, refused, strict=True) if is_refused)

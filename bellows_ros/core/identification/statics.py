@@ -25,6 +25,7 @@ from bellows_ros.core.identification.result import (
     covariance_of,
     Fit,
     information_of,
+    NOTES,
     StandstillPart,
 )
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
@@ -133,21 +134,15 @@ class NominalLength(NamedTuple):
         """Yield the warnings."""
         masses, count = len(set(_groups(self.loads).tolist())), self.degrees_of_freedom
         if count and chdtrc(count, self.chi2) < MISFIT_P_VALUE:
-            size = float(np.sqrt(self.chi2 / count))
-            yield (
-                f'The lengths are off the line by {size:.2g} times their scatter from pick to '
-                'pick: a mass may be wrong. Check each mass.' if np.isfinite(self.pick_std) else
-                f'The lengths are off the line by {size:.2g} times their noise: they scatter from '
-                'pick to pick, or a mass is wrong. Pick each mass several times to tell which.')
+            words = 'wrong_mass' if np.isfinite(self.pick_std) else 'scatter_or_wrong_mass'
+            yield NOTES[words].format(size=np.sqrt(self.chi2 / count))
         if not np.isfinite(self.length_std):
-            yield ('With two masses the nominal length has no standard error, and a wrong mass '
-                   'would go unnoticed. Add a third mass.')
+            yield NOTES['two_masses']
         elif masses < CUBIC_DEGREE + 2:
-            yield (f'With {masses} different masses, a straight line is fitted to length against '
-                   f'load; {CUBIC_DEGREE + 2} or more show where the cup stops being linear.')
+            yield NOTES['straight'].format(masses=masses, enough=CUBIC_DEGREE + 2)
         if MAX_LENGTH_STD < self.length_std < np.inf:
-            yield (f'The nominal length is uncertain by {self.length_std * 1e3:.2f} mm. Add '
-                   f'masses lighter than {self.loads.min():.3g} N, or hold each for longer.')
+            yield NOTES['uncertain_length'].format(
+                mm=1e3 * self.length_std, load=self.loads.min())
 
 
 def nominal_length(standstills: Sequence[Standstill], gravity: float) -> NominalLength:
@@ -336,7 +331,7 @@ def _likely_cause(poses: Sequence[PoseCheck]) -> str:
     """Return the likeliest cause of a spring that is off."""
     mass = poses[0].standstill.payload.mass
     if all(pose.verdict == 'no equilibrium' for pose in poses):
-        return f'It carries {mass:g} kg in none of them: package.mass is likely in another unit.'
+        return NOTES['no_pose'].format(mass=mass)
     upright = [pose for pose in poses if pose.standstill.tilt <= UPRIGHT_TOLERANCE
                and pose.verdict != 'no equilibrium']
     measured, predicted = np.reshape(
@@ -345,13 +340,8 @@ def _likely_cause(poses: Sequence[PoseCheck]) -> str:
     residual = np.linalg.norm(measured - factor * predicted)
     if residual < PROPORTIONALITY_TOLERANCE * np.linalg.norm(measured) and not (
             MASS_FACTOR[0] < factor < MASS_FACTOR[1]):
-        return (
-            f'Hanging straight the cup is stretched {factor:.2g} times as far as predicted: '
-            f'package.mass is likely {factor * mass:.3g} kg instead of {mass:g}, or cup.length or '
-            'the axial stiffness is wrong.')
-    return (
-        'If it is off in all of them alike, check cup.length and package.com; if only in some '
-        'directions, check their stiffness, or the alignment.')
+        return NOTES['stretched'].format(factor=factor, other=factor * mass, mass=mass)
+    return NOTES['off']
 
 
 def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
@@ -393,12 +383,6 @@ ROUNDS = 4
 
 MAX_CHI2 = 4.0
 """Chi^2 per degree of freedom above which standstills contradict the motions or each other."""
-
-DISAGREEMENT = (
-    'The static recordings and the motion disagree beyond their errors (chi^2 per degree of '
-    'freedom {:.3g}, expected 1), so the static recordings get less weight. Check cup.length, the '
-    'masses in static.files, package.com and the alignment. The noise bias of least squares may '
-    'also be the cause: use fit.method: output_error.')
 
 
 def static_equations(
@@ -498,7 +482,7 @@ def joined_with_standstills(
         fit, parameters=z[:-1], covariance=covariance, standstills=StandstillPart(
             len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
             length.value + length.std * float(z[-1]), length.std * float(np.sqrt(joint[-1, -1]))),
-        notes=(*fit.notes, *([DISAGREEMENT.format(chi2)] if chi2 > MAX_CHI2 else [])))
+        notes=(*fit.notes, *[NOTES['disagreement'].format(chi2=chi2)] * (chi2 > MAX_CHI2)))
 
 
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
