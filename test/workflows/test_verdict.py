@@ -4,10 +4,13 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.identification.hypotheses import Diagnosis, Finding
-from bellows_ros.core.identification.methods import fit
+from bellows_ros.core.identification.methods import fit, with_relaxation
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows import verdict
+from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.verdict import FitVerdict, Simulated
 import numpy as np
 import pytest
@@ -162,3 +165,13 @@ def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
         assert name == 'package.com' and float(off.removesuffix(' mm')) > 800.0 * aside
         np.testing.assert_allclose(com[:2], 0.0, atol=0.1 * aside)
         assert 'package.com [' in said.doubts[-1]
+
+
+@pytest.mark.parametrize(('name', 'wrong', 'named'), [
+    ('recording.package_frame', 'lip', 'recording.package_frame'), ('cup.length', 0.46, 'length')])
+def test_a_wrong_setting_is_named_though_it_looks_like_rubber(root, name, wrong, named):
+    """Name it before a relaxation that no rubber has."""
+    values = resolve({**read_parameters(root / 'bags' / 'package.yaml'), name: wrong}, ())
+    recordings = with_relaxation([load(root / 'bags' / 'identification', values)], values)
+    said = verdict.verdict_of(None, recordings, values['cup.length'], values)
+    assert (said.causing[0].name, said.causing[0].certain) == (named, True)

@@ -56,6 +56,13 @@ MAX_FACTS = 4
 MAX_BODY_DISTANCE = 1e-3
 """Poses that stay within this distance (m) of each other are of one body."""
 
+MAX_LIP_DEPTH = 0.3
+"""No lip is further below a tool (m); it seems to be where tool and package are in two worlds."""
+
+MIN_LENGTH_ERROR = 0.02
+"""Error (m) of cup.length beyond which it is seen without a fit, if the lip is also nearer by half
+of the length, or farther by all of it: no weight stretches a cup so far."""
+
 MAX_SPREAD_RATIO = 0.3
 """In its own world the lip moves by at most this part of what it does in another."""
 
@@ -208,6 +215,22 @@ def misread(recording: Recording) -> Finding | None:
 
     """
     return recording.cached('misread', lambda: _misread(recording))
+
+
+def wrong_length(recording: Recording, length: float) -> Finding | None:
+    """Return that a cup's length (m) is far from where its lip is below the tool, else None."""
+    some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
+    if not len(some):
+        return None
+    tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
+    lip = package.position - apply(package.rotation, recording.payload.com) - tool.position
+    below = -apply(np.swapaxes(tool.rotation, 1, 2), lip)
+    x, y, depth = np.median(below, axis=0)
+    offset = float(depth) - length
+    if abs(offset) < MIN_LENGTH_ERROR + length * (1.0 if offset > 0.0 else 0.5) or (
+            depth > MAX_LIP_DEPTH or np.hypot(x, y) + conventions.spread(below) > abs(offset)):
+        return None
+    return Finding('length', '', np.array([offset]), np.zeros(1), instead='com', is_fact=True)
 
 
 def _misread(recording: Recording) -> Finding | None:

@@ -109,6 +109,8 @@ def diagnose(
     """
     wrong, right = zip(*map(causes.corrected, recordings), strict=True)
     facts: tuple[Finding, ...] = next(filter(None, wrong), ())
+    if not facts and (off := causes.wrong_length(right[0], length)):
+        return Diagnosis(np.inf, (off,), is_open=True)
     try:
         names = [recording.name for recording in right]
         rankings = right[0].cached(('trials', *names, length, structure),

@@ -295,6 +295,9 @@ MAX_REMAINING_SHARE = 0.2
 """Part of what noise does not explain without relaxation that may be left with it: rubber leaves
 some percent, and where something else is wrong with a recording more than half is."""
 
+MAX_STRENGTH = 2.0
+"""No rubber has stronger branches: a loss factor of 0.3 is one of 0.8. Wrong data may seem to."""
+
 DEFAULT_RATIO, RATIO_STD = 1.05, 0.4
 """r2 / r1 of rubber with a constant loss factor, and its standard deviation among rubbers."""
 
@@ -333,7 +336,8 @@ def relaxation_of(
         return None
     index, strengths = np.ix_(free, free), np.array(estimate.strengths)[list(free)]
     distance = strengths @ np.linalg.pinv(estimate.covariance[index]) @ strengths
-    if distance <= MIN_SQUARED_DISTANCE or remaining > MAX_REMAINING_SHARE * unexplained:
+    if distance <= MIN_SQUARED_DISTANCE or remaining > MAX_REMAINING_SHARE * unexplained or (
+            max(strengths) > MAX_STRENGTH):
         return None
     if 0.0 < estimate.std[1] <= MAX_RELATIVE_ERROR * max(estimate.strengths):
         return estimate

@@ -118,8 +118,9 @@ class StructureSelection(NamedTuple):
         residuals = (f': with the best one, {self.advised}, residuals are '
                      f'{np.sqrt(1.0 + excess):.2g} times those expected of noise'
                      if 0.0 < excess < np.inf else '')
-        return self._replace(fits=False, advice=(
-            ' '.join([f'No structure fits{residuals}{size}.', *causes]), *self.advice))
+        finding = ' '.join([f'No structure fits{residuals}{size}.', *causes])
+        return self._replace(
+            fits=False, advice=(finding, *(() if causes else self.advice)))
 
 
 def select_structure(
