@@ -8,7 +8,6 @@ from bellows_ros.core.identification.methods import fit, with_relaxation
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows import verdict
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.verdict import FitVerdict, Simulated
@@ -169,9 +168,9 @@ def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
 
 @pytest.mark.parametrize(('name', 'wrong', 'named'), [
     ('recording.package_frame', 'lip', 'recording.package_frame'), ('cup.length', 0.46, 'length')])
-def test_a_wrong_setting_is_named_though_it_looks_like_rubber(root, name, wrong, named):
+def test_a_wrong_setting_is_named_though_it_looks_like_rubber(root, known, name, wrong, named):
     """Name it before a relaxation that no rubber has."""
-    values = resolve({**read_parameters(root / 'bags' / 'package.yaml'), name: wrong}, ())
+    values = resolve({**known, name: wrong}, ())
     recordings = with_relaxation([load(root / 'bags' / 'identification', values)], values)
     said = verdict.verdict_of(None, recordings, values['cup.length'], values)
     assert (said.causing[0].name, said.causing[0].certain) == (named, True)
