@@ -203,6 +203,8 @@ class FitVerdict(NamedTuple):
             return (causes.finding_sentence(first, self.given), *besides)
         if self.is_at_noise:
             return ()
+        if self.given.get('fit.relaxation') == 'off':
+            besides.append('Rubber that relaxes may be the cause, too: set fit.relaxation: auto.')
         if first.likely:
             more = () if besides or first.rest < causes.DOUBTED else (
                 f'It leaves {np.sqrt(first.rest):.2g} times what noise and rubber explain: more '
