@@ -291,7 +291,8 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         LifecycleNodeMixin.__init__(self)
         # rclpy's own callback raises where a transition is not allowed, and leaves no answer.
         service = next(each for each in self.services if each.srv_type is ChangeState)
-        self._change_state_unchecked, service.callback = service.callback, self._change_state
+        self._change_state_unchecked = self.guarded(service.callback, ChangeState.Response)
+        service.callback = self._change_state
         self.finished: Future = Future()
         self._before: set[Any] | None = None  # what exists while it is not configured
         self._failure, self.is_active = '', False
@@ -379,16 +380,18 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
     def _change_state(
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
-        """Go through a transition; refuse one that the state does not allow."""
-        try:
+        """Go through a transition that the state allows; refuse any other."""
+        wanted = request.transition
+        allowed = self._state_machine.available_transitions
+        if any(wanted.label == label if wanted.label else wanted.id == number
+               for number, label, *_ in allowed):
             return self._change_state_unchecked(request, response)
-        except RuntimeError:  # the base of rcl's
-            wanted, allowed = request.transition, self._state_machine.available_transitions
-            self.get_logger().warning(
-                f"Transition '{table.short(wanted.label) or wanted.id}' refused: from "
-                f"'{self.lifecycle_state}' only "
-                f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')
-            return response
+        name = table.short(wanted.label) or wanted.id
+        self.get_logger().warning(
+            f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
+            f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')
+        response.success = False
+        return response
 
     def destroy_node(self) -> None:
         """Leave the graph; rclpy forgets the state machine, which would keep the node there."""
