@@ -116,11 +116,12 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
 
 
 def _file_errors(name: str, arguments: Sequence[str]) -> Iterator[BellowsError]:
-    """Yield what is wrong with parameter files for a node of this name, as ROS leaves that out."""
+    """Yield the errors in parameter files for this node, with file and line; ROS names neither."""
     from ..files.parameter_files import read_parameters
 
+    is_renamed = '__node' in str(arguments)
     for flag, file in pairwise(arguments):
-        if flag == '--params-file' and Path(file).is_file() and '__node' not in str(arguments):
+        if flag == '--params-file' and Path(file).is_file() and not is_renamed:
             try:
                 read_parameters(file, name)
             except BellowsError as error:

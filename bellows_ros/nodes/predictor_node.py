@@ -81,7 +81,7 @@ class PredictorNode(ManagedNode):
         """Make all that predicts."""
         self.create_service(Trigger, '~/reset', self._on_reset)
         notice = Timer(COMPILE_TIME, self.get_logger().info, (
-            'Compiling the model: the first start on a machine takes some 10 s.',))
+            'Compiling the model: the first start on a machine takes 5 to 10 s.',))
         notice.start()
         try:
             self.pipeline = Pipeline(self)

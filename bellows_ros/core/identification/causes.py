@@ -217,14 +217,20 @@ def misread(recording: Recording) -> Finding | None:
     return recording.cached('misread', lambda: _misread(recording))
 
 
+def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
+    """Return some poses of tool and package, and the lip (N, 3) from the tool in world axes, m."""
+    some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
+    tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
+    lip = package.position - apply(package.rotation, recording.payload.com)
+    return tool, package, lip - tool.position
+
+
 def wrong_length(recording: Recording, length: float) -> Finding | None:
     """Return that a cup's length (m) is far from where its lip is below the tool, else None."""
-    some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
-    if not len(some):
+    tool, _, in_world = _arrangement(recording)
+    if not len(tool):
         return None
-    tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
-    lip = package.position - apply(package.rotation, recording.payload.com) - tool.position
-    below = -apply(np.swapaxes(tool.rotation, 1, 2), lip)
+    below = -apply(np.swapaxes(tool.rotation, 1, 2), in_world)
     x, y, depth = np.median(below, axis=0)
     offset = float(depth) - length
     if abs(offset) < MIN_LENGTH_ERROR + length * (1.0 if offset > 0.0 else 0.5) or (
@@ -235,13 +241,11 @@ def wrong_length(recording: Recording, length: float) -> Finding | None:
 
 def _misread(recording: Recording) -> Finding | None:
     """Return the same."""
-    some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
     streams = recording.tool_pose, recording.package_pose
     names = {'tool': streams[0].name, 'package': streams[1].name}
-    if not len(some):
+    tool, package, in_world = _arrangement(recording)
+    if not len(tool):
         return None
-    tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
-    in_world = package.position - apply(package.rotation, recording.payload.com) - tool.position
     R_tool_world = np.swapaxes(tool.rotation, 1, 2)
     lip, centre = (apply(R_tool_world, offset)
                    for offset in (in_world, package.position - tool.position))

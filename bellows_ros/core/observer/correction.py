@@ -273,7 +273,7 @@ class Correction:
         """Return verdict, estimate and faults by `filter_step`; only propagate with gate 0."""
         evidence, theta = before.evidence, before.theta.copy()
         late = (measurement.stamp_ns - stamp_ns) * 1e-9 if gate > 0.0 else 0.0
-        theta[ekf.LATENCY - STATE] -= late  # the rest of it is in the poses
+        theta[ekf.LATENCY - STATE] -= late  # the pose is read so much earlier
         after = alarms.filter_step(
             self.row(before.lost_cups), self.branches, theta, before.tool, before.body,
             before.covariance, before.memory, *track.rows, is_recorded, track.count,

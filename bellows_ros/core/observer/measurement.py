@@ -382,7 +382,7 @@ def updated(
     reach += 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
     if t3.norm((o[0], o[1], o[2] + model[0][1])) > reach:
         verdict = OUT_OF_REACH
-    elif not innovation[3] <= gate:  # nor is what is no number
+    elif not innovation[3] <= gate:  # NaN is outside, too
         verdict = OUTSIDE
     else:
         body, theta = corrected(body, theta, P, innovation)

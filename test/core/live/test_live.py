@@ -131,13 +131,13 @@ def test_what_an_observer_has_learned_outlasts_a_divergence(messages, predictor)
     thesis = Cup.thesis()
     predictor.set_model(Cup(thesis.stiffness, -3.0 * thesis.damping, 0.0481), PLATE)
     predictor.package.observe(observer)
-    for k in range(200):  # a camera that is 20 mm off
+    for k in range(260):  # a camera that is 20 mm off
         (out,) = messages.pose(predictor, k)
         assert is_finite(out)
         predictor.on_measured(
             messages.stamps[k], 'base', tuple(np.add(out.position, 0.02)), out.quaternion_xyzw)
     assert predictor.restarts['diverged'] > 0
-    assert observer.counts['used'] > 50  # others are out of reach
+    assert observer.counts['used'] > 100
 
 
 def test_pause_is_bridged_for_a_while_and_then_nothing_is_said(messages):
