@@ -60,7 +60,7 @@ class TossResult(CommandResult):
 
     def shares(self) -> list[Share]:
         """Return the contribution of each uncertain number, the largest first."""
-        return self._shares(self.parts.names)
+        return self._shares(tuple(dict.fromkeys(self.parts.names)))
 
     def groups(self) -> list[Share]:
         """
@@ -69,7 +69,8 @@ class TossResult(CommandResult):
         Numbers of the law of release that are correlated are one, 'release'.
         """
         independent = np.array_equal(self.parts.correlation, np.eye(len(self.parts.std)))
-        return self._shares((*GROUPS, *(RELEASE_NAMES if independent else ['release'])))
+        return self._shares((*GROUPS, *(
+            (*RELEASE_NAMES, landing.SECOND_ORDER) if independent else ['release'])))
 
     def _shares(self, names: tuple[str, ...]) -> list[Share]:
         """Return the contributions of what names begin, where there is any."""

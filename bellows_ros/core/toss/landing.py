@@ -34,6 +34,9 @@ SCAN, TOLERANCE = 4e-3, 1e-6
 CANDIDATES = 8
 """Number of the best times in the scan that are refined."""
 
+SECOND_ORDER = 'release, second order'
+"""What the law of release contributes beside the first derivatives."""
+
 ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 """Standard deviations to the edge of the ellipse that holds 95 % in a plane."""
 
@@ -125,7 +128,12 @@ def beyond_masses(values: Mapping[str, Any]) -> float:
 
 
 def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
-    """Return what cup, package and release contribute, by differences as in `perturbed`."""
+    """
+    Return what cup, package and release contribute, by differences as in `perturbed`.
+
+    The law of release acts to second order, too: with a normal z along each axis of its
+    covariance, a z + b z^2 has the second moment a^2 + 2 b^2 about its mean, the sum of all b.
+    """
     names, parts = cup_package.contributions(
         case.values, case.held.model, lambda model: case.error_with(model, case.release, nominal))
     every = cup_package.parameter_std(case.values)
@@ -133,17 +141,32 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     factor, count = release_factor(case.values), len(names)
     of_law = np.linalg.norm(factor, axis=1)
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
+
+    def both(by: Array) -> tuple[Array, Array]:
+        """Return the landings with a law that is changed so, and in reverse."""
+        up, down = (case.error(toss(case.held, release_with(case.release, step), case.switched),
+                               nominal) for step in (by, -by))
+        return up, down
+
     for k in uncertain:
-        step = toss_release.LAW_STEP * of_law[k] * np.eye(8)[k]
-        releases = (release_with(case.release, by) for by in (step, -step))
-        up, down = (case.error(toss(case.held, release, case.switched), nominal)
-                    for release in releases)
+        up, down = both(toss_release.LAW_STEP * of_law[k] * np.eye(8)[k])
         rows.append((up - down)[None] / (2.0 * toss_release.LAW_STEP))
-    correlation = np.eye(count + len(uncertain))
-    correlation[count:, count:] = (factor @ factor.T / np.outer(
+    axes, sizes, _ = np.linalg.svd(factor)
+    squared = np.zeros((len(uncertain), 6))
+    for b, axis in zip(squared, (axes * sizes).T, strict=False):
+        with suppress(NoLandingError, UnstableError):  # as some of the tosses that are drawn
+            b[:] = sum(both(3.0**0.5 * axis)) / 6.0
+    if len(uncertain):
+        rows += [math.sqrt(2.0) * squared, squared.sum(axis=0, keepdims=True)]
+    total = sum(map(len, rows))
+    correlation = np.eye(total)
+    law = slice(count, count + len(uncertain))
+    correlation[law, law] = (factor @ factor.T / np.outer(
         of_law, of_law).clip(1e-300))[np.ix_(uncertain, uncertain)]
-    return Contributions((*names, *(RELEASE_NAMES[k] for k in uncertain)),
-                         np.r_[std, of_law[uncertain]], np.concatenate(rows), correlation)
+    more = total - law.stop
+    return Contributions(
+        (*names, *(RELEASE_NAMES[k] for k in uncertain), *[SECOND_ORDER] * more),
+        np.r_[std, of_law[uncertain], [math.nan] * more], np.concatenate(rows), correlation)
 
 
 class MonteCarlo(NamedTuple):
