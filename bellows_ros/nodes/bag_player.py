@@ -94,7 +94,8 @@ def play(
     rate : float
         Seconds of the recording per second.
     stamps_now : bool
-        Whether headers are stamped with the current time; else as recorded.
+        Whether headers are stamped with the current time, and twists are those at this rate; else
+        both are as recorded.
     progress : callable
         Called with what is being done and the part (0 to 1) that is done.
 
@@ -121,6 +122,8 @@ def play(
             data = message.data
             if stamps_now:
                 data = stamped(data, lambda ns: begin_ns + round((ns - first_ns) / rate))
+                if message.topic.type_name.endswith('/TwistStamped'):
+                    data = with_twist_times(data, rate)
             publishers[message.topic].publish(data)
 
         latest = send_all(executor, messages, send, progress, rate)
@@ -221,6 +224,13 @@ def stamped(data: bytes, new_ns: Callable[[int], int]) -> bytes:
     seconds, nanoseconds = struct.unpack(layout, data[STAMP])
     new = divmod(new_ns(seconds * NS_PER_S + nanoseconds), NS_PER_S)
     return data[:STAMP.start] + struct.pack(layout, *new) + data[STAMP.stop:]
+
+
+def with_twist_times(data: bytes, factor: float) -> bytes:
+    """Return a TwistStamped in CDR with its six last numbers times a factor."""
+    layout = '<6d' if data[1] & 1 else '>6d'
+    return data[:-48] + struct.pack(layout, *(
+        factor * x for x in struct.unpack(layout, data[-48:])))
 
 
 DISCOVERY_TIMEOUT = 90.0

@@ -66,7 +66,7 @@ def test_messages_come_as_recorded_and_in_time(bag, heard):
 
 
 def test_stamps_of_now_keep_pairs_and_intervals(bag, heard):
-    """Move all stamps to the time of playing by one and the same, but for the rate."""
+    """Move all stamps to the time of playing, closer by the rate; twists grow by it."""
     messages, _ = read_messages(bag)
     before = time.time_ns()
     _, poses, twists = heard(lambda: play(messages, NAMES, 2.0, stamps_now=True))
@@ -74,6 +74,7 @@ def test_stamps_of_now_keep_pairs_and_intervals(bag, heard):
     assert stamps == [stamp_ns(m) for _, m in twists]
     assert set(np.diff(stamps)) == {PERIOD_NS // 2}
     assert before - LATER_NS < stamps[0] < 1e9 * poses[0][0]
+    assert [m.twist.linear.x for _, m in twists] == [2.0 * k for k in range(COUNT)]
 
 
 def test_a_stamp_is_replaced_in_either_order_of_bytes():
