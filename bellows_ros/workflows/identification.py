@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+import math
 import os
 from typing import Any, NamedTuple, TYPE_CHECKING
 
@@ -170,9 +171,7 @@ class Identification:
             *(text for part in self.parts
               for text in world_sentence(part.name, part.package_world)),
             *self._clock_sentences(),
-            *(f'{name} was estimated together with K and P: '
-              f'{", ".join(f"{x:.6g} ± {s:.2g}" for x, s in zip(value, std, strict=True))} {unit}.'
-              for name, value, std, unit in self._free_parameters()),
+            *self._free_sentences(),
             *_standstill_sentences(self),
             *((spring.sentence,) if spring else ()),
             *((consistency.verdict,) if consistency and not consistency.differs else ()),
@@ -187,6 +186,16 @@ class Identification:
             value = np.atleast_1d(self.values[parameter])[:len(std)]
             relative = value if name in ('mass', 'inertia') else np.ones(len(value))
             yield parameter, value.tolist(), (relative * std).tolist(), unit
+
+    def _free_sentences(self) -> Iterator[str]:
+        """Yield sentences about the parameters that were estimated, lengths in mm."""
+        for name, value, std, unit in self._free_parameters():
+            factor = 1e3 if unit == 'm' else 1.0
+            numbers = ', '.join(
+                f'{factor * x:z.{max(1 - math.floor(math.log10(factor * s)), 0)}f} ± '
+                f'{factor * s:.2g}' for x, s in zip(value, std, strict=True))
+            yield (f'{name} was estimated together with K and P: {numbers} '
+                   f'{"mm" if unit == "m" else unit}.')
 
     def _clock_sentences(self) -> Iterator[str]:
         """Yield sentences about the clocks of the recordings."""

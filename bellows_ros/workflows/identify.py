@@ -6,7 +6,7 @@ to. Who reads them, one after the other, processes or a cluster, makes no differ
 the recordings themselves gets them here.
 """
 
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
@@ -14,6 +14,7 @@ import os
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros.core.identification import causes, identifiability, methods
+from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
@@ -34,8 +35,6 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
-
-Read = Callable[[Values], tuple[list[AnyRecording], list['Failed']]]
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Fractions of the work at which the fit begins and ends, for the progress."""
@@ -107,15 +106,13 @@ def identify(
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
         values[name] for name in RECORDING_USERS)
 
-    def read(values: Values) -> tuple[list[AnyRecording], list[Failed]]:
-        parts, failed = read_all(values, keep, progress, jobs, dask)
-        differentiable = methods.are_differentiable(parts, values)
-        return methods.with_relaxation(parts, values) if differentiable else parts, failed
-
-    parts, failed = read(effective)
+    parts, failed = read_all(effective, keep, progress, jobs, dask)
+    is_differentiable = methods.are_differentiable(parts, effective)
+    if is_differentiable:
+        parts = methods.with_relaxation(parts, effective)
     attempts: Sequence[Values] = ({},)
     is_output_error = values['fit.method'] == 'output_error' and not force
-    if is_output_error and not methods.are_differentiable(parts, values):
+    if is_output_error and not is_differentiable:
         if facts := _facts(parts, effective):
             raise UnexplainedError(f'{facts} {NOT_FITTED}')
     elif is_output_error and not (static or set(values['fit.free']) - REGISTRATION_NAMES):
@@ -126,7 +123,7 @@ def identify(
             len(finding.theta) or finding.name == 'recording.package_frame') for finding in wrong)
         attempts = ({},) * (not is_setting) + (LEAST_SQUARES,) * bool(wrong)
     return _identify(
-        values, effective, attempts, parts, static, progress, read, failed=tuple(failed),
+        values, effective, attempts, parts, static, progress, failed=tuple(failed),
         assumed=_assumed(settings),
         parameter_files=tuple(
             {'path': os.fspath(file), 'files': bag_folder.digests(file)}
@@ -268,15 +265,14 @@ def read_all(
 
 def _identify(
     values: Values, given: Values, attempts: Sequence[Values], parts: Sequence[AnyRecording],
-    static: 'StaticResult | None', progress: Progress, read: Read, assumed: tuple[str, ...],
-    **more: Any,
+    static: 'StaticResult | None', progress: Progress, assumed: tuple[str, ...], **more: Any,
 ) -> identification.Identification:
     """
     Fit the recordings; return the result.
 
     `given` are the parameters `values` with the length that standstills have given, and attempts
     are changes of them until a fit converges. What is estimated of the package or the cup's length
-    replaces what was given, and the recordings are read again with it.
+    replaces what was given, in the recordings, too.
     """
     progress('fitting', FIT_BEGINS)
     length = static.length if static and values['static.length'] else None
@@ -295,7 +291,8 @@ def _identify(
     fit = result.fit
     if fit.freed and fit.converged:
         values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))
-        parts, _ = read(effective)
+        found = {freed.name: np.array([freed.change]) for freed in fit.freed}
+        parts = [as_found(part, found, n) for n, part in enumerate(whole_recordings(parts))]
     recordings = whole_recordings(parts)
     progress(CAUSES, FIT_ENDS)
     verdict = verdict_of(

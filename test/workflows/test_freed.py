@@ -31,6 +31,13 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
     assert result.refusals == () and np.all(result.verdict.simulated[0].rms[:3] < 3e-4)
 
 
+def test_a_marker_stays_where_the_fit_has_it_with_a_longer_cup(settings):
+    """Its place and the length of the cup hang together."""
+    (simulated,) = identify({**settings, 'fit.free': ['length', 'package_marker'],
+                             'recording.end': 8.0}).verdict.simulated
+    assert np.all(simulated.rms < 1.1 * simulated.noise)
+
+
 @pytest.mark.parametrize(('change', 'named'), [
     ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'com.* fit.method: output_error'),
     ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'mass.* package.files'),
