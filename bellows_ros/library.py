@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:  # loads much that the others do without
-    from bellows_ros.core.identification.result import Fit
     from bellows_ros.workflows.excite import DesignedMotion
+    from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.plan import MotionSource, PlanReport
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.steer import SteerReport
@@ -148,9 +148,9 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
 def identify(
     recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File, package: Package,
     cup_length: float, settings: Mapping[str, object] | None = None
-) -> 'Fit':
+) -> 'Identification':
     """
-    Identify a cup's K and P from recordings, or from poses in arrays.
+    Identify a cup's K and P from recordings, or from poses in arrays, as `bellows identify`.
 
     Parameters
     ----------
@@ -167,39 +167,47 @@ def identify(
 
     Returns
     -------
-    Fit
-        stiffness and damping (6, 6), stiffness_std and damping_std (6, 6), covariance of the
-        parameters that `labels` names, and warnings, in sentences.
+    Identification
+        cup; fit, with stiffness_std and damping_std (6, 6) and the covariance of the parameters
+        that fit.labels names; findings and warnings, in sentences; refusals, which are empty where
+        the cup can be used; parameters() for `write_parameters`; `plot()`, `to_json(path)`.
 
     Raises
     ------
     BellowsError
-        If a recording is not usable, or they do not determine the cup.
+        If a recording is not usable, they do not determine the cup, or something that was given
+        is certainly wrong.
 
     Examples
     --------
     >>> package = bellows_ros.read_package('bags/package.yaml')
-    >>> fit = bellows_ros.identify(
-    ...     ['bags/identification'], package, 0.046,
+    >>> result = bellows_ros.identify(
+    ...     'bags/identification', package, 0.046,
     ...     {'fit.method': 'least_squares', 'recording.package_frame': 'com'})
-    >>> bool(abs(fit.stiffness[2, 2] - 9200.0) < 50.0)
-    True
-    >>> cup = bellows_ros.Cup(fit.stiffness, fit.damping, 0.046)
+    >>> result.refusals, bool(abs(result.cup.stiffness[2, 2] - 9200.0) < 50.0)
+    ((), True)
 
     """
-    from bellows_ros.core.identification.methods import fit
-    from bellows_ros.core.recording.preparation import prepare
-    from bellows_ros.workflows.recordings import load, prepare_settings
+    from bellows_ros.workflows.identify import identify
 
-    values = resolve({
-        **(settings or {}), **parameters_of(Cup.thesis(), package), 'cup.length': cup_length})
-    if isinstance(recordings, str | os.PathLike):
-        recordings = [recordings]
-    parts = [
-        load(each, values) if isinstance(each, str | os.PathLike) else
-        prepare(_stream(each[0], 'tool'), _stream(each[1], 'package'), prepare_settings(values))
-        for each in recordings]
-    return fit(parts, values).fit
+    values: dict[str, object] = {**(settings or {}), **{
+        name: value for name, value in parameters_of(Cup.thesis(), package).items()
+        if name.startswith('package.')}, 'cup.length': cup_length}
+    bags, poses = list[str](), dict[str, dict[str, PoseStream]]()
+    for each in [recordings] if isinstance(recordings, str | os.PathLike) else recordings:
+        if isinstance(each, str | os.PathLike):
+            bags.append(os.fspath(each))
+            continue
+        pair: tuple[Any, ...] = tuple(each) if isinstance(each, Sequence) else ()
+        if len(pair) != 2 or not all(isinstance(body, Trajectory) for body in pair):
+            raise BellowsError(
+                'A recording must be a path, or two Trajectory, of the tool and of the package.')
+        bags.append(f'recording {len(bags) + 1}')
+        poses[bags[-1]] = {f'{body}_pose': _stream(of_body, body) for body, of_body in zip(
+            ('tool', 'package'), pair, strict=True)}
+    if len(poses) == len(bags):
+        values.setdefault('recording.package_frame', 'com')
+    return identify({**values, 'bags': bags}, poses=poses)
 
 
 def simulate(
@@ -429,8 +437,8 @@ def toss(
         When the valve is switched, s since the first point of the motion.
     target : (x, y), optional
         Where B should land, m; the time of the valve is then sought.
-    target_rotation : array_like (4,), optional
-        Quaternion (x, y, z, w) wanted at the landing.
+    target_rotation : array_like (4,) or Rotation, optional
+        Quaternion (x, y, z, w) wanted at the landing, or a SciPy rotation.
     monte_carlo : int
         So many random tosses are drawn as well.
 
@@ -453,8 +461,10 @@ def toss(
     """
     from bellows_ros.workflows.toss import toss_plan
 
-    x_y = None if target is None else (float(target[0]), float(target[1]))
-    rotation = None if target_rotation is None else np.asarray(target_rotation, dtype=np.float64)
+    rotation = None if target_rotation is None else cup_package.frozen_array(
+        getattr(target_rotation, 'as_quat', lambda: target_rotation)(), (4,), 'target_rotation')
+    x_y: Any = None if target is None else tuple(
+        cup_package.frozen_array(target, (2,), 'target').tolist())
     return toss_plan(
         motion, _parameters(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
         topic=topic)

@@ -5,7 +5,6 @@ import math
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.toss.landing import coverage
-from bellows_ros.errors import BellowsError
 from bellows_ros.report import column, formatted, in_milli, with_error
 from bellows_ros.workflows.toss import toss_plan, TossResult, write_toss
 import numpy as np
@@ -14,13 +13,10 @@ from .console import Console
 from .options import Outcome, plan_settings, write_plot
 
 MILLI = 1e3
-MAX_TARGET = 100.0
-"""Largest coordinate of a target, m."""
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     """Predict and write."""
-    _require_numbers(arguments)
     result = toss_plan(
         arguments.plan, plan_settings(arguments, console), arguments.release, arguments.target,
         arguments.target_rotation, arguments.monte_carlo, console.progress,
@@ -29,22 +25,6 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
         write_toss(arguments.out, result, arguments.force)
     write_plot(arguments.plot, result)
     return Outcome(result, result.reached, inputs=[arguments.plan])
-
-
-def _require_numbers(arguments: argparse.Namespace) -> None:
-    """Refuse numbers that are not finite or out of range."""
-    draws, release = arguments.monte_carlo, arguments.release
-    target, rotation = arguments.target, arguments.target_rotation
-    for name, value, allowed, expected in (
-            ('monte-carlo', draws, draws == 0 or draws > 1,
-             '2 tosses or more, or 0 for none.'),
-            ('release', release, math.isfinite(release or 0.0), 'a finite number.'),
-            ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
-             f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),
-            ('target-rotation', rotation, 0.5 <= math.hypot(*(rotation or (1.0,))) < math.inf,
-             'finite numbers, a quaternion of length 1.')):
-        if not allowed:
-            raise BellowsError(f'--{name} is {value}; expected {expected}')
 
 
 def print_result(result: TossResult, console: Console) -> None:

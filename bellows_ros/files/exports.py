@@ -90,8 +90,8 @@ def header(
     """
     if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
         raise BellowsError(
-            '--name: expected letters, digits and underscores, beginning with a letter; got '
-            f"'{name}'.")
+            'A name of the export has letters, digits and underscores, beginning with a letter; '
+            f"got '{name}'.")
     model = model_tuple(cup, package, gravity)
     numbers = '\n'.join([
         f'static const bellows_model {name} = {_braced(model)};',

@@ -7,12 +7,14 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.model.grip import MODES
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
 from bellows_ros.plots.recording import prediction_figure
 from bellows_ros.workflows import CommandResult, excite, plan, replay, steer, toss
+from bellows_ros.workflows.identification import Identification
 import numpy as np
 
 from .animation import box_corners, BOX_EDGES
@@ -345,9 +347,16 @@ def replay_figure(result: replay.Replay, theme: str = 'light') -> Any:
         'Measured and simulated', f'{result.bag}, relative to the tool', theme)
 
 
+def identification_figure(result: Identification, theme: str = 'light') -> Any:
+    """Draw the free simulation of what the cup has not seen, or else of what it was found from."""
+    return replay_figure(next(iter(result.validations), None) or replay.validated(
+        result.cup_values(), as_found(result.recordings[0], result.fit.nuisances, 0)), theme)
+
+
 FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
     plan.PlanReport: plan_figure, steer.SteerReport: steer_figure, toss.TossResult: toss_figure,
-    excite.DesignedMotion: excite_figure, replay.Replay: replay_figure}
+    excite.DesignedMotion: excite_figure, replay.Replay: replay_figure,
+    Identification: identification_figure}
 
 
 def figure_of(result: CommandResult, theme: str = 'light') -> Any:

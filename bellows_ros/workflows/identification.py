@@ -16,6 +16,7 @@ from bellows_ros.core.parameters import checks, table
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results, Values
+from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
 import numpy as np
 
@@ -63,7 +64,7 @@ NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stif
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(CommandResult):
     """
     An identified cup.
 
@@ -133,6 +134,11 @@ class Identification:
         from bellows_ros.core.recording.standstills import with_standstills
 
         return with_standstills(moving, self.static.standstills, self.cup_length)
+
+    @property
+    def cup(self) -> cup_package.Cup:
+        """K, P, length and relaxation."""
+        return cup_package.cup_of(self.cup_values())
 
     def cup_values(self) -> dict[str, Any]:
         """Return the parameters of the run with the cup, and the estimated worlds."""

@@ -6,7 +6,7 @@ to. Who reads them, one after the other, processes or a cluster, makes no differ
 the recordings themselves gets them here.
 """
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
@@ -19,9 +19,10 @@ from bellows_ros.core.identification.reduction import AnyRecording, reduced, who
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
-from bellows_ros.core.model.cup_package import cup_of, is_gripper
+from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures, UnexplainedError
 from bellows_ros.files import bag_folder, results, Values
 from bellows_ros.workflows import identification
@@ -35,6 +36,9 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
+
+Poses = Mapping[str, PoseStream]
+"""Of tool and package."""
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Fractions of the work at which the fit begins and ends, for the progress."""
@@ -64,7 +68,7 @@ NOT_FITTED = 'The cup was not fitted; --force fits it all the same.'
 def identify(
     settings: Values, progress: Progress = no_progress,
     parameter_files: Sequence[str | os.PathLike[str]] = (), jobs: int | None = None,
-    dask: str = '', force: bool = False
+    dask: str = '', force: bool = False, poses: Mapping[str, Poses] | None = None
 ) -> identification.Identification:
     """
     Identify a cup from the recordings that the parameter `bags` names.
@@ -87,6 +91,8 @@ def identify(
         instead of processes here; '' for none.
     force : bool
         Whether the output error is fitted to wrong data, too.
+    poses : mapping
+        Recordings that are no files, by their names in `bags`: see `prepare_streams`.
 
     Raises
     ------
@@ -106,7 +112,7 @@ def identify(
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
         values[name] for name in RECORDING_USERS)
 
-    parts, failed = read_all(effective, keep, progress, jobs, dask)
+    parts, failed = read_all(effective, keep, progress, jobs, dask, poses)
     is_differentiable = methods.are_differentiable(parts, effective)
     if is_differentiable:
         parts = methods.with_relaxation(parts, effective)
@@ -193,7 +199,10 @@ def _assumed(settings: Values) -> tuple[str, ...]:
         'load.',)
 
 
-def read_part(bag: str, values: Values, path: str = '', keep: Container[str] = ()) -> Any:
+def read_part(
+    bag: str, values: Values, path: str = '', keep: Container[str] = (),
+    poses: Mapping[str, Poses] | None = None,
+) -> Any:
     """
     Read and reduce a recording; return the recording or its sufficient statistics.
 
@@ -207,6 +216,8 @@ def read_part(bag: str, values: Values, path: str = '', keep: Container[str] = (
         Its path for the reader; the same where left out.
     keep : container of str
         The recordings that are wanted themselves.
+    poses : mapping
+        As of `identify`.
 
     Raises
     ------
@@ -214,7 +225,12 @@ def read_part(bag: str, values: Values, path: str = '', keep: Container[str] = (
         If it is not usable.
 
     """
-    recording = reading.load(path or bag, values, name=bag, with_digest=True)
+    if poses and bag in poses:
+        settings = reading.prepare_settings(values)
+        recording = replace(
+            reading.prepare_streams(poses[bag], settings, values), name=bag, digest=bag)
+    else:
+        recording = reading.load(path or bag, values, name=bag, with_digest=True)
     if causes.misread(recording):
         verdict = verdict_of(None, [recording], values['cup.length'], values)
         raise BellowsError(' '.join(verdict.cause if verdict else ()))
@@ -223,7 +239,8 @@ def read_part(bag: str, values: Values, path: str = '', keep: Container[str] = (
 
 
 def read_all(
-    values: Values, keep: bool, progress: Progress, jobs: int | None = None, dask: str = ''
+    values: Values, keep: bool, progress: Progress, jobs: int | None = None, dask: str = '',
+    poses: Mapping[str, Poses] | None = None,
 ) -> tuple[list[Any], list[Failed]]:
     """
     Return the recordings, and those that cannot be used.
@@ -231,7 +248,7 @@ def read_all(
     They are read by processes or a cluster, or one after the other: then all must be usable.
     """
     bags = [os.fspath(bag) for bag in values['bags']]
-    task = partial(read_part, keep=frozenset(bags if keep else bags[:MAX_TESTED]))
+    task = partial(read_part, keep=frozenset(bags if keep else bags[:MAX_TESTED]), poses=poses)
     work = [(n, bag, dict(each)) for n, (bag, each) in
             enumerate(zip(bags, reading.values_of_each(values), strict=True))]
     if jobs is None and not dask:
@@ -308,7 +325,7 @@ def _identify(
         from bellows_ros.workflows.static import with_spring
 
         identified = replace(identified, static=with_spring(
-            static._replace(cup_length=identified.cup_length), cup_of(identified.cup_values()),
+            static._replace(cup_length=identified.cup_length), identified.cup,
             values['gravity.magnitude']))
     identified = replace(identified, validations=tuple(_validated(identified, progress)))
     progress('done', 1.0)

@@ -86,16 +86,7 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
         remedy = OTHER_TOPICS if isinstance(problem, NoTopicError) and values['bags'][1:] and (
             name in map(str, values['bags'])) else ''
         raise type(problem)(f'{problem}{remedy}')
-    streams = within_interval(contents.streams, values)
-    for stream in streams.values():
-        if not len(stream):
-            raise BellowsError(
-                f"Topic '{stream.name}' has no messages from recording.start to recording.end.")
-    tool, twist = streams['tool_pose'], streams.get('tool_twist')
-    if values.get('tool_pose.offset'):
-        tool, twist = trajectory.streams_at_tip(
-            tool, twist, trajectory.tip_of(values), values['tool_twist.frame'] == 'world')
-    recording = prepare_streams(tool, streams['package_pose'], twist, settings, values)
+    recording = prepare_streams(contents.streams, settings, values)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(bag_folder.digests(path)) if with_digest else ()
     return replace(
@@ -147,10 +138,23 @@ def within_interval(streams: Mapping[str, Any], values: Values) -> dict[str, Any
 
 
 def prepare_streams(
-    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
-    values: Values,
+    streams: Mapping[str, Any], settings: PrepareSettings, values: Values
 ) -> Recording:
-    """Return prepared streams, in one world and on one clock."""
+    """
+    Return prepared streams, in one world and on one clock.
+
+    Streams are poses of tool and package, and twists of the tool if there are any, by the names
+    of their topics.
+    """
+    streams = within_interval(streams, values)
+    for stream in streams.values():
+        if not len(stream):
+            raise BellowsError(
+                f"Topic '{stream.name}' has no messages from recording.start to recording.end.")
+    tool, package, twist = streams['tool_pose'], streams['package_pose'], streams.get('tool_twist')
+    if values.get('tool_pose.offset'):
+        tool, twist = trajectory.streams_at_tip(
+            tool, twist, trajectory.tip_of(values), values['tool_twist.frame'] == 'world')
     if values['recording.package_world'] == '':
         prepared.require_one_frame(tool, package)
     if not values['fit.time_offset']:

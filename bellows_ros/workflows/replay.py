@@ -357,8 +357,8 @@ def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
     hint = _mass_hint(free.values, free.recording)
     return (
         f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
-        f'that are not of the cup. Rate it with --set '
-        f'recording.end={max(losses[0] - 0.5, 0.0):.1f}.',
+        f'that are not of the cup. Rate it with '
+        f'recording.end: {max(losses[0] - 0.5, 0.0):.1f}.',
         *(warning for warning in free.warnings if warning not in hint))
 
 
@@ -617,7 +617,7 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
     if not readings:
         raise BellowsError(
             f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name}. "
-            'Record it, or add --set vacuum.signal=none.')
+            'Record it, or set vacuum.signal: none.')
     return sorted(readings, key=itemgetter(0))
 
 

@@ -24,6 +24,9 @@ import numpy as np
 RATE = 500.0
 """Of the poses of a toss that is written, Hz."""
 
+MAX_TARGET = 100.0
+"""Largest coordinate of a target, m."""
+
 TOLERANCE = 1e-3
 """A target so far (m) outside the ellipse of a landing still counts as reached."""
 
@@ -219,10 +222,20 @@ def toss_plan(
     """
     if target is None and (target_rotation is not None or switched is None):
         raise BellowsError(
-            'Neither a time nor a target is given. Give --release T or --target.'
+            'Neither release nor target is given. Give when the valve is switched (s), or x and y.'
             if target_rotation is None else
-            'An orientation is given, but no target. Give --target X Y with --target-rotation, or '
-            'leave it out.')
+            'target_rotation is given, but no target. Give both, or leave it out.')
+    for name, value, is_allowed, expected in (
+            ('monte_carlo', monte_carlo, monte_carlo == 0 or monte_carlo > 1,
+             '2 tosses or more, or 0 for none.'),
+            ('release', switched, math.isfinite(switched or 0.0), 'a finite number.'),
+            ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
+             f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),
+            ('target_rotation', target_rotation,
+             target_rotation is None or 0.5 <= np.linalg.norm(target_rotation) < math.inf,
+             'finite numbers, a quaternion of length 1.')):
+        if not is_allowed:
+            raise BellowsError(f'{name} is {value}; expected {expected}')
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
     release, gravity = release_of(source.values), source.gravity

@@ -148,7 +148,7 @@ NOT_ALLOWED = [
     ('replay recording CUP --calibrate-alarms --observe package/pose --out alarms.yaml --set '
      'recording.end=0.7', ''),
     ('TOSS --target 1900 150', 'mm'), ('TOSS --release 3 --monte-carlo -3', '2 tosses'),
-    ('TOSS', '--release ... --target'),
+    ('TOSS', 'release ... target'),
 ]
 
 

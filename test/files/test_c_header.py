@@ -187,5 +187,5 @@ def test_two_cups_in_one_program(how, tmp_path):
 @pytest.mark.parametrize('name', ['', '2cups', 'left-cup', 'a b', 'ä'])
 def test_name_that_c_does_not_have_is_refused(name):
     """Say so instead of writing what does not compile."""
-    with pytest.raises(BellowsError, match='--name'):
+    with pytest.raises(BellowsError, match='name'):
         header(CUP, PACKAGE, name=name)

@@ -26,6 +26,7 @@ from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import trajectory_of
+from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import frozen, Trajectory
@@ -106,6 +107,9 @@ class LivePredictor:
         coast_limit_ns: int = COAST_LIMIT_NS,
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
+        require_stiffness(cup.stiffness)
+        if twist_frame not in ('world', 'tool'):
+            raise BellowsError(f"twist_frame is '{twist_frame}'; expected 'world' or 'tool'.")
         self._screen, self._twist_screen = Screen(), TwistScreen()
         self.pairing, self.arrivals = Pairing(), ToolArrivals()
         self.tool = ToolMotion(twist_frame == 'world')

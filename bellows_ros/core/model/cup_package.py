@@ -30,7 +30,10 @@ PARAMETER_NAMES = (
 
 def frozen_array(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
     """Return a read-only copy of the given shape, or raise an error that names the quantity."""
-    array = np.array(values, dtype=np.float64)
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BellowsError(f'The {what} must be numbers, got {values!r}.') from None
     if array.shape != shape:
         raise BellowsError(f'The {what} must have the shape {shape}, got {array.shape}.')
     if not np.all(np.isfinite(array)):
@@ -86,7 +89,8 @@ class Cup:
             matrix = frozen_array(getattr(self, name), (6, 6), name)
             structure.require_symmetric(matrix, f'The {name}')
             object.__setattr__(self, name, matrix)
-        if not (np.isfinite(self.length) and self.length > 0.0):
+        object.__setattr__(self, 'length', float(frozen_array(self.length, (), 'cup length')))
+        if self.length <= 0.0:
             raise BellowsError(f'The cup length must be above 0 m, got {self.length}.')
         r, tau = self.relaxation, self.relaxation_times
         if len(r) != 2 or not all(0.0 <= each < np.inf for each in r):
@@ -149,7 +153,8 @@ class Package:
         """Check and freeze."""
         object.__setattr__(self, 'inertia', frozen_array(self.inertia, (3, 3), 'package inertia'))
         object.__setattr__(self, 'com', frozen_array(self.com, (3,), 'package centre of mass'))
-        if not (np.isfinite(self.mass) and self.mass > 0.0):
+        object.__setattr__(self, 'mass', float(frozen_array(self.mass, (), 'package mass')))
+        if self.mass <= 0.0:
             raise BellowsError(f'The package mass must be above 0 kg, got {self.mass}.')
         structure.check_inertia(self.inertia)
 
@@ -299,7 +304,8 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
     """
     Return the inertia tensor (3, 3) in kg m^2 of a homogeneous box at its centre (A.2).
 
-    Depth lies along x, width along y and height along z, all in m.
+    Depth lies along x, width along y and height along z, all in m. Numbers that are not above 0
+    are refused with a BellowsError.
 
     Examples
     --------
@@ -308,6 +314,10 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
     [0.00438, 0.00654, 0.00984]
 
     """
+    if not min(mass, depth, width, height) > 0.0:
+        raise BellowsError(
+            'A box needs mass (kg), depth, width and height (m) above 0, got '
+            f'{mass:g}, {depth:g}, {width:g} and {height:g}.')
     d2, w2, h2 = depth**2, width**2, height**2
     return mass / 12.0 * np.diag([h2 + w2, h2 + d2, d2 + w2])
 

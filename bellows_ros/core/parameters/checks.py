@@ -59,7 +59,7 @@ def validate(name: str, value: object) -> Value:
         Dotted name of the table.
     value : object
         From YAML, ROS or Python; integers are taken for doubles, arrays may be lists, tuples or
-        1-D NumPy arrays.
+        NumPy arrays, matrices row by row.
 
     Returns
     -------
@@ -72,6 +72,8 @@ def validate(name: str, value: object) -> Value:
 
     """
     parameter = table.lookup(name)
+    if isinstance(value, np.ndarray):
+        value = value.ravel().tolist()
     if name in POSES:
         value = _world_text(parameter, value, name == POSES[0])
     normal = convert(parameter, value)
@@ -274,7 +276,7 @@ def require(values: Mapping[str, object], required: Iterable[str]) -> None:
                  for p in missing]
         names = ', '.join(p.name for p in missing)
         raise BellowsError(
-            f'Not set, and without a default: {names}. Set in a parameter file (--params FILE; of '
+            f'Not set, and without a default: {names}. Set it, or give a file (--params FILE; of '
             "a node --ros-args --params-file FILE), which 'bellows info BAG --write-params FILE' "
             'writes for a recording; for example:\n\n/**:\n  ros__parameters:\n'
             + '\n'.join(lines))

@@ -205,7 +205,7 @@ def relaxation_rates(model: ModelTuple) -> Array:
         raise BellowsError(
             'The cup cannot be inverted: its damping is too small for its stiffness, or not '
             f'positive definite; the rates of P^-1 K are {rates[0]:.3g} to {rates[-1]:.3g} 1/s, '
-            f'expected above 0 and below {MAX_RATE:g}. Use --method zvd.')
+            f'expected above 0 and below {MAX_RATE:g}. Use the method zvd.')
     return rates
 
 
@@ -304,7 +304,7 @@ def _too_far() -> TooFastError:
     """Return the error for a motion beyond the cup's reach."""
     return TooFastError(
         'This motion of the package would bend the cup by more than 45 degrees. Give the motion '
-        'more time, by --limits for example, or use --method zvd.')
+        'more time, by limits for example, or use the method zvd.')
 
 
 def _tool_above(model: ModelTuple, body: Array) -> State:

@@ -564,8 +564,8 @@ def release_of(values: Mapping[str, Any]) -> Release:
     if not min(size) > 0.0:
         raise BellowsError(
             f'package.size is {list(size)}; expected three sides above 0 m, since the landing '
-            'depends on the corners. Set it in the parameter file, or --set '
-            'package.size=0.3,0.2,0.15.')
+            'depends on the corners. Set it, for '
+            'example package.size: [0.3, 0.2, 0.15].')
     x, y, z = (0.5 * float(side) for side in size)
     a, b, c = (float(value) for value in values['package.size_center'])
     return Release(law_of(values), ((x, y, z), (a, b, c)), float(values['landing.height']))
