@@ -105,7 +105,8 @@ def line(seed: int) -> tuple[str, Array]:
     cup, tool, package, true = recorded(seed, 26.0)
     about = f'| {seed} | {"yes" if seed % 2 else "no"} | {"50 ms" if seed % 4 > 1 else "none"} | '
     try:
-        recording = prepare_streams(tool, package, None, prepare_settings(values), values)
+        streams = {'tool_pose': tool, 'package_pose': package}
+        recording = prepare_streams(streams, prepare_settings(values), values)
         both = fit([recording], values).fit
         found = both.exactly_given
     except BellowsError as error:

@@ -344,6 +344,12 @@ def _identifiable(
     errors = std / (largest / MAX_RELATIVE_ERROR)
     is_noise = (shares > MAX_ERROR_SHARE) & (errors > MAX_NOISY_ERROR)
     identifiable = (std <= largest) & ~is_noise & minimum.converged
+    ringing = _ringing(search, minimum.theta, identifiable)
+    if minimum.converged and ringing.any():
+        growth = np.maximum(_damped_std(search, minimum, ringing) / std, 1.0)
+        covariance, std, errors = covariance * np.outer(growth, growth), std * growth, (
+            errors * growth)
+        identifiable &= std <= largest
     notes = list(_unidentifiable(search, errors, shares, identifiable[:size]))
     total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
     vague = identifiable[:size] & (total > 1.0)
@@ -354,6 +360,35 @@ def _identifiable(
             search.structure.labels, total, errors, vague, strict=False) if is_vague]
     identifiable[:size] &= ~vague
     return covariance, identifiable, notes
+
+
+def _ringing(search: Search, theta: Array, identifiable: Mask) -> Mask:
+    """
+    Return of which unknowns (m,) the damping is not identifiable, and less than ordinary.
+
+    Noise that rings at a mode tells its frequency, and so K, far too well.
+    """
+    n, leads = search.count, 2 * search.structure.leads
+    is_damping = np.arange(n) >= n // 2
+    is_diagonal = np.array([row == column for row, column in leads])
+    return np.pad(~identifiable[:n] & is_damping & is_diagonal & (
+        theta[:n] < _ordinary(search, theta)), (0, len(theta) - n))
+
+
+def _ordinary(search: Search, theta: Array) -> Array:
+    """Return the unknowns (n,) of the cup with ordinary damping."""
+    K = search.cup(theta).stiffness
+    return np.asarray(search.structure.parameters(
+        K, search.ordinary_damping(K)) / search.units[:search.count])
+
+
+def _damped_std(search: Search, minimum: Minimum, ringing: Mask) -> Array:
+    """Return the standard errors (m,), SI units, if what rings had ordinary damping."""
+    theta = minimum.theta.copy()
+    theta[ringing] = _ordinary(search, theta)[ringing[:search.count]]
+    parts, information, _ = search.system(theta)
+    damped = minimum._replace(theta=theta, parts=parts, information=information)
+    return np.sqrt(np.diag(covariance_of(search, damped)[0]))
 
 
 def noise_information(search: Search, minimum: Minimum) -> Array:

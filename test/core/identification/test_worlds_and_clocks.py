@@ -33,11 +33,10 @@ def test_world_clock_and_marker_are_found_together():
         'package.com': tuple(PLATE.com), 'cup.length': 0.0481,
         'package.inertia': (*np.diag(PLATE.inertia), 0.0, 0.0, 0.0),
         'topics.tool_pose': '/tool', 'topics.package_pose': '/package'})
-    recording = prepare_streams(
-        PoseStream('/tool', 'base', own.tool.stamps_ns, own.tool.position, own.tool.rotation),
-        PoseStream('/package', 'camera', body.stamps_ns - LATE_NS, position,
-                   R_world.T @ body.rotation @ R_marker),
-        None, prepare_settings(values), values)
+    tool = PoseStream('/tool', 'base', own.tool.stamps_ns, own.tool.position, own.tool.rotation)
+    recording = prepare_streams({'tool_pose': tool, 'package_pose': PoseStream(
+        '/package', 'camera', body.stamps_ns - LATE_NS, position,
+        R_world.T @ body.rotation @ R_marker)}, prepare_settings(values), values)
     offset, world = recording.report.time_offset, recording.report.package_world
     assert abs(offset.value - 1e-9 * LATE_NS) < 4.0 * offset.std < 4e-3
     aligned = recording.aligned_package
@@ -75,8 +74,9 @@ def reported(recording, **settings):
     """Return the report of a recording that is prepared with some settings."""
     values = resolve({'cup.length': simulated.CUP.length, 'fit.structure': 'axisymmetric',
                       **{name.replace('__', '.'): value for name, value in settings.items()}})
-    return prepare_streams(
-        recording.tool_pose, recording.package_pose, None, recording.settings, values).report
+    return prepare_streams({
+        'tool_pose': recording.tool_pose, 'package_pose': recording.package_pose
+    }, recording.settings, values).report
 
 
 def found(recording, structure='axisymmetric'):
