@@ -12,6 +12,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import reduction, result
 from bellows_ros.core.identification.causes import corrected, finding_sentence
+from bellows_ros.core.identification.given import given_std
 from bellows_ros.core.identification.validation import MAX_NRMSE, SEED, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.load import ALL, Vacuum
@@ -349,12 +350,14 @@ def replay(
 
 
 def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
-    """Return the warnings; a package that is lost explains the errors, instead of their causes."""
-    losses = [seconds for seconds, alarm in (camera.alarms if camera else ())
-              if alarm.cause == 'lost']
-    if not losses:
+    """Return the warnings; what a camera shows explains the errors, instead of a mean stretch."""
+    if camera is None:
         return free.warnings
+    losses = [seconds for seconds, alarm in camera.alarms if alarm.cause == 'lost']
     hint = _mass_hint(free.values, free.recording)
+    if not losses:
+        is_known = camera.alarms or free.values['payload.estimate']
+        return tuple(text for text in free.warnings if text not in hint or not is_known)
     return (
         f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
         f'that are not of the cup. Rate it with '
@@ -398,12 +401,17 @@ def _mass_hint(values: Values, recording: Recording) -> tuple[str, ...]:
     lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ np.array(values['package.com'])
     stretch = float(np.mean(-lip[:, 2])) - float(values['cup.length'])
     stiffness = cup_of(values).stiffness[2, 2]
-    mass, stated = stiffness * stretch / values['gravity.magnitude'], values['package.mass']
+    gravity, stated = values['gravity.magnitude'], values['package.mass']
+    mass, std = stiffness * stretch / gravity, given_std(values)
+    off = stretch - stated * gravity / stiffness
     if not mass > 0.0 or STRETCH_RATIOS[0] < mass / stated < STRETCH_RATIOS[1]:
         return ()
-    return (
-        f'On average the cup is stretched by {1e3 * stretch:.2g} mm: package.mass is likely '
-        f'{mass:.2g} kg instead of {stated:g}, or package.com or cup.length is wrong.',)
+    is_expected = abs(off) < 3.0 * np.hypot(values['cup.length_std'], std['com'][2])
+    return (f'On average the cup is stretched by {1e3 * stretch:.2g} mm: ' + (
+        f'package.com or cup.length is off by {1e3 * abs(off):.2g} mm, or package.mass is '
+        f'{mass:.2g} kg instead of {stated:g}.' if is_expected else
+        f'package.mass is likely {mass:.2g} kg instead of {stated:g}, or package.com or '
+        'cup.length is wrong.'),)
 
 
 def predicted_live(recording: Recording, values: Values, progress: Progress = no_progress) -> Live:

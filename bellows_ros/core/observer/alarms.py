@@ -338,7 +338,8 @@ class Alarms:
         Return what is known of a fault, with the slot, hypothesis and components of `Likeliest`.
 
         Its cause, the error that it has made (n,) and the spread of that (n, components), the
-        finding as a sentence, and size and standard deviation of its first part.
+        finding as a sentence, and size and standard deviation of its first part, or of the clearer
+        of two relative ones.
         """
         onset, number, components = fault
         h, column, block = _layout(number)
@@ -357,8 +358,11 @@ class Alarms:
                 usual = usual * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / usual**2)))
         E: Array = evidence.signatures[:-ekf.FALLEN, column + slot::slots][:, :components]
         made = size if number < CUP else mean  # the model goes on without the whole of a cup
+        parts = [part for part in cause.parts if part[2] == cause.parts[0][2] == LOG] or (
+            cause.parts[:1])
+        lengths = (_length(size, P, *part) for part in parts)
         return (cause, E @ made, E * usual, _sentence(cause, size, P),
-                *_length(size, P, *cause.parts[0]))
+                *max(lengths, key=lambda each: each[0] / each[1]))
 
     def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
         """Return the alarm on a cup whose vacuum breaks down, by its index; None if it is open."""

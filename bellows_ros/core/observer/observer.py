@@ -302,6 +302,9 @@ class Observer:
             return estimate._replace(away_ns=stamp_ns * was_near)
         if stamp_ns - away_ns < LOST_AFTER_NS:
             return estimate
+        if any(alarm.cause == 'lost' and stamp_ns - alarm.stamp_ns < REPEATED_NS
+               for alarm in self.alarms):  # the fall itself has been seen, whatever the vacuum
+            return estimate._replace(away_ns=-1)
         self._raise(alarms.lost(
             stamp_ns, self._is_held_since(away_ns), reach=self._correction.holding_reach))
         return estimate._replace(away_ns=-1)
