@@ -187,6 +187,12 @@ Measurements from the start, or an alarm, that the noise is always learned from,
 log-likelihood ratio of a fault with which it is learned later: a fault would be taken for noise.
 """
 
+MAX_COUNT = 300
+"""
+Measurements after which the evidence of faults from the start is collected anew. The noise of an
+estimate is in its signatures, too: products of the two add up where there is little evidence.
+"""
+
 MIN_LEAD, DECIDE_NS = 3.0, 800_000_000
 """
 A cause is named when its log-likelihood ratio leads that of the next by so much, which is 95 %, or
@@ -496,6 +502,9 @@ def _assessed(
     change = t3.product(
         root.astype(np.float32), response, np.empty((6, E.shape[1]), np.float32))
     counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
+    if counts[0] >= MAX_COUNT:
+        counts[0], statistics[0] = MIN_NOISE_COUNT, 6.0 * MIN_NOISE_COUNT
+        statistics[STATISTICS[0]:STATISTICS[AT_START]] = 0.0
     for k in range(1 + ONSETS):
         if onsets[1, k] >= 0:
             statistics[k] += (z * z).sum() if is_settled else 0.0
