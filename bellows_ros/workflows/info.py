@@ -46,7 +46,8 @@ HOLD_STEP, STILL_SPEED = 0.25, (0.01, 0.04)
 
 TOOL_WORDS = frozenset('tool tcp ee eef effector flange arm robot gripper tip'.split())
 PACKAGE_WORDS = frozenset(
-    'package packet parcel box carton object item payload load plate workpiece'.split())
+    'package packet parcel box carton object item payload load plate workpiece camera marker tag '
+    'aruco apriltag'.split())
 
 MAX_DISTANCE = 1.0  # m, between tool and package
 MAX_RELATIVE_CHANGE = 0.25  # of the distance, between its quartiles, of a package that is held
@@ -318,8 +319,7 @@ def _registration_settings(
 ) -> float | None:
     """Add settings and notes on how the poses fit together; return how long they rest first, s."""
     remarks, (tool, package) = list[str](), streams
-    one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2
-    error = conventions.convention_sentence(tool, package, path) if one_frame else ''
+    error = conventions.convention_sentence(tool, package, path)
     separate = '' if error else _why_separate(pair, tool, package)
     if separate:
         settings |= {
@@ -431,12 +431,16 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     distance = float(np.linalg.norm(start))
     down = {name: -float(alignment.world_rotation(name)[2] @ start) for name in alignment.WORLDS}
     lowest = max(down, key=lambda name: down[name])
-    below = distance > 0.0 and down[lowest] > distance * np.cos(HANGING_ANGLE)
+    one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2  # else places tell nothing
+    below = one_frame and distance > 0.0 and down[lowest] > distance * np.cos(HANGING_ANGLE)
     world = lowest if below else 'z_up'
     low, quarter, most, high = np.percentile(distances, (1, 25, 75, 99))  # without tracking jumps
-    constant = distance < MAX_DISTANCE and most - quarter < MAX_RELATIVE_CHANGE * distance
+    constant = one_frame and distance < MAX_DISTANCE and (
+        most - quarter < MAX_RELATIVE_CHANGE * distance)
     why_tool = [*_name_reason(tool.name, TOOL_WORDS)]
     why_package = [*_name_reason(package.name, PACKAGE_WORDS)]
+    if not one_frame and len(tool.stamps_ns) > len(package.stamps_ns):
+        why_tool.append(f"it has more poses than '{package.name}'")
     score = 3.0 * below + 2.0 * constant + 1.5 * (len(why_tool) + len(why_package))
     if constant:
         why_package.insert(0, f'it stays {1e3 * low:.1f} to {1e3 * high:.1f} mm from it')

@@ -10,12 +10,13 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.model import cup_package, structure
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment as frames
+from bellows_ros.core.recording import conventions
 from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
-from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError
+from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import bag_folder, bags, File, parameter_files, Values
 import numpy as np
 
@@ -86,7 +87,7 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
         remedy = OTHER_TOPICS if isinstance(problem, NoTopicError) and values['bags'][1:] and (
             name in map(str, values['bags'])) else ''
         raise type(problem)(f'{problem}{remedy}')
-    recording = prepare_streams(contents.streams, settings, values)
+    recording = prepare_streams(contents.streams, settings, values, name)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(bag_folder.digests(path)) if with_digest else ()
     return replace(
@@ -138,7 +139,7 @@ def within_interval(streams: Mapping[str, Any], values: Values) -> dict[str, Any
 
 
 def prepare_streams(
-    streams: Mapping[str, Any], settings: PrepareSettings, values: Values
+    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str = ''
 ) -> Recording:
     """
     Return prepared streams, in one world and on one clock.
@@ -157,6 +158,9 @@ def prepare_streams(
             tool, twist, trajectory.tip_of(values), values['tool_twist.frame'] == 'world')
     if values['recording.package_world'] == '':
         prepared.require_one_frame(tool, package)
+    elif tool.frame_id != package.frame_id and (
+            wrong := conventions.convention_sentence(tool, package, name)):
+        raise UnexplainedError(wrong)  # no world is found from such poses
     if not values['fit.time_offset']:
         return _registered(tool, package, twist, settings, values)
     failures = []

@@ -55,6 +55,16 @@ def test_names_say_nothing_but_poses_do(tmp_path):
     assert found.rest_s == pytest.approx(REST, abs=0.2)
 
 
+def test_places_in_two_frames_say_nothing_on_roles(tmp_path):
+    """Although the robot's poses happen to lie straight below those of the camera."""
+    m = motion()
+    write_bag(tmp_path / 'bag', [
+        poses('/camera/marker', m['t'][::6], m['o_p'][::6] + [0, 0, 0.5], m['R_p'][::6], 'camera'),
+        poses('/ur/pose', m['t'], m['o'], m['R'], 'base')])
+    found = info(tmp_path / 'bag')
+    assert (found.tool.topic, found.package.topic) == ('/ur/pose', '/camera/marker')
+
+
 @pytest.mark.parametrize('frame', ['world', 'tool'])
 def test_axes_of_the_twist_are_found(frame, tmp_path):
     """Tell world from tool axes by integrating the twist."""

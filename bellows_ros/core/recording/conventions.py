@@ -30,6 +30,14 @@ MAX_HANGING_TILT, MIN_OTHER_TILT = 0.2, 0.5
 `_motion`): poses of two worlds come near to hanging by chance."""
 
 
+MAX_WAY_RATIO, MAX_WAY = 100.0, 20.0
+"""Ratio of the ways of two bodies that move together, and a way (m) of a tool that is none."""
+
+MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
+"""How alike two bodies turn at least in another order of their quaternions, and which part of the
+difference is left then at most: read with w first, a turn is the inverse one in world axes."""
+
+
 class Convention(NamedTuple):
     """How poses were recorded: positions in mm, quaternions with w first."""
 
@@ -56,13 +64,15 @@ def converted(poses: Posed, convention: Convention) -> Posed:
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
-    """Return the conventions of two streams of one world; as they should be where they may be."""
+    """Return the conventions of two streams; as they should be where they may be."""
     first, last = common_span(tool, package)
     units = Convention(), Convention()
     if last <= first:
         return units
     stamps = np.linspace(0, last - first, SAMPLES).astype(np.int64) + first
     bodies = [resample(body.trajectory(), np.unique(stamps)) for body in (tool, package)]
+    if len({tool.frame_id, package.frame_id} - {''}) > 1:
+        return _of_two_worlds(bodies)
     if _distance(bodies, units)[0] > MAX_DISTANCE:
         both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
         units = min((each for each in both if _is_on_cup(bodies, each)),
@@ -76,6 +86,34 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     (moves, tilt), (moves_read, tilt_read) = motions[best], motions[0]
     upright = moves < moves_read and tilt < MAX_HANGING_TILT and MIN_OTHER_TILT < tilt_read
     return orders[best] if moves < MAX_MOTION_RATIO * moves_read or upright else units
+
+
+def _of_two_worlds(bodies: list[Trajectory]) -> tuple[Convention, Convention]:
+    """Return the conventions with which two bodies move and turn alike, each in its world."""
+    ways = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
+            for body in bodies]
+    units = [Convention(way > MAX_WAY_RATIO * min(ways) or min(ways) > MAX_WAY) for way in ways]
+    turns = [[_turns(rotation) for rotation in (body.rotation, reordered(body.rotation))]
+             for body in bodies]
+    alike = {(a, b): _similarity(turns[0][a], turns[1][b])
+             for a, b in ((0, 0), (1, 0), (0, 1))}
+    a, b = max(alike, key=lambda order: alike[order])
+    if alike[a, b] < MIN_SIMILARITY or (
+            1.0 - alike[a, b] > MAX_DIFFERENCE_RATIO * (1.0 - alike[0, 0])):
+        a = b = 0
+    return units[0]._replace(w_first=bool(a)), units[1]._replace(w_first=bool(b))
+
+
+def _turns(rotation: Array) -> Array:
+    """Return the rotation vectors (N, 3) of a body from the middle of its way, in its axes."""
+    return lie.log_so3(rotation[len(rotation) // 2].T @ rotation)
+
+
+def _similarity(first: Array, second: Array) -> float:
+    """Return how alike vectors (N, 3) are that may be turned against each other: 1 if equal."""
+    U, sizes, V = np.linalg.svd(first.T @ second)
+    sizes[2] *= np.sign(np.linalg.det(U @ V))
+    return float(sizes.sum() / max(np.linalg.norm(first) * np.linalg.norm(second), 1e-12))
 
 
 def _is_on_cup(bodies: list[Trajectory], units: tuple[Convention, Convention]) -> bool:
