@@ -36,6 +36,7 @@ CUP_PARAMETERS = ('cup.stiffness', 'cup.damping', 'cup.length')
 CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.layout')
 """Parameters in the cup file unless they have the default: K and P depend on them."""
 
+NO_FIT = 'K and P were not found, as the search did not converge: see the warnings.'
 NO_CUP = 'This cup cannot hold a package: see the warnings.'
 """Reason for refusing a fit that no predictor can use."""
 
@@ -265,7 +266,8 @@ class Identification(CommandResult):
     def refusals(self) -> tuple[str, ...]:
         """Why the cup is refused; empty if it is not."""
         doubts = self.verdict.refusals if self.verdict else ()
-        return doubts if doubts or self.fit.usable else (NO_CUP,)
+        return doubts if doubts or self.fit.usable else (
+            NO_CUP if self.fit.converged else NO_FIT,)
 
     def require_usable(self, force: bool = False) -> None:
         """Raise BellowsError if the cup is refused; with force, if no predictor can take it."""

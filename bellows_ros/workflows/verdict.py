@@ -38,6 +38,10 @@ LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_wo
 NOTABLE = 0.5
 """Standard deviations of what was given by which a fit changes it, at least, to say so."""
 
+MAX_PULL = 5.0
+"""Standard deviations by which a fit may change centre of mass or length: a cup that is otherwise
+than the model seems to be longer."""
+
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
 be left all the same: filters take a part of quick motions, not of the output error."""
@@ -98,10 +102,10 @@ class FitVerdict(NamedTuple):
     """Standard deviations, SI units, of what output error may correct beside K and P."""
     log_inertia_ratio: float = 0.0
     """Logarithm of inertia over mass as estimated by the fit, relative to what was given."""
-    found: Mapping[str, tuple[Array, str]] = MappingProxyType({})
+    found: Mapping[str, tuple[Array, str, float]] = MappingProxyType({})
     """
-    Parameters of package and cup by the fit, where it has changed one notably, and by how much:
-    first what it has changed by most standard deviations.
+    Parameters of package and cup by the fit, where it has changed one notably, by how much, and in
+    standard deviations: first what it has changed by most of these.
     """
 
     def beyond(self, corrected: Free, explains: bool = False) -> 'FitVerdict':
@@ -184,7 +188,7 @@ class FitVerdict(NamedTuple):
         if self.found:
             found = ', '.join(
                 f'{name} [{", ".join(f"{x:.4g}" for x in value)}] (given {off} off)'
-                for name, (value, off) in self.found.items())
+                for name, (value, off, _) in self.found.items())
             sentences.append(f'Found with K and P: {found}. Predictions of this package need '
                              'these values, too.')
         return () if self.refusals else tuple(sentences)
@@ -242,6 +246,11 @@ class FitVerdict(NamedTuple):
                 f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '
                 'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
                 'use a simpler fit.structure.')
+        for name, (_, off, pull) in self.found.items():
+            if pull > MAX_PULL and name != 'package.inertia' and not self.wrong:
+                reasons.append(
+                    f'{name} would be {off} off, {pull:.2g} times its standard deviation. Measure '
+                    f'it again, set {name}_std if it is so uncertain, or try fit.structure: full.')
         for finding in self.wrong[:1]:
             line = 'first line says' if finding is self.causing[0] else 'lines above say'
             reasons.append(f'Correct {causes.setting_of(finding)} as the {line}, and fit again.')
@@ -334,8 +343,10 @@ def verdict_of(
 
 def _found(
     fit: Fit, values: Values, package: Package, length: float
-) -> Mapping[str, tuple[Array, str]]:
-    """Return `FitVerdict.found` of a fit; length in m."""
+) -> Mapping[str, tuple[Array, str, float]]:
+    """Return `FitVerdict.found` of a fit that converged; length in m."""
+    if not fit.converged:
+        return {}
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()}
     found = payload_of(package, free)
     parameters = {
@@ -348,7 +359,7 @@ def _found(
     changes = {name: f'{100.0 * np.max(np.abs(np.expm1(free[name]))):.2g} %'
                if name == 'inertia' else f'{1e3 * np.linalg.norm(free[name]):.2g} mm'
                for name in pulls}
-    return {parameters[name][0]: (parameters[name][1], changes[name])
+    return {parameters[name][0]: (parameters[name][1], changes[name], pulls[name])
             for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
 
 

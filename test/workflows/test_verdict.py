@@ -160,7 +160,7 @@ def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
         assert np.all(off < 4.0)
         stated = {**values, 'package.com_std': (aside,) * 3}
         said = verdict.verdict_of(found, recordings, laboratory.length, stated)
-        (name, (com, off)), *_ = said.found.items()
+        (name, (com, off, _)), *_ = said.found.items()
         assert name == 'package.com' and float(off.removesuffix(' mm')) > 800.0 * aside
         np.testing.assert_allclose(com[:2], 0.0, atol=0.1 * aside)
         assert 'package.com [' in said.doubts[-1]
