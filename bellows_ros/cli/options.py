@@ -59,7 +59,7 @@ def run_command(arguments: argparse.Namespace, console: Console) -> int:
     command = importlib.import_module(f'{__package__}.{arguments.command}')
     with console.progress:
         done: Outcome = command.run(arguments, console)
-        if arguments.json:
+        if getattr(arguments, 'json', None):
             content = done.content or {**results.plain(done.result), 'version': __version__}
             more = {} if done.inputs is None else {
                 'provenance': results.provenance(done.inputs, arguments.params)}
