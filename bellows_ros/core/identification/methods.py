@@ -195,7 +195,7 @@ def _by_output_error(
 
     structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
-    start = replace(one_cup_of(values), relaxation=strengths)
+    start = given = replace(one_cup_of(values), relaxation=strengths)
     measured = [motion for number, recording in enumerate(recordings)
                 for motion in measured_segments(recording, number)]
     reports = [recording.report for recording in recordings]
@@ -208,7 +208,7 @@ def _by_output_error(
     free = weak_prior([*named, *['relaxation'] * any(strengths)])
     return output_error(
         measured, structure, start, progress and partial(_report, progress), free, named,
-        values['fit.relaxation'], given_std(values))
+        values['fit.relaxation'], given_std(values), given)
 
 
 def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[T]:

@@ -83,6 +83,7 @@ def output_error(
     named: Sequence[str] = (),
     relaxation: str = 'off',
     given: Free = NOTHING,
+    other_start: Cup | None = None,
 ) -> Fit:
     """
     Fit K and P so that the model, moved as the tool was, meets the package's poses.
@@ -106,6 +107,8 @@ def output_error(
         'on' where the recordings are refused else.
     given : mapping, optional
         Standard deviations of quantities that were given; see `with_given`.
+    other_start : Cup, optional
+        Where a search of quick poses begins again that leaves a misfit.
 
     Raises
     ------
@@ -122,28 +125,32 @@ def output_error(
 
     search = Search([Segment(part) for part in measured], structure, start, free)
     are_slow = any(segment.is_slow for segment in search.segments)
-    (wide, minimum, from_given), ends = (_from_slow_poses if are_slow else _from_quick_poses)(
-        search, given, relaxation, record)
+    (wide, minimum, from_given), ends = _from_slow_poses(
+        search, given, relaxation, record) if are_slow else _from_quick_poses(
+        search, given, relaxation, record, other_start or start)
     reasons = reasons_at(ends, given)
     wide.restore(minimum)
     return _fit(wide, minimum, from_given, iterations, named, reasons)
 
 
-def _from_quick_poses(search: Search, given: Free, relaxation: str, report: Report) -> Ends:
+def _from_quick_poses(
+    search: Search, given: Free, relaxation: str, report: Report, other_start: Cup
+) -> Ends:
     """
     Return where a search ends whose recordings may know what was given better than the user.
 
-    Where a misfit is left without, that is free, too: held at first while the search approaches,
+    Where a misfit is left without, that is free, too: held at first while the search approaches
+    from another cup, as least squares, which the start is from, take what was given for exact;
     then free from the start, as it may be far off.
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     start = minimum = search.approach(report, with_couplings=False)
     if start.squares < MISFIT_CHI2 * start.residual_count:
         minimum = search.root_from(start, report)
-    for held in (more, ()):
+    for held, cup in ((more, other_start), ((), search.start_cup)):
         if search.is_plausible(minimum):
             break
-        search = search.with_free(search.start, {
+        search = search.with_free(search.unknowns(cup), {
             name: std for name, std in more.items() if name not in search.places})
         for segment in search.segments:
             segment.reset()

@@ -269,6 +269,13 @@ class Parametrization:
         K, P = self._matrices(theta)
         return replace(self.start_cup, stiffness=K, damping=P)
 
+    def unknowns(self, cup: Cup) -> Array:
+        """Return the unknowns of a cup, and nothing else changed."""
+        theta = self.start.copy()
+        theta[:self.count] = self.structure.parameters(
+            cup.stiffness, cup.damping) / self.units[:self.count]
+        return theta
+
     def strengths(self, theta: Array) -> Array:
         """Return the strengths of relaxation (2,) of the unknowns."""
         r = np.array(self.start_cup.relaxation)
