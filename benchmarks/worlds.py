@@ -69,7 +69,7 @@ def tool_motion(rng: np.random.Generator, duration: float, tilts: bool) -> Traje
     return driven(path, duration + (9.0 if tilts else 0.0), RATE)
 
 
-def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, MeasuredSegment]:
+def recorded(seed: int, duration: float) -> tuple[Cup, dict[str, PoseStream], MeasuredSegment]:
     """Return a cup, what robot and camera record of it, and the same without noise, as it is."""
     rng, standard = np.random.default_rng(seed), Cup.thesis()
     scale = np.sqrt(np.exp(rng.uniform(-0.5, 0.5, (2, 4)))[:, [0, 0, 1, 2, 2, 3]])
@@ -87,11 +87,11 @@ def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, M
     marker_offset = 0.03 * log_so3(exp_so3(rng.standard_normal(3)))
     R_marker, R_world = (exp_so3(rng.uniform(-2.0, 2.0, 3)) for _ in range(2))
     o_world = rng.uniform(-1.0, 1.0, 3)
-    late_ns = int(rng.uniform(15e6, 60e6))
-    return cup, PoseStream('/tool', 'base', tool.stamps_ns, tool.position, tool.rotation), (
-        PoseStream('/camera', 'camera', body.stamps_ns + late_ns,
-                   (body.position + apply(body.rotation, marker_offset) - o_world) @ R_world,
-                   R_world.T @ body.rotation @ R_marker)), MeasuredSegment(
+    robot = PoseStream('/tool', 'base', tool.stamps_ns, tool.position, tool.rotation)
+    return cup, {'tool_pose': robot, 'package_pose': PoseStream(
+        '/camera', 'camera', body.stamps_ns + int(rng.uniform(15e6, 60e6)),
+        (body.position + apply(body.rotation, marker_offset) - o_world) @ R_world,
+        R_world.T @ body.rotation @ R_marker)}, MeasuredSegment(
                        true_tool, true_body, PLATE, GRAVITY, tool_noise, noise)
 
 
@@ -102,10 +102,9 @@ def line(seed: int) -> tuple[str, Array]:
     Those of K in standard errors and in the bound, and those of 1/K in the bound.
     """
     values, began = resolve(VALUES), time.process_time()
-    cup, tool, package, true = recorded(seed, 26.0)
+    cup, streams, true = recorded(seed, 26.0)
     about = f'| {seed} | {"yes" if seed % 2 else "no"} | {"50 ms" if seed % 4 > 1 else "none"} | '
     try:
-        streams = {'tool_pose': tool, 'package_pose': package}
         recording = prepare_streams(streams, prepare_settings(values), values)
         both = fit([recording], values).fit
         found = both.exactly_given

@@ -71,6 +71,4 @@ def test_poses_of_two_worlds_are_of_no_other_convention(seed):
 
 def test_streams_that_do_not_overlap_say_nothing():
     one, other = streams(*ALL[:1] * 2)
-    later = PoseStream('/package', 'world', other.stamps_ns + 10**12, other.position,
-                       other.rotation)
-    assert convention_sentence(one, later) == ''
+    assert convention_sentence(one, replace(other, stamps_ns=other.stamps_ns + 10**12)) == ''
