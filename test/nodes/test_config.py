@@ -40,7 +40,7 @@ def test_our_reader_takes_it(name, root):
                    'fit.free')
         shown = set(values) | {n for n in ours if n.startswith((*of_the_cup, *of_many))}
         assert ours - shown == set(), 'not in the file'
-    chosen = {'bags', 'output.parameters', 'output.json'}
+    chosen = {'bags', 'cup.length', 'output.parameters', 'output.json'}  # of the recording, names
     for parameter in (p for user in ('predictor', 'identifier') for p in parameters_of(user)):
         if parameter.default is not None and parameter.name in set(values) - chosen:
             assert values[parameter.name] == parameter.default, parameter.name
