@@ -360,7 +360,7 @@ def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
         return tuple(text for text in free.warnings if text not in hint or not is_known)
     return (
         f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
-        f'that are not of the cup. Rate it with '
+        'that are not of the cup. Rate it with '
         f'recording.end: {max(losses[0] - 0.5, 0.0):.1f}.',
         *(warning for warning in free.warnings if warning not in hint))
 

@@ -216,8 +216,8 @@ def static_check(
         return with_spring(result, cup_of(values), values['gravity.magnitude'])
     if result.length is None:
         raise BellowsError(
-            f'{result.no_length} To check the spring instead, give its '
-            'cup.stiffness.')
+            f'{result.no_length} To check the spring instead, '
+            'give cup.stiffness.')
     return result
 
 

@@ -2,6 +2,7 @@
 
 import io
 import math
+import os
 
 from bellows_ros.cli.console import aligned, Console
 from bellows_ros.report import column, with_error
@@ -20,6 +21,12 @@ def test_a_table_fits_a_narrow_terminal_and_loses_nothing(right, monkeypatch):
     for row in ROWS:
         shown = ' '.join(lines[ROWS.index(row)::3])
         assert all(cell in shown for cell in row)
+
+
+def test_a_table_for_no_terminal_is_whole(monkeypatch):
+    monkeypatch.delenv('COLUMNS', raising=False)
+    monkeypatch.setattr('shutil.get_terminal_size', os.terminal_size)
+    assert len(aligned(ROWS)) == len(ROWS)
 
 
 @pytest.mark.parametrize('value, error, shown', [

@@ -16,6 +16,19 @@ import pytest
 
 from ..core.identification.hypotheses.laboratory import Laboratory, parameters
 
+
+@pytest.mark.parametrize(('off', 'left', 'said'), [
+    (1.02, 0.93, ''), (1.02, 0.6, ''), (1.5, 0.93, 'no tested cause'), (1.5, 0.6, 'Likely')])
+def test_what_filters_take_is_not_doubted(off, left, said):
+    """Doubt what was given, or the cup, only where poses are predicted worse than noise."""
+    noise = np.repeat([1e-4, 5e-4], 3)
+    rms = noise * np.where(np.arange(6) == 4, off, 1.0)
+    finding = cause('structure', [], left, certain=False)._replace(datum=False)
+    found = FitVerdict(
+        (Simulated('recording', rms, noise, 100.0 * noise, ()),), Diagnosis(2.7, (finding,)), {})
+    assert len(found.cause) == bool(said) and said in ' '.join(found.cause)
+
+
 EXPECTED = {'com': np.full(3, 2e-3), 'package_marker': np.repeat([1e-3, 5e-3], 3)}
 
 
@@ -112,6 +125,19 @@ def test_what_is_not_identifiable_refuses_no_cup(monkeypatch, std, refused):
     found = verdict.verdict_of(made_for(laboratory, 0.95, std), laboratory.recordings(),
                                laboratory.length, parameters(laboratory))
     assert bool(found.refusals) is refused
+
+
+@pytest.mark.parametrize(('seen', 'said'), [
+    ((), []), ((cause('com', [3e-3, 0.0, 0.0]),), ['com'])])
+def test_wrenches_know_no_more_than_the_fit(monkeypatch, seen, said):
+    laboratory = Laboratory(4, seconds=4.0)
+    wrong = Diagnosis(0.1, (cause('com', [3e-3, 0.0, 0.0]),), (cause('length', [2e-3]),))
+    monkeypatch.setattr(verdict, 'diagnose', lambda *given: wrong)
+    found = verdict.verdict_of(
+        replace(made_for(laboratory), causes=seen), laboratory.recordings(), laboratory.length,
+        parameters(laboratory))
+    assert found.is_at_noise
+    assert [own.name for own in (*found.diagnosis.findings, *found.diagnosis.besides)] == said
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')

@@ -351,11 +351,10 @@ def _identifiable(
     errors = std / (largest / MAX_RELATIVE_ERROR)
     is_noise = (shares > MAX_ERROR_SHARE) & (errors > MAX_NOISY_ERROR)
     identifiable = (std <= largest) & ~is_noise & minimum.converged
-    ringing = _ringing(search, minimum.theta, identifiable)
-    if minimum.converged and ringing.any():
-        growth = np.maximum(_damped_std(search, minimum, ringing) / std, 1.0)
-        covariance, std, errors = covariance * np.outer(growth, growth), std * growth, (
-            errors * growth)
+    if minimum.converged:
+        growth = np.maximum(_damped_std(search, minimum, identifiable) / std, 1.0)
+        covariance = covariance * np.outer(growth, growth)
+        std, errors = std * growth, errors * growth
         identifiable &= std <= largest
     notes = list(_unidentifiable(search, errors, shares, identifiable[:size]))
     total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
@@ -369,30 +368,20 @@ def _identifiable(
     return covariance, identifiable, notes
 
 
-def _ringing(search: Search, theta: Array, identifiable: Mask) -> Mask:
+def _damped_std(search: Search, minimum: Minimum, identifiable: Mask) -> Array:
     """
-    Return of which unknowns (m,) the damping is not identifiable, and less than ordinary.
+    Return the standard errors (m,), SI units, if unknown damping were ordinary at least.
 
     Noise that rings at a mode tells its frequency, and so K, far too well.
     """
-    n, leads = search.count, 2 * search.structure.leads
-    is_damping = np.arange(n) >= n // 2
-    is_diagonal = np.array([row == column for row, column in leads])
-    return np.pad(~identifiable[:n] & is_damping & is_diagonal & (
-        theta[:n] < _ordinary(search, theta)), (0, len(theta) - n))
-
-
-def _ordinary(search: Search, theta: Array) -> Array:
-    """Return the unknowns (n,) of the cup with ordinary damping."""
+    count, theta, leads = search.count, minimum.theta.copy(), search.structure.leads
     K = search.cup(theta).stiffness
-    return np.asarray(search.structure.parameters(
-        K, search.ordinary_damping(K)) / search.units[:search.count])
-
-
-def _damped_std(search: Search, minimum: Minimum, ringing: Mask) -> Array:
-    """Return the standard errors (m,), SI units, if what rings had ordinary damping."""
-    theta = minimum.theta.copy()
-    theta[ringing] = _ordinary(search, theta)[ringing[:search.count]]
+    ordinary = search.structure.parameters(K, search.ordinary_damping(K)) / search.units[:count]
+    is_axis = np.array([False] * len(leads) + [row == column for row, column in leads])
+    is_low = is_axis & ~identifiable[:count] & (theta[:count] < ordinary)
+    if not is_low.any():
+        return np.zeros(len(theta))
+    theta[:count][is_low] = ordinary[is_low]
     parts, information, _ = search.system(theta)
     damped = minimum._replace(theta=theta, parts=parts, information=information)
     return np.sqrt(np.diag(covariance_of(search, damped)[0]))

@@ -6,6 +6,7 @@ import re
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
+from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.causes import Finding, finding_sentence, implausible_inputs
 from bellows_ros.core.identification.hypotheses import diagnose
 from bellows_ros.core.identification.methods import fit
@@ -110,6 +111,17 @@ def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_d
     laboratory = faulty('clocks far apart', 903, seconds=12.0)
     found, = implausible_inputs(laboratory.recording())
     assert found.name == 'time_offset' and abs(found.theta[0] - laboratory.late) < 0.1
+
+
+@pytest.mark.parametrize(('near', 'best', 'apart'), [
+    (0.578, 0.626, False), (0.893, 0.94, True), (0.013, 0.79, True), (1.0, 1.0, False)])
+def test_clocks_are_apart_where_turns_are_alike_beyond_chance(near, best, apart, monkeypatch):
+    """Of a weak correlation the same difference is less than of a strong one."""
+    lags = np.array([-0.47, 0.0])
+    monkeypatch.setattr(causes.alignment, 'turn_correlation', lambda *_, one_world=False: (
+        lags, np.array([best, near]) - 0.1 * one_world))
+    found = implausible_inputs(Laboratory(4, seconds=4.0).recording())
+    assert [finding.name for finding in found] == ['time_offset'] * apart
 
 
 def test_a_motion_that_nearly_repeats_is_of_one_clock():
