@@ -280,7 +280,9 @@ def causes(
     left = best.left(minimum)
     others = () if count == 1 else causes(best.search, best.minimum, given, 1) or outlying(
         best.search, best.minimum, given, 1)
-    is_all = count > 1 and not others  # so that what a rival leaves is its own
+    unexplained = best.minimum.squares - best.minimum.residual_count
+    is_all = count > 1 and (  # so that what a rival leaves is its own
+        not others or unexplained < DISTINCT**2 * (best.gain - rival))
     pulls = [largest_pull(*end, given)[1]
              for end in ((search, minimum), (best.search, best.minimum))]
     is_material = moved > MIN_SHIFT or left < DISTINCT or pulls[0] > MAX_PULL > pulls[1]

@@ -136,7 +136,7 @@ class Nodes(NamedTuple):
     stamps : int ndarray (M,)
         ns, by the tool's clock.
     samples : int ndarray (S,)
-        The nodes at the tool's samples.
+        The nodes from which on each of the tool's samples is the nearest one.
     place : int ndarray (M,)
         Number of the package's pose at each node, -1 for none.
     sampled, used : bool ndarray
@@ -165,8 +165,6 @@ class Segment:
         self.inner = slice(self.half_window, len(self.tool) - self.half_window)
         self.period = float(np.median(np.diff(measured.package.stamps_ns))) / NS_PER_S
         self.is_slow = self.period * LOW_RATE_HZ > 1.0  # its noise is estimated with K and P
-        # how long (s) each sample of the tool is held
-        self.durations = np.gradient((self.tool.stamps_ns - self.tool.stamps_ns[0]) / NS_PER_S)
         valid = measured.tool.valid[:, None]
         self.variance = np.where(valid, measured.tool_noise.std, BRIDGED_STD)[self.inner] ** 2
         self.package = measured.package.select(measured.package.valid)
@@ -206,21 +204,20 @@ class Segment:
         sampled = grid >= nodes[0]
         place = np.full(len(nodes), -1)
         place[np.searchsorted(nodes, stamps[used])] = np.arange(np.count_nonzero(used))
-        return Nodes(nodes, np.searchsorted(nodes, grid[sampled]), place, sampled, used,
+        middles = (grid[sampled][1:] + grid[sampled][:-1]) // 2
+        return Nodes(nodes, np.append(0, np.searchsorted(nodes, middles)), place, sampled, used,
                      (poses - stamps)[used] / NS_PER_S)
 
     def tool_noise(self, nodes: Nodes) -> whitening.ToolNoise:
         """Return the noise of the tool's samples at the nodes."""
         correlation, count = self.measured.tool_noise.correlation, len(nodes.stamps)
         noise = whitening.ToolNoise(
-            np.zeros(count), np.zeros((count, 6)), np.zeros((count, 6)), np.ones(count))
-        new_variance = self.variance[nodes.sampled] * (1.0 - correlation**2)
-        new_variance[0] /= 1.0 - correlation**2
-        for values, sampled in zip(noise, (
-                self.durations[self.inner][nodes.sampled],
-                _innovations(self.deviation[nodes.sampled], correlation),
-                new_variance, correlation), strict=True):
-            values[nodes.samples] = sampled
+            np.zeros((count, 6)), np.zeros((count, 6)), np.ones(count))
+        noise.innovations[nodes.samples] = _innovations(
+            self.deviation[nodes.sampled], correlation)
+        noise.variances[nodes.samples] = self.variance[nodes.sampled] * (1.0 - correlation**2)
+        noise.variances[nodes.samples[0]] /= 1.0 - correlation**2
+        noise.correlations[nodes.samples] = correlation
         return noise
 
 

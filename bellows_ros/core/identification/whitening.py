@@ -4,12 +4,13 @@ Whitened differences between measured poses of the package and those that the mo
 The package is simulated from a path of the tool near the measured one. What separates it from the
 true package is a small state x (12,) in body axes, as in `jacobians`. It follows the linearised
 model, and is driven by what separates the tool's path from its measured poses, and by their noise:
-a sample d of the tool (m, rad) acts as long as it is held,
+a sample d of the tool (m, rad) acts while it is the nearest one,
 
-    x <- x + held B d,    B = [T_v; A_v T_v + T_p + T_v ad(v_tool)],
+    dx/dt = A x + B d,    B = [T_v; A_v T_v + T_p + T_v ad(v_tool)],
 
 with T_p, T_v and A_v the derivatives of the acceleration by pose and twist of the tool, and twist
-of the package (the noise's slope is integrated by parts). The internal strains of a cup that
+of the package (the noise's slope is integrated by parts). Over a step between nodes A and B are
+held, and d is linear: a stiff cup settles within one. The internal strains of a cup that
 relaxes are 12 states more. A Kalman filter on x whitens the differences and their derivatives by
 parameters. With exact poses of the tool that is output error; with noisy ones the squares that are
 left are those over all paths the tool may have gone (total least squares), and the second pass,
@@ -104,11 +105,10 @@ class ToolNoise(NamedTuple):
     """
     Noise of the tool's poses at the nodes: its shift and turn from the path, m and rad.
 
-    The time (M,) for which each sample stands, s; innovations (M, 6) with their variances (M, 6),
-    and the correlation (M,) with the noise at the node before.
+    Innovations (M, 6), each from the node on from which its sample is the nearest, with their
+    variances (M, 6), and the correlation (M,) with the noise at the node before.
     """
 
-    durations: Array
     innovations: Array
     variances: Array
     correlations: Array
@@ -177,12 +177,12 @@ def whiten(
     innovations, slopes : ndarray (N, 6), (N, 6, p)
         In units of their standard deviation.
     T, B, K : ndarray (M, n, n), (M, n, 6), (N, 6, n + 1)
-        Transitions, half the effects of the tool's samples, and gains with one over the standard
-        deviation of what each is of.
+        Transitions, effects of the tool's samples on the step before, and gains with one over the
+        standard deviation of what each is of.
 
     """
     rows, lengths, steps = path  # by their order, on which the machine code on disk depends
-    durations, tool_innovations, tool_variances, _ = tool_noise
+    tool_innovations, tool_variances, _ = tool_noise
     place, measured, by_unknowns, white_variance, _, _ = poses
     last, columns, _, _, delay = unknowns
     m, n, nodes, count = len(mean), len(std), len(rows), len(measured)
@@ -192,18 +192,18 @@ def whiten(
     S[:m, -1] = mean
     out, slopes = np.empty((count, 6)), np.empty((count, 6, S.shape[1] - 1))
     T, B, K = np.zeros((nodes, n, n)), np.zeros((nodes, n, 6)), np.zeros((count, 6, n + 1))
-    A, C, twist = np.zeros((2, m, m)), np.zeros((2, m, PARAMETER_COUNT)), np.zeros(6)
+    A, C, E = np.zeros((2, m, m)), np.zeros((2, m, PARAMETER_COUNT)), np.zeros((2, m, 6))
+    twist = np.zeros(6)
     for k in range(nodes):
         here, slot = row_state(rows[k]), k % 2
         if k > 0:
             body = kernels.advance(
                 model, body, row_state(rows[k - 1]), here, lengths[k - 1], steps[k - 1])
-        _derivatives(model, here, body, last, A[slot], C[slot], B[k])
-        B[k] *= 0.5 * durations[k]  # the other half acts behind the package's pose
+        _derivatives(model, here, body, last, A[slot], C[slot], E[slot])
         for i in range(6):
             B[k, m + i, i] = 1.0
         if k > 0:
-            _propagate(k, path, tool_noise, poses, unknowns, walk, A, C, B, S, P, T[k])
+            _propagate(k, path, tool_noise, poses, unknowns, walk, A, C, E, B[k], S, P, T[k])
         _add_tool_noise(tool_innovations[k], tool_variances[k], B[k], S, P)
         i = place[k]
         if i >= 0:
@@ -238,20 +238,23 @@ def with_mean(body: State, S: Any) -> State:
 @array_kernel
 def _propagate(
     k: int, path: Path, tool_noise: ToolNoise, poses: Poses, unknowns: Unknowns, walk: Array,
-    A: Array, C: Array, B: Array, S: Array, P: Array, T: Array,
+    A: Array, C: Array, E: Array, B: Array, S: Array, P: Array, T: Array,
 ) -> None:
-    """Propagate states, derivatives and covariance over a step to node k; write its T."""
-    (_, lengths, steps), (_, _, _, tool_correlations) = path, tool_noise
+    """Propagate states, derivatives and covariance over a step to node k; write its T and B."""
+    (_, lengths, steps), (_, _, tool_correlations) = path, tool_noise
     (_, _, _, _, variance, correlations), (_, columns, scales, extra, _) = poses, unknowns
-    n, m, length, mean = len(P), A.shape[1], lengths[k - 1], np.zeros((A.shape[1], A.shape[1]))
+    n, m, length = len(P), A.shape[1], lengths[k - 1]
+    mean, ramp, entered = np.zeros((m, m)), np.zeros((m, m)), np.empty((m, 6))
     tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]
-    F = _exponential(0.5 * length * (A[0] + A[1]), steps[k - 1], mean)
-    entered = t3.product(F, B[k - 1, :m], np.empty((m, 6)))
+    F, held = _exponential(0.5 * length * (A[0] + A[1]), steps[k - 1], mean, ramp), (
+        0.5 * length * (E[0] + E[1]))
+    t3.product(mean, held, entered)
+    t3.product(ramp, held, B[:m])
     for i in range(m):
         for j in range(m):
             T[i, j] = F[i, j]
         for j in range(6):
-            T[i, m + j] = entered[i, j] + tool_correlation * B[k, i, j]
+            T[i, m + j] = entered[i, j] + (tool_correlation - 1.0) * B[i, j]
     for i in range(m, n):
         T[i, i] = tool_correlation if i < m + 6 else noise_correlation
     effect = t3.product(0.5 * length * (C[0] + C[1]), columns, np.empty((m, S.shape[1])))
@@ -267,9 +270,9 @@ def _propagate(
 
 
 @array_kernel
-def _exponential(M: Any, steps: int, mean: Any) -> Any:
+def _exponential(M: Any, steps: int, mean: Any, ramp: Any) -> Any:
     """
-    Return exp(M), M changed; write the mean of exp(t M) for t from 0 to 1.
+    Return exp(M), M changed; write the means of exp(t M) and (1 - t) exp(t M) for t from 0 to 1.
 
     To fourth order over `MAX_EXPONENTIAL_STEPS` of the integrator's steps at most, doubled to all
     of them.
@@ -278,8 +281,10 @@ def _exponential(M: Any, steps: int, mean: Any) -> Any:
     while steps > MAX_EXPONENTIAL_STEPS:
         steps, doublings = (steps + 1) // 2, doublings + 1
     M *= 0.5**doublings
-    F, other = _short_exponential(M, mean), np.empty(M.shape)
+    F, other = _short_exponential(M, mean, ramp), np.empty(M.shape)
     for _ in range(doublings):
+        ramp += mean + t3.product(F, ramp, other)
+        ramp *= 0.25
         mean += t3.product(F, mean, other)
         mean *= 0.5
         F, other = t3.product(F, F, other), F
@@ -287,8 +292,8 @@ def _exponential(M: Any, steps: int, mean: Any) -> Any:
 
 
 @array_kernel
-def _short_exponential(M: Any, mean: Any) -> Any:
-    """Return exp(M), and write its mean, to fourth order."""
+def _short_exponential(M: Any, mean: Any, ramp: Any) -> Any:
+    """Return exp(M), and write its means, to fourth order."""
     X, Y = M.copy(), np.empty(M.shape)
     for constant in (4.0, 12.0, 24.0):  # 4 + M, 12 + M X, 24 + M Y
         if constant > 4.0:
@@ -298,7 +303,7 @@ def _short_exponential(M: Any, mean: Any) -> Any:
             X[i, i] += constant
     for i in range(len(M)):
         for j in range(len(M)):
-            mean[i, j] = X[i, j] / 24.0
+            mean[i, j], ramp[i, j] = X[i, j] / 24.0, Y[i, j] / 24.0
     t3.product(M, mean, Y)
     for i in range(len(M)):
         Y[i, i] += 1.0

@@ -223,6 +223,22 @@ def test_noise_of_the_tool_does_not_shake_the_simulated_package():
     assert np.all(np.abs(z.mean(axis=0)) < 2.8)
 
 
+@pytest.mark.parametrize(('rates', 'hz'), [
+    ((150.0, 150.0), 0.5), ((150.0, 150.0), 5.0), ((250.0, 30.0), 5.0)])
+def test_differences_are_the_same_about_any_path_near_the_measured_one(rates, hz):
+    """As noise of the tool acts as its path does, also where a stiff cup settles in a sample."""
+    stiff = replace(TRUTH, stiffness=np.diag([8e3, 8e3, 1e4, 7.0, 7.0, 1.0]),
+                    damping=np.diag([1e3, 1e3, 1e3, 0.5, 0.5, 0.5]))
+    segment = Segment(measured(3, CAPTURE, CAPTURE, *rates, duration=4.0, cup=stiff))
+    search = Search([segment], AXISYMMETRIC, stiff, {})
+    moved = np.zeros((len(segment.variance), 6))
+    before = search.system(search.start)[0][0]
+    moved[:, 0] = 3e-4 * np.sin(2.0 * np.pi * hz * np.arange(len(moved)) / rates[0])
+    segment.set_path(moved)
+    after = search.system(search.start)[0][0]
+    assert np.sqrt(np.mean((after.innovations - before.innovations) ** 2)) < 0.03
+
+
 @pytest.mark.parametrize(('stiffness', 'damping', 'noise'), [
     (1.0, 1.0, (2e-3, 1e-2)),
     (1.6, 0.5, (5e-4, 2.5e-3)),  # its twist rings for longer, and 30 Hz hardly tell it
