@@ -125,8 +125,9 @@ def identify(
         progress(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole_recordings(parts), effective['cup.length'], effective)
         wrong = early.beyond(allowances(effective)).wrong if early else []
-        is_setting = any(finding.is_fact or not (  # a fit finds numbers, and lip or com
-            len(finding.theta) or finding.name == 'recording.package_frame') for finding in wrong)
+        is_setting = any(finding.is_fact or not (  # a fit finds numbers, lip or com, couplings
+            len(finding.theta) or finding.name in ('recording.package_frame', 'structure'))
+                         for finding in wrong)
         attempts = ({},) * (not is_setting) + (LEAST_SQUARES,) * bool(wrong)
     return _identify(
         values, effective, attempts, parts, static, progress, failed=tuple(failed),

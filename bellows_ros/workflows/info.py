@@ -441,7 +441,8 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     why_package = [*_name_reason(package.name, PACKAGE_WORDS)]
     if not one_frame and len(tool.stamps_ns) > len(package.stamps_ns):
         why_tool.append(f"it has more poses than '{package.name}'")
-    score = 3.0 * below + 2.0 * constant + 1.5 * (len(why_tool) + len(why_package))
+    score = (3.0 if constant else 1.0) * below + 2.0 * constant + 1.5 * (
+        len(why_tool) + len(why_package))
     if constant:
         why_package.insert(0, f'it stays {1e3 * low:.1f} to {1e3 * high:.1f} mm from it')
     if below:

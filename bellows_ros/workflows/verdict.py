@@ -112,13 +112,13 @@ class FitVerdict(NamedTuple):
         """
         Return it without what a fit corrects, no further off than by three standard deviations.
 
-        And where the fit explains all, without anything given, which it tests better than wrenches
-        show it, and without what the cup may be other than for certain.
+        And where the fit explains all, without anything given or couplings, which it tests better
+        than wrenches show it, and without what the cup may be other than for certain.
         """
         findings, besides = (
             tuple(finding for finding in each if finding.is_fact or (
                 not explains and not _is_within(finding, corrected) if finding.datum
-                else finding.certain or not explains))
+                else not explains or finding.certain and finding.name != 'structure'))
             for each in (self.diagnosis.findings, self.diagnosis.besides))
         if findings[:1] != self.diagnosis.findings[:1] and besides:
             findings, besides = besides, ()  # others explain what the fit corrects

@@ -65,6 +65,17 @@ def test_places_in_two_frames_say_nothing_on_roles(tmp_path):
     assert (found.tool.topic, found.package.topic) == ('/ur/pose', '/camera/marker')
 
 
+def test_places_of_two_clocks_say_nothing_on_roles(tmp_path):
+    """Although the tool, which sinks, seems to start below a package that is stamped late."""
+    m = motion()
+    sinking = -0.3 * np.minimum(m['t'], 2.0)[:, None] * [0.0, 0.0, 1.0]
+    write_bag(tmp_path / 'bag', [
+        poses('/box/pose', m['t'] + 1.5, m['o_p'] + sinking, m['R_p']),
+        poses('/gripper/pose', m['t'], m['o'] + sinking, m['R'])])
+    found = info(tmp_path / 'bag')
+    assert (found.tool.topic, found.package.topic) == ('/gripper/pose', '/box/pose')
+
+
 @pytest.mark.parametrize('frame', ['world', 'tool'])
 def test_axes_of_the_twist_are_found(frame, tmp_path):
     """Tell world from tool axes by integrating the twist."""

@@ -257,6 +257,8 @@ def _misread(recording: Recording) -> Finding | None:
         raise BellowsError(MISREAD['one_body'].format(**names))
     if away <= conventions.MAX_DISTANCE and above <= 0.0:
         return None
+    if (clocks := _clocks(recording)) and not misread(_by_one_clock(recording, clocks)):
+        return clocks._replace(is_fact=True)
     if apart := _two_worlds(recording, tool, package, lip):
         return _fact('package_world', apart)
     if away > conventions.MAX_DISTANCE:

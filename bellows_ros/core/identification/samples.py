@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
-from bellows_ros.core.identification.causes import misread
+from bellows_ros.core.identification.causes import finding_sentence, misread
 from bellows_ros.core.model.cup_package import Package, regressor
 from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
 from bellows_ros.core.recording.recording import FilterNoise, Recording
@@ -267,7 +267,7 @@ def samples_of(recording: Recording) -> Samples:
 
     """
     if wrong := misread(recording):
-        raise BellowsError(wrong.sentence)
+        raise BellowsError(finding_sentence(wrong, {}))
     return filtered_samples(recording)
 
 

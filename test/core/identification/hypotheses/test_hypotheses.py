@@ -7,12 +7,18 @@ import re
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
 from bellows_ros.core.identification import causes
-from bellows_ros.core.identification.causes import Finding, finding_sentence, implausible_inputs
+from bellows_ros.core.identification.causes import (
+    Finding,
+    finding_sentence,
+    implausible_inputs,
+    misread,
+)
 from bellows_ros.core.identification.hypotheses import diagnose
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.search import Search
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.replay import validated
 from bellows_ros.workflows.verdict import verdict_of
@@ -128,6 +134,16 @@ def test_a_motion_that_nearly_repeats_is_of_one_clock():
     """The sizes of its turns are most alike 1.2 s later."""
     recording = record(shake(duration=300.0), tool=(1e-4, 3e-4), package=(1e-4, 3e-4))
     assert not implausible_inputs(recording)
+
+
+def test_clocks_that_are_apart_are_no_exchanged_topics():
+    """Although the package seems to be above a tool that sinks."""
+    rng = np.random.default_rng(1)
+    sinking = Waypoints(Pose(np.zeros(3), np.eye(3)), 1.0, tuple(MoveAndHold(
+        Pose(np.array([0.0, 0.0, -0.15 * (i + 1)]), exp_so3(0.2 * rng.normal(size=3))), 0.8, 0.1)
+        for i in range(12)))
+    found = misread(record(sinking, later=-2.0, tool=(1e-4, 5e-4), package=(1e-4, 5e-4)))
+    assert found.name == 'time_offset' and abs(found.theta[0] + 2.0) < 0.1
 
 
 def test_a_replay_names_clocks_that_are_apart():
