@@ -54,6 +54,10 @@ REST_PART, MIN_SAMPLES_AT_REST = 0.9, 10
 WIDE_WINDOW, MIN_NOISE_RATIO = 0.06, 1.15
 """Time (s) over which poses are compared for correlated noise, and by how much more is seen."""
 
+MIN_STRIDE_HZ, MIN_STILL, MIN_CORRELATION = 200.0, 100, 0.2
+"""Rate of poses from which a stride is longer than a sample; fewest poses of a body that is still,
+and the correlation of neighbours, from which it counts as memory of the noise."""
+
 
 class Noise(NamedTuple):
     """Standard deviation per axis of white noise: position (m) and rotation vector (rad)."""
@@ -123,14 +127,25 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
 
 def noise_at_rest(poses: Trajectory) -> 'BodyNoise':
     """Return the noise of poses of a body at rest: with a memory, that of fewer poses."""
+    moved, kept = _at_rest(poses), max(correlation_at_rest(poses, 1), 0.0)
+    count = max(len(moved) * (1.0 - kept) / (1.0 + kept), 2.0)
+    return BodyNoise(
+        np.sqrt(count / (count - 1.0) * np.mean(moved**2, axis=0)), independent=count)
+
+
+def correlation_at_rest(poses: Trajectory, lag: int) -> float:
+    """Return the correlation of poses of a body at rest so many samples apart, over all axes."""
+    moved = _at_rest(poses)
+    squares = np.maximum(np.sum(moved**2, axis=0), 1e-30)
+    return float(np.mean(np.sum(moved[lag:] * moved[:-lag], axis=0) / squares))
+
+
+def _at_rest(poses: Trajectory) -> Array:
+    """Return shifts and turns (N, 6) of a body at rest from its mean pose."""
     back = poses.rotation[0].T
     moved = np.hstack([apply(back, poses.position - poses.position[0]),
                        log_so3(back @ poses.rotation)])
-    moved = _clipped(moved - moved.mean(axis=0))
-    squares = np.maximum(np.sum(moved**2, axis=0), 1e-30)
-    kept = max(float(np.mean(np.sum(moved[1:] * moved[:-1], axis=0) / squares)), 0.0)
-    count = max(len(moved) * (1.0 - kept) / (1.0 + kept), 2.0)
-    return BodyNoise(np.sqrt(count / (count - 1.0) * squares / len(moved)), independent=count)
+    return _clipped(moved - moved.mean(axis=0))
 
 
 def _clipped(residuals: Array) -> Array:
@@ -162,14 +177,22 @@ class AR1Noise(NamedTuple):
         return correlated(self.size * draw.standard_normal((count, 3)), self.correlation)
 
 
-def ar1_noise_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
+def ar1_noise_of(
+    poses: Trajectory, noise: Noise, still: Trajectory
+) -> tuple[AR1Noise, AR1Noise]:
     """
     Return the noise of positions (m) and of rotations (rad) of poses at a uniform rate.
 
     It is white, or correlated over the time that makes the noise of poses a stride apart as much
-    larger than that of neighbours, which is given, as it is.
+    larger than that of neighbours, which is given, as it is. Where poses come too slowly for that,
+    it is correlated as while the body is still, unless it swings then.
     """
     rate_hz = trajectory.NS_PER_S / float(np.median(np.diff(poses.stamps_ns)))
+    if LOW_RATE_HZ < rate_hz < MIN_STRIDE_HZ and len(still) > MIN_STILL:
+        kept, later = (correlation_at_rest(still, lag) for lag in (1, 2))
+        if kept > MIN_CORRELATION and later < 0.5 * kept * (1.0 + kept):
+            part = float(np.sqrt(ripple_part(kept) / ripple_part(0.0)))
+            return AR1Noise(noise.position / part, kept), AR1Noise(noise.rotation / part, kept)
     stride = max(round(WIDE_WINDOW * rate_hz / (2 * HALF_WINDOW)), 1)
     try:
         wide = noise_of(poses.select(slice(None, None, stride))) if stride > 1 else noise
@@ -582,8 +605,10 @@ class Recording:
     @cached_property
     def ar1_noise(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:
         """Time correlation of the noise of tool and package, in position and rotation."""
-        tool, package = self._pose_noise
-        return (ar1_noise_of(self.aligned_tool, tool), ar1_noise_of(self.aligned_package, package))
+        tool, package = (
+            ar1_noise_of(poses, noise, self._still(poses)) for poses, noise in zip(
+                (self.aligned_tool, self.aligned_package), self._pose_noise, strict=True))
+        return tool, package
 
     @cached_property
     def body_noise(self) -> tuple[BodyNoise, BodyNoise]:
@@ -597,14 +622,18 @@ class Recording:
                 (self.aligned_tool, self.aligned_package),
                 (max(part.correlation for part in body) for body in self.ar1_noise), strict=True))
         if self.report.package.timing.rate_hz < LOW_RATE_HZ:
-            tool, package = self.aligned_tool, self.tracked_package
-            first = max(tool.stamps_ns[0], package.stamps_ns[0])
-            last = first + REST_PART * rest_of(tool, package).seconds * trajectory.NS_PER_S
-            still = package.between(first, last)
-            still = still.select(still.valid)
+            still = self._still(self.tracked_package)
             if len(still) >= MIN_SAMPLES_AT_REST:
                 of_package = noise_at_rest(still)
         return of_tool, of_package
+
+    def _still(self, poses: Trajectory) -> Trajectory:
+        """Return the valid poses of a body while both stand still at the beginning."""
+        tool, package = self.aligned_tool, self.tracked_package
+        first = max(tool.stamps_ns[0], package.stamps_ns[0])
+        rest_ns = REST_PART * rest_of(tool, package).seconds * trajectory.NS_PER_S
+        still = poses.between(first, first + int(rest_ns))
+        return still.select(still.valid)
 
     @cached_property
     def _pose_noise(self) -> tuple[Noise, Noise]:

@@ -69,6 +69,17 @@ def test_noise_explains_the_error_of_the_true_cup(judged):
     assert judged.failing() == ()
 
 
+@pytest.mark.parametrize('kept', [0.0, 0.75])
+def test_noise_of_poses_too_slow_for_a_stride_is_known_by_a_standstill(kept):
+    """Find a memory of 30 ms at 120 Hz, and none where there is none."""
+    motion = replace(simulated.shake(duration=10.0), rest_duration=2.0)
+    sizes = (5e-4, 2.5e-3)
+    recorded = simulated.record(motion, tool=sizes, package=sizes, kept=kept)
+    for noise in recorded.body_noise:
+        assert_allclose(noise.std, np.repeat(sizes, 3), rtol=0.15)
+        assert abs(noise.correlation - kept) < 0.1
+
+
 @pytest.mark.parametrize('uneven', [False, True])
 def test_a_slow_camera_is_simulated_at_the_rate_of_the_tool(uneven):
     """Explain poses of 30 Hz, also a third of them at random, of a tool that moves at 3.9 Hz."""
