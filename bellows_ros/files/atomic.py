@@ -7,6 +7,7 @@ beside it.
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+import ctypes
 import os
 from pathlib import Path
 import secrets
@@ -172,8 +173,6 @@ def _move_into_place(work: Path, target: Path, replace: bool) -> None:
 
 def _exchange(one: Path, other: Path) -> bool:
     """Swap two folders in one step; return whether the system could."""
-    import ctypes
-
     try:
         rename = ctypes.CDLL(None).renameat2
     except AttributeError:  # not Linux

@@ -14,6 +14,7 @@ from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, table
 from bellows_ros.core.recording.recording import Recording, TimeOffset
+from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results, Values
 from bellows_ros.workflows import CommandResult
@@ -132,8 +133,6 @@ class Identification(CommandResult):
         moving = validity_range.joined_envelopes([part.envelope for part in self.parts])
         if self.static is None:
             return moving
-        from bellows_ros.core.recording.standstills import with_standstills
-
         return with_standstills(moving, self.static.standstills, self.cup_length)
 
     @property

@@ -11,6 +11,7 @@ from bellows_ros.core.identification.given import as_found, given_std
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
 from bellows_ros.core.identification.quantities import Free, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
+from bellows_ros.core.identification.validation import validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.recording.recording import Recording
@@ -379,8 +380,6 @@ def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
 
 def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Simulated:
     """Return a recording simulated freely; all of it is unexplained where that is not possible."""
-    from bellows_ros.core.identification.validation import validate
-
     try:
         result = validate(cup, recording, MAX_SIMULATED)
         beyond = result.moves & ~(result.model_error <= UNEXPLAINED)

@@ -42,6 +42,7 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import Motion, MoveAndHold, Pose, Vibration, Waypoints
 from bellows_ros.errors import BellowsError
 import numpy as np
+import scipy  # whose parts are loaded as they are used
 
 REST, RAMP = 2.0, 1.0
 """Durations (s): the initial rest, and each ramp of the amplitude."""
@@ -470,9 +471,7 @@ def design(
         If the cup cannot hold the package, or no motion is within the limits.
 
     """
-    from scipy import optimize  # late: it takes a while to load
-
-    minimise: Any = optimize.minimize
+    minimise: Any = scipy.optimize.minimize
     period = duration - REST
     start = checks.limits.start
     at = state_row(start.position, rotation_to_quaternion(start.rotation))

@@ -27,6 +27,7 @@ from bellows_ros.core.model.structure import common_structure, Structure, struct
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
 import numpy as np
+import scipy  # whose parts are loaded as they are used
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
 
@@ -266,9 +267,7 @@ def modes(cup: Cup, package: Package, gravity: float, like: Sequence[Mode] = ())
             max(energy, key=energy.__getitem__), omega / (2.0 * np.pi), ratio, shape))
     if not like:
         return all_modes
-    from scipy.optimize import linear_sum_assignment  # late: slow to load
-
-    return [all_modes[i] for i in linear_sum_assignment(
+    return [all_modes[i] for i in scipy.optimize.linear_sum_assignment(
         [[-abs(float(a.shape @ b.shape)) for b in all_modes] for a in like])[1]]
 
 

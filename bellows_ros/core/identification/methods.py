@@ -9,7 +9,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares
+from bellows_ros.core.identification.given import given_std
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
+from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.reduction import (
     AnyRecording,
@@ -21,6 +23,8 @@ from bellows_ros.core.identification.reduction import (
 )
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.segments import measured_segments
+from bellows_ros.core.identification.statics import joined_with_standstills, Length
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
 from bellows_ros.core.model.structure import given_structure, STRUCTURES
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, Noise, Recording, TimeOffset
@@ -124,9 +128,6 @@ def fit(
     if values['fit.time_offset']:
         result = _with_offsets(result, [part.time_offset for part in parts])
     if standstills:
-        # Late, as it is rare.
-        from bellows_ros.core.identification.statics import joined_with_standstills, Length
-
         jacobian = np.zeros(len(result.labels))
         if length_std > 0.0:
             jacobian = _length_jacobian(whole_recordings(recordings), values)
@@ -189,10 +190,6 @@ def _by_output_error(
     recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress | None
 ) -> Fit:
     """Return the fit by simulation, with all that is uncertain free beside K and P."""
-    from bellows_ros.core.identification.given import given_std
-    from bellows_ros.core.identification.output_error import output_error
-    from bellows_ros.core.identification.segments import measured_segments
-
     structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
     start = given = replace(one_cup_of(values), relaxation=strengths)

@@ -18,6 +18,7 @@ from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
+import scipy  # whose parts are loaded as they are used
 
 RATES = {
     'speed': 'm/s', 'acceleration': 'm/s^2', 'jerk': 'm/s^3',
@@ -245,10 +246,8 @@ def fastest(
 
 def _local_maximum(margin: Callable[[float], float], scale: float) -> tuple[float, float]:
     """Return where a margin is largest, of the last two steps of the scan, and how large."""
-    from scipy.optimize import minimize_scalar
-
     lowest = scale / (1.0 + SCAN_STEP) ** 2
-    top = minimize_scalar(
+    top = scipy.optimize.minimize_scalar(
         lambda s: -margin(s), bounds=(lowest, scale), method='bounded',
         options={'xatol': 0.01 * SCAN_STEP * scale})
     return (float(top.x), -float(top.fun)) if top.fun <= 0.0 else (scale, margin(scale))

@@ -16,6 +16,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
+import scipy  # whose parts are loaded as they are used
 
 from .trajectory import any_within, Filtered, frozen, Trajectory, uniform_rate_hz
 
@@ -315,8 +316,7 @@ def first_order(inputs: Array, ar1: float) -> Array:
         Of the value before, below 1.
 
     """
-    from scipy.linalg import solve_banded  # late: the predictor does without
-
     diagonals = np.ones((2, len(inputs)))
     diagonals[1] = -ar1
-    return np.asarray(solve_banded((1, 0), diagonals, inputs, check_finite=False))
+    return np.asarray(
+        scipy.linalg.solve_banded((1, 0), diagonals, inputs, check_finite=False))

@@ -20,6 +20,7 @@ from bellows_ros.core.toss import release as toss_release
 from bellows_ros.core.toss.release import HeldMotion, Law, Release, RELEASE_NAMES, Toss, toss
 from bellows_ros.errors import NoLandingError, NoReleaseError, UnstableError
 import numpy as np
+import scipy  # whose parts are loaded as they are used
 
 MARGIN = 0.25
 """A cup with changed parameters may let go up to this much (s) after the nominal instant."""
@@ -254,8 +255,6 @@ def aim(
         If no release during the plan leads to a landing.
 
     """
-    from scipy.optimize import minimize_scalar
-
     reach = float(np.linalg.norm(np.abs(release.box[1]) + np.array(release.box[0])))
 
     def miss(switched: float) -> Array:
@@ -283,7 +282,7 @@ def aim(
     tried = []
     for k in np.argsort(distances)[:candidates]:
         if distances[k] <= 1.5 * distances.min() + 1e-3:
-            best = minimize_scalar(
+            best = scipy.optimize.minimize_scalar(
                 cost, bounds=(times[k], times[k + 1]), method='bounded',
                 options={'xatol': TOLERANCE})
             tried += [(cost(t), float(t)) for t in (best.x, times[k], times[k + 1])]
