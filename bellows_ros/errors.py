@@ -67,3 +67,10 @@ def require_pictures() -> None:
     """Raise BellowsError where matplotlib is missing: before long work, not after it."""
     if importlib.util.find_spec('matplotlib') is None:
         raise BellowsError(f'matplotlib is not installed, but pictures need it: {install("plot")}')
+
+
+def short(value: object, max_length: int = 80) -> str:
+    """Return a value as printable text of at most this many characters."""
+    text = value if isinstance(value, str) else repr(value)
+    text = ''.join(c if c.isprintable() else '?' for c in text[:max_length + 1])
+    return text if len(text) <= max_length else text[:max_length - 3] + '...'

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Iterator
 
 from bellows_ros.core.identification.comparison import Change
-from bellows_ros.core.parameters.table import short
+from bellows_ros.errors import short
 from bellows_ros.report import formatted, in_milli, listed, with_error
 from bellows_ros.workflows.identification import compare_files, ResultComparison
 

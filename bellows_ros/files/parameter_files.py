@@ -20,6 +20,7 @@ from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml, Values
+from bellows_ros.files.atomic import write_text
 import yaml
 
 NODES = ('identifier', 'predictor')
@@ -127,8 +128,6 @@ def write_parameters(path: File, values: Values, header: Sequence[str] = ()) -> 
     {'recording.package_frame': 'lip'}
 
     """
-    from bellows_ros.files.atomic import write_text  # late: most parameter files are only read
-
     write_text(path, format_parameters(values, header))
 
 

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion
-from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.points import JointPath, require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, short
 from bellows_ros.files import Values
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np

@@ -19,9 +19,10 @@ import tomllib
 from types import FrameType
 from typing import Any, NoReturn
 
+import bellows_ros
 from bellows_ros.core import configure_process
 
-from ..errors import BellowsError, install
+from ..errors import BellowsError, install, short
 
 NO_ROS = (
     "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
@@ -89,14 +90,11 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     arguments = list(sys.argv[1:] if args is None else args)
     before_ros = list(takewhile(lambda argument: argument != '--ros-args', arguments))
     configure_process(is_node=True)
-    from ..core.parameters.table import short  # loads NumPy
-
     if {'-h', '--help'} & set(before_ros):
         print(help_text(name), end='')
         return 0
     if '--version' in before_ros:
-        from .. import __version__
-        print(f'{name} {__version__}')
+        print(f'{name} {bellows_ros.__version__}')
         return 0
     try:
         if before_ros:
@@ -180,8 +178,6 @@ def _initialise(argv: Sequence[str]) -> None:
     """Start ROS; say plainly what is wrong with its arguments."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
-
-    from ..core.parameters.table import short
 
     for flag, file in pairwise(argv):
         if flag == '--params-file' and not Path(file).is_file():

@@ -26,7 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 
 from ..core.geometry.arrays import Mask
-from ..core.parameters.table import short
+from ..errors import short
 
 PACKAGE = Path(__file__).parents[1]
 

@@ -28,10 +28,9 @@ from ..core.live import health, LivePredictor, load
 from ..core.model.kernels import ModelTuple
 from ..core.observer.alarms import Alarm
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
-from ..core.parameters.table import short
 from ..core.signals import transforms
 from ..core.signals.screening import PoseSample
-from ..errors import BellowsError
+from ..errors import BellowsError, short
 
 
 class SensorInput:

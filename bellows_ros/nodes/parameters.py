@@ -20,7 +20,7 @@ from rclpy.task import Future
 
 from .guarding import GuardedNode
 from ..core.parameters import checks, table
-from ..errors import BellowsError
+from ..errors import BellowsError, short
 
 Values = dict[str, Any]
 """Dotted names to values as `core.parameters.checks.validate` returns them."""
@@ -94,7 +94,7 @@ class TableNode(GuardedNode):
         except (RuntimeError, ParameterException) as error:  # the bases of rcl's and rclpy's
             why = ' '.join(str(error).partition(', at /')[0].split())
             raise BellowsError(
-                f"ROS cannot create the node '{user}': {table.short(why, 400)}.") from None
+                f"ROS cannot create the node '{user}': {short(why, 400)}.") from None
         self._read_only = read_only
         try:
             overridden = {
@@ -319,7 +319,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
             self.configure()
         except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
             kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
-            self._failure = f'{kind}{table.short(str(error), 1000)}'
+            self._failure = f'{kind}{short(str(error), 1000)}'
             self.get_logger().error(f'Cannot be configured: {self._failure}')
             self.release_resources()
             return FAILURE
@@ -386,7 +386,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         if any(wanted.label == label if wanted.label else wanted.id == number
                for number, label, *_ in allowed):
             return self._change_state_unchecked(request, response)
-        name = table.short(wanted.label) or wanted.id
+        name = short(wanted.label) or wanted.id
         self.get_logger().warning(
             f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
             f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')

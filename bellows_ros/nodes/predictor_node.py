@@ -21,8 +21,8 @@ from .pipeline import Pipeline
 from ..core.live import health
 from ..core.live.load import check_live, Load
 from ..core.model.grip import grip_of
-from ..core.parameters import checks, table
-from ..errors import BellowsError
+from ..core.parameters import checks
+from ..errors import BellowsError, short
 
 REPORT_PERIOD = 1.0
 
@@ -91,7 +91,7 @@ class PredictorNode(ManagedNode):
         for name in self._parameter_overrides:
             if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
                 self.get_logger().warning(
-                    f"The QoS override '{table.short(name)}' matches no topic of this node.")
+                    f"The QoS override '{short(name)}' matches no topic of this node.")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start from rest at the next tool pose."""

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from bellows_ros.core.model import structure
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, short
 import numpy as np
 
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
@@ -216,10 +216,3 @@ def _nearest(name: str, names: Sequence[str]) -> str:
         return f'Known there are: {", ".join(in_group)}.'
     groups = dict.fromkeys(f'{other.partition(".")[0]}.*' for other in names if '.' in other)
     return f"Known are {', '.join(groups)}; 'bellows parameters' lists them all."
-
-
-def short(value: object, max_length: int = 80) -> str:
-    """Return a value as printable text of at most this many characters."""
-    text = value if isinstance(value, str) else repr(value)
-    text = ''.join(c if c.isprintable() else '?' for c in text[:max_length + 1])
-    return text if len(text) <= max_length else text[:max_length - 3] + '...'

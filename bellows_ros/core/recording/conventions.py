@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.parameters.table import short
 from bellows_ros.core.signals.resampling import common_span, resample
 from bellows_ros.core.signals.trajectory import Posed, PoseStream, Trajectory
+from bellows_ros.errors import short
 import numpy as np
 
 SAMPLES = 300

@@ -14,14 +14,13 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import Package, STANDARD_GRAVITY
 from bellows_ros.core.parameters.checks import ESTIMATE
-from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, rest_of, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.resampling import ArrivalStamps, cubic, MAD_TO_STD, resample, Timing
 from bellows_ros.core.signals.savgol import correlated, savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
-from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.errors import BellowsError, short, UndeterminedError
 import numpy as np
 
 HALF_WINDOW, ORDER = 4, 4
