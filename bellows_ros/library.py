@@ -8,8 +8,9 @@ its function is called.
 from collections.abc import Mapping, Sequence
 import os
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
+from bellows_ros import workflows
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion, transform
 from bellows_ros.core.live import LivePredictor, Prediction
@@ -22,16 +23,9 @@ from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
+from bellows_ros.files.safe_yaml import load
 import numpy as np
 from numpy.typing import ArrayLike
-
-if TYPE_CHECKING:  # loads much that the others do without
-    from bellows_ros.workflows.excite import DesignedMotion
-    from bellows_ros.workflows.identification import Identification
-    from bellows_ros.workflows.plan import MotionSource, PlanReport
-    from bellows_ros.workflows.replay import Replay
-    from bellows_ros.workflows.steer import SteerReport
-    from bellows_ros.workflows.toss import TossResult
 
 __all__ = [
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
@@ -148,7 +142,7 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
 def identify(
     recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File, package: Package,
     cup_length: float, settings: Mapping[str, object] | None = None
-) -> 'Identification':
+) -> 'workflows.identification.Identification':
     """
     Identify a cup's K and P from recordings, or from poses in arrays, as `bellows identify`.
 
@@ -188,8 +182,6 @@ def identify(
     ((), True)
 
     """
-    from bellows_ros.workflows.identify import identify
-
     values: dict[str, object] = {**(settings or {}), **{
         name: value for name, value in parameters_of(Cup.thesis(), package).items()
         if name.startswith('package.')}, 'cup.length': cup_length}
@@ -207,7 +199,7 @@ def identify(
             ('tool', 'package'), pair, strict=True)}
     if len(poses) == len(bags):
         values.setdefault('recording.package_frame', 'com')
-    return identify({**values, 'bags': bags}, poses=poses)
+    return workflows.identify.identify({**values, 'bags': bags}, poses=poses)
 
 
 def simulate(
@@ -313,8 +305,8 @@ def static_equilibrium(
 
 
 def plan(
-    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
-) -> 'PlanReport':
+    motion: 'workflows.plan.MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
+) -> 'workflows.plan.PlanReport':
     """
     Predict what a planned motion of the tool does to the package, as `bellows plan`.
 
@@ -346,14 +338,12 @@ def plan(
     True
 
     """
-    from bellows_ros.workflows.plan import plan
-
-    return plan(motion, _parameters(parameters), urdf, topic)
+    return workflows.plan.plan(motion, _parameters(parameters), urdf, topic)
 
 
 def fastest(
-    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
-) -> 'PlanReport':
+    motion: 'workflows.plan.MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
+) -> 'workflows.plan.PlanReport':
     """
     Predict a motion as `plan`, and find the shortest time in which the grip surely holds.
 
@@ -375,15 +365,14 @@ def fastest(
     True
 
     """
-    from bellows_ros.workflows.plan import plan
-
-    return plan(motion, _parameters(parameters), urdf, topic, seek_fastest=True)
+    return workflows.plan.plan(
+        motion, _parameters(parameters), urdf, topic, seek_fastest=True)
 
 
 def steer(
-    motion: 'MotionSource', parameters: Parameters, method: str = 'inverse',
+    motion: 'workflows.plan.MotionSource', parameters: Parameters, method: str = 'inverse',
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
-) -> 'SteerReport':
+) -> 'workflows.steer.SteerReport':
     """
     Change a motion so that the package does not swing, as `bellows steer`.
 
@@ -413,19 +402,14 @@ def steer(
     True
 
     """
-    from bellows_ros.core.planning.steering import METHODS
-    from bellows_ros.workflows.steer import steer_plan
-
-    if method not in METHODS:
-        raise BellowsError(f"method is '{method}'; expected one of {', '.join(METHODS)}.")
-    return steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
+    return workflows.steer.steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
 
 
 def toss(
-    motion: 'MotionSource', parameters: Parameters, release: float | None = None,
+    motion: 'workflows.plan.MotionSource', parameters: Parameters, release: float | None = None,
     target: Sequence[float] | None = None, target_rotation: ArrayLike | None = None,
     monte_carlo: int = 0, urdf: str = '', topic: str = '',
-) -> 'TossResult':
+) -> 'workflows.toss.TossResult':
     """
     Predict where a toss lands and how surely, as `bellows toss`.
 
@@ -459,13 +443,11 @@ def toss(
     (6, 6)
 
     """
-    from bellows_ros.workflows.toss import toss_plan
-
     rotation = None if target_rotation is None else cup_package.frozen_array(
         getattr(target_rotation, 'as_quat', lambda: target_rotation)(), (4,), 'target_rotation')
     x_y: Any = None if target is None else tuple(
         cup_package.frozen_array(target, (2,), 'target').tolist())
-    return toss_plan(
+    return workflows.toss.toss_plan(
         motion, _parameters(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
         topic=topic)
 
@@ -473,7 +455,7 @@ def toss(
 def design_motion(
     parameters: Parameters, limits: Mapping[str, Any] | File, duration: float = 12.0,
     urdf: str = '', seed: int = 0, hold: float = 7.0,
-) -> 'DesignedMotion':
+) -> 'workflows.excite.DesignedMotion':
     """
     Design the motion that identifies a cup best, as `bellows excite`.
 
@@ -510,15 +492,12 @@ def design_motion(
     8.0
 
     """
-    from bellows_ros.files.safe_yaml import load
-    from bellows_ros.workflows.excite import excite
-
-    return excite(
+    return workflows.excite.excite(
         _parameters(parameters), limits if isinstance(limits, Mapping) else load(Path(limits)),
         duration, urdf, seed=seed, hold=hold)
 
 
-def replay(recording: File, parameters: Parameters) -> 'Replay':
+def replay(recording: File, parameters: Parameters) -> 'workflows.replay.Replay':
     """
     Predict a recording with a cup from start to end and compare, as `bellows replay`.
 
@@ -547,12 +526,10 @@ def replay(recording: File, parameters: Parameters) -> 'Replay':
     True
 
     """
-    from bellows_ros.workflows.replay import replay
-
-    return replay(recording, _parameters(parameters))
+    return workflows.replay.replay(recording, _parameters(parameters))
 
 
-def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
+def observe(recording: File, parameters: Parameters, topic: str) -> 'workflows.replay.Replay':
     """
     Replay a recording, with another prediction that measured poses of the package correct.
 
@@ -581,9 +558,7 @@ def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
     'both'
 
     """
-    from bellows_ros.workflows.replay import replay
-
-    return replay(recording, _parameters(parameters), observe=topic)
+    return workflows.replay.replay(recording, _parameters(parameters), observe=topic)
 
 
 def _stream(poses: Trajectory, name: str) -> PoseStream:

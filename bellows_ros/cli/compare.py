@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from bellows_ros.core.identification.comparison import Change
 from bellows_ros.errors import short
 from bellows_ros.report import formatted, in_milli, listed, with_error
-from bellows_ros.workflows.identification import compare_files, ResultComparison
+from bellows_ros.workflows.compare import compare_files, ResultComparison
 
 from .console import Console
 from .options import Outcome

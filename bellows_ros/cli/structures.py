@@ -7,7 +7,7 @@ from typing import Any
 from bellows_ros.core.signals.residuals import MILLI_UNITS
 from bellows_ros.report import formatted, print_relaxation
 from bellows_ros.workflows.identification import excitation_json, selection_json
-from bellows_ros.workflows.identify import StructureAdvice, structures
+from bellows_ros.workflows.structures import StructureAdvice, structures
 
 from . import options
 from .console import Console

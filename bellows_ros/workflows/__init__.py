@@ -2,14 +2,40 @@
 One complete job each: files in, `bellows_ros.core` in the middle, files out.
 
 Prints nothing and knows no ROS, so that commands, nodes and scripts share the same work. Results
-draw and write themselves.
+draw and write themselves. A module is loaded when `workflows.module` is first used: few runs need
+all of them.
 """
 
-from typing import Any
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, TYPE_CHECKING
 
+import bellows_ros
 from bellows_ros.errors import require_pictures
 from bellows_ros.files import File
 from bellows_ros.files.results import write_json
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows import (  # noqa: F401
+        compare,
+        excite,
+        identification,
+        identify,
+        plan,
+        registration,
+        replay,
+        steer,
+        structures,
+        toss,
+        workers,
+    )
+
+
+def __getattr__(name: str) -> Any:
+    """Load a module of this room."""
+    if find_spec(f'{__name__}.{name}') is None:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return import_module(f'{__name__}.{name}')
 
 
 class CommandResult:
@@ -29,9 +55,7 @@ class CommandResult:
             If the file cannot be written.
 
         """
-        from bellows_ros import __version__
-
-        write_json(path, {**self.as_json(), 'version': __version__})
+        write_json(path, {**self.as_json(), 'version': bellows_ros.__version__})
 
     def plot(self, theme: str = 'light') -> Any:
         """

@@ -1,13 +1,12 @@
-"""An identified cup as sentences, as a cup file, as JSON; and two of them compared."""
+"""An identified cup as sentences, as a cup file, as JSON."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 import math
-import os
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
-from bellows_ros import __version__
+from bellows_ros import __version__, workflows
 from bellows_ros.core.identification import identifiability, reduction
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
 from bellows_ros.core.model import cup_package, validity_range
@@ -19,14 +18,13 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results, Values
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
+from bellows_ros.workflows.static import StaticResult
+from bellows_ros.workflows.verdict import FitVerdict
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
-    from bellows_ros.core.identification.comparison import Consistency, FitComparison, Fitted
+    from bellows_ros.core.identification.comparison import Consistency
     from bellows_ros.core.identification.structure_selection import StructureSelection
-    from bellows_ros.workflows.replay import Replay
-    from bellows_ros.workflows.static import StaticResult
-    from bellows_ros.workflows.verdict import FitVerdict
 
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
@@ -59,10 +57,6 @@ FREE_PARAMETERS = {
 
 MAX_NAMED = 6
 """Largest number of parameters named in a sentence."""
-
-NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
-                'cup.damping')
-"""Settings that do not affect the fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +102,10 @@ class Identification(CommandResult):
     parts: tuple[reduction.ReducedRecording, ...]
     recordings: tuple[Recording, ...] = ()
     consistency: 'Consistency | None' = None
-    static: 'StaticResult | None' = None
+    static: StaticResult | None = None
     selection: 'StructureSelection | None' = None
-    validations: tuple['Replay', ...] = ()
-    verdict: 'FitVerdict | None' = None
+    validations: tuple['workflows.replay.Replay', ...] = ()
+    verdict: FitVerdict | None = None
     failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
     parameter_files: tuple[Mapping[str, Any], ...] = ()
@@ -398,115 +392,3 @@ def selection_json(selection: Any) -> dict[str, Any]:
                                'simulated')
             for each in selection.candidates],
         **results.attributes(selection, 'samples', 'advised', 'advice', 'fits')}
-
-
-# ---------------------------------------------------------------------------- two fits compared
-
-
-class Difference(NamedTuple):
-    """A setting or a version that differs; None if a fit lacks it."""
-
-    name: str
-    before: Any
-    after: Any
-
-
-class ResultComparison(NamedTuple):
-    """
-    Two result files compared.
-
-    Parameters
-    ----------
-    paths : tuple of two str
-        The files.
-    fits : FitComparison
-        What differs in numbers.
-    settings : tuple of Difference
-        What differs in settings, method, recordings and versions.
-    shared : tuple of str
-        Recordings that both fits have used: they are not independent then.
-
-    """
-
-    paths: tuple[str, str]
-    fits: 'FitComparison'
-    settings: tuple[Difference, ...]
-    shared: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file."""
-        derived = ('percent', 'standard_errors', 'p_value', 'significant')
-        return results.with_units({
-            'before': self.paths[0],
-            'after': self.paths[1],
-            **results.attributes(self.fits, 'matters', 'significant', 'p_value', 'shake_rms'),
-            **{name: [{**each._asdict(), **results.attributes(each, *derived)} for each in changes]
-               for name, changes in (
-                   ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
-            'settings': self.settings,
-            'shared_recordings': self.shared})
-
-
-def compare_files(before: File, after: File) -> ResultComparison:
-    """
-    Compare two result files of identifications.
-
-    Parameters
-    ----------
-    before, after : path
-        JSON files that `bellows identify` has written. The package of the first is held in both
-        predictions.
-
-    Raises
-    ------
-    BellowsError
-        If a file is not such a result, or a cup cannot hold the package.
-
-    """
-    from bellows_ros.core.identification.comparison import compare_fits
-
-    contents = [results.read_result(path) for path in (before, after)]
-    with results.content_of(before, after):
-        values: dict[str, Any] = dict(
-            checks.resolve(contents[0]['settings'], checks.PACKAGE_PARAMETERS))
-        one, other = map(_fitted, contents)
-        (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
-        return ResultComparison(
-            (os.fspath(before), os.fspath(after)),
-            compare_fits(
-                one, other, cup_package.package_of(values), values['gravity.magnitude']),
-            tuple(Difference(name, old.get(name), new.get(name))
-                  for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
-            tuple(name for name, content in again.items() if content in used.values()))
-
-
-def _fitted(content: Mapping[str, Any]) -> 'Fitted':
-    """Return structure, cup and covariance of a result."""
-    from bellows_ros.core.identification.comparison import Fitted
-
-    structure = structure_named(content['structure'])
-    labels, rows = (content['parameters'][key] for key in ('labels', 'covariance'))
-    covariance = np.array([[np.inf if x is None else float(x) for x in row] for row in rows])
-    order = [labels.index(label) for label in structure.labels]
-    K, P = (np.array(content[key], dtype=float) for key in ('stiffness', 'damping'))
-    relaxation, length = content.get('relaxation', (0.0, 0.0)), float(content['cup_length'])
-    cup = cup_package.Cup(K, P, length, tuple(relaxation))
-    return Fitted(structure, cup, covariance[np.ix_(order, order)])
-
-
-def _described(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return, by name, how a fit was made: settings, versions, content of recordings."""
-    settings, versions = content['settings'], content['provenance']['versions']
-    return {
-        **{name: value for name, value in settings.items() if not name.startswith(NOT_COMPARED)},
-        **{name: content.get(name) for name in ('method', 'structure', 'samples_used')},
-        **{f'version of {name}': version for name, version in versions.items()},
-        **{f'content of {path}': ' '.join(digest[:12] for digest in digests)
-           for path, digests in _contents(content).items()}}
-
-
-def _contents(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """Return the digests of the files of a fit's recordings, by name."""
-    return {
-        recording['path']: tuple(file['sha256'] for file in recording['files'])
-        for recording in content['provenance']['recordings']}

@@ -1,5 +1,5 @@
 """
-Identify a cup: recordings in, K and P with their uncertainty, or the best structure, out.
+Identify a cup: recordings in, K and P with their uncertainty out.
 
 Every recording is reduced to what a fit needs of it, and the fit is made of what they are reduced
 to. Who reads them, one after the other, processes or a cluster, makes no difference. What needs
@@ -11,31 +11,27 @@ from dataclasses import replace
 from functools import partial
 from operator import itemgetter
 import os
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.identification import causes, identifiability, methods
+from bellows_ros import workflows
+from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
-from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures, UnexplainedError
-from bellows_ros.files import bag_folder, results, Values
+from bellows_ros.files import bag_folder, Values
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
-from bellows_ros.workflows.verdict import allowances, FitVerdict, MAX_TESTED, verdict_of
+from bellows_ros.workflows.static import read_standstills, StaticResult, with_spring
+from bellows_ros.workflows.verdict import allowances, MAX_TESTED, verdict_of
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.comparison import Consistency
-    from bellows_ros.core.identification.structure_selection import StructureSelection
-    from bellows_ros.workflows.replay import Replay
-    from bellows_ros.workflows.static import StaticResult
 
 Poses = Mapping[str, PoseStream]
 """Of tool and package."""
@@ -105,8 +101,6 @@ def identify(
     structure.fitted_structure(values)
     static = None
     if values['static.bags']:
-        from bellows_ros.workflows.static import read_standstills
-
         static = read_standstills({**values, **FULL_RANGE}, progress)
     effective = {**values, 'cup.length': static.cup_length} if static else values
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
@@ -260,12 +254,11 @@ def read_all(
             for _, sentence in reading.duplicates((part.name, part.digest) for part in parts):
                 raise BellowsError(sentence)
         return parts, []
-    from bellows_ros.workflows.workers import on_cores, on_dask
-
     words = f'reading {len(bags)} recordings'
     progress(words, 0.0)
     outcomes: dict[int, Any] = {}
-    for number, outcome in on_dask(work, dask, task) if dask else on_cores(work, jobs or 1, task):
+    for number, outcome in (workflows.workers.on_dask(work, dask, task) if dask else
+                            workflows.workers.on_cores(work, jobs or 1, task)):
         outcomes[number] = outcome
         progress(words, FIT_BEGINS * len(outcomes) / len(bags))
     done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
@@ -283,7 +276,7 @@ def read_all(
 
 def _identify(
     values: Values, given: Values, attempts: Sequence[Values], parts: Sequence[AnyRecording],
-    static: 'StaticResult | None', progress: Progress, assumed: tuple[str, ...], **more: Any,
+    static: StaticResult | None, progress: Progress, assumed: tuple[str, ...], **more: Any,
 ) -> identification.Identification:
     """
     Fit the recordings; return the result.
@@ -319,12 +312,10 @@ def _identify(
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress), verdict=verdict,
-        selection=(selection(recordings, effective, progress, verdict)
+        selection=(workflows.structures.selection(recordings, effective, progress, verdict)
                    if values['fit.compare_structures'] else None),
         assumed=(*assumed, LEAST_SQUARES_NOTE) if changes else assumed, **more)
     if static:
-        from bellows_ros.workflows.static import with_spring
-
         identified = replace(identified, static=with_spring(
             static._replace(cup_length=identified.cup_length), identified.cup,
             values['gravity.magnitude']))
@@ -339,116 +330,19 @@ def _consistency(
     """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
     if not values['fit.compare_recordings'] or len(parts) < 2:
         return None
-    from bellows_ros.core.identification.comparison import same_cup
-
-    differ = len({part.payload.mass for part in parts}) > 1
-    names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
-             for part in parts]
 
     def alone(part: AnyRecording, name: str) -> Fit:
         return methods.fitted(
             [part], values, lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS))
 
-    return same_cup([*map(alone, parts, names)], names)
+    return workflows.compare.consistency(parts, alone)
 
 
-def selection(
-    recordings: Sequence[Recording], values: Values, progress: Progress,
-    verdict: FitVerdict | None = None,
-) -> 'StructureSelection':
-    """Compare the structures, with a verdict where none fits; that of the fit where given."""
-    from bellows_ros.core.identification.structure_selection import select_structure
-
-    progress('comparing structures', FIT_ENDS)
-    compared = select_structure(
-        [samples_of(recording) for recording in recordings], values['cup.length'],
-        [recording.noise for recording in recordings],
-        structure.given_structure({**values, 'fit.structure': 'layout'})
-        if is_gripper(values) else None)
-    if verdict and values['fit.structure'] == compared.advised:
-        return compared.judged(verdict.diagnosis, ())
-    advised = verdict_of(None, recordings, values['cup.length'],
-                         {**values, 'fit.structure': compared.advised})
-    return compared.judged(advised.diagnosis, advised.cause) if advised else compared
-
-
-def _validated(result: identification.Identification, progress: Progress) -> 'Iterator[Replay]':
+def _validated(
+    result: identification.Identification, progress: Progress
+) -> 'Iterator[workflows.replay.Replay]':
     """Yield the free simulations of the validation recordings, if the cup is usable."""
     for bag in result.values['validation.bags'] if result.fit.usable else ():
-        from bellows_ros.workflows.replay import replay
-
         progress(f'validating on {bag}', FIT_ENDS)
-        yield replay(bag, {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE})
-
-
-class StructureAdvice(NamedTuple):
-    """
-    What is identifiable from recordings, and a comparison of structures.
-
-    Parameters
-    ----------
-    excitation : Excitation
-        For the structure of the parameter fit.structure.
-    selection : StructureSelection
-        The structures with their criteria.
-    recordings : tuple of Recording
-        That were read.
-    values : mapping
-        All parameters.
-
-    """
-
-    excitation: identifiability.Excitation
-    selection: 'StructureSelection'
-    recordings: tuple[Recording, ...]
-    values: Values
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings about the excitation, then about the recordings."""
-        return (*self.excitation.warnings,
-                *(text for each in self.recordings for text in each.report.warnings))
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file, in SI units."""
-        return results.with_units({
-            'excitation': identification.excitation_json(self.excitation),
-            'structures': identification.selection_json(self.selection),
-            'recordings': self.recordings,
-            'warnings': self.warnings,
-            'settings': dict(self.values)})
-
-
-def structures(settings: Values, progress: Progress = no_progress) -> StructureAdvice:
-    """
-    Find what is identifiable from the recordings of the parameter `bags`; compare structures.
-
-    Parameters
-    ----------
-    settings : mapping
-        Parameters by name; those left out have their defaults.
-    progress : callable, optional
-        Called with what is being done and the part (0 to 1) that is done.
-
-    Raises
-    ------
-    BellowsError
-        If a parameter or a recording is not usable, or no structure can be fitted.
-
-    """
-    values = resolved(settings)
-    read: list[Recording] = read_all(values, True, progress)[0]
-    recordings = methods.with_relaxation(read, values)
-    if any(recordings[0].relaxation.strengths):  # least squares alone is biased by noise
-        better = methods.fit(recordings, {
-            **values, 'fit.method': 'output_error',
-            'fit.structure': 'layout' if is_gripper(values) else 'axisymmetric'}, progress).fit
-        if better.converged:
-            relaxation = recordings[0].relaxation._replace(
-                strengths=better.relaxation, covariance=np.diag(np.square(better.relaxation_std)))
-            recordings = [replace(each, relaxation=relaxation) for each in recordings]
-    advice = StructureAdvice(
-        identifiability.excitation_of([reduced(recording, values) for recording in recordings]),
-        selection(recordings, values, progress), tuple(recordings), values)
-    progress('done', 1.0)
-    return advice
+        yield workflows.replay.replay(
+            bag, {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE})

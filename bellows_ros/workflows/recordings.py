@@ -6,17 +6,18 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.model import cup_package, structure
+from bellows_ros import workflows
+from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.model import cup_package
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import conventions
 from bellows_ros.core.recording import recording as prepared
-from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
+from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
-from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
+from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import bag_folder, bags, File, parameter_files, Values
 import numpy as np
 
@@ -27,11 +28,6 @@ Progress = Callable[..., None]
 def no_progress(what: str, part: float = 0.0) -> None:
     """Say nothing of the progress."""
 
-
-NO_OFFSET = (
-    'The time offset between tool and package is not identifiable from this recording; its '
-    'stamps were used unchanged. Record a motion that is richer in all directions.')
-"""Used if a time offset is wanted and not identifiable."""
 
 OTHER_TOPICS = ' If the topics of recordings differ, give each a file in package.files.'
 """Remedy for a topic that is missing in one of several recordings."""
@@ -161,74 +157,13 @@ def prepare_streams(
     elif tool.frame_id != package.frame_id and (
             wrong := conventions.convention_sentence(tool, package, name)):
         raise UnexplainedError(wrong)  # no world is found from such poses
-    if not values['fit.time_offset']:
-        return _registered(tool, package, twist, settings, values)
-    failures = []
-    for rough_s in frames.rough_offsets(tool.trajectory(), package.trajectory()):
-        try:
-            return _registered(
-                trajectory.earlier(tool, rough_s), package,
-                twist and trajectory.earlier(twist, rough_s), settings, values, rough_s)
-        except UndeterminedError as error:
-            failures.append(error)
-    raise failures[0]
-
-
-def _registered(
-    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
-    values: Values, rough_s: float = 0.0,
-) -> Recording:
-    """Return prepared streams; estimate the world, marker and clock that are not given."""
-    estimate = values['recording.package_world'] == checks.ESTIMATE
-    # At rest no marker can be aligned with a world that is unknown.
-    marked = 'package_marker' in values['fit.free'] or estimate and settings.align_at_rest
-    pose, alignment = _first_guess(tool, package, settings, values, marked)
-
-    def filtered(alignment: frames.Alignment | None) -> Recording:
-        """Return the streams in the world of the tool, filtered."""
-        moved = package if pose is None else frames.in_tool_world(package, pose, tool.frame_id)
-        return prepare(tool, moved, settings, twist, alignment)
-
-    recording = filtered(alignment)
-    names = [name for name, free in (
-        ('time_offset', values['fit.time_offset']), ('package_world', estimate),
-        ('package_marker', marked)) if free]
-    if not names:
-        return recording
-    from bellows_ros.core.identification.output_error import registered
-
-    changes = dict[str, Any]()
-    result = registered(
-        recording, structure.given_structure(values), cup_package.one_cup_of(values), names)
-    if values['fit.method'] == 'least_squares':
-        result.require_world()
-    if result.world is not None and pose is not None:
-        pose = frames.shifted_pose(pose, settings.R_world_recorded, result.middle, result.world)
-        changes['package_world'] = prepared.PackageWorld(pose, result.world_std)
-    recording = filtered(result.alignment)
-    if result.offset is not None:
-        recording = with_tool_earlier(recording, result.offset.value)
-        changes['time_offset'] = TimeOffset(rough_s + result.offset.value, result.offset.std)
-    elif values['fit.time_offset']:
-        changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
-    return replace(recording, report=replace(recording.report, **changes))
-
-
-def _first_guess(
-    tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Values, marked: bool,
-) -> tuple[Array | None, frames.Alignment | None]:
-    """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
-    world, com = values['recording.package_world'], settings.payload.com
-    estimate = world == checks.ESTIMATE
-    pose = None if estimate or not world else frames.pose_of(world)
-    if not (marked or estimate):
-        return pose, None
-    poses = tool.trajectory(), package.trajectory(), values['cup.length']
-    if marked:
-        guess, grip = frames.hand_eye(*poses, com)
-        return guess if estimate else pose, grip
-    return frames.closed_form(
-        *poses, np.zeros(3) if settings.package_frame == 'lip' else -com), None
+    world = values['recording.package_world']
+    if values['fit.time_offset'] or world == checks.ESTIMATE or (
+            'package_marker' in values['fit.free']):
+        return workflows.registration.registered(tool, package, twist, settings, values)
+    moved = frames.in_tool_world(
+        package, frames.pose_of(world), tool.frame_id) if world else package
+    return prepare(tool, moved, settings, twist)
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:

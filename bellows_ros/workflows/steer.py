@@ -14,7 +14,7 @@ from bellows_ros.core.parameters.checks import implausible, Settings
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
 from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.planning.points import joint_excess, timed
-from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
+from bellows_ros.core.planning.steering import hanging, METHODS, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, results, safe_yaml, Values
@@ -164,9 +164,12 @@ def steer_plan(
     Raises
     ------
     BellowsError
-        If the plan cannot be read or steered, or the limits cannot be kept to.
+        If the method is unknown, the plan cannot be read or steered, or the limits cannot be kept
+        to.
 
     """
+    if method not in METHODS:
+        raise BellowsError(f"method is '{method}'; expected one of {', '.join(METHODS)}.")
     bounds = read_limits(
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
     source = plan_with_cup(path, settings, urdf, topic)

@@ -6,7 +6,8 @@ from pathlib import Path
 import tempfile
 
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.workflows.identification import compare_files, save
+from bellows_ros.workflows.compare import compare_files
+from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 
 from .frame import CLEAN, judged, replaced, scrambled, SILENT

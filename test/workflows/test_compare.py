@@ -3,7 +3,8 @@
 import json
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.identification import compare_files, save
+from bellows_ros.workflows.compare import compare_files
+from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 import pytest
 

@@ -7,9 +7,10 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load
 from bellows_ros.workflows.identification import save
-from bellows_ros.workflows.identify import identify, structures
+from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording
+from bellows_ros.workflows.structures import structures
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

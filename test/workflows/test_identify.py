@@ -10,7 +10,8 @@ from bellows_ros.errors import BellowsError, UnexplainedError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json, read_result
 from bellows_ros.report.build import write_page
-from bellows_ros.workflows.identification import compare_files, save, UNKNOWN_STD
+from bellows_ros.workflows.compare import compare_files
+from bellows_ros.workflows.identification import save, UNKNOWN_STD
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording

@@ -1,6 +1,6 @@
 """What recordings can tell, and the structures compared, from bags on disk."""
 
-from bellows_ros.workflows.identify import selection, structures
+from bellows_ros.workflows.structures import selection, structures
 import pytest
 
 from ..core.identification.hypotheses.laboratory import FAULTS, Laboratory

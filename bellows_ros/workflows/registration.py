@@ -1,0 +1,99 @@
+"""Estimate how recorded streams are registered: the world, marker and clock that are not given."""
+
+from dataclasses import replace
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.identification import output_error
+from bellows_ros.core.model.cup_package import one_cup_of
+from bellows_ros.core.model.structure import given_structure
+from bellows_ros.core.parameters import checks
+from bellows_ros.core.recording import alignment as frames
+from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
+from bellows_ros.core.recording.recording import (
+    PackageWorld,
+    PrepareSettings,
+    Recording,
+    TimeOffset,
+)
+from bellows_ros.core.signals import trajectory
+from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
+from bellows_ros.errors import UndeterminedError
+from bellows_ros.files import Values
+import numpy as np
+
+NO_OFFSET = (
+    'The time offset between tool and package is not identifiable from this recording; its '
+    'stamps were used unchanged. Record a motion that is richer in all directions.')
+"""Used if a time offset is wanted and not identifiable."""
+
+
+def registered(
+    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
+    values: Values,
+) -> Recording:
+    """Return prepared streams, in the world of the tool and on its clock."""
+    if not values['fit.time_offset']:
+        return _registered(tool, package, twist, settings, values, 0.0)
+    failures = []
+    for rough_s in frames.rough_offsets(tool.trajectory(), package.trajectory()):
+        try:
+            return _registered(
+                trajectory.earlier(tool, rough_s), package,
+                twist and trajectory.earlier(twist, rough_s), settings, values, rough_s)
+        except UndeterminedError as error:
+            failures.append(error)
+    raise failures[0]
+
+
+def _registered(
+    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
+    values: Values, rough_s: float,
+) -> Recording:
+    """Return prepared streams, where the clocks differ by about rough_s, s."""
+    estimate = values['recording.package_world'] == checks.ESTIMATE
+    # At rest no marker can be aligned with a world that is unknown.
+    marked = 'package_marker' in values['fit.free'] or estimate and settings.align_at_rest
+    pose, alignment = _first_guess(tool, package, settings, values, marked)
+
+    def filtered(alignment: frames.Alignment | None) -> Recording:
+        """Return the streams in the world of the tool, filtered."""
+        moved = package if pose is None else frames.in_tool_world(package, pose, tool.frame_id)
+        return prepare(tool, moved, settings, twist, alignment)
+
+    recording = filtered(alignment)
+    names = [name for name, free in (
+        ('time_offset', values['fit.time_offset']), ('package_world', estimate),
+        ('package_marker', marked)) if free]
+    changes = dict[str, Any]()
+    result = output_error.registered(
+        recording, given_structure(values), one_cup_of(values), names)
+    if values['fit.method'] == 'least_squares':
+        result.require_world()
+    if result.world is not None and pose is not None:
+        pose = frames.shifted_pose(pose, settings.R_world_recorded, result.middle, result.world)
+        changes['package_world'] = PackageWorld(pose, result.world_std)
+    recording = filtered(result.alignment)
+    if result.offset is not None:
+        recording = with_tool_earlier(recording, result.offset.value)
+        changes['time_offset'] = TimeOffset(rough_s + result.offset.value, result.offset.std)
+    elif values['fit.time_offset']:
+        changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
+    return replace(recording, report=replace(recording.report, **changes))
+
+
+def _first_guess(
+    tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Values, marked: bool,
+) -> tuple[Array | None, frames.Alignment | None]:
+    """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
+    world, com = values['recording.package_world'], settings.payload.com
+    estimate = world == checks.ESTIMATE
+    pose = None if estimate or not world else frames.pose_of(world)
+    if not (marked or estimate):
+        return pose, None
+    poses = tool.trajectory(), package.trajectory(), values['cup.length']
+    if marked:
+        guess, grip = frames.hand_eye(*poses, com)
+        return guess if estimate else pose, grip
+    return frames.closed_form(
+        *poses, np.zeros(3) if settings.package_frame == 'lip' else -com), None
