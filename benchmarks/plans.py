@@ -6,7 +6,7 @@ from time import process_time
 from typing import Any
 
 from bellows_ros.core.planning.limits import fastest
-from bellows_ros.core.planning.plan import PlanSimulation
+from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.steering import METHODS, steer
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 
-from bellows_ros.demo.app import main
+from bellows_ros.demo.steps import main
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest

@@ -1,6 +1,7 @@
 """Imports point one way: nodes and commands, workflows, files, core; ROS only in the nodes."""
 
 import ast
+from collections import Counter
 from functools import cache
 import subprocess
 import sys
@@ -24,6 +25,24 @@ ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'l
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')
 UPWARD = {'bellows_ros/workflows/__init__.py': 'plots'}
 """A result draws itself when it is asked to: matplotlib is optional."""
+OPTIONAL = {
+    'argcomplete', 'imageio_ffmpeg', 'llvmlite', 'matplotlib', 'mpl_toolkits', 'numba', 'PIL',
+    'rerun'}
+LATE = {
+    'bellows_ros/__init__.py': ('bellows_ros.library', 'importlib.metadata'),
+    'bellows_ros/files/bags.py': ('rosbags',),
+    'bellows_ros/nodes/command.py': (
+        'bellows_ros.core.parameters.table', 'bellows_ros.files.parameter_files',
+        'bellows_ros.nodes.guarding'),
+    'bellows_ros/demo/steps.py': ('bellows_ros.nodes.bag_player',),
+    'bellows_ros/workflows/__init__.py': ('bellows_ros.plots.plan_pictures',)}
+"""
+What functions import, beside what is optional, and outside `cli`.
+
+The package itself loads nothing, so that `bellows --help` answers at once. rosbags takes 40 ms,
+and only some types need it. A command of a node limits the threads of NumPy before it loads that.
+The others load ROS or matplotlib, which are optional.
+"""
 CORE_NEEDS = {'numpy', 'scipy', 'numba', 'llvmlite', 'bellows_ros'}
 MOST_MODULES = 61  # of the package, folders not counted, for a plain `bellows identify`
 
@@ -59,8 +78,13 @@ def room_of(file, root):
 @cache
 def imports(file, root):
     """Return the absolute names of all that a file imports, at its top or inside functions."""
-    package, found = file.relative_to(root).parent.parts, []
-    for node in ast.walk(ast.parse(file.read_text(), str(file))):
+    return imports_in(ast.parse(file.read_text(), str(file)), file.relative_to(root).parent.parts)
+
+
+def imports_in(tree, package):
+    """Return the absolute names of all that a part of a module of a package imports."""
+    found = []
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -92,6 +116,30 @@ def test_rooms_import_only_what_lies_below_them(root):
         if target in ALLOWED and target not in ALLOWED[room] | {room, UPWARD.get(path, room)}:
             wrong.append((path, name))
     assert wrong == []
+
+
+def test_functions_import_what_is_optional(root):
+    """Import all else at the top, but what `LATE` names: the commands load on demand."""
+    wrong = []
+    for file in modules(root):
+        path, package = str(file.relative_to(root)), file.relative_to(root).parent.parts
+        names = {name for node in ast.walk(ast.parse(file.read_text()))
+                 if isinstance(node, ast.FunctionDef) for name in imports_in(node, package)}
+        wrong += [(path, name) for name in names if room_of(file, root) != 'cli' and not (
+            name.partition('.')[0] in OPTIONAL or is_ros(name)
+            or name.startswith(LATE.get(path, ())))]
+    assert wrong == []
+
+
+def test_a_name_stands_for_one_thing(root):
+    """Give no name to two modules, but to a command and its workflow; nor to two classes."""
+    named = Counter(
+        file.stem for file in modules(root) if not file.stem.startswith('__')
+        and not (room_of(file, root) == 'cli'
+                 and (root / 'bellows_ros/workflows' / file.name).exists()))
+    named.update(node.name for file in modules(root) for node in ast.walk(
+        ast.parse(file.read_text())) if isinstance(node, ast.ClassDef))
+    assert [name for name, count in named.items() if count > 1] == []
 
 
 def test_only_nodes_import_ros(root):

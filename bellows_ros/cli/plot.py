@@ -8,7 +8,8 @@ from typing import Any
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import Values
-from bellows_ros.plots import animation, plan, recording, style
+from bellows_ros.plots import animation, plan_pictures, style
+from bellows_ros.plots import recording_pictures as pictures
 from bellows_ros.workflows.plot import data_json, loads, margins, motion, replayed, spectra, within
 
 from . import options
@@ -56,12 +57,12 @@ def _draw(
     """Read, draw and write; return what the picture shows."""
     replay = partial(replayed, progress=progress)
     kinds: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
-        'motion': (motion, recording.motion_figure), 'path': (motion, recording.path_figure),
-        'deflection': (loads, recording.deflection_figure),
-        'residuals': (loads, recording.residual_figure),
-        'margin': (margins, plan.margin_figure),
-        'spectra': (partial(spectra, cup=has_cup), recording.spectra_figure),
-        'prediction': (replay, lambda content, note, theme: recording.prediction_figure(
+        'motion': (motion, pictures.motion_figure), 'path': (motion, pictures.path_figure),
+        'deflection': (loads, pictures.deflection_figure),
+        'residuals': (loads, pictures.residual_figure),
+        'margin': (margins, plan_pictures.margin_figure),
+        'spectra': (partial(spectra, cup=has_cup), pictures.spectra_figure),
+        'prediction': (replay, lambda content, note, theme: pictures.prediction_figure(
             content.seconds, content.live, 'Package: predicted, and measured',
             f'relative to the tool; {note}', theme)),
         'animation': (replay, partial(

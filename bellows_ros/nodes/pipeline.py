@@ -16,8 +16,8 @@ from rclpy.clock_type import ClockType
 
 from .conversions import read_pose, stamp_to_ns, TOOL_POSES, vector
 from .inputs import Attachment, Observing, SensorInput, TransformInput
+from .node_parameters import Values
 from .outputs import Outputs, Tossing
-from .parameters import Values
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector

@@ -27,7 +27,7 @@ from ..core.model.grip import grip_of, safety_sentence
 from ..core.model.simulation import ToolRows
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.limits import NO_LIMITS, stretched
-from ..core.planning.plan import COARSE_STEP_FACTOR, PlanPrediction, PlanSimulation
+from ..core.planning.plan_prediction import COARSE_STEP_FACTOR, PlanPrediction, PlanSimulation
 from ..core.planning.points import joint_excess, JointPath, Joints, plan_of, plan_of_joints, timed
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory

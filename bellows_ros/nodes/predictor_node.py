@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import Trigger
 
-from .parameters import ManagedNode, QOS_PREFIX, Values
+from .node_parameters import ManagedNode, QOS_PREFIX, Values
 from .pipeline import Pipeline
 from ..core.live import health
 from ..core.live.load import check_live, Load

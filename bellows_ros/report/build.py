@@ -14,8 +14,8 @@ from bellows_ros.core.identification import samples, validation
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
 from bellows_ros.files import atomic, File, results, Values
-from bellows_ros.plots import recording as pictures
-from bellows_ros.plots.plan import margin_figure, replay_figure
+from bellows_ros.plots import recording_pictures as pictures
+from bellows_ros.plots.plan_pictures import margin_figure, replay_figure
 from bellows_ros.plots.style import inline_svg, THEMES
 from bellows_ros.workflows import identification, plot, recordings, replay
 import numpy as np

@@ -77,6 +77,8 @@ class CommandResult:
 
         """
         require_pictures()
-        from bellows_ros.plots.plan import figure_of  # needs matplotlib, which is optional
+        from bellows_ros.plots.plan_pictures import (
+            figure_of,  # needs matplotlib, which is optional
+        )
 
         return figure_of(self, theme)

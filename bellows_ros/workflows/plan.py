@@ -17,7 +17,7 @@ from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.planning.limits import Fastest, fastest
-from bellows_ros.core.planning.plan import MAX_TAIL, PlanPrediction, PlanSimulation
+from bellows_ros.core.planning.plan_prediction import MAX_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
 from bellows_ros.core.recording import alignment, preparation
 from bellows_ros.core.signals import resampling, savgol, trajectory

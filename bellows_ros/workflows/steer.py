@@ -12,7 +12,7 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.cup_package import mean_square, parameter_std
 from bellows_ros.core.parameters.checks import implausible, Settings
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
-from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED_ANGLE
+from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.planning.steering import hanging, METHODS, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory

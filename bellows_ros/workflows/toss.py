@@ -8,7 +8,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import simulation
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
+from bellows_ros.core.planning.plan_prediction import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing

@@ -4,7 +4,7 @@ import time
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.planning.plan import PlanSimulation
+from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.points import plan_of
 from bellows_ros.core.planning.steering import hanging
 from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, PlanMessage

@@ -9,8 +9,8 @@ from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
-from bellows_ros.plots.plan import margin_figure
-from bellows_ros.plots.recording import (
+from bellows_ros.plots.plan_pictures import margin_figure
+from bellows_ros.plots.recording_pictures import (
     deflection_figure,
     motion_figure,
     path_figure,

@@ -16,7 +16,7 @@ from .frame import CLEAN, COUNTED, damaged, Failed
 from .messages import connected, ODD, require_good
 from .readers import ATTEMPTS
 from ..nodes.conftest import pose_at, UPRIGHT
-from ..nodes.test_parameters import ends
+from ..nodes.test_node_parameters import ends
 
 EACH = 20  # messages of an attempt
 PATIENCE = 20.0

@@ -35,7 +35,7 @@ from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.planning.plan import PlanSimulation
+from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.recording.recording import BodyNoise, Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import Trajectory

@@ -12,7 +12,7 @@ from bellows_ros.core.model.equilibrium import largest_step, nominal_system_matr
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.parameters.checks import Settings
-from bellows_ros.core.planning.plan import COARSE_STEP_FACTOR, PlanSimulation
+from bellows_ros.core.planning.plan_prediction import COARSE_STEP_FACTOR, PlanSimulation
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory

@@ -20,7 +20,7 @@ from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import resting_on_tool, symmetric_matrix, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
-from bellows_ros.core.planning import plan as planning
+from bellows_ros.core.planning import plan_prediction as planning
 from bellows_ros.core.planning.limits import TooFastError
 from bellows_ros.core.planning.points import body_twists, curve_of
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory

@@ -11,7 +11,7 @@ from bellows_ros.core.model.cup_package import (
     perturbed,
 )
 from bellows_ros.core.planning.limits import fastest
-from bellows_ros.core.planning.plan import PlanSimulation
+from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, timed
 import numpy as np
 from numpy.testing import assert_allclose

@@ -14,7 +14,7 @@ from bellows_ros.core.model.cup_package import (
 from bellows_ros.core.model.simulation import rest, tool_rows
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands
-from bellows_ros.core.planning.plan import PlanSimulation
+from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.points import curve_of
 from bellows_ros.core.planning.steering import SwingMode
 from bellows_ros.core.signals.resampling import resample

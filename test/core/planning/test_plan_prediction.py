@@ -6,7 +6,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import state_row
-from bellows_ros.core.planning.plan import PlanSimulation, SETTLED_ANGLE
+from bellows_ros.core.planning.plan_prediction import PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose

@@ -12,7 +12,7 @@ from bellows_ros.core.model.grip import MODES
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
-from bellows_ros.plots.recording import prediction_figure
+from bellows_ros.plots.recording_pictures import prediction_figure
 from bellows_ros.workflows import CommandResult, excite, plan, replay, steer, toss
 from bellows_ros.workflows.identification import Identification
 import numpy as np
