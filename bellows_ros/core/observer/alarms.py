@@ -27,12 +27,17 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.model.kernels import Branch, model_of, State
-from bellows_ros.core.model.simulation import first_after
+from bellows_ros.core.model.kernels import Branch, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
-from bellows_ros.core.observer.measurement import Marker, observed, OUT_OF_REACH, updated, USED
+from bellows_ros.core.observer.measurement import (
+    MeasuredPose,
+    observed,
+    OUT_OF_REACH,
+    Sensor,
+    updated,
+    USED,
+)
 import numpy as np
 
 FORCE_LOSS = -ekf.FALLEN
@@ -428,39 +433,36 @@ def _length(size: Array, P: Array, first: int, end: int, unit: float) -> tuple[f
 
 @kernel
 def filter_step(
-    row: Any, branches: tuple[Branch, ...], theta: Array, tool: State, body: State, P: Array,
-    memory: Array, stamps: Any, starts: Any, ends: Any, bodies: Any, is_recorded: bool, count: int,
-    now_ns: int, until_ns: int, max_step: float, drive: Array, walk: Array, E: Any,
-    statistics: Array, onsets: Stamps, from_start: bool, steps: Array, cups: Array,
-    is_measured: bool, position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker,
-    reach: float, gate: float,
+    row: Any, branches: tuple[Branch, ...], estimate: ekf.EstimateTuple, samples: ekf.Samples,
+    is_recorded: bool, until_ns: int, max_step: float, noise: tuple[Array, Array],
+    faults: tuple[Any, Array, Stamps, bool, Array], cups: Array,
+    pose: MeasuredPose, sensor: Sensor,
 ) -> Any:
     """
     Propagate an estimate to a later stamp, correct it with a measurement there, assess faults.
 
-    Takes what `model_of`, `predicted` and `updated` take, how many samples of the tool there are,
-    the evidence, and the steps (n + 7, components): the error that each component of a fault
-    makes; cups are those of a gripper that hold. All in one, and the model as an array: tuples
-    take long from Python. Returns a verdict, tool, body, theta, covariance and memory as
-    `updated`, the evidence, and what `_assessed` returns.
+    Takes what `model_of`, `predicted` and `updated` take, and the faults: their evidence, and the
+    steps (n + 7, components), the error that each component of a fault makes. Cups are those of a
+    gripper that hold; with gate 0 nothing is measured. All in one, and the model as an array:
+    tuples of many numbers take long from Python. Returns a verdict, the estimate, the evidence,
+    and what `_assessed` returns.
     """
-    model, k = model_of(row, branches), first_after(stamps, now_ns, count)
-    seconds, verdict, likeliest = (until_ns - now_ns) * 1e-9, USED, NO_FAULT
-    tool, body, theta, P, E = predicted(
-        model, theta, tool, body, P, memory, stamps, starts, ends, bodies, is_recorded, k, now_ns,
-        until_ns, max_step, drive, walk, E, cups)
-    if is_measured:
-        verdict, innovation, body, theta, learned = updated(
-            model, tool, body, theta, P, memory, seconds, position, quaternion_xyzw, noise, marker,
-            reach, gate)
+    model, seconds = model_of(row, branches), (until_ns - estimate[0]) * 1e-9
+    E, statistics, onsets, from_start, steps = faults
+    verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
+    after, E = predicted(
+        model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
+    _, tool, body, theta, P, _ = after
+    if sensor[2] > 0.0:
+        verdict, innovation, body, theta, learned = updated(model, after, seconds, pose, sensor)
         if len(E) > 0 and verdict != OUT_OF_REACH:
             statistics, onsets = statistics.copy(), onsets.copy()
             likeliest = _assessed(
-                E, statistics, onsets, steps, until_ns, innovation, marker[2], verdict == USED,
+                E, statistics, onsets, steps, until_ns, innovation, sensor[0][2], verdict == USED,
                 from_start)
         if likeliest[0] < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
-    return verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest
+    return (verdict, (until_ns, tool, body, theta, P, memory), (E, statistics, onsets), likeliest)
 
 
 @kernel

@@ -274,13 +274,13 @@ class Correction:
         evidence, theta = before.evidence, before.theta.copy()
         late = (measurement.stamp_ns - stamp_ns) * 1e-9 if gate > 0.0 else 0.0
         theta[ekf.LATENCY - STATE] -= late  # the pose is read so much earlier
-        after = alarms.filter_step(
-            self.row(before.lost_cups), self.branches, theta, before.tool, before.body,
-            before.covariance, before.memory, *track.rows, is_recorded, track.count,
-            before.stamp_ns, stamp_ns, self.max_step, self._drive, self._walk, *evidence[:3],
-            evidence.from_start, self._steps, self._holding(before.lost_cups), gate > 0.0,
-            *measurement[1:], self._marker, self.holding_reach, gate)
-        verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest = after
+        verdict, numbers, (E, statistics, onsets), likeliest = alarms.filter_step(
+            self.row(before.lost_cups), self.branches, (*before[:3], theta, *before[4:6]),
+            (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
+            (self._drive, self._walk), (*evidence[:3], evidence.from_start, self._steps),
+            self._holding(before.lost_cups), measurement[1:],
+            (self._marker, self.holding_reach, gate))
+        _, tool, body, theta, P, memory = numbers
         theta[ekf.LATENCY - STATE] += late
         return verdict, Estimate(
             stamp_ns, tool, body, theta, P, memory,
@@ -295,9 +295,8 @@ class Correction:
         if estimate.stamp_ns == track.newest_ns:
             return estimate.body
         return ekf.body_at_end(
-            self.row(estimate.lost_cups), self.branches, estimate.theta, estimate.tool,
-            estimate.body, *track.rows, track.count, estimate.stamp_ns, track.newest_ns,
-            self.max_step)
+            self.row(estimate.lost_cups), self.branches, estimate[:4], (*track.rows, track.count),
+            track.newest_ns, self.max_step)
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool

@@ -119,6 +119,25 @@ class Estimate(NamedTuple):
     """By how much (ns) the last measurement was read earlier than its stamp."""
 
 
+Samples = tuple[Any, Any, Any, Any, int]
+"""
+Of the tool: stamp (ns), states (13,) at the beginning and at the end of its motion from the sample
+before, and the package, of each; and how many there are.
+"""
+
+Moving = tuple[int, State, State, Array]
+"""Stamp (ns), tool, package and theta."""
+
+EstimateTuple = tuple[int, State, State, Array, Array, Array]
+"""`Moving`, covariance and memory, as an `Estimate` begins."""
+
+Transition = tuple[Array, Array, Array]
+"""
+Transition (13, m), covariance of the noise (12, 12), and transitions (cups, 12, 13) without each
+cup of a gripper.
+"""
+
+
 @kernel
 def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
     """Return a model with its numbers changed by theta."""
@@ -492,42 +511,33 @@ def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool
 
 @kernel
 def propagated(
-    model: ModelTuple, theta: Array, tool: State, body: State, T: Array, Q: Array,
-    stamps: Any, starts: Any, ends: Any, bodies: Any, is_recorded: bool, k: int, now_ns: int,
-    until_ns: int, max_step: float, drive: Array, cups: Array, without_cup: Array,
+    model: ModelTuple, beginning: Moving, transition: Transition, samples: Samples,
+    is_recorded: bool, until_ns: int, max_step: float, drive: Array, cups: Array,
 ) -> tuple[State, State]:
     """
     Return tool and package at a later stamp, and carry transition and noise there in place.
 
     Parameters
     ----------
-    model, theta : tuple and ndarray
-        Nominal, and as it is estimated.
-    tool, body : State
-        At the beginning.
-    T, Q : ndarray (13, m), (12, 12)
-        Transition, and covariance of the noise; of no size where they are not followed.
-    stamps, starts, ends : sequences
-        Of the tool's samples: stamp (ns), and states (13,) at the beginning and at the end of
-        its motion from the sample before.
-    bodies : sequence
-        The package at each sample (13,).
+    model, beginning : tuple
+        Nominal, and what is estimated at the beginning.
+    transition, samples : tuple
+        What is changed, of no size where it is not followed; and the tool's samples.
     is_recorded : bool
         Whether the package has gone this way before: it is read there, else it is written.
-    k : int
-        The first sample after the beginning.
-    now_ns, until_ns : int
-        Beginning, and end.
+    until_ns : int
+        End.
     max_step : float
         Longest step of the nominal state, s.
     drive : ndarray (12, 12)
         Of `driving`.
     cups : ndarray (cups, 54)
         Of a gripper, see `cups_of`.
-    without_cup : ndarray (cups, 12, 13)
-        Transitions without each of them, carried along in place.
 
     """
+    (now_ns, tool, body, theta), (T, Q, without_cup) = beginning, transition
+    stamps, starts, ends, bodies, count = samples
+    k = first_after(stamps, now_ns, count)
     bias, follows, is_reset, h, squares = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
     nominal, model, max_step = model, with_theta(model, theta), stable_step(max_step, theta)
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
@@ -574,23 +584,27 @@ def propagated(
 
 @array_kernel
 def predicted(
-    model: ModelTuple, theta: Array, tool: State, body: State, P: Array, memory: Array,
-    stamps: Any, starts: Any, ends: Any, bodies: Any, is_recorded: bool, k: int, now_ns: int,
-    until_ns: int, max_step: float, drive: Array, walk: Array, signatures: Any, cups: Array,
-) -> tuple[State, State, Array, Array, Any]:
-    """Return tool, body, theta and covariance of an estimate at a later stamp, and signatures."""
+    model: ModelTuple, estimate: EstimateTuple, samples: Samples, is_recorded: bool, until_ns: int,
+    max_step: float, noise: tuple[Array, Array], signatures: Any, cups: Array,
+) -> tuple[EstimateTuple, Any]:
+    """
+    Return an estimate at a later stamp, and signatures of faults.
+
+    The noise is what `driving` gives, and the walk of `propagated_covariance`.
+    """
+    now_ns, tool, body, theta, P, memory = estimate
     T, Q, theta = identity_transition(len(P)), np.zeros((STATE, STATE)), theta.copy()
     without_cup = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
     for i in range(STATE):
         without_cup[:, i, i] = 1.0
     tool, body = propagated(
-        model, theta, tool, body, T, Q, stamps, starts, ends, bodies, is_recorded, k, now_ns,
-        until_ns, max_step, drive, cups, without_cup)
-    P = propagated_covariance(P, T, Q, walk, memory)
+        model, (now_ns, tool, body, theta), (T, Q, without_cup), samples, is_recorded, until_ns,
+        max_step, noise[0], cups)
+    P = propagated_covariance(P, T, Q, noise[1], memory)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], memory)
     if len(signatures) > 0:
         signatures = propagated_signatures(signatures, T, memory, without_cup)
-    return tool, body, theta, P, signatures
+    return (until_ns, tool, body, theta, P, memory), signatures
 
 
 @array_kernel
@@ -637,12 +651,12 @@ def _followed(
 
 @kernel
 def followed(
-    row: Any, branches: tuple[Branch, ...], theta: Array, body: State, stamps: Any, starts: Any,
-    ends: Any, bodies: Any, k: int, stamp_ns: int, start: State, end: State, max_step: float,
-    reach: float,
+    row: Any, branches: tuple[Branch, ...], theta: Array, body: State, samples: Samples,
+    stamp_ns: int, start: State, end: State, max_step: float, reach: float,
 ) -> tuple[State, Wrench, bool]:
-    """Keep a sample of the tool as number k; return the package there, and `checked_wrench`."""
+    """Keep another sample of the tool; return the package there, and `checked_wrench`."""
     model, max_step = model_with(row, branches, theta), stable_step(max_step, theta)
+    stamps, starts, ends, bodies, k = samples
     stamps[k] = stamp_ns
     write_row(starts[k], start)
     write_row(ends[k], end)
@@ -663,13 +677,12 @@ def followed(
 
 @kernel
 def body_at_end(
-    row: Any, branches: tuple[Branch, ...], theta: Array, tool: State, body: State, stamps: Any,
-    starts: Any, ends: Any, bodies: Any, count: int, now_ns: int, until_ns: int, max_step: float,
+    row: Any, branches: tuple[Branch, ...], beginning: Moving, samples: Samples, until_ns: int,
+    max_step: float,
 ) -> State:
     """Return the package of an estimate at a later stamp, and write it into the samples."""
     none = np.zeros((0, 0))
     is_recorded = len(none) > 0  # for the constant False another one would be compiled
     return propagated(
-        kernels.model_of(row, branches), theta, tool, body, none, none, stamps, starts, ends,
-        bodies, is_recorded, first_after(stamps, now_ns, count), now_ns, until_ns, max_step, none,
-        np.zeros((0, 54)), np.zeros((0, 12, 13)))[1]
+        kernels.model_of(row, branches), beginning, (none, none, np.zeros((0, 12, 13))), samples,
+        is_recorded, until_ns, max_step, none, np.zeros((0, 54)))[1]

@@ -14,7 +14,14 @@ from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.filter import COM, NOISE, STATE, with_theta, wrench_bias
+from bellows_ros.core.observer.filter import (
+    COM,
+    EstimateTuple,
+    NOISE,
+    STATE,
+    with_theta,
+    wrench_bias,
+)
 from bellows_ros.core.signals.screening import why_no_pose
 import numpy as np
 
@@ -22,6 +29,16 @@ Marker = tuple[Vector, Quaternion, bool, float]
 """
 Position (m) and orientation of what is measured, in axes of B; whether it is measured from the
 lip and not from B; standard deviation (s) of the random part of the stamps' error.
+"""
+
+MeasuredPose = tuple[Vector, Quaternion, Array]
+"""Position, orientation and noise of a `Measurement`."""
+
+Sensor = tuple[Marker, float, float]
+"""
+What is measured; how far (m) a lip can be from where it is without load, beside what is not known
+of centre of mass and camera, and what late stamps make of a tool that moves; and the largest
+squared Mahalanobis distance.
 """
 
 WHITE_SHARE = 0.05
@@ -334,24 +351,19 @@ USED, OUTSIDE, OUT_OF_REACH = 0, 1, 2
 
 @array_kernel
 def updated(
-    model: ModelTuple, tool: State, body: State, theta: Array, P: Array, memory: Array,
-    seconds: float, position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker,
-    reach: float, gate: float,
+    model: ModelTuple, estimate: EstimateTuple, seconds: float, pose: MeasuredPose, sensor: Sensor,
 ) -> tuple[int, Innovation, State, Array, Array]:
     """
     Update an estimate with a measurement.
 
     Parameters
     ----------
-    model, tool, body, theta, P, memory, seconds
-        The estimate at its stamp, so long (s) after the one before; the model is the nominal one.
-    position, quaternion_xyzw, noise, marker
-        Of the measurement, and of `PoseSensor`.
-    reach : float
-        How far (m) a lip can be from where it is without load, beside what is not known of centre
-        of mass and camera, and what late stamps make of a tool that moves.
-    gate : float
-        The largest squared Mahalanobis distance.
+    model, estimate : tuple
+        The nominal model, and the estimate at the stamp of the pose.
+    seconds : float
+        Time since the estimate before, s.
+    pose, sensor : tuple
+        What is measured.
 
     Returns
     -------
@@ -364,9 +376,10 @@ def updated(
         but for the size of the noise outside the gate.
 
     """
+    (_, tool, body, theta, P, memory), (marker, reach, gate) = estimate, sensor
     model = with_theta(model, theta)
     com = model[1][1]
-    position, q, noise = corrected_pose(position, quaternion_xyzw, noise, marker, theta, com)
+    position, q, noise = corrected_pose(pose[0], pose[1], pose[2], marker, theta, com)
     exposed = at_exposure(model, tool, body, theta)
     for i in range(6):
         for j in range(6):

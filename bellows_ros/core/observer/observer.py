@@ -207,7 +207,7 @@ class Observer:
         track, correction = self._track, self._correction
         track.make_room(self._estimates[0].stamp_ns)
         prediction: tuple[State, Wrench, bool] | None = ekf.followed(
-            self._row, correction.branches, self._theta, self.body, *track.rows, track.count,
+            self._row, correction.branches, self._theta, self.body, (*track.rows, track.count),
             stamp_ns, start, end, correction.max_step, correction.reach)
         assert prediction is not None
         self.body = prediction[0]

@@ -5,7 +5,6 @@ import re
 
 from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.model.kernels import model_of
-from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import SINGLE
 from bellows_ros.core.observer import alarms
 from bellows_ros.core.observer import filter as ekf
@@ -185,11 +184,12 @@ def test_drop_is_always_noticed(kind, rate_hz, within):
         assert (named, after <= within) == ('lost', True)
 
 
-def _dense_transition(model, theta, tool, body, P, memory, *track):
-    """Give the transition (n + 7, n + 7) of the error with what falls, and the tool at the end."""
+def _dense_transition(model, before, *track):
+    """Give the transition (n + 7, n + 7) of the error with what falls."""
+    P, memory = before[4:]
     n, T = len(P), ekf.identity_transition(len(P))
-    end, _ = ekf.propagated(
-        model, theta, tool, body, T, np.zeros((12, 12)), *track, NO_CUPS, np.zeros((0, 12, 13)))
+    ekf.propagated(
+        model, before[:4], (T, np.zeros((12, 12)), np.zeros((0, 12, 13))), *track, NO_CUPS)
     F, h = np.eye(n + 7), T[12, 0]
     F[:12, [*range(ekf.MARKER), *range(ekf.DAMPING, n)]] = T[:12]
     F[ekf.LENGTH, ekf.LENGTHENING] = h
@@ -197,7 +197,7 @@ def _dense_transition(model, theta, tool, body, P, memory, *track):
         share = np.clip(memory[3 + i // 3] / memory[1 + i // 3], 1e-3, 0.97)
         F[ekf.NOISE + i, ekf.NOISE + i] = share ** (h / memory[0])
     F[n + 1:n + 4, n], F[n + 4:, n], F[n + 4:, n + 1:n + 4] = T[12, 1:4], T[12, 4:7], h * np.eye(3)
-    return F, end
+    return F
 
 
 def _dense_total(given):
@@ -250,19 +250,18 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     processed, given, totals = alarms.filter_step, [], []
     interpreted = getattr(ekf.predicted, 'py_func', ekf.predicted)  # compiling it takes some 7 s
 
-    def processing(row, branches, theta, tool, body, P, memory, *more):
-        result = processed(row, branches, theta, tool, body, P, memory, *more)
-        if more[17]:  # something is seen
-            model, k = model_of(row, branches), first_after(more[0], more[6], more[5])
-            track, seen = (*more[:5], k, *more[6:10]), more[18:]
-            F, end = _dense_transition(model, theta, tool, body, P, memory, *track)
-            after = interpreted(model, theta, tool, body, P, memory, *track, more[10],
-                                np.zeros((0, 0), np.float32), NO_CUPS)
-            verdict, found, *_ = updated(
-                model, end, *after[1:4], memory, (more[7] - more[6]) * 1e-9, *seen)
+    def processing(row, branches, before, *more):
+        result = processed(row, branches, before, *more)
+        *track, noise, _, _, pose, sensor = more
+        if sensor[2] > 0.0:  # something is seen
+            model = model_of(row, branches)
+            F = _dense_transition(model, before, *track, noise[0])
+            after, _ = interpreted(
+                model, before, *track, noise, np.zeros((0, 0), np.float32), NO_CUPS)
+            verdict, found, *_ = updated(model, after, (after[0] - before[0]) * 1e-9, pose, sensor)
             if verdict != OUT_OF_REACH:
                 given.append((F, found, verdict == USED))
-                totals.append(result[9][0])
+                totals.append(result[3][0])
         return result
 
     monkeypatch.setattr(alarms, 'filter_step', processing)

@@ -23,7 +23,7 @@ SIZES = np.repeat(
      0.005, 1.0, 0.1, 2e-5],
     [3, 3, 3, 3, 1, 3, 3, 3, 1, 1, 6, 3, 3, 3, 3, 1, 6, 6, 3])
 OF_MOTION = [*range(ekf.MARKER), *range(ekf.DAMPING, ekf.ALL_ROWS)]
-MEMORY = first_memory(0.03 / np.log(2.0))
+MEMORY, NO_LOSSES = first_memory(0.03 / np.log(2.0)), np.zeros((0, 12, 13))
 
 pytestmark = pytest.mark.xdist_group('kernels called from Python')  # compiled by one worker alone
 
@@ -47,8 +47,8 @@ def test_transition_is_that_by_differences(is_off):
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end, end)]
     T, Q = ekf.identity_transition(ekf.ALL_ROWS), np.zeros((12, 12))
     _, found = ekf.propagated(
-        model, theta, start, body, T, Q, stamps[250:252], *rows, False, 1,
-        stamps[250], stamps[251], largest_step(model), drive, NO_CUPS, np.zeros((0, 12, 13)))
+        model, (stamps[250], start, body, theta), (T, Q, NO_LOSSES), (stamps[250:252], *rows, 2),
+        False, stamps[251], largest_step(model), drive, NO_CUPS)
     middle = later(body, theta, start, end, h)
     np.testing.assert_allclose(error_of(middle, found), 0.0, atol=2e-6)
     F, memory, step = np.eye(ekf.ALL_ROWS), MEMORY, 1e-4
@@ -90,8 +90,9 @@ def test_transition_of_a_cup_that_is_much_stiffer_is_stable(row):
             for states in ([tool[0], *tool[:-1]], tool, tool)]
     T = ekf.identity_transition(ekf.ALL_ROWS)
     ekf.propagated(
-        model, theta, tool[0], body, T, np.zeros((12, 12)), stamps, *rows, False, 1, stamps[0],
-        stamps[-1], largest_step(model), np.zeros((12, 12)), NO_CUPS, np.zeros((0, 12, 13)))
+        model, (stamps[0], tool[0], body, theta), (T, np.zeros((12, 12)), NO_LOSSES),
+        (stamps, *rows, len(stamps)), False, stamps[-1], largest_step(model), np.zeros((12, 12)),
+        NO_CUPS)
     assert np.abs(np.linalg.eigvals(T[:12, :12])).max() < 1.0
 
 
@@ -108,10 +109,10 @@ def test_transition_without_a_cup_is_that_of_the_others():
             for a, b in ((first - 1, last), (first, last + 1))]
     losses = np.tile(np.eye(12, 13), (4, 1, 1))
     _, found = ekf.propagated(
-        model, np.zeros(ekf.ALL_ROWS - 12), tool[first], start,
-        ekf.identity_transition(ekf.ALL_ROWS), np.zeros((12, 12)), stamps[first:last + 1], *rows,
-        rows[0].copy(), False, 1, stamps[first], stamps[last], largest_step(model),
-        np.zeros((12, 12)), cups, losses)
+        model, (stamps[first], tool[first], start, np.zeros(ekf.ALL_ROWS - 12)),
+        (ekf.identity_transition(ekf.ALL_ROWS), np.zeros((12, 12)), losses),
+        (stamps[first:last + 1], *rows, rows[0].copy(), last + 1 - first), False, stamps[last],
+        largest_step(model), np.zeros((12, 12)), cups)
     for lost in range(4):
         others = model_tuple(gripper_of(CUP, np.delete(LAYOUT, lost, axis=0)), HEAVY, 9.81)
         body = moved_by(start, e)
@@ -152,8 +153,8 @@ def test_innovation_is_what_it_says(of_lip):
 
     def seen(e, jitter=0.0):
         z, H, W, *_ = updated(
-            model, tool[60], body, none, P.copy(), MEMORY, 0.03, *pose(e), noise,
-            (*marker, jitter), 1.0, np.inf)[1]
+            model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03, (*pose(e), noise),
+            ((*marker, jitter), 1.0, np.inf))[1]
         root = np.linalg.inv(W)
         return root @ z, H, root
 
@@ -184,8 +185,8 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     T, Q = ekf.identity_transition(ekf.ALL_ROWS), np.zeros((12, 12))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (tool,) * 3]
     ekf.propagated(
-        model, theta, tool, body, T, Q, np.array([0, 1_000_000]), *rows, False, 1, 0, 1_000_000,
-        1.0, np.zeros((12, 12)), NO_CUPS, np.zeros((0, 12, 13)))
+        model, (0, tool, body, theta), (T, Q, NO_LOSSES), (np.array([0, 1_000_000]), *rows, 2),
+        False, 1_000_000, 1.0, np.zeros((12, 12)), NO_CUPS)
     seen = [(noise, *with_noise(rng, body, NOISE_STD * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
     for k in range(updates):
