@@ -222,8 +222,8 @@ class Flight:
         """Return what `toss_along` does, of a package that is held up to a time (s)."""
         return release.toss_along(
             model, self.grip or release.NO_GRIP, self._release, 0.0, now.tool,
-            adapted(model, now.tool, now.body), *_after_now(tool), switched, until,
-            self._longest_step(model))
+            adapted(model, now.tool, now.body),
+            (*_after_now(tool), until, self._longest_step(model)), switched)
 
     def _longest_step(self, model: ModelTuple) -> float:
         """Return the longest integration step (s) of a model."""

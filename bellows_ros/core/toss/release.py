@@ -200,12 +200,20 @@ def _held_substep(
     return tool, step_released(model, law, since_valve, body, before, middle, tool, h)
 
 
+Ahead = tuple[Any, Any, float, float]
+"""
+How the tool goes on: along rows (N, 13) at seconds (N,), and steadily after them; until when a
+release is looked for (s), and the longest integration step (s).
+"""
+
+
 @kernel
 def find_release(
-    model: ModelTuple, grip: Grip, law: Law, start: float, tool: State, body: State,
-    rows: Any, seconds: Any, switched: float, until: float, max_step: float,
+    model: ModelTuple, grip: Grip, law: Law, start: float, tool: State, body: State, ahead: Ahead,
+    switched: float,
 ) -> tuple[float, State]:
     """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
+    rows, seconds, until, max_step = ahead
     max_step = min(max_step, OPENING_STEP) if law[5] > 0.0 else max_step
     above = -1.0  # margin of the suction, not computed before the valve
     for k in range(len(seconds) + 1):
@@ -266,8 +274,8 @@ def write_toss(
         start = seconds[k - 1]
         if released < 0.0:
             released, body = find_release(
-                model, grip, law, start, row_state(rows[k - 1]), body, rows[k:k + 1],
-                seconds[k:k + 1], switched, seconds[k], max_step)
+                model, grip, law, start, row_state(rows[k - 1]), body,
+                (rows[k:k + 1], seconds[k:k + 1], seconds[k], max_step), switched)
             start = released
             if released >= 0.0:
                 body = free_flight.pushed_off(model[1], body, law[2])
@@ -294,19 +302,18 @@ NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
 @kernel
 def toss_along(
     model: ModelTuple, grip: Grip, release: Release, start: float, tool: State, body: State,
-    rows: Any, seconds: Any, switched: float, until: float, max_step: float,
+    ahead: Ahead, switched: float,
 ) -> tuple[float, State, float, State]:
     """
     Return when it is let go (s), the state after that, when it lands (s), and the state then.
 
-    Tool and package are those at the start (s). The tool moves along rows (N, 13) at seconds (N,),
-    and steadily after them; the valve is switched at a time, or was before. Times are -1 where it
-    is not let go before `until`, and the first state is that of then, or where it never lands;
-    below the floor it lands at once. Integration steps are at most `max_step` (s).
+    Tool and package are those at the start (s); the valve is switched at a time, or was before.
+    Times are -1 where it is not let go in time, and the first state is that of then, or where it
+    never lands; below the floor it lands at once.
     """
     _, package, gravity = model
     released, body = find_release(
-        model, grip, release.law, start, tool, body, rows, seconds, switched, until, max_step)
+        model, grip, release.law, start, tool, body, ahead, switched)
     if released < 0.0:
         return released, body, -1.0, body
     body = free_flight.pushed_off(package, body, release.law[2])
@@ -365,7 +372,7 @@ def toss_with_derivatives(
             model, grip, changed, 0.0, tool,
             equilibrium.moved(body, t3.unit(j, size), t3.unit(j - 3, size), t3.unit(j - 6, size),
                               t3.unit(j - 9, size)),
-            rows, seconds, 0.0, until, max_step)
+            (rows, seconds, until, max_step), 0.0)
         if toss_changed[2] <= toss_changed[0]:
             return False, toss_changed
         if j < 0:
@@ -466,8 +473,8 @@ class HeldMotion:
         i = self._step_at(switched)
         return toss_along(
             self.model, self.grip, release, times[i], row_state(tools[i]),
-            body_row(states[i], self.start), tools[i + 1:], times[i + 1:], switched, times[-1],
-            self._longest)
+            body_row(states[i], self.start),
+            (tools[i + 1:], times[i + 1:], times[-1], self._longest), switched)
 
     def _step_at(self, time: float) -> int:
         """Return the number of the last integration step that begins at a time (s) or before."""
