@@ -106,7 +106,8 @@ def print_identification(result: 'Identification', out: Writer) -> None:
     sentences = verdict.sentences if verdict else ()
     if verdict:
         out.paragraph(*verdict.cause, *verdict.doubts)
-    out.line(f'Cup identified from {listed(result.bags)}', 'bold')
+    found = 'Cup' if fit.converged else 'No cup'
+    out.line(f'{found} identified from {listed(result.bags)}', 'bold')
     out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     out.line()
     for simulated in verdict.simulated if verdict else ():
@@ -118,9 +119,11 @@ def print_identification(result: 'Identification', out: Writer) -> None:
             *((name, *(f'{1e3 * x:.3g}' for x in values))
               for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
             right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
-    print_cup(fit, out)
+    if fit.converged:
+        print_cup(fit, out)
     _print_samples(result, out)
-    out.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
+    if fit.converged:
+        out.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
     out.paragraph(*result.findings[len(sentences):])
     out.paragraph(*result.refusals, style='red')
     out.warn(*result.warnings)

@@ -116,13 +116,15 @@ def _joined(recording: Recording) -> Recording:
                         measured_package=of_package.poses.between(*common[[0, -1]]))
     if not recording.whole.any():
         both = report.tool, report.package
+        none_left = f'None of the {len(common)} common samples is left'
+        if bursts := burst_sentence(*both):
+            raise BellowsError(f'{bursts} {none_left} between the gaps of such stamps.')
         faults = '; '.join(
             f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
             f'{len(r.timing.gaps)} gaps, {r.overlapping_gap} filtered samples touch one of these'
             for r in both)
-        remedy = burst_sentence(*both) or (
-            'Use smaller half windows, or a recording with fewer gaps and outliers.')
-        raise BellowsError(f'None of the {len(common)} common samples is left: {faults}. {remedy}')
+        raise BellowsError(f'{none_left}: {faults}. Use smaller half windows, or a recording with '
+                           'fewer gaps and outliers.')
     return recording
 
 

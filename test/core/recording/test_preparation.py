@@ -199,7 +199,7 @@ def test_poses_stamped_in_bursts_on_arrival_are_said_to_be():
     late = tool.stamps_ns[0] + 40_000_000 * burst + sent[burst] + 30_000 * (
         np.arange(len(tool)) - np.searchsorted(burst, burst))
     arrived = [replace(own, stamps_ns=late) for own in (tool, package)]
-    with pytest.raises(BellowsError, match="'/tool' and '/package'.* bursts"):
+    with pytest.raises(BellowsError, match="^The poses of '/tool' and '/package' .*bursts"):
         prepare(stream(arrived[0]), stream(arrived[1], '/package'), PLAIN)
     sound = prepare(stream(tool), stream(package, '/package'), PLAIN)
     assert sound.valid.any() and implausible_inputs(sound)[0].name != 'bursts'
