@@ -52,6 +52,9 @@ PACKAGE_WORDS = frozenset(
 
 MAX_DISTANCE = 1.0  # m, between tool and package
 MAX_RELATIVE_CHANGE = 0.25  # of the distance, between its quartiles, of a package that is held
+MAX_UPRIGHT_TILT, MAX_HANGING_TURN = np.deg2rad([1.0, 10.0])
+"""Tilt (rad) of a tool that is upright, and the turn of a package that its weight explains."""
+
 HANGING_ANGLE = np.deg2rad(40.0)  # from straight down, of what hangs below
 SAMPLES = 2000  # at which two streams are compared
 TWIST_WINDOW = 0.05  # s, over which a twist is compared with the change of the poses
@@ -369,7 +372,9 @@ def _initial_rest(
     tool, package = (alignment.in_world(poses.trajectory(), R)
                      for poses in (tool_poses, package_poses))
     rest = alignment.rest_of(tool, package)
-    aligned = rest.is_turned and not separate
+    # A package that hangs aside is turned, too, and a fit finds its marker.
+    aligned = rest.is_turned and not separate and bool(
+        rest.tilts[0] > MAX_UPRIGHT_TILT or rest.turned > MAX_HANGING_TURN)
     notes = [text for text, applies in (
         (f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
          'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
@@ -383,7 +388,8 @@ def _initial_rest(
          longest_hold(tool) < MIN_HOLD)) if applies]
     duration = max(0.1, float(np.floor(10.0 * REST_FRACTION * rest.seconds) / 10.0))
     settings = {'recording.align_at_rest': aligned, 'recording.rest_duration': duration}
-    return rest.seconds, settings, [*notes, *(rest.turned_sentence if aligned else ())]
+    return rest.seconds, settings, [
+        *notes, *(() if separate else rest.turned_sentence)]
 
 
 def longest_hold(tool: Trajectory) -> float:
@@ -437,7 +443,8 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     world = lowest if below else 'z_up'
     low, quarter, most, high = np.percentile(distances, (1, 25, 75, 99))  # without tracking jumps
     constant = one_frame and distance < MAX_DISTANCE and (
-        most - quarter < MAX_RELATIVE_CHANGE * distance)
+        most - quarter < MAX_RELATIVE_CHANGE * distance) and (
+        distance < IMPLAUSIBLE_DISTANCE[0] or high - low < MAX_CHANGE)
     why_tool = [*_name_reason(tool.name, TOOL_WORDS)]
     why_package = [*_name_reason(package.name, PACKAGE_WORDS)]
     if not one_frame and len(tool.stamps_ns) > len(package.stamps_ns):

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros import workflows
 from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.identification import causes
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment as frames
@@ -160,6 +161,10 @@ def prepare_streams(
     world = values['recording.package_world']
     if values['fit.time_offset'] or world == checks.ESTIMATE or (
             'package_marker' in values['fit.free']):
+        payload, inertia = settings.payload, np.diag(settings.payload.inertia)
+        if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
+            raise UnexplainedError(causes.finding_sentence(
+                finding, {'package.mass': payload.mass, 'package.inertia': inertia}))
         return workflows.registration.registered(tool, package, twist, settings, values)
     moved = frames.in_tool_world(
         package, frames.pose_of(world), tool.frame_id) if world else package

@@ -138,8 +138,10 @@ class FitVerdict(NamedTuple):
         is_shown = any(finding.certain or finding.datum and not (drifts and finding.name == 'slip')
                        for finding in seen[:1])
         is_fact = any(finding.is_fact for finding in seen[:1])
-        is_found = any(cause.datum and cause.likely and (
-            cause.certain and not is_fact or not is_shown) for cause in found[:1])
+        is_found = any(
+            cause.certain and cause.name == 'structure' and not is_fact or cause.datum
+            and cause.likely and (cause.certain and not is_fact or not is_shown)
+            for cause in found[:1])
         if not found or self.cause and not is_found:
             return self
         rivals = (finding for finding in seen if finding.name != found[0].name)

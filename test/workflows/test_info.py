@@ -162,6 +162,17 @@ def test_y_up_and_turned_markers_are_noticed(tmp_path):
     assert any('align_at_rest' in note for note in found.notes)
 
 
+def test_a_package_that_hangs_aside_is_not_aligned(tmp_path):
+    """As its weight may bend the cup by 3 degrees, where the tool is upright."""
+    m = motion()
+    write_bag(tmp_path / 'bag', [
+        poses('/arm', m['t'], m['o'], m['R']),
+        poses('/plate', m['t'], m['o_p'], m['R_p'] @ exp_so3(np.array([0.05, 0.0, 0.0])))])
+    found = info(tmp_path / 'bag')
+    assert found.settings['recording.align_at_rest'] is False
+    assert any('2.9 degrees' in note and 'by its weight' in note for note in found.notes)
+
+
 def test_gaps_jitter_and_repeats_are_counted(tmp_path):
     """Report per topic what would be left out."""
     m = motion()

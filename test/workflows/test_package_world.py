@@ -105,6 +105,13 @@ def test_it_is_said_and_written_where_it_belongs(result, bag, settings, tmp_path
     assert replay(bag, {**settings, 'fit.time_offset': True, **kept}).validation.failing() == ()
 
 
+def test_an_inertia_in_another_unit_is_named_before_a_world_is_looked_for(bag, settings):
+    wrong = [1e4 * x for x in settings['package.inertia']]
+    with pytest.raises(BellowsError, match='package.inertia is in kg cm'):
+        identify({**settings, 'bags': [bag], 'recording.package_world': 'estimate',
+                  'package.inertia': wrong})
+
+
 def test_without_it_two_frames_are_refused(bag, settings):
     with pytest.raises(BellowsError, match='recording.package_world: estimate'):
         identify({**settings, 'bags': [bag]})

@@ -169,8 +169,9 @@ IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
 
 def implausible_inputs(recording: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with a recording or what was given with it, without any fit."""
-    tests = (_bursts, _package, _clocks, _twists, _smoothed, _jump)
-    return tuple(wrong._replace(is_fact=True) for test in tests if (wrong := test(recording)))
+    found = (_bursts(recording), implausible_package(recording.payload), *(
+        test(recording) for test in (_clocks, _twists, _smoothed, _jump)))
+    return tuple(wrong._replace(is_fact=True) for wrong in found if wrong)
 
 
 def corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
@@ -354,9 +355,9 @@ def _bursts(recording: Recording) -> Finding | None:
     return Finding('bursts', ' and '.join(names)) if names else None
 
 
-def _package(recording: Recording) -> Finding | None:
+def implausible_package(payload: Package) -> Finding | None:
     """Return what is wrong with a mass or an inertia that no package has, None where one may."""
-    gyration, mass = radius_of_gyration(recording.payload), recording.payload.mass
+    gyration, mass = radius_of_gyration(payload), payload.mass
     if mass > checks.MAX_MASS:
         return Finding('mass', 'g')
     if sentence := checks.too_dense(mass, gyration):
@@ -502,9 +503,9 @@ def _marker_fields(finding: Finding, given: Given) -> Fields:
     """Return by how much a marker frame is moved and turned, and what corrects it."""
     shift, turn = map(np.linalg.norm, np.split(finding.theta, [len(finding.theta) - 3]))
     alignment = '' if given.get('recording.align_at_rest') else (
-        'recording.align_at_rest: true if the recording begins at rest, or else ')
+        ", or recording.align_at_rest: true if it is the tool's and the recording begins at rest")
     return {'mm': 1e3 * shift, 'degrees': np.rad2deg(turn),
-            'setting': f'{alignment}fit.free: [package_marker]'}
+            'setting': f'fit.free: [package_marker]{alignment}'}
 
 
 def _drift_fields(finding: Finding, given: Given) -> Fields:

@@ -41,6 +41,7 @@ from bellows_ros.core.identification.search import (
 )
 from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.model.cup_package import package_of
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
@@ -200,6 +201,9 @@ MAX_CAUSES = 2
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'gravity', 'package_world',
               'package_marker', 'world_drift', 'drift', 'cubic')
 
+CANDIDATES_FROM_START = ('package_world', 'world_drift')
+"""Those of them with which a search that did not converge begins again."""
+
 MIN_LENGTH_ERROR = 2e-3
 """
 The least error of a length (m) that is searched for where a cup is implausible.
@@ -234,13 +238,14 @@ def causes(
     Return the likeliest cause of what a fit leaves, none where all is as it should be.
 
     After it comes what is likeliest where that is corrected, up to so many. A given quantity whose
-    uncertainty was stated is no cause. Of a search that did not converge only a slip may be.
+    uncertainty was stated is no cause. Of a search that did not converge only a slip may be, or
+    another or a drifting world, with which it is begun again.
     """
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
     candidates = (*CANDIDATES, *['couplings'] * (not search.structure.couples))
     falls = scores(search, minimum, [
-        name for name in candidates * minimum.converged
+        name for name in (candidates if minimum.converged else CANDIDATES_FROM_START)
         if name not in (*search.places, *stated(given))])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in search.places and (
@@ -250,7 +255,8 @@ def causes(
     ranked = sorted(falls, key=falls.__getitem__, reverse=True)
     if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
         return ()
-    tried = [_freed(search, minimum, name, name == 'slip') for name in ranked[:MAX_TRIED]
+    tried = [_freed(search, minimum, name, name == 'slip' or not minimum.converged)
+             for name in ranked[:MAX_TRIED]
              if falls[name] >= DISTINCT * falls[ranked[0]]
              # as they have most numbers, they explain a part of anything
              and (name != 'couplings' or name == ranked[0])]
@@ -312,8 +318,16 @@ def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ..
 
     The first end with a certain cause decides, or else the first with any. Ends after one that
     leaves only noise do not count: with fewer quantities free, whatever was given a little wrong
-    would seem to be a cause. Nor does an implausible cup after an end with a likely cause.
+    would seem to be a cause. Nor does an implausible cup after an end with a likely cause. Where
+    two would be wrong, couplings may be instead.
     """
+    reasons, search = _reasons_at(ends, given), next(iter(ends))
+    coupled = _coupled(search, given) if len(reasons) > 1 else None
+    return (coupled,) if coupled else reasons
+
+
+def _reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ...]:
+    """Return the same, but for couplings."""
     likely: tuple[Finding, ...] = ()
     if is_explained(*next(iter(ends.items())), given):
         return likely
@@ -415,6 +429,21 @@ def outlying(
         certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count), *others)
 
 
+def _coupled(search: Search, given: Free) -> Finding | None:
+    """Return that directions are coupled, where nothing given is off then by many deviations."""
+    structure = next((each for each in STRUCTURES.values() if each.couples), search.structure)
+    if search.structure.couples or search.structure.places or not (
+            search.places.keys() & given.keys()):
+        return None
+    wide = search.with_free(search.start, {}, structure=structure)
+    for segment in search.segments:
+        segment.reset()
+    minimum = wide.minimum()
+    if not wide.fits(minimum) or largest_pull(wide, minimum, given)[1] > MAX_PULL:
+        return None
+    return Finding('structure', structure.name, datum=False)
+
+
 def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:
     """Return a search with the likeliest moment of a slip, and by how much the squares fall."""
     tried = dict[int, tuple[Search, float]]()
@@ -469,9 +498,14 @@ def _other_frame(search: Search, minimum: Minimum, rival: float) -> Finding | No
     Return that poses of the lip are those of the centre of mass, or vice versa, where it is so.
 
     With the centre of mass free near it, as it is a little off beside. None where a rival, which
-    has more numbers, explains more.
+    has more numbers, explains more, or where the marker may be as far off.
     """
     measured = search.segments[0].measured
+    if 'package_marker' in search.places:
+        place = search.places['package_marker'][0, :3]
+        if np.min(search.weights[place] / search.units[place] ** 2) < 1.0 / np.sum(
+                np.square(measured.payload.com)):
+            return None
     is_lip = all(measured.moves_with_com)
     other, sign = copy(search), -1.0 if is_lip else 1.0
     other.segments = [Segment(replace(

@@ -332,8 +332,11 @@ def _structure_change(solved: Solved, structure: Structure, other: Structure) ->
 
 
 def _is_within(name: str, theta: Array, given: variations.Given) -> bool:
-    """Return whether numbers are no larger than what they are of: cup, package, lip."""
-    radius = causes.radius_of_gyration(given.samples.payload)
+    """Return whether numbers are no larger than what they are of, nor a package above its lip."""
+    payload = given.samples.payload
+    if name == 'com' and payload.com[2] + theta[2] > max(payload.com[2], 0.0):
+        return False
+    radius = causes.radius_of_gyration(payload)
     largest = {
         'length': 0.5 * given.length, 'com': radius, 'slip': given.length,
         'inertia': MAX_LOG_INERTIA, 'gravity.direction': MAX_ANGLE, 'package_marker': MAX_ANGLE}

@@ -376,12 +376,14 @@ class Parametrization:
 class Search(Parametrization):
     """Gauss-Newton steps of the unknowns."""
 
-    def with_free(self, theta: Array, more: Free, relaxes: bool = True) -> 'Search':
-        """Return a search that starts from unknowns, with more free, or no relaxation."""
+    def with_free(
+        self, theta: Array, more: Free, relaxes: bool = True, structure: Structure | None = None,
+    ) -> 'Search':
+        """Return a search from unknowns, with more free, without relaxation, or a structure."""
         free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
                 for name, rows in self.places.items() if relaxes or name != 'relaxation'}
         cup = self.cup(theta)
-        return Search(self.segments, self.structure, cup if relaxes else replace(
+        return Search(self.segments, structure or self.structure, cup if relaxes else replace(
             cup, relaxation=(0.0, 0.0)), {**free, **more}, self.slip_ns)
 
     def minimum(

@@ -147,6 +147,30 @@ def test_a_world_that_is_not_level_is_named(sensor, coupled, named):
     assert coupled or np.all(np.abs(gravity.theta - [0.0, -0.12]) < 4.0 * gravity.std)
 
 
+def test_a_world_that_lets_no_search_converge_is_named():
+    own = measured(2, tool_hz=100.0, duration=8.0, **CAPTURED)
+    turn = exp_so3(np.array([0.0, np.radians(1.5), 0.0]))
+    place = np.array([0.3, 0.2, 0.9])
+    seen = replace(own.package, position=(own.package.position + place) @ turn.T - place,
+                   rotation=turn @ own.package.rotation)
+    fit = output_error([replace(own, package=seen)], AXISYMMETRIC, TRUTH, given=USUAL)
+    cause, = fit.causes
+    assert not fit.converged and cause.name == 'package_world' and cause.certain
+    assert_allclose(cause.theta[3:], [0.0, -0.026, 0.0], atol=2e-3)
+
+
+@pytest.mark.parametrize('seed', [2, pytest.param(1, marks=pytest.mark.stress)])
+def test_a_centre_of_stiffness_on_the_axis_is_no_length_and_com_that_are_wrong(seed):
+    """12 mm below the tip, which a length and a centre of mass 23 mm off would explain, too."""
+    shift = np.eye(6)
+    shift[[0, 1], [4, 3]] = 0.012, -0.012
+    coupled = replace(TRUTH, stiffness=shift.T @ TRUTH.stiffness @ shift,
+                      damping=shift.T @ TRUTH.damping @ shift)
+    own = measured(seed, tool_hz=100.0, duration=8.0, cup=coupled, **CAPTURED)
+    cause, = output_error([own], AXISYMMETRIC, TRUTH, given=USUAL).causes
+    assert (cause.name, cause.value, cause.certain) == ('structure', 'axisymmetric_coupled', True)
+
+
 def test_what_is_off_under_motion_capture_is_named_with_all_that_is_a_little_off():
     """A marker along the cup, which wrenches take for another length."""
     own = measured(6, tool_hz=100.0, duration=8.0, **CAPTURED)
