@@ -155,7 +155,7 @@ def identify(
     package : Package
         What the cup held.
     cup_length : float
-        Nominal length l0, m.
+        Cup length l0, m.
     settings : mapping, optional
         Further parameters by name, such as fit.structure or topics.tool_pose.
 

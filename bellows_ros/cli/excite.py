@@ -57,7 +57,7 @@ def print_result(result: DesignedMotion, console: Console) -> None:
 
 PURPOSES = (
     'Standstills, upright and tilted. Record them with two or more packages of different mass. '
-    'The poses at rest identify K, and two masses identify the nominal length.',
+    'The poses at rest identify K, and two masses identify the cup length.',
     'The motion above. It identifies K and P.',
     'Moves from pose to pose, as quick as the limits allow. Keep this recording out of the fit, '
     'and validate the cup with it.')
@@ -77,7 +77,7 @@ def _print_series(result: DesignedMotion, console: Console) -> None:
                 f'{100.0 * part:.3g} %' if part <= MAX_RELATIVE_ERROR else '-'
                 for part in (error / abs(value) for error in errors))])
     console.table(rows, right=True)
-    console.paragraph('Each column is for this recording alone, with the nominal length known; '
+    console.paragraph('Each column is for this recording alone, with the cup length known; '
                       '- is not identifiable. Then identify the cup from all of them:')
     console.line('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
     console.line('      --set validation.bags=RECORDING_3 --report page.html')

@@ -1,4 +1,4 @@
-"""Find the cup's nominal length from standstills, and check its spring alone."""
+"""Find the cup's length from standstills, and check its spring alone."""
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
@@ -56,7 +56,7 @@ def print_result(result: StaticResult, console: Console) -> None:
     if result.spring is not None:
         console.table(
             _spring_rows(result.spring), right=True,
-            title=f'Spring, with a nominal length of {result.cup_length * 1e3:.2f} mm')
+            title=f'Spring, with a cup length of {result.cup_length * 1e3:.2f} mm')
         console.paragraph(result.spring.sentence, style='' if result.spring.passed else 'red')
     console.warn(*result.warnings)
 
@@ -104,12 +104,12 @@ def _column(
 
 
 def _print_length(result: StaticResult, console: Console) -> None:
-    """Print the nominal length, or why it is not identifiable."""
+    """Print the cup length, or why it is not identifiable."""
     length = result.length
     if length is None:
-        console.paragraph(f'No nominal length: {result.no_length}')
+        console.paragraph(f'No cup length: {result.no_length}')
         return
-    console.line('Nominal length', 'bold')
+    console.line('Cup length', 'bold')
     console.line(f'  l0 {length.text}')
     console.paragraph(
         f'  {"straight line" if len(length.coefficients) == 2 else "cubic"} through '

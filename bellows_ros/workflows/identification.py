@@ -117,7 +117,7 @@ class Identification(CommandResult):
 
     @property
     def cup_length(self) -> float:
-        """Nominal length of the fit, m: given or estimated."""
+        """Cup length of the fit, m: given or estimated."""
         standstills = self.fit.standstills
         return standstills.length if standstills else self.parts[0].statistics.cup_length
 
@@ -281,7 +281,7 @@ class Identification(CommandResult):
 
 
 def _standstill_sentences(result: Identification) -> Iterator[str]:
-    """Yield what standstills contribute to a fit, and the nominal length they give."""
+    """Yield what standstills contribute to a fit, and the cup length they give."""
     standstills, static = result.fit.standstills, result.static
     if standstills is None or static is None:
         return
@@ -292,9 +292,9 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
     yield (f'{standstills.count} standstills are part of the fit (chi^2 per degree of freedom '
            f'{standstills.chi2:.2g}): {narrowed}.')
     if static.length:
-        yield f'Nominal length by the loads alone: {static.length.text}.'
+        yield f'Cup length by the loads alone: {static.length.text}.'
     if result.values['static.length']:
-        yield (f'Nominal length with the fit: {1e3 * standstills.length:.3f} ± '
+        yield (f'Cup length with the fit: {1e3 * standstills.length:.3f} ± '
                f'{1e3 * standstills.length_std:.3f} mm.')
 
 

@@ -1,4 +1,4 @@
-"""Static recordings: the cup's nominal length, and a check of its spring."""
+"""Static recordings: the cup's length, and a check of its spring."""
 
 from collections.abc import Sequence
 import math
@@ -32,7 +32,7 @@ class StaticResult(NamedTuple):
     ----------
     recordings : tuple of Recording
         In the order they were given.
-    length : NominalLength or None
+    length : CupLength or None
         The cup's length without load, where there are masses enough.
     no_length : str
         Why there is none, or ''.
@@ -46,7 +46,7 @@ class StaticResult(NamedTuple):
     """
 
     recordings: tuple[Recording, ...]
-    length: statics.NominalLength | None
+    length: statics.CupLength | None
     no_length: str
     cup_length: float
     spring: statics.SpringCheck | None = None
@@ -111,13 +111,13 @@ class StaticResult(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """Return the content of a JSON file, in SI units."""
         return results.with_units({
-            'nominal_length': self.length and {
+            'estimated_length': self.length and {
                 **self.length._asdict(), **results.attributes(self.length, 'warnings', 'text'),
                 'units': {
                     'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
                 }},
-            'no_nominal_length': self.no_length,
+            'no_estimate': self.no_length,
             'cup_length': self.cup_length,
             'stiffness_after_moves': self.after_moves,
             'stiffness_of_a_step': self.instant,
@@ -184,7 +184,7 @@ def static_check(
     bags: Sequence[StaticBag], settings: Values, progress: Progress = no_progress
 ) -> StaticResult:
     """
-    Find the standstills of recordings and the nominal length, and check the spring.
+    Find the standstills of recordings and the cup length, and check the spring.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def static_check(
     Raises
     ------
     BellowsError
-        If a parameter or a recording is not usable, or they give neither a nominal length nor a
+        If a parameter or a recording is not usable, or they give neither a cup length nor a
         check of the spring.
 
     """
@@ -243,7 +243,7 @@ def _read(each: Sequence[StaticBag], values: Values, progress: Progress) -> Stat
     result = StaticResult(tuple(recordings), None, '', values['cup.length'],
                           instant=1.0 + sum(values['cup.relaxation']))
     try:
-        return result._replace(length=statics.nominal_length(
+        return result._replace(length=statics.cup_length_of(
             result.standstills, values['gravity.magnitude']))
     except UndeterminedError as error:
         return result._replace(no_length=str(error))
@@ -251,7 +251,7 @@ def _read(each: Sequence[StaticBag], values: Values, progress: Progress) -> Stat
 
 def save_length(result: StaticResult, path: File) -> None:
     """
-    Write the estimated nominal length as a parameter file.
+    Write the estimated cup length as a parameter file.
 
     Raises
     ------
@@ -263,6 +263,6 @@ def save_length(result: StaticResult, path: File) -> None:
         raise BellowsError(result.no_length)
     bags = ', '.join(recording.name for recording in result.recordings)
     header = [
-        f'Nominal length estimated by bellows_ros {__version__} from {bags}:',
+        f'Cup length estimated by bellows_ros {__version__} from {bags}:',
         f'{result.length.text}.']
     parameter_files.write_parameters(path, {'cup.length': result.length.length}, header)

@@ -189,7 +189,7 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path
     assert joined.static.spring.passed
     K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
     assert_allclose(np.diag(joined.fit.stiffness), K, rtol=0.01)
-    assert any('Nominal length with the fit: 4' in line for line in joined.findings)
+    assert any('Cup length with the fit: 4' in line for line in joined.findings)
     save(joined, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
     values = read_parameters(tmp_path / 'cup.yaml')
     assert values['cup.length'] == joined.cup_length

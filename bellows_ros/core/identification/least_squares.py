@@ -319,7 +319,7 @@ def relaxation_of(
     noises : sequence of FilterNoise
         Of each.
     cup_length : float
-        Nominal length l0, m.
+        Cup length l0, m.
     structure : Structure
         Of K and P.
 

@@ -95,7 +95,7 @@ def output_error(
     structure : Structure
         Which entries of K and P are free.
     start : Cup
-        First guess, definite, with the nominal length l0.
+        First guess, definite, with the cup length l0.
     progress : callable, optional
         Called with every iteration.
     free : mapping, optional

@@ -100,7 +100,7 @@ class Statistics(NamedTuple):
     structure : Structure
         Of K and P.
     cup_length : float
-        Nominal length l0, m.
+        Cup length l0, m.
     used, rejected : int
         Valid samples, and the others.
     moments : Moments
@@ -146,7 +146,7 @@ def statistics(
     samples : Samples
         Of the recording.
     cup_length : float
-        Nominal length l0, m.
+        Cup length l0, m.
     structure : Structure
         Which entries of K and P are free.
     noise : FilterNoise, optional
@@ -182,7 +182,7 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
     samples : Samples
         As they go into the fit; samples that are not valid are left out.
     cup_length : float
-        Nominal length l0, m.
+        Cup length l0, m.
 
     Raises
     ------
@@ -291,7 +291,7 @@ def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Move
     samples : Samples
         Of the recording.
     cup_length : float
-        Nominal length l0, m.
+        Cup length l0, m.
     noise : FilterNoise
         Of the recording.
 

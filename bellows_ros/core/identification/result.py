@@ -115,7 +115,7 @@ class StandstillPart:
         Standard error of each parameter with the standstills over that without; 0 where they alone
         determine it, 1 where they say nothing of it.
     length, length_std : float
-        The cup's nominal length that belongs to the fit, and its standard error, m; 0 where the
+        The cup's length that belongs to the fit, and its standard error, m; 0 where the
         length was given as exact.
 
     """

@@ -135,7 +135,7 @@ class LipMotion:
         Parameters
         ----------
         cup_length : float
-            Nominal length l0, m.
+            Cup length l0, m.
         structure : Structure
             Of K and P.
 

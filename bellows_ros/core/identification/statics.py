@@ -1,5 +1,5 @@
 """
-The cup's nominal length from standstills (4.2), and a check of its spring.
+The cup's length from standstills (4.2), and a check of its spring.
 
 The spring can be checked pose by pose, and the length of the cup under several loads, seen without
 noise, leads to its length under none.
@@ -42,7 +42,7 @@ from numpy.polynomial.polynomial import polyval
 from scipy.special import chdtrc
 
 UPRIGHT_TOLERANCE = np.radians(2.0)
-"""Largest angle (rad) of the cup's axis from the vertical for measuring the nominal length."""
+"""Largest angle (rad) of the cup's axis from the vertical for measuring the cup length."""
 
 LOAD_TOLERANCE = 1e-2
 """Loads (N) closer than this, of masses 1 g apart, count as one."""
@@ -73,7 +73,7 @@ MIN_REPEATED_PICKS = 3
 """Picks beyond the first of each mass that tell the scatter from pick to pick."""
 
 MAX_LENGTH_STD = 1e-4
-"""Largest acceptable standard error of the nominal length, m."""
+"""Largest acceptable standard error of the cup length, m."""
 
 EQUILIBRIUM_TOLERANCE = 0.05
 """An equilibrium is met within this fraction of the deflection, or within noise."""
@@ -82,7 +82,7 @@ NOISE_DEVIATIONS = 3.0
 """Standard errors of a mean that count as noise."""
 
 
-class NominalLength(NamedTuple):
+class CupLength(NamedTuple):
     """
     The cup's length without load (4.2).
 
@@ -145,7 +145,7 @@ class NominalLength(NamedTuple):
                 mm=1e3 * self.length_std, load=self.loads.min())
 
 
-def nominal_length(standstills: Sequence[Standstill], gravity: float) -> NominalLength:
+def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLength:
     """
     Return the cup's length without load from standstills of several masses (4.2).
 
@@ -176,7 +176,7 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
     different = len(set(groups.tolist()))
     if different < 2:
         raise UndeterminedError(
-            'The nominal length needs two or more different masses, held with the tool '
+            'The cup length needs two or more different masses, held with the tool '
             f'vertical, but there {"is" if different == 1 else "are"} {different}. Record '
             'standstills with other known masses, and give each its own --mass.')
     pick = _pick_scatter(measured, groups)
@@ -202,7 +202,7 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
             f'{1e3 * lengths.min():.2f} to {1e3 * lengths.max():.2f} mm long, a stiffness of '
             f'{stiffness:.3g} N/m; expected {MIN_STIFFNESS:g} to {MAX_STIFFNESS:g}. Check each '
             '--mass (kg) and its order.')
-    return NominalLength(
+    return CupLength(
         float(coefficients[0]), std, chi2, degrees_of_freedom, stiffness,
         _linear_range(coefficients, float(loads.max())), loads, lengths, errors,
         coefficients, pick)
@@ -392,14 +392,14 @@ def static_equations(
     """
     Return A (6 H, n), b (6 H,) and g (6 H,) of b = A k + g dl, in errors of the mean poses.
 
-    But for errors of unit variance; dl is by how much the nominal length is off, m.
+    But for errors of unit variance; dl is by how much the cup length is off, m.
 
     Parameters
     ----------
     standstills : sequence of Standstill
         H of them.
     cup_length : float
-        Nominal length l0, m.
+        Cup length l0, m.
     structure : Structure
         Of K; k are its n free entries.
     gravity : float
@@ -419,7 +419,7 @@ def static_equations(
 
 class Length(NamedTuple):
     """
-    An uncertain nominal length, and its effect on a fit of motions.
+    An uncertain cup length, and its effect on a fit of motions.
 
     Its value and standard error (m), and the derivatives (2 n,) of the parameters by it.
     """
@@ -448,7 +448,7 @@ def joined_with_standstills(
     standstills : sequence of Standstill
         Of the same cup.
     length : Length
-        Nominal length l0 of that fit, with its standard error, 0 where it is exact.
+        Cup length l0 of that fit, with its standard error, 0 where it is exact.
     gravity : float
         m/s^2 along -z of the world.
     typical : ndarray (6, 6)

@@ -135,7 +135,7 @@ def select_structure(
     recordings : sequence of Samples
         Prepared recordings of one cup.
     cup_length : float
-        Nominal length l0, m.
+        Cup length l0, m.
     noises : sequence of FilterNoise
         Of each recording.
     of_gripper : Structure, optional

@@ -54,7 +54,7 @@ class Cup:
     damping : array_like (6, 6)
         P of (3.33); N s/m, N s/rad, N m s/rad in its blocks.
     length : float
-        Nominal length l0 (m): compressed by the vacuum, without load. Spring and damper sit at
+        Length l0 (m): compressed by the vacuum, without load. Spring and damper sit at
         its middle, l1 = l2 = l0 / 2.
     relaxation : (float, float)
         Strengths r_b of two branches of rubber that relax: a sudden strain meets K (1 + r1 + r2),
@@ -259,7 +259,7 @@ def regressor(
     Parameters
     ----------
     length : float
-        Nominal length of the cup, m.
+        Length of the cup, m.
     basis : list of ndarray (6, 6)
         The n symmetric matrices that K and P are sums of; x holds the factors of K, then of P.
     position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)

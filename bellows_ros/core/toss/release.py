@@ -3,13 +3,13 @@ The toss: the valve is switched, the cup opens and lets go, the package flies an
 
 The suction, as a part of that which holds, is 1 until a delay after the valve, and
 s(t) = (1 + b) exp(-t / tau) - b from then on, with the blow-off b. Its force F0 s closes the
-bellows, whose axial force at a stretch y along the lip's z, from the nominal length, is
+bellows, whose axial force at a stretch y along the lip's z, from the cup length, is
 
     F = F0 s - max(0, F0 - K_z y) + F0 (max(0, y) / L)^2,
 
 that of suction, of folds in contact and of open bellows, with damping of its own. While it holds
-(s = 1) that is K_z y; without an opening (L = 0) it stays so: the cup keeps its nominal length.
-The wrench is that of the cup's kernel, with the nominal length at which its axial force is F.
+(s = 1) that is K_z y; without an opening (L = 0) it stays so: the cup keeps its length.
+The wrench is that of the cup's kernel, with the cup length at which its axial force is F.
 The package is let go at the first instant, not before the valve, at which the lip's load is that
 of its suction V0 s and of what sticks, or more. A blow-off pulse pushes it along -z of S. It
 flies without air, and lands when a corner of its box is at the floor's height, measured against
@@ -95,7 +95,7 @@ def suction_margin(grip: Grip, law: Law, since_valve: float, load: float) -> flo
 def length_change(
     model: ModelTuple, law: Law, since_valve: float, tool: State, body: State
 ) -> float:
-    """Return by how much (m) the nominal length has grown a time (s) after the valve."""
+    """Return by how much (m) the cup length has grown a time (s) after the valve."""
     if law[5] <= 0.0 or since_valve < law[0]:
         return 0.0
     cup, package, _ = model
@@ -109,7 +109,7 @@ def length_change(
 
 @kernel
 def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
-    """Return a model with another nominal length, and the damping of open bellows."""
+    """Return a model with another cup length, and the damping of open bellows."""
     cup, package, gravity = model
     (l1, l0), P = cup[:2], cup[3]
     D = P[0][:8] + (law[6] if law[6] > 0.0 else P[0][8],)
@@ -126,7 +126,7 @@ def step_released(
     """
     Return the package's state after h, a time (s) after the valve, as `step` does of a held one.
 
-    The nominal length is the mean of those at both ends: second order.
+    The cup length is the mean of those at both ends: second order.
     """
     if law[5] <= 0.0 or since_valve + h <= law[0]:
         return kernels.step(model, body, tool, tool_middle, tool_end, h)

@@ -1,11 +1,11 @@
-"""Recordings at rest: standstills, nominal length, the spring alone."""
+"""Recordings at rest: standstills, cup length, the spring alone."""
 
 from dataclasses import replace
 import functools
 
 from bellows_ros.core.identification import statics
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.statics import check_spring, nominal_length
+from bellows_ros.core.identification.statics import check_spring, cup_length_of
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
@@ -123,7 +123,7 @@ def test_length_stiffness_and_linear_range_of_a_known_polynomial():
     loads = masses * G
     lengths = l0 + slope * loads + bend * loads**3
     standstills = [upright(length, mass) for length, mass in zip(lengths, masses, strict=True)]
-    found = nominal_length(standstills, G)
+    found = cup_length_of(standstills, G)
     assert_allclose(found.length, l0, atol=1e-9)
     assert_allclose(found.stiffness, 1.0 / slope, rtol=1e-6)
     assert_allclose(found.coefficients, [l0, slope, 0.0, bend], rtol=1e-5, atol=1e-10)
@@ -138,7 +138,7 @@ def test_picks_scatter_and_the_line_is_straight_as_masses_left_out_say():
     still = [
         upright(0.0478 + mass * G / 6760.0 + 1.7e-4 * rng.normal(), mass, error=1e-5)
         for mass in (0.16, 0.452, 0.714, 1.181, 2.187) for _ in range(10)]
-    found = nominal_length(still, G)
+    found = cup_length_of(still, G)
     assert len(found.coefficients) == 2 and found.warnings == ()
     assert_allclose(found.pick_std, 1.7e-4, rtol=0.25)
     assert_allclose(found.stiffness, 6760.0, rtol=0.06)
@@ -152,7 +152,7 @@ def test_measured_lengths_are_straight_in_the_load(name, stiffness, within):
     """Five masses picked 53 times: as published with them, and 0.17 mm from pick to pick."""
     data = np.load(SHARED)
     hang = (data['tool_z_m'] - data[name])[:, :3].mean(axis=1)
-    found = nominal_length([
+    found = cup_length_of([
         upright(length, mass, error=3e-5)
         for length, mass in zip(hang, data['mass_kg'], strict=True)], G)
     assert len(found.coefficients) == 2
@@ -165,15 +165,15 @@ def test_lengths_on_no_line_are_refused_with_exit_code_1():
     for lengths in ((0.048, 0.0502, 0.0481, 0.0503), (0.05, 0.0495, 0.049, 0.0486)):
         still = [upright(x, m) for x, m in zip(lengths, (0.5, 1.0, 1.5, 2.0), strict=True)]
         with pytest.raises(UnexplainedError) as refused:
-            nominal_length(still, G)
+            cup_length_of(still, G)
         assert refused.value.exit_code == 1
 
 
 def test_tilted_standstills_and_repeated_masses_do_not_count():
     standstills = [upright(0.0491, 1.0), upright(0.0491, 1.0), upright(0.3, 2.0, tilt=0.2)]
     with pytest.raises(BellowsError):
-        nominal_length(standstills, G)
-    two = nominal_length([*standstills, upright(0.0501, 2.0)], G)
+        cup_length_of(standstills, G)
+    two = cup_length_of([*standstills, upright(0.0501, 2.0)], G)
     assert_allclose(two.length, 0.0481, atol=1e-9)
     assert len(two.coefficients) == 2 and two.degrees_of_freedom == 0
     assert np.isinf(two.length_std) and 'without a standard error' in two.text
@@ -186,12 +186,12 @@ def test_a_wrong_mass_is_noticed(count):
     masses = np.array([0.5, 1.0, 1.5, 2.0, 2.5])[:count]
     lengths = 0.0481 + masses * G / 11530.0
     right = [upright(x, m, error=2e-6) for x, m in zip(lengths, masses, strict=True)]
-    found = nominal_length(right, G)
+    found = cup_length_of(right, G)
     assert found.degrees_of_freedom == count - 2 and np.isfinite(found.length_std)
     assert abs(found.length - 0.0481) < 1e-7
     assert not any('off the line' in warning for warning in found.warnings)
     given = masses * np.where(np.arange(count) == 1, 1.03, 1.0)
-    wrong = nominal_length(
+    wrong = cup_length_of(
         [upright(x, m, error=2e-6) for x, m in zip(lengths, given, strict=True)], G)
     assert any('off the line' in warning for warning in wrong.warnings)
     assert abs(wrong.length - 0.0481) < 3.0 * wrong.length_std
@@ -206,7 +206,7 @@ def test_a_wrong_mass_is_named_as_the_cause():
     found = check_spring(cup, [upright(hangs, 1800.0)], G)
     assert 'in another unit' in found.sentence
     with pytest.raises(UndeterminedError, match='--mass'):
-        nominal_length([upright(0.0478, 1.8), upright(0.0479, 1800.0)], G)
+        cup_length_of([upright(0.0478, 1.8), upright(0.0479, 1800.0)], G)
 
 
 L0 = simulated.CUP.length
