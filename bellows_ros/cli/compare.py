@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Iterator
+import math
 
 from bellows_ros.core.identification.comparison import Change
 from bellows_ros.errors import short
@@ -62,9 +63,9 @@ def verdict(result: ResultComparison) -> Iterator[str]:
     if marked := [f'{change.name} ({change.percent:+.2g} %)'
                   for change in fits.parameters if change.significant]:
         yield f'* Significant difference: {listed(marked)}.'
-    shift, turn = 1e3 * fits.shake_rms[:3].max(), 1e3 * fits.shake_rms[3:].max()
-    yield (f'In a shake of 3 Hz (5 mm, 50 mrad) the predicted motions differ by {shift:.2g} mm '
-           f'and {turn:.2g} mrad RMS.')
+    shift, turn = 1e3 * fits.shake_rms[:3].max(), math.degrees(fits.shake_rms[3:].max())
+    yield (f'In a shake of 3 Hz (5 mm, 2.9 degrees) the predicted motions differ by {shift:.2g} '
+           f'mm and {turn:.2g} degrees RMS.')
     if large := [e.name for e in fits.effects if e.matters and e.significant]:
         yield f'Large enough to matter: {listed(large)}.'
     if unsure := [e.name for e in fits.open_effects]:

@@ -290,12 +290,13 @@ def load_status(
         'limited by': mode,
         'distance from envelope': number(
             excess.value if excess else math.nan) if load.has_envelope else 'not known',
-        'largest bending (rad)': number(bending)}
+        'largest bending (degrees)': number(math.degrees(bending))}
     unsafe = partial(FAULTS['unsafe'].format, factor=factor, mode=mode)
     return Status(name, *_first(
         (factor < min(required, 1.0), Level.ERROR, unsafe(limit='1: the cup lets go')),
         (factor < required, Level.WARN, unsafe(limit=f'safety.least, {required:g}')),
-        (bending > FLAT_MOMENT_BENDING, Level.WARN, FAULTS['bending'].format(bending=bending)),
+        (bending > FLAT_MOMENT_BENDING, Level.WARN, FAULTS['bending'].format(
+            bending=math.degrees(bending))),
         (excess and excess.outside, Level.WARN, excess.text if excess else ''),
         (not (has_grip or load.has_envelope), Level.OK, FAULTS['no_limits']),
         (safety is None and excess is None, Level.OK, 'No load: no package is held.'),

@@ -108,8 +108,8 @@ CAUSES = (
           confirmed=1, confirmed_ns=0),
     Cause('camera', tuple((row,) for row in range(ekf.CAMERA, ekf.CAMERA + 6)), (6e-3,) * 6,
           (3, 6), 0.2, True, True,
-          'The frame of the camera has moved by {} mm[ and {} mrad]: calibrate it.',
-          ((0, 3, 1e3), (3, 6, 1e3))),
+          'The frame of the camera has moved by {} mm[ and turned by {} degrees]: calibrate it.',
+          ((0, 3, 1e3), (3, 6, 180.0 / math.pi))),
     Cause('latency', ((ekf.LATENCY,),), (0.05,), (1,), 0.1, True, False,
           'The stamps of the camera are late by {} ms: stamp the exposure, or set '
           'measured.latency_std.', least=0.015),
