@@ -341,10 +341,11 @@ def replay(
         raise BellowsError(' '.join(finding_sentence(cause, values) for cause in causes))
     progress('simulating', 0.3)
     free = validated(values, recording)
-    live = predicted_live(recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part))
+    sent = tool_messages(recording, values) if observe else None
+    live = predicted_live(
+        recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent)
     camera = observed(
-        bag, recording, tool_messages(recording, values), live, values, observe,
-        calibrate_alarms) if observe else None
+        bag, recording, sent, live, values, observe, calibrate_alarms) if sent else None
     progress('done', 1.0)
     return replace(free, live=live, observed=camera, warnings=_final_warnings(free, camera))
 
@@ -414,11 +415,15 @@ def _mass_hint(values: Values, recording: Recording) -> tuple[str, ...]:
         'cup.length is wrong.'),)
 
 
-def predicted_live(recording: Recording, values: Values, progress: Progress = no_progress) -> Live:
+def predicted_live(
+    recording: Recording, values: Values, progress: Progress = no_progress,
+    messages: Messages | None = None,
+) -> Live:
     """
     Send a recording's tool messages through the predictor and compare with its package poses.
 
-    Tool poses that are marked as tracking outliers are left out, and counted.
+    Messages are those of `tool_messages`, where they are there already. Tool poses that are marked
+    as tracking outliers are left out, and counted.
 
     Raises
     ------
@@ -426,7 +431,7 @@ def predicted_live(recording: Recording, values: Values, progress: Progress = no
         If it predicts too little to compare.
 
     """
-    messages = tool_messages(recording, values)
+    messages = messages or tool_messages(recording, values)
     warm_up(cup_of(values), package_of(values), values['gravity.magnitude'],
             values['tool_twist.frame'])
     live = live_predictor(values)
