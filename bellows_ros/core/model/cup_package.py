@@ -1,7 +1,7 @@
 """Cup and package as frozen data, the regressor, and what their uncertain parameters do."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, InitVar, replace
 from functools import cached_property
 from typing import Any
 
@@ -131,6 +131,8 @@ class Package:
         Inertia tensor at the centre of mass, in B axes, kg m^2.
     com : array_like (3,)
         Centre of mass B in the lip frame S, m; typically (0, 0, -d).
+    is_checked : bool
+        Whether the numbers are checked; a search goes a little beyond what a body can have.
 
     Raises
     ------
@@ -148,9 +150,12 @@ class Package:
     mass: float
     inertia: Array
     com: Array
+    is_checked: InitVar[bool] = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, is_checked: bool) -> None:
         """Check and freeze."""
+        if not is_checked:
+            return
         object.__setattr__(self, 'inertia', frozen_array(self.inertia, (3, 3), 'package inertia'))
         object.__setattr__(self, 'com', frozen_array(self.com, (3,), 'package centre of mass'))
         object.__setattr__(self, 'mass', float(frozen_array(self.mass, (), 'package mass')))
@@ -198,16 +203,12 @@ def varied(
     """
     Return a package with its centre of mass shifted (3,), m, and other mass and inertia.
 
-    These are logarithms of factors: of the mass, and of each moment of inertia (3,) or all. On
-    its way a search may go a little beyond what a body can have.
+    These are logarithms of factors: of the mass, and of each moment of inertia (3,) or all.
     """
     root = np.exp(0.5 * np.broadcast_to(inertia, 3))
-    made = object.__new__(Package)
-    for name, value in (('mass', package.mass * float(np.exp(mass).item())),
-                        ('inertia', package.inertia * np.outer(root, root)),
-                        ('com', package.com + np.asarray(com))):
-        object.__setattr__(made, name, value)
-    return made
+    return Package(
+        package.mass * float(np.exp(mass).item()), package.inertia * np.outer(root, root),
+        package.com + np.asarray(com), is_checked=False)
 
 
 def package_of(values: Mapping[str, Any]) -> Package:
