@@ -30,14 +30,7 @@ from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.model.kernels import Branch, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
-from bellows_ros.core.observer.measurement import (
-    MeasuredPose,
-    observed,
-    OUT_OF_REACH,
-    Sensor,
-    updated,
-    USED,
-)
+from bellows_ros.core.observer.measurement import observed, OUT_OF_REACH, Seen, updated, USED
 import numpy as np
 
 FORCE_LOSS = -ekf.FALLEN
@@ -435,15 +428,14 @@ def _length(size: Array, P: Array, first: int, end: int, unit: float) -> tuple[f
 def filter_step(
     row: Any, branches: tuple[Branch, ...], estimate: ekf.EstimateTuple, samples: ekf.Samples,
     is_recorded: bool, until_ns: int, max_step: float, noise: tuple[Array, Array],
-    faults: tuple[Any, Array, Stamps, bool, Array], cups: Array,
-    pose: MeasuredPose, sensor: Sensor,
+    faults: tuple[Any, Array, Stamps, bool, Array], cups: Array, seen: Seen,
 ) -> Any:
     """
     Propagate an estimate to a later stamp, correct it with a measurement there, assess faults.
 
     Takes what `model_of`, `predicted` and `updated` take, and the faults: their evidence, and the
     steps (n + 7, components), the error that each component of a fault makes. Cups are those of a
-    gripper that hold; with gate 0 nothing is measured. All in one, and the model as an array:
+    gripper that hold. All in one, and the model as an array:
     tuples of many numbers take long from Python. Returns a verdict, the estimate, the evidence,
     and what `_assessed` returns.
     """
@@ -453,12 +445,12 @@ def filter_step(
     after, E = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
     _, tool, body, theta, P, _ = after
-    if sensor[2] > 0.0:
-        verdict, innovation, body, theta, learned = updated(model, after, seconds, pose, sensor)
+    if seen[5] > 0.0:
+        verdict, innovation, body, theta, learned = updated(model, after, seconds, seen)
         if len(E) > 0 and verdict != OUT_OF_REACH:
             statistics, onsets = statistics.copy(), onsets.copy()
             likeliest = _assessed(
-                E, statistics, onsets, steps, until_ns, innovation, sensor[0][2], verdict == USED,
+                E, statistics, onsets, steps, until_ns, innovation, seen[3][2], verdict == USED,
                 from_start)
         if likeliest[0] < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned

@@ -278,8 +278,8 @@ class Correction:
             self.row(before.lost_cups), self.branches, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
             (self._drive, self._walk), (*evidence[:3], evidence.from_start, self._steps),
-            self._holding(before.lost_cups), measurement[1:],
-            (self._marker, self.holding_reach, gate))
+            self._holding(before.lost_cups),
+            (*measurement[1:], self._marker, self.holding_reach, gate))
         _, tool, body, theta, P, memory = numbers
         theta[ekf.LATENCY - STATE] += late
         return verdict, Estimate(

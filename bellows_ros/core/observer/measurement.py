@@ -14,14 +14,7 @@ from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.filter import (
-    COM,
-    EstimateTuple,
-    NOISE,
-    STATE,
-    with_theta,
-    wrench_bias,
-)
+from bellows_ros.core.observer.filter import COM, NOISE, STATE, with_theta, wrench_bias
 from bellows_ros.core.signals.screening import why_no_pose
 import numpy as np
 
@@ -31,14 +24,11 @@ Position (m) and orientation of what is measured, in axes of B; whether it is me
 lip and not from B; standard deviation (s) of the random part of the stamps' error.
 """
 
-MeasuredPose = tuple[Vector, Quaternion, Array]
-"""Position, orientation and noise of a `Measurement`."""
-
-Sensor = tuple[Marker, float, float]
+Seen = tuple[Vector, Quaternion, Array, Marker, float, float]
 """
-What is measured; how far (m) a lip can be from where it is without load, beside what is not known
-of centre of mass and camera, and what late stamps make of a tool that moves; and the largest
-squared Mahalanobis distance.
+Position, orientation and noise of a `Measurement`, and of what; how far (m) a lip can be from
+where it is without load, beside what is not known of centre of mass and camera, and what late
+stamps make of a tool that moves; the largest squared Mahalanobis distance, 0 if nothing is seen.
 """
 
 WHITE_SHARE = 0.05
@@ -351,7 +341,7 @@ USED, OUTSIDE, OUT_OF_REACH = 0, 1, 2
 
 @array_kernel
 def updated(
-    model: ModelTuple, estimate: EstimateTuple, seconds: float, pose: MeasuredPose, sensor: Sensor,
+    model: ModelTuple, estimate: ekf.EstimateTuple, seconds: float, seen: Seen,
 ) -> tuple[int, Innovation, State, Array, Array]:
     """
     Update an estimate with a measurement.
@@ -362,7 +352,7 @@ def updated(
         The nominal model, and the estimate at the stamp of the pose.
     seconds : float
         Time since the estimate before, s.
-    pose, sensor : tuple
+    seen : tuple
         What is measured.
 
     Returns
@@ -376,10 +366,11 @@ def updated(
         but for the size of the noise outside the gate.
 
     """
-    (_, tool, body, theta, P, memory), (marker, reach, gate) = estimate, sensor
+    _, tool, body, theta, P, memory = estimate
+    position, q, noise, marker, reach, gate = seen
     model = with_theta(model, theta)
     com = model[1][1]
-    position, q, noise = corrected_pose(pose[0], pose[1], pose[2], marker, theta, com)
+    position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
     exposed = at_exposure(model, tool, body, theta)
     for i in range(6):
         for j in range(6):

@@ -252,13 +252,13 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 
     def processing(row, branches, before, *more):
         result = processed(row, branches, before, *more)
-        *track, noise, _, _, pose, sensor = more
-        if sensor[2] > 0.0:  # something is seen
+        *track, noise, _, _, seen = more
+        if seen[5] > 0.0:
             model = model_of(row, branches)
             F = _dense_transition(model, before, *track, noise[0])
             after, _ = interpreted(
                 model, before, *track, noise, np.zeros((0, 0), np.float32), NO_CUPS)
-            verdict, found, *_ = updated(model, after, (after[0] - before[0]) * 1e-9, pose, sensor)
+            verdict, found, *_ = updated(model, after, (after[0] - before[0]) * 1e-9, seen)
             if verdict != OUT_OF_REACH:
                 given.append((F, found, verdict == USED))
                 totals.append(result[3][0])

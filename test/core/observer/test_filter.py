@@ -153,8 +153,8 @@ def test_innovation_is_what_it_says(of_lip):
 
     def seen(e, jitter=0.0):
         z, H, W, *_ = updated(
-            model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03, (*pose(e), noise),
-            ((*marker, jitter), 1.0, np.inf))[1]
+            model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03,
+            (*pose(e), noise, (*marker, jitter), 1.0, np.inf))[1]
         root = np.linalg.inv(W)
         return root @ z, H, root
 
