@@ -4,13 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification.comparison import (
-    compare_fits,
-    Consistency,
-    FitComparison,
-    Fitted,
-    same_cup,
-)
+from bellows_ros.core.identification import comparison
 from bellows_ros.core.identification.reduction import AnyRecording
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import cup_package
@@ -50,7 +44,7 @@ class ResultComparison(NamedTuple):
     """
 
     paths: tuple[str, str]
-    fits: FitComparison
+    fits: comparison.FitComparison
     settings: tuple[Difference, ...]
     shared: tuple[str, ...]
 
@@ -92,14 +86,14 @@ def compare_files(before: File, after: File) -> ResultComparison:
         (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
         return ResultComparison(
             (os.fspath(before), os.fspath(after)),
-            compare_fits(
+            comparison.compare_fits(
                 one, other, cup_package.package_of(values), values['gravity.magnitude']),
             tuple(Difference(name, old.get(name), new.get(name))
                   for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
             tuple(name for name, content in again.items() if content in used.values()))
 
 
-def _fitted(content: Mapping[str, Any]) -> Fitted:
+def _fitted(content: Mapping[str, Any]) -> comparison.Fitted:
     """Return structure, cup and covariance of a result."""
     structure = structure_named(content['structure'])
     labels, rows = (content['parameters'][key] for key in ('labels', 'covariance'))
@@ -108,7 +102,7 @@ def _fitted(content: Mapping[str, Any]) -> Fitted:
     K, P = (np.array(content[key], dtype=float) for key in ('stiffness', 'damping'))
     relaxation, length = content.get('relaxation', (0.0, 0.0)), float(content['cup_length'])
     cup = cup_package.Cup(K, P, length, tuple(relaxation))
-    return Fitted(structure, cup, covariance[np.ix_(order, order)])
+    return comparison.Fitted(structure, cup, covariance[np.ix_(order, order)])
 
 
 def _described(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -131,9 +125,9 @@ def _contents(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 def consistency(
     parts: Sequence[AnyRecording], fit_alone: Callable[[AnyRecording, str], Fit]
-) -> Consistency:
+) -> comparison.Consistency:
     """Return whether each recording alone, fitted under its name, gives the same cup."""
     differ = len({part.payload.mass for part in parts}) > 1
     names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
              for part in parts]
-    return same_cup([*map(fit_alone, parts, names)], names)
+    return comparison.same_cup([*map(fit_alone, parts, names)], names)

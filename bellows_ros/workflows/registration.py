@@ -9,13 +9,9 @@ from bellows_ros.core.model.cup_package import one_cup_of
 from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment as frames
+from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
-from bellows_ros.core.recording.recording import (
-    PackageWorld,
-    PrepareSettings,
-    Recording,
-    TimeOffset,
-)
+from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import UndeterminedError
@@ -33,10 +29,9 @@ def registered(
     values: Values,
 ) -> Recording:
     """Return prepared streams, in the world of the tool and on its clock."""
-    if not values['fit.time_offset']:
-        return _registered(tool, package, twist, settings, values, 0.0)
     failures = []
-    for rough_s in frames.rough_offsets(tool.trajectory(), package.trajectory()):
+    for rough_s in frames.rough_offsets(
+            tool.trajectory(), package.trajectory()) if values['fit.time_offset'] else (0.0,):
         try:
             return _registered(
                 trajectory.earlier(tool, rough_s), package,
@@ -72,7 +67,7 @@ def _registered(
         result.require_world()
     if result.world is not None and pose is not None:
         pose = frames.shifted_pose(pose, settings.R_world_recorded, result.middle, result.world)
-        changes['package_world'] = PackageWorld(pose, result.world_std)
+        changes['package_world'] = prepared.PackageWorld(pose, result.world_std)
     recording = filtered(result.alignment)
     if result.offset is not None:
         recording = with_tool_earlier(recording, result.offset.value)

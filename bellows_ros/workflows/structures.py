@@ -4,14 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification import methods
+from bellows_ros.core.identification import methods, structure_selection
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.reduction import reduced
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.structure_selection import (
-    select_structure,
-    StructureSelection,
-)
 from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.recording.recording import Recording
@@ -41,7 +37,7 @@ class StructureAdvice(NamedTuple):
     """
 
     excitation: Excitation
-    selection: StructureSelection
+    selection: structure_selection.StructureSelection
     recordings: tuple[Recording, ...]
     values: Values
 
@@ -99,10 +95,10 @@ def structures(settings: Values, progress: Progress = no_progress) -> StructureA
 def selection(
     recordings: Sequence[Recording], values: Values, progress: Progress,
     verdict: FitVerdict | None = None,
-) -> StructureSelection:
+) -> structure_selection.StructureSelection:
     """Compare the structures, with a verdict where none fits; that of the fit where given."""
     progress('comparing structures', FIT_ENDS)
-    compared = select_structure(
+    compared = structure_selection.select_structure(
         [samples_of(recording) for recording in recordings], values['cup.length'],
         [recording.noise for recording in recordings],
         given_structure({**values, 'fit.structure': 'layout'})
