@@ -6,7 +6,7 @@ from typing import Any
 
 from bellows_ros.core.signals.residuals import MILLI_UNITS
 from bellows_ros.report import formatted, print_relaxation
-from bellows_ros.workflows.identification import excitation_json, selection_json
+from bellows_ros.workflows.identification import excitation_json
 from bellows_ros.workflows.structures import StructureAdvice, structures
 
 from . import options
@@ -28,12 +28,20 @@ def print_result(result: StructureAdvice, console: Console) -> None:
     content = excitation_json(excitation)
     console.table(_excitation_rows(content), right=True,
                   title='Excitation of the lip, relative to the tool')
-    console.table([row for row in _parameter_rows(content) if '-' not in row[0]], right=True,
-                  title='Identifiability of the diagonal, by least squares')
+    formats = {'value': '.4g', 'signal_to_noise': '.3g', 'bias': '+.1%'}
+    console.table(
+        [('parameter', 'first estimate', 'signal to noise', 'expected bias', 'identifiable'), *(
+            (label, *(formatted(entry[key], form) for key, form in formats.items()),
+             'no' if not entry['identifiable'] else 'weakly' if entry['weak'] else 'well')
+            for label, entry in content['parameters'].items() if '-' not in label)],
+        right=True, title='Identifiability of the diagonal, by least squares')
     console.paragraph(
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
         f'{excitation.condition_number:.3g}.')
-    console.table(_structure_rows(selection_json(selection)), right=True, title='Structures')
+    console.table([('structure', 'parameters', 'held-out error', 'usable'), *(
+        (each.structure, str(each.parameters), formatted(each.held_out, '.2f', '%', 100.0),
+         'yes' if each.usable else 'no') for each in selection.candidates)],
+        right=True, title='Structures')
     console.paragraph(f'{selection.samples} samples.')
     console.line()
     relaxation = result.recordings[0].relaxation
@@ -54,20 +62,3 @@ def _excitation_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
             *(formatted(axis[key], '.3g', f'{unit}/s', 1e3) for key in ('twist', 'twist_noise')),
             '-' if formatted(low) == '-' else f'{low:.1f}-{high:.1f} Hz'))
     return rows
-
-
-def _parameter_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return a table, with its head, on each entry of K and P."""
-    formats = {'value': '.4g', 'signal_to_noise': '.3g', 'bias': '+.1%'}
-    return [('parameter', 'first estimate', 'signal to noise', 'expected bias', 'identifiable'), *(
-        (label, *(formatted(entry[key], form) for key, form in formats.items()),
-         'no' if not entry['identifiable'] else 'weakly' if entry['weak'] else 'well')
-        for label, entry in excitation['parameters'].items())]
-
-
-def _structure_rows(selection: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return a table, with its head, of the structures that were compared."""
-    return [('structure', 'parameters', 'held-out error', 'usable'), *(
-        (each['structure'], str(each['parameters']),
-         formatted(each['held_out'], '.2f', '%', 100.0), 'yes' if each['usable'] else 'no')
-        for each in selection['candidates'])]

@@ -62,9 +62,14 @@ class IdentifierNode(TableNode):
         Thread(target=self._run, args=(settings,), daemon=True).start()
 
     def _run(self, settings: Mapping[str, Any]) -> None:
-        """Identify, show the result, and set it on the predictor; an error ends the node."""
+        """Identify, write and show the result, set it on the predictor; an error ends the node."""
         try:
-            cup = self._show(self._identified(settings))
+            result = identify(settings, self._log_stage)
+            cup_file, json_file, page = (result.values[name] for name in OUTPUTS)
+            save(result, cup_file, json_file)
+            if page:
+                write_page(result, page)
+            cup = self._show(result)
             if self.values['predictor']:
                 self._set_on_predictor(cup)
             if self.values['exit_when_done']:
@@ -73,15 +78,6 @@ class IdentifierNode(TableNode):
                 self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
         except Exception as error:  # noqa: BLE001 (raised again where the end is awaited)
             self.finished.set_exception(error)
-
-    def _identified(self, settings: Mapping[str, Any]) -> Identification:
-        """Return the result, written to the files."""
-        result = identify(settings, self._log_stage)
-        cup_file, json_file, page = (result.values[name] for name in OUTPUTS)
-        save(result, cup_file, json_file)
-        if page:
-            write_page(result, page)
-        return result
 
     def _log_stage(self, stage: str, part: float = 0.0) -> None:
         """Log what is done, once."""

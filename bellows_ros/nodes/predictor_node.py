@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from .node_parameters import ManagedNode, QOS_PREFIX, Values
 from .pipeline import Pipeline
 from ..core.live import health
-from ..core.live.load import check_live, Load
+from ..core.live.load import check_live
 from ..core.model.grip import grip_of
 from ..core.parameters import checks
 from ..errors import BellowsError, short
@@ -240,7 +240,10 @@ class Diagnostics:
         others = (
             pipeline.observing.status('measured package'), pipeline.attachment.status('vacuum'),
             pipeline.planning.status)
-        return [*lines, self._load(pipeline.load), *(line for line in others if line)]
+        safety, distance, bending = pipeline.load.reset()
+        load = health.load_status('load', pipeline.load, safety, distance, bending)
+        self._log(load, safety is not None and safety.factor < pipeline.load.required)
+        return [*lines, load, *(line for line in others if line)]
 
     def _log(
         self, line: health.Status, wrong: bool, after: float = 0.0, kind: object = None
@@ -255,10 +258,3 @@ class Diagnostics:
                 self._node.get_logger().error(line.message)
             else:  # another line of code: rclpy refuses a second severity from one
                 self._node.get_logger().warning(line.message)
-
-    def _load(self, load: Load) -> health.Status:
-        """Return the line on the load; a safety factor that became too small is logged too."""
-        safety, distance, bending = load.reset()
-        status = health.load_status('load', load, safety, distance, bending)
-        self._log(status, safety is not None and safety.factor < load.required)
-        return status

@@ -13,7 +13,7 @@ from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
 from bellows_ros.plots.recording_pictures import prediction_figure
-from bellows_ros.workflows import CommandResult, excite, plan, replay, steer, toss
+from bellows_ros.workflows import excite, plan, replay, steer, toss
 from bellows_ros.workflows.identification import Identification
 import numpy as np
 
@@ -357,8 +357,3 @@ FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
     plan.PlanReport: plan_figure, steer.SteerReport: steer_figure, toss.TossResult: toss_figure,
     excite.DesignedMotion: excite_figure, replay.Replay: replay_figure,
     Identification: identification_figure}
-
-
-def figure_of(result: CommandResult, theme: str = 'light') -> Any:
-    """Return the matplotlib Figure of a result."""
-    return FIGURES[type(result)](result, theme)

@@ -77,8 +77,6 @@ class CommandResult:
 
         """
         require_pictures()
-        from bellows_ros.plots.plan_pictures import (
-            figure_of,  # needs matplotlib, which is optional
-        )
+        from bellows_ros.plots.plan_pictures import FIGURES  # matplotlib is optional
 
-        return figure_of(self, theme)
+        return FIGURES[type(self)](self, theme)

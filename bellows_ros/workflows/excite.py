@@ -255,8 +255,13 @@ def write_motion(
     if not result.series:
         write(path, motion)
     else:
-        if replace:
-            _require_series(Path(path))
+        before = Path(path)
+        for old in before.iterdir() if replace and before.is_dir() else ():
+            if old.name not in (STANDSTILLS, EXCITATION, VALIDATION) or not old.is_dir():
+                raise BellowsError(
+                    f"Folder '{path}' is not replaced because it is not just a series: it holds "
+                    f"'{old.name}'. Give another name, or remove it first.")
+            bag_writer.require_replaceable(old)
         with atomic.new_folder(path, replace) as folder:
             folder.mkdir()
             for name, (each, _) in result.series.items():
@@ -269,13 +274,3 @@ def write_motion(
         slow = motion.at_rate(UR_RATE)
         trajectory_files.write_urscript(
             urscript, slow.seconds, slow.position, log_so3(slow.rotation), frame)
-
-
-def _require_series(folder: Path) -> None:
-    """Refuse to replace anything but a series."""
-    for each in folder.iterdir() if folder.is_dir() else ():
-        if each.name not in (STANDSTILLS, EXCITATION, VALIDATION) or not each.is_dir():
-            raise BellowsError(
-                f"Folder '{folder}' is not replaced because it is not just a series: it holds "
-                f"'{each.name}'. Give another name, or remove it first.")
-        bag_writer.require_replaceable(each)

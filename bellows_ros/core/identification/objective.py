@@ -339,7 +339,9 @@ def refine(
         return ensemble.varied(hypothesis.variation, theta).solved()
 
     if start is None:
-        near = _best_start(ensemble, hypothesis)
+        quiet = ensemble._replace(noise_draws=())
+        near = min([np.zeros(len(steps)), *hypothesis.starts(ensemble.given[0])],
+                   key=lambda theta: quiet.varied(hypothesis.variation, theta).solved().excess)
         starts = [near, np.zeros_like(near)] if near.any() else [near]
         return min((refine(ensemble, hypothesis, begin, rounds) for begin in starts),
                    key=lambda refined: refined[2].excess)
@@ -361,13 +363,6 @@ def refine(
         if np.all(np.abs(accepted) <= CONVERGED * np.sqrt(np.diag(covariance))):
             break
     return theta, covariance, current
-
-
-def _best_start(ensemble: Ensemble, hypothesis: Hypothesis) -> Array:
-    """Return the numbers among the starts of a hypothesis that explain most, 0 without any."""
-    quiet = ensemble._replace(noise_draws=())
-    starts = [np.zeros(len(hypothesis.steps)), *hypothesis.starts(ensemble.given[0])]
-    return min(starts, key=lambda theta: quiet.varied(hypothesis.variation, theta).solved().excess)
 
 
 def _derivatives(

@@ -158,7 +158,12 @@ class Segment:
     """A part of a recording with the likeliest path of the tool and the package's first state."""
 
     def __init__(self, measured: MeasuredSegment, half_window: int = 0) -> None:
-        self.measured = measured = _with_means(measured)
+        first_ns = int(measured.tool.stamps_ns[0])  # means of equal rates share their stamps
+        tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
+        package, package_noise = _means(measured.package, measured.package_noise, first_ns)
+        self.measured = measured = replace(
+            measured, tool=tool, tool_noise=tool_noise, package=package,
+            package_noise=package_noise)
         self.tool = bridged(measured.tool)
         self.half_window = half_window or _half_window_of(
             self.tool, measured.tool_noise.correlation)
@@ -240,15 +245,6 @@ def _half_window_of(tool: Trajectory, correlation: float) -> int:
         if np.all(power <= MAX_REMOVED_POWER * (share - more_share) * noise):
             return half_window
     return short
-
-
-def _with_means(measured: MeasuredSegment) -> MeasuredSegment:
-    """Return a segment with means of quick poses; those of equal rates share their stamps."""
-    first_ns = int(measured.tool.stamps_ns[0])
-    tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
-    package, package_noise = _means(measured.package, measured.package_noise, first_ns)
-    return replace(measured, tool=tool, tool_noise=tool_noise,
-                   package=package, package_noise=package_noise)
 
 
 def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajectory, BodyNoise]:

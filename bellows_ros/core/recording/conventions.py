@@ -93,8 +93,8 @@ def _of_two_worlds(bodies: list[Trajectory]) -> tuple[Convention, Convention]:
     ways = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
             for body in bodies]
     units = [Convention(way > MAX_WAY_RATIO * min(ways) or min(ways) > MAX_WAY) for way in ways]
-    turns = [[_turns(rotation) for rotation in (body.rotation, reordered(body.rotation))]
-             for body in bodies]
+    turns = [[lie.log_so3(R[len(R) // 2].T @ R) for R in (body.rotation, reordered(body.rotation))]
+             for body in bodies]  # from the middle of the way
     alike = {(a, b): _similarity(turns[0][a], turns[1][b])
              for a, b in ((0, 0), (1, 0), (0, 1))}
     a, b = max(alike, key=lambda order: alike[order])
@@ -102,11 +102,6 @@ def _of_two_worlds(bodies: list[Trajectory]) -> tuple[Convention, Convention]:
             1.0 - alike[a, b] > MAX_DIFFERENCE_RATIO * (1.0 - alike[0, 0])):
         a = b = 0
     return units[0]._replace(w_first=bool(a)), units[1]._replace(w_first=bool(b))
-
-
-def _turns(rotation: Array) -> Array:
-    """Return the rotation vectors (N, 3) of a body from the middle of its way, in its axes."""
-    return lie.log_so3(rotation[len(rotation) // 2].T @ rotation)
 
 
 def _similarity(first: Array, second: Array) -> float:

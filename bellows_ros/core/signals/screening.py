@@ -144,18 +144,14 @@ class StampScreen:
             self.period_ns = stamp_ns - self.newest_ns
         self.newest_ns = stamp_ns
         if arrival_ns is not None:
-            self._note_age(arrival_ns - stamp_ns)
+            # The least time between stamp and arrival; it grows again, as clocks drift.
+            above = arrival_ns - stamp_ns - self._least_age_ns
+            self._least_age_ns += above // 1024 if self._accepted and above > 0 else above
+            self._accepted += 1
         self._newest_arrival_ns = arrival_ns
         self._backward_run = 0
         self._ahead_ns = -1
         self._leaps = restart == 'clock_set_forward'
-
-    def _note_age(self, age_ns: int) -> None:
-        """Keep the least time between stamp and arrival; it grows again, as clocks drift."""
-        above = age_ns - self._least_age_ns
-        self._least_age_ns = self._least_age_ns + above // 1024 if (
-            self._accepted and above > 0) else age_ns
-        self._accepted += 1
 
     def _leaps_alone(self, stamp_ns: int, age_ns: int) -> bool:
         """Return whether a stamp, unlike the previous one, lies in the future."""

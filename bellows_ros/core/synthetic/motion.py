@@ -320,10 +320,16 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
     kind = settings.choice('kind', KINDS)
     start = pose_from(settings.block('start'))
     rest = settings.number('rest_duration', 2.0, 's', minimum=0.0, maximum=MAX_DURATION)
-    motion = (
-        _oscillation(settings, kind, start, rest, phases)
-        if kind in ('multi_sine', 'chirp')
-        else Waypoints(start, rest, _segments(settings.block(kind), kind)))
+    motion: Oscillation | Waypoints
+    if kind in ('multi_sine', 'chirp'):
+        motion = _oscillation(settings, kind, start, rest, phases)
+    else:  # each waypoint has its times, static poses have them in common
+        block = settings.block(kind)
+        common = _times(block) if kind == 'static' else None
+        segments = tuple(MoveAndHold(pose_from(each), *(common or _times(each)))
+                         for each in block.blocks('poses'))
+        motion = Waypoints(
+            start, rest, (1 + block.integer('repeat', 0, maximum=1000)) * segments)
     if motion.duration > MAX_DURATION:
         raise BellowsError(
             f'The motion takes {motion.duration:g} s; at most {MAX_DURATION:g} s are possible. '
@@ -401,14 +407,6 @@ def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
         for name in ('from', 'to')]
     axes = np.flatnonzero(amplitude)
     return axes, amplitude[axes], np.tile(ends, (len(axes), 1))
-
-
-def _segments(settings: Settings, kind: str) -> tuple[MoveAndHold, ...]:
-    """Return the segments of waypoints, each with its times, or of static poses."""
-    common = _times(settings) if kind == 'static' else None
-    segments = tuple(MoveAndHold(pose_from(block), *(common or _times(block)))
-                     for block in settings.blocks('poses'))
-    return (1 + settings.integer('repeat', 0, maximum=1000)) * segments
 
 
 def _times(settings: Settings) -> tuple[float, float]:
