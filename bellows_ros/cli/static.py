@@ -1,14 +1,13 @@
 """Find the cup's length from standstills, and check its spring alone."""
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 import math
 from pathlib import Path
 
 from bellows_ros import __version__
 from bellows_ros.core.identification.statics import SpringCheck
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.parameters.table import Value
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError
 from bellows_ros.report import column
@@ -25,7 +24,14 @@ MILLIMETRES, DEGREES = (1e3, 'mm', 'position'), (math.degrees(1.0), 'deg', 'rota
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Find and write."""
     settings = options.read_settings(arguments)
-    bags = _bags(arguments, settings)
+    named, masses = arguments.bags, arguments.masses
+    if masses and len(masses) != len(named):
+        raise BellowsError(
+            f'{len(masses)} masses are given for {len(named)} recordings. Give --mass once for '
+            'each BAG, in the same order, or not at all.')
+    each = [{'package.mass': mass} for mass in masses] or [{}] * len(named)
+    bags: list[StaticBag] = list(zip(map(str, named), each, strict=True)) or (
+        static.static_bags(resolve(settings)))
     options.require_named_outputs(arguments, [bag for bag, _ in bags])
     result = static.static_check(bags, settings, console.progress)
     if arguments.out:
@@ -33,17 +39,6 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     return options.Outcome(
         result, result.spring is None or result.spring.passed,
         content={**result.as_json(), 'settings': settings, 'version': __version__})
-
-
-def _bags(arguments: argparse.Namespace, settings: Mapping[str, Value]) -> list[StaticBag]:
-    """Return the recordings with their masses; those of static.bags if none is named."""
-    bags, masses = arguments.bags, arguments.masses
-    if masses and len(masses) != len(bags):
-        raise BellowsError(
-            f'{len(masses)} masses are given for {len(bags)} recordings. Give --mass once for '
-            'each BAG, in the same order, or not at all.')
-    each = [{'package.mass': mass} for mass in masses] or [{}] * len(bags)
-    return list(zip(map(str, bags), each, strict=True)) or static.static_bags(resolve(settings))
 
 
 def print_result(result: StaticResult, console: Console) -> None:

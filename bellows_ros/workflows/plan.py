@@ -97,7 +97,7 @@ class Source:
     @property
     def begins_at_rest(self) -> bool:
         """Whether the tool stands at its first point."""
-        return simulation.stands(np.append(np.zeros(7), np.asarray(self.tool.twist)[0]))
+        return simulation.stands(np.asarray(self.tool.twist)[0])
 
     @cached_property
     def gravity(self) -> Array:

@@ -8,19 +8,12 @@ import math
 from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import least_squares
+from bellows_ros.core.identification import least_squares, reduction
 from bellows_ros.core.identification.given import given_std
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import weak_prior
-from bellows_ros.core.identification.reduction import (
-    AnyRecording,
-    MAX_STORED,
-    reduced,
-    Statistics,
-    statistics,
-    whole_recordings,
-)
+from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import measured_segments
@@ -225,7 +218,7 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
     # One rubber, one law: a richer structure is no better.
     simplest = structure if structure.places else STRUCTURES['axisymmetric']
     relaxation = least_squares.relaxation_of(
-        [samples_of(recording).thinned(MAX_STORED) for recording in whole],
+        [samples_of(recording).thinned(reduction.MAX_STORED) for recording in whole],
         [recording.noise for recording in whole], values['cup.length'], simplest)
     if relaxation is None:
         if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
@@ -266,7 +259,7 @@ def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any])
     structure = given_structure(values)
     ends = [
         least_squares.least_squares([
-            statistics(samples_of(recording), values['cup.length'] + step, structure)
+            reduction.statistics(samples_of(recording), values['cup.length'] + step, structure)
             for recording in recordings]).parameters for step in (LENGTH_STEP, -LENGTH_STEP)]
     return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
@@ -284,7 +277,7 @@ def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, A
     return result
 
 
-def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
+def start_cup(parts: Sequence[reduction.Statistics], given: Cup) -> Cup:
     """
     Return the cup that the output error starts from, by least squares of few parameters.
 

@@ -29,9 +29,9 @@ MAX_REST_RATES = (1e-3, 1e-2)
 """A tool that is faster (m/s, rad/s) moves."""
 
 
-def stands(row: Array) -> bool:
-    """Return whether the tool of a row (13,) stands still."""
-    speed, rate = np.linalg.norm(row[7:10]), np.linalg.norm(row[10:])
+def stands(twist: Array) -> bool:
+    """Return whether the tool stands still with a twist (6,)."""
+    speed, rate = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
     return bool(speed <= MAX_REST_RATES[0] and rate <= MAX_REST_RATES[1])
 
 
@@ -73,7 +73,7 @@ def steady_start(
 
     """
     rows = tool_rows(tool)
-    if stands(rows[0]):
+    if stands(rows[0, 7:]):
         return rest(model, rows[0], guess)
     hanging, first = rest(model, rows[0]), row_state(rows[0])
     duration = float(tool.seconds[1])

@@ -172,7 +172,7 @@ class PlanSimulation:
         """Take the plan, and find where the package rests."""
         self.tool, self._model, self._grip = tool, model, grip
         self._rows = rows = simulation.tool_rows(tool)
-        self._steady, self._tail = start is None, tail if simulation.stands(rows[-1]) else 0.0
+        self._steady, self._tail = start is None, tail if simulation.stands(rows[-1, 7:]) else 0.0
         self._start = self._end = adapted(
             model, simulation.row_state(rows[0]), start or simulation.steady_start(model, tool))
         if self._tail:

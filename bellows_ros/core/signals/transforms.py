@@ -58,18 +58,15 @@ class Chain:
         if samples and sample.stamp_ns < samples[-1].stamp_ns:
             samples.clear()
         samples.append(sample)
-        if child == self._first:
-            self._queue_stamp(sample.stamp_ns)
-
-    def _queue_stamp(self, stamp_ns: int) -> None:
-        """Request a pose at a stamp; later ones, before the clock went back, are dropped."""
+        if child != self._first:
+            return
         before = len(self._waiting)
-        while self._waiting and self._waiting[-1] > stamp_ns:
+        while self._waiting and self._waiting[-1] > sample.stamp_ns:  # the clock went back
             self._waiting.pop()
         if len(self._waiting) == QUEUE_LENGTH:
             self._waiting.popleft()
         self.dropped += before - len(self._waiting)
-        self._waiting.append(stamp_ns)
+        self._waiting.append(sample.stamp_ns)
 
     def _update_links(self) -> None:
         """Find the links between both frames; discard the samples of other links."""

@@ -22,7 +22,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.simulation import MAX_REST_RATES, trajectory_of, write_row
+from bellows_ros.core.model.simulation import stands, trajectory_of, write_row
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -496,7 +496,11 @@ def tossed(
         switched = times[k] - start if k < len(times) else math.inf
         remaining = tool.select(slice(first, None))
         try:
-            _require_rest(remaining)
+            if not stands(twist := np.asarray(remaining.twist)[0]):
+                speed, rate = np.linalg.norm(twist.reshape(2, 3), axis=1)
+                raise BellowsError(
+                    f'the tool moves at {speed:.3g} m/s and {rate:.3g} rad/s there, but picks up '
+                    'packages only at rest. Change release.pickup, or let the tool wait.')
             hanging = HeldMotion(model, grip, remaining, until=switched + MAX_WAIT)
             drawn = release_with(release, changes[k]) if k < len(times) else release
             t = seconds[part] - start
@@ -518,13 +522,3 @@ def tossed(
         tosses.append(Thrown(
             times[k], start + thrown.release_time, start + thrown.landing_time, drawn.law))
     return Truth(tool, trajectory_of(tool.stamps_ns, rows), held, tracked, tuple(tosses))
-
-
-def _require_rest(tool: Trajectory) -> None:
-    """Refuse a tool that moves where a package is picked up."""
-    assert tool.twist is not None
-    speed, rate = (float(np.linalg.norm(part)) for part in np.split(tool.twist[0], 2))
-    if speed > MAX_REST_RATES[0] or rate > MAX_REST_RATES[1]:
-        raise BellowsError(
-            f'the tool moves at {speed:.3g} m/s and {rate:.3g} rad/s there, but picks up '
-            'packages only at rest. Change release.pickup, or let the tool wait.')

@@ -441,7 +441,7 @@ class HeldMotion:
         self.mode = 'delay' if self.grip == NO_GRIP else 'peel'
         rows, starts = simulation.tool_rows(tool), tool.seconds
         self.duration = float(starts[-1])
-        self.ends_at_rest = simulation.stands(rows[-1])
+        self.ends_at_rest = simulation.stands(rows[-1, 7:])
         if self.ends_at_rest:
             still = np.concatenate([rows[-1, :7], np.zeros(6)])
             rows = np.vstack([rows[:-1], still, still])
