@@ -12,9 +12,9 @@ import struct
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.planning.points import JointPath, require_count
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, short
 from bellows_ros.files import Values
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
@@ -223,7 +223,7 @@ def plan_message(
         twist = apply(motion.rotation[:, None], twist.reshape(-1, 2, 3)).reshape(-1, 6)
     return PlanMessage(
         stamp_ns, frame_id, (name,), motion.stamps_ns - motion.stamps_ns[0],
-        np.hstack([motion.position, rotation_to_quaternion(motion.rotation)]), twist)
+        pose_rows(motion), twist)
 
 
 class JointPlan(NamedTuple):

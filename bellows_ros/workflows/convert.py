@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.recording.conventions import reordered
-from bellows_ros.core.signals.trajectory import PoseStream
+from bellows_ros.core.signals.trajectory import pose_rows, PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer, bags, File, plans, results, trajectory_files, Values
 from bellows_ros.files.bag_folder import Channel
@@ -350,8 +350,7 @@ def to_tum(bag: File, out: File, topic: str = '', span: Values = FULL_RANGE) -> 
                 f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.')
         topic = fitting[0]
     stream = within_interval(bags.read_streams(bag, {'pose': topic}), span)['pose']
-    values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
-    trajectory_files.write_tum(out, stream.stamps_ns, values)
+    trajectory_files.write_tum(out, stream.stamps_ns, pose_rows(stream))
     written = bag_writer.Encoded(stream.name, POSE, stream.stamps_ns, ())
     return Conversion(os.fspath(out), (Body(written, os.fspath(bag), _refused_counts(stream)),))
 

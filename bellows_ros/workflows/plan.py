@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
-from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
@@ -418,8 +418,8 @@ def _checked_motion(
     tool: Trajectory, twist: Array | None, axes: str = 'tool', name: str = 'The motion'
 ) -> Trajectory:
     """Return a motion of E with twists (N, 6) in axes of the tool or the world, as a plan."""
-    poses = np.hstack([tool.position, rotation_to_quaternion(tool.rotation)])
-    return plan_of(tool.stamps_ns, poses, twist, twist_frame=axes, name=name).trajectory()
+    return plan_of(tool.stamps_ns, trajectory.pose_rows(tool), twist, twist_frame=axes,
+                   name=name).trajectory()
 
 
 def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> Source:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion, transform
+from bellows_ros.core.geometry.lie import apply, transform
 from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package_of
 from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
@@ -19,7 +19,7 @@ from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, 
 from bellows_ros.core.planning.plan_prediction import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
-from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows
 from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
@@ -223,7 +223,7 @@ def _record(
         poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
         recorded.append(bag_writer.as_messages(
             recipe.topics[f'{name}_pose'], POSE, poses.stamps_ns,
-            np.hstack([poses.position, rotation_to_quaternion(poses.rotation)]), recipe.frame_id,
+            pose_rows(poses), recipe.frame_id,
             log_times_ns=poses.stamps_ns + late_ns))
         if name == 'tool' and recipe.tool_twist:
             twists = sensing.measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,

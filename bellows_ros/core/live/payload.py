@@ -65,9 +65,7 @@ def prepared(
             A = equilibrium.nominal_system_matrix(model)
             _require_slow(A)
             modes = modes_of(equilibrium.nominal_system_matrix((model[0][:4], *model[1:])))
-            softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
-            sag = package.mass * math.hypot(*model[2]) / softest
-            reach = REACH_FACTOR * (cup.length + sag)
+            reach = REACH_FACTOR * (cup.length + equilibrium.sag(model))
             return model, equilibrium.largest_step(model, A), reach, modes
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(

@@ -144,6 +144,12 @@ def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
         [strain_by_pose / theta, none, none, -eye / theta]])
 
 
+def sag(model: ModelTuple) -> float:
+    """Return how far (m) its weight shifts a package in the softest direction."""
+    softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
+    return model[1][0] * math.hypot(*model[2]) / softest
+
+
 def largest_step(model: ModelTuple, A: Array | None = None) -> float:
     """
     Return the longest integration step (s) that keeps RK4 accurate for the fastest mode.

@@ -11,7 +11,7 @@ from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -154,7 +154,7 @@ def tool_rows(tool: Trajectory | ToolRows) -> Array:
         return tool.rows
     if tool.twist is None:
         raise BellowsError('The tool trajectory has no twists; filter or differentiate it first.')
-    return np.hstack([tool.position, lie.rotation_to_quaternion(tool.rotation), tool.twist])
+    return np.hstack([pose_rows(tool), tool.twist])
 
 
 def trajectory_of(stamps_ns: Stamps, rows: Array) -> Trajectory:

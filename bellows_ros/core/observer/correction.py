@@ -8,6 +8,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
+from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
@@ -221,9 +222,7 @@ class Correction:
     ) -> None:
         """Set what is uncertain."""
         self.nominal, self.max_step, self.reach = model, max_step, reach
-        softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
-        sag = model[1][0] * math.hypot(*model[2]) / softest
-        self.holding_reach = model[0][1] + LARGEST_LOAD * sag
+        self.holding_reach = model[0][1] + LARGEST_LOAD * sag(model)
         self.branches = model[0][4:]
         self._row = model_row(model)
         self.prior, self._walk = prior_std(values, model), walk_variances(values, model)

@@ -271,6 +271,11 @@ Stamped = TypeVar('Stamped', PoseStream, TwistStream, Trajectory)
 Posed = TypeVar('Posed', PoseStream, Trajectory)
 
 
+def pose_rows(poses: Trajectory | PoseStream) -> Array:
+    """Return poses as rows (N, 7): position, quaternion (x, y, z, w)."""
+    return np.hstack([poses.position, lie.rotation_to_quaternion(poses.rotation)])
+
+
 def earlier(stream: Stamped, seconds: float) -> Stamped:
     """Return a stream with stamps that are earlier by so many seconds."""
     return replace(stream, stamps_ns=stream.stamps_ns - round(seconds * NS_PER_S))
