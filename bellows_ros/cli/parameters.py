@@ -18,7 +18,11 @@ INDENT = '    '
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Choose the parameters, and print their file."""
-    chosen = _chosen(arguments.names)
+    chosen = [p for p in PARAMETERS.values()
+              if not arguments.names or p.name.startswith(tuple(arguments.names))]
+    for prefix in arguments.names:
+        if not any(p.name.startswith(prefix) for p in chosen):
+            lookup(prefix)  # raises, and names the nearest
     if arguments.yaml:
         print(template(chosen), end='')
     return options.Outcome([] if arguments.yaml or arguments.json else chosen, content={
@@ -35,17 +39,6 @@ def print_result(parameters: list[Parameter], console: Console) -> None:
             for line in textwrap.wrap(
                     text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT):
                 console.line(line)
-
-
-def _chosen(prefixes: list[str]) -> list[Parameter]:
-    """Return the parameters whose names begin with one of the prefixes; all without any."""
-    if not prefixes:
-        return list(PARAMETERS.values())
-    matching = [p for p in PARAMETERS.values() if p.name.startswith(tuple(prefixes))]
-    for prefix in prefixes:
-        if not any(p.name.startswith(prefix) for p in matching):
-            lookup(prefix)  # raises, and names the nearest
-    return matching
 
 
 def template(parameters: Iterable[Parameter]) -> str:
