@@ -289,6 +289,12 @@ class Correction:
         """Return an estimate at a later stamp; the package has been there before."""
         return self._step(estimate, track, stamp_ns, True)[1]
 
+    def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
+        """Return an estimate at a sample of the tool, whose noise is in its twist at once."""
+        P = estimate.covariance.copy()
+        P[6:STATE, 6:STATE] += self._drive[:6, :6]
+        return estimate._replace(covariance=P)
+
     def body_at_end(self, estimate: Estimate, track: Track) -> State:
         """Return the package at the newest sample of the tool, and write it into the samples."""
         if estimate.stamp_ns == track.newest_ns:

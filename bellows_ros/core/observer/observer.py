@@ -157,7 +157,7 @@ class Observer:
             newest = self._correction.propagated(
                 newest._replace(evidence=NO_EVIDENCE), self._track, newest_ns)
         self._newest = newest
-        return newest
+        return self._correction.with_noise_of_sample(newest)
 
     def covariance(self, stamp_ns: int) -> Array | None:
         """Return the covariance of the state (12, 12) at a stamp of the tool, if available."""

@@ -117,14 +117,15 @@ def test_posterior_is_far_below_the_noise_of_the_camera():
     assert (rms < np.repeat([2e-3 / 10, 1e-2 / 3], 3)).all()
 
 
+@pytest.mark.parametrize('tool_noise', [(0.0, 0.0), (5e-4, 2e-3)])
 @pytest.mark.parametrize('runs', [20, pytest.param(100, marks=pytest.mark.stress)])
-def test_error_is_what_the_covariance_says(runs):
+def test_error_is_what_the_covariance_says(runs, tool_noise):
     """Keep the mean of many runs' normalised squared errors within its 95 % band."""
     total = []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         stamps, tool = tool_motion(rng, 0.4)
-        made = observer(tool_noise__position=0.0, tool_noise__rotation=0.0)
+        made = observer(tool_noise__position=tool_noise[0], tool_noise__rotation=tool_noise[1])
         made.start(int(stamps[0]), tool[0], truth(tool[:1])[0])
         std = np.sqrt(np.diag(made.estimate.covariance))
         body = [moved_by(made.estimate.body, rng.normal(size=12) * std[:12])]
@@ -137,6 +138,7 @@ def test_error_is_what_the_covariance_says(runs):
         for k in range(8, len(tool), 8):  # with the memory that is expected at the beginning
             noise = 0.5 * noise + np.sqrt(0.75) * rng.normal(size=6)
             seen[k] = moved_by(body[k], np.r_[noise * NOISE, np.zeros(6)])
+        tool = [with_noise(rng, state, np.repeat(tool_noise, 3)) for state in tool]
         follow(made, stamps, tool, None, at_once(stamps, seen))
         error = error_of(made.body, body[-1])
         total.append(error @ np.linalg.solve(made.estimate.covariance[:12, :12], error))
