@@ -38,8 +38,11 @@ LOST_AFTER_NS = 25_000_000
 """A package out of reach for so long (ns) is lost: trackers confuse bodies for some frames."""
 
 SILENT_PERIODS, SILENT_NS = 2.5, 50_000_000
-"""After a pose out of reach the camera is silent if this many of its periods pass, the shorter of
-the last two, and this time (ns)."""
+"""A sensor is silent if this many of its periods pass, and this time (ns). That of a camera is the
+shorter of the last two."""
+
+VACUUM_DELAY_NS = 100_000_000
+"""Time (ns) for the vacuum to break down, and to be told, after a package is out of reach."""
 
 REPEATED_NS = 5_000_000_000
 """What stays wrong raises an alarm so often (ns)."""
@@ -106,7 +109,7 @@ class Observer:
         self._newest: Estimate | None = None  # at the newest sample, where it has been asked for
         self._delay_ns = 0  # of the newest measurement, when it came
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
-        self._vacuum: tuple[int, bool] | None = None  # when, on the tool's clock, and if it holds
+        self._vacuum: tuple[int, bool, float] | None = None  # when, if it holds, and its period
         self.alarms: list[Alarm] = []
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
@@ -300,26 +303,26 @@ class Observer:
         if away_ns == 0:
             was_near = not evidence.from_start or evidence.onsets[0, 0] > 0
             return estimate._replace(away_ns=stamp_ns * was_near)
-        if stamp_ns - away_ns < LOST_AFTER_NS:
+        is_held = self._is_held()
+        if stamp_ns - away_ns < (VACUUM_DELAY_NS if is_held else LOST_AFTER_NS):
             return estimate
         if any(alarm.cause == 'lost' and stamp_ns - alarm.stamp_ns < REPEATED_NS
                for alarm in self.alarms):  # the fall itself has been seen, whatever the vacuum
             return estimate._replace(away_ns=-1)
-        self._raise(alarms.lost(
-            stamp_ns, self._is_held_since(away_ns), reach=self._correction.holding_reach))
+        self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
         return estimate._replace(away_ns=-1)
 
     def _note_silence(self, stamp_ns: int) -> None:
         """Note that the camera sees nothing, after the package has left its reach."""
         alarms = self._correction.alarms
         *_, last_ns = self._last_ns
-        silence_ns = max(SILENT_PERIODS * min(np.diff(self._last_ns)), SILENT_NS)
+        silence_ns = _silence_ns(float(np.diff(self._last_ns).min()))
         if alarms is None or stamp_ns - last_ns <= silence_ns + self._delay_ns:
             return
+        is_held, away_ns = self._is_held(), self._estimates[-1].away_ns
         self._estimates[-1] = self._estimates[-1]._replace(away_ns=-1)
-        is_held = self._is_held_since(last_ns)
-        if not is_held:  # else it was one wrong pose, and none since
-            self._raise(alarms.lost(stamp_ns, is_held))
+        if not is_held or last_ns - away_ns >= LOST_AFTER_NS:  # else it was one wrong pose
+            self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
 
     def on_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
         """
@@ -330,7 +333,9 @@ class Observer:
         """
         newest_ns = self._track.newest_ns
         if cup < 0:
-            self._vacuum = newest_ns, is_held
+            before_ns, was_held, _ = self._vacuum or (0, not is_held, 0.0)
+            self._vacuum = (
+                newest_ns, is_held, newest_ns - before_ns if is_held == was_held else math.inf)
         if not (self._estimates and self._correction.alarms and breaks):
             return
         is_seen = self._estimates[-1].away_ns != 0
@@ -339,15 +344,25 @@ class Observer:
         elif moves:
             self._raise(self._correction.alarms.without_vacuum(newest_ns, cup))
 
-    def _is_held_since(self, stamp_ns: int) -> bool | None:
-        """Return whether the vacuum holds at a stamp or later; None if not measured since."""
-        return self._vacuum[1] if self._vacuum and self._vacuum[0] >= stamp_ns else None
+    def _is_held(self) -> bool | None:
+        """
+        Return whether the vacuum holds by its last reading; None if there is none.
+
+        A signal that has told the same twice comes in periods: one that is silent tells nothing.
+        """
+        stamp_ns, is_held, period_ns = self._vacuum or (0, None, 0.0)
+        return is_held if self._track.newest_ns - stamp_ns <= _silence_ns(period_ns) else None
 
     def _raise(self, alarm: Alarm | None) -> None:
         """Keep an alarm if there is one, unless the same has just been raised."""
         if alarm and all(other.cause != alarm.cause or alarm.stamp_ns - other.stamp_ns
                          >= REPEATED_NS for other in self.alarms):
             self.alarms.append(alarm)
+
+
+def _silence_ns(period_ns: float) -> float:
+    """Return how long (ns) a sensor of a period tells nothing until it is silent."""
+    return max(SILENT_PERIODS * period_ns, SILENT_NS)
 
 
 def warm_up_observer(values: Mapping[str, Any], model: ModelTuple) -> None:

@@ -291,8 +291,10 @@ def watched(away, vacuum, moves=True):
 
 @pytest.mark.parametrize(('away', 'vacuum', 'moves', 'cause', 'second', 'odds'), [
     (2, {}, True, 'lost', 'camera', 50.0),
-    (2, {-3: True}, True, 'lost', 'camera', 50.0),  # heard before only
-    (2, {-1: True}, True, 'camera', 'lost', 20.0),
+    (2, {-9: True, -8: True}, True, 'lost', 'camera', 50.0),  # heard every 32 ms, then no more
+    (6, {-30: True}, True, 'camera', 'lost', 20.0),  # heard on change
+    (6, {-10: True, -7: True, -4: True, -1: True}, True, 'camera', 'lost', 20.0),
+    (4, {-30: True, -1: False}, True, 'lost', 'camera', 50e3),  # heard after two poses
     (2, {-1: False}, False, 'lost', 'camera', 50e3),
     (2, {0: False}, True, 'lost', 'camera', 50.0),  # after two poses nothing new is raised
     (0, {0: False}, True, 'lost', 'leak', 1e3),
@@ -329,8 +331,9 @@ def test_vacuum_of_one_cup_that_breaks_down_in_motion_is_its_loss():
 
 def test_one_wrong_pose_is_no_loss_while_the_vacuum_holds():
     """Raise no alarm where a camera falls silent after a pose out of reach, but the cup holds."""
-    for vacuum, causes in (({}, ['lost']), ({0: True}, [])):
-        made = watched(1, vacuum)
+    for away, vacuum, causes in ((1, {}, ['lost']), (1, {0: True}, []), (1, {-30: True}, []),
+                                 (2, {-30: True}, ['camera'])):
+        made = watched(away, vacuum)
         still = made._estimates[-1].tool
         for _ in range(40):
             made.follow(made._track.newest_ns + PERIOD_NS, still, still)
