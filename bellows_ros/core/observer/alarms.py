@@ -101,7 +101,7 @@ CAUSES = (
           confirmed=1, confirmed_ns=0),
     Cause('camera', tuple((row,) for row in range(ekf.CAMERA, ekf.CAMERA + 6)), (6e-3,) * 6,
           (3, 6), 0.2, True, True,
-          'The frame of the camera has moved by {} mm[ and turned by {} degrees]: calibrate it.',
+          'The camera sees the package shifted by {} mm[ and turned by {} degrees]: calibrate it.',
           ((0, 3, 1e3), (3, 6, 180.0 / math.pi))),
     Cause('latency', ((ekf.LATENCY,),), (0.05,), (1,), 0.1, True, False,
           'The stamps of the camera are late by {} ms: stamp the exposure, or set '
@@ -282,13 +282,19 @@ class Alarms:
                 if of_lip and ekf.COM <= row < ekf.COM + 3:
                     self.steps[ekf.MARKER + row - ekf.COM, component] = 1.0
 
-    def start(self, stamp_ns: int, cups: int, from_start: bool = True) -> Evidence:
-        """Return the evidence before any measurement; faults from the start begin at a stamp."""
+    def start(
+        self, stamp_ns: int, place: Vector, cups: int, from_start: bool = True
+    ) -> Evidence:
+        """
+        Return the evidence before any measurement, of a package at a place (m, world).
+
+        Faults from the start begin at a stamp.
+        """
         none = Evidence(
             np.zeros((len(self.steps), COLUMNS[CUP] + cups * ONSETS), np.float32),
             np.zeros(STATISTICS[CUP] + 2 * cups * ONSETS),
             np.repeat([[0], [-1]], 1 + ONSETS, axis=1), (), from_start)
-        _add_onset(*none[:3], self.steps, stamp_ns, 1)
+        _add_onset(*none[:3], self.steps, stamp_ns, place, 1)
         return none
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:
@@ -450,8 +456,8 @@ def filter_step(
         if len(E) > 0 and verdict != OUT_OF_REACH:
             statistics, onsets = statistics.copy(), onsets.copy()
             likeliest = _assessed(
-                E, statistics, onsets, steps, until_ns, innovation, seen[3][2], verdict == USED,
-                from_start)
+                E, statistics, onsets, steps, until_ns, body[0], innovation, seen[3][2],
+                verdict == USED, from_start)
         if likeliest[0] < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
     return (verdict, (until_ns, tool, body, theta, P, memory), (E, statistics, onsets), likeliest)
@@ -466,12 +472,12 @@ def _layout(number: int) -> tuple[int, int, int]:
 
 @array_kernel
 def _assessed(
-    E: Any, statistics: Array, onsets: Stamps, steps: Array, stamp_ns: int,
+    E: Any, statistics: Array, onsets: Stamps, steps: Array, stamp_ns: int, place: Vector,
     innovation: tuple[Array, Array, Array, float, Array], of_lip: bool, used: bool,
     from_start: bool,
 ) -> Likeliest:
     """
-    Update the evidence, in place, with the next `Innovation`.
+    Update the evidence, in place, with the next `Innovation`, of a package at a place (m, world).
 
     Returns
     -------
@@ -510,7 +516,7 @@ def _assessed(
         t3.subtract_product(whitened.astype(np.float32), change, E)
     likeliest = _likeliest_fault(statistics, onsets, from_start, faults)
     if counts[0] >= SETTLING and stamp_ns - onsets[1].max() >= ONSET_NS:
-        _add_onset(E, statistics, onsets, steps, stamp_ns, likeliest[5])
+        _add_onset(E, statistics, onsets, steps, stamp_ns, place, likeliest[5])
     return likeliest
 
 
@@ -544,9 +550,14 @@ def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
 
 @kernel
 def _add_onset(
-    E: Any, statistics: Array, onsets: Stamps, steps: Array, stamp_ns: int, pinned: int
+    E: Any, statistics: Array, onsets: Stamps, steps: Array, stamp_ns: int, place: Vector,
+    pinned: int,
 ) -> None:
-    """Write the error that each fault causes with an onset now, into a slot of `_free_slot`."""
+    """
+    Write the error that each fault causes with an onset now, into a slot of `_free_slot`.
+
+    A camera that turns, turns about the place (m, world) of the package.
+    """
     k = _free_slot(onsets[1], stamp_ns, pinned)
     statistics[k], onsets[0, k], onsets[1, k] = 0.0, 0, stamp_ns
     faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
@@ -557,7 +568,12 @@ def _add_onset(
         first, slots, slot = FIRSTS[h], SLOTS[h], max(k - 1, 0) // EVERY[h]
         n = FIRSTS[h + 1] - first
         for a in range(n):
-            E[:, column + a * slots + slot] = steps[:, first + a]
+            signature = E[:, column + a * slots + slot]
+            signature[:] = steps[:, first + a]
+            x, y, z = signature[ekf.CAMERA + 3:ekf.CAMERA + 6]
+            shift = t3.cross(place, (x, y, z))
+            for i in range(3):
+                signature[ekf.CAMERA + i] += shift[i]
         statistics[block + slot:block + slots * n * (n + 3) // 2:slots] = 0.0
 
 

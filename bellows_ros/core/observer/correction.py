@@ -243,7 +243,7 @@ class Correction:
         """Return the estimate of a package at rest, with an initial theta, covariance, memory."""
         self._drive = ekf.driving(self.nominal, tool, body, self._tool_noise)
         return Estimate(
-            stamp_ns, tool, body, *initial, self._evidence(stamp_ns, lost_cups), lost_cups)
+            stamp_ns, tool, body, *initial, self._evidence(stamp_ns, body, lost_cups), lost_cups)
 
     def row(self, lost_cups: tuple[int, ...]) -> Any:
         """Return the `model_row` without those cups that are lost."""
@@ -259,11 +259,11 @@ class Correction:
         return cups if len(cups) > 1 else NO_CUPS
 
     def _evidence(
-        self, stamp_ns: int, lost_cups: tuple[int, ...], from_start: bool = True
+        self, stamp_ns: int, body: State, lost_cups: tuple[int, ...], from_start: bool = True
     ) -> Evidence:
         """Return that of no fault yet."""
         return NO_EVIDENCE if self.alarms is None else self.alarms.start(
-            stamp_ns, len(self._holding(lost_cups)), from_start)
+            stamp_ns, body[0], len(self._holding(lost_cups)), from_start)
 
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
@@ -325,7 +325,7 @@ class Correction:
         change = after.theta[row - STATE] - before.theta[row - STATE]
         if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
             after.covariance[row, row] += change**2
-            evidence = self._evidence(stamp_ns, lost_cups, evidence.from_start)
+            evidence = self._evidence(stamp_ns, after.body, lost_cups, evidence.from_start)
         elif self.alarms is not None:  # what came back within the gate confirms nothing before
             is_back = before.gated_ns and not gated
             evidence = evidence._replace(suspect_ns=self.alarms.suspect_ns(
@@ -340,7 +340,7 @@ class Correction:
             memory = np.r_[self.first_memory[:11], after.memory[11:]]
             after = after._replace(  # the fault was taken for noise, too
                 body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
-                evidence=self._evidence(stamp_ns, lost_cups, False),
+                evidence=self._evidence(stamp_ns, body, lost_cups, False),
                 covariance=after.covariance + fault.spread @ fault.spread.T)
         elif name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
@@ -360,4 +360,4 @@ class Correction:
         from_start &= bool(onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
         return after._replace(
             memory=memory, gated_ns=(), away_ns=0,
-            evidence=self._evidence(stamp_ns, estimate.lost_cups, from_start))
+            evidence=self._evidence(stamp_ns, after.body, estimate.lost_cups, from_start))

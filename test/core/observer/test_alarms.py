@@ -3,7 +3,8 @@
 from collections import Counter
 import re
 
-from bellows_ros.core.geometry.tuples import quaternion_product
+from bellows_ros.core.geometry.lie import hat
+from bellows_ros.core.geometry.tuples import quaternion_product, ZERO
 from bellows_ros.core.model.kernels import model_of
 from bellows_ros.core.model.structure import SINGLE
 from bellows_ros.core.observer import alarms
@@ -200,20 +201,21 @@ def _dense_transition(model, before, *track):
     return F
 
 
-def _dense_total(given):
+def _dense_total(given, place):
     """Give the logarithm of the sum of likelihood ratios, by matrices of full size."""
     n = given[0][1][1].shape[1]
 
-    def begun(k):
-        """Give what is known of a hypothesis whose onset is now."""
+    def begun(k, place):
+        """Give what is known of a hypothesis whose onset is now, with the package at a place."""
         steps = HYPOTHESES[k].steps
         rows = [*range(n), *range(-7, 0)]
         E = np.array([[float(row in step) for step in steps] for row in rows])
+        E[ekf.CAMERA:ekf.CAMERA + 3] += hat(place) @ E[ekf.CAMERA + 3:ekf.CAMERA + 6]
         return {'cause': HYPOTHESES[k], 'later': k >= AT_START, 'E': E, 'J': 0.0, 'd': 0.0,
                 'count': 0, 'distance': 0.0}
 
-    known, ratios = [begun(k) for k in range(AT_START)], []
-    for count, (F, (z, H, root, _, whitened), used) in enumerate(given, 1):
+    known, ratios = [begun(k, place) for k in range(AT_START)], []
+    for count, (F, (z, H, root, _, whitened), used, place) in enumerate(given, 1):
         C, update = np.hstack([H, np.zeros((6, 7))]), np.eye(n + 7)
         C[:3, n + 4:] = H[:3, ekf.CAMERA:ekf.CAMERA + 3]
         update[:n] -= used * whitened.T @ root @ C
@@ -225,7 +227,7 @@ def _dense_total(given):
                 each['J'] = each['J'] + made.T @ made
                 each['d'] = each['d'] + made.T @ z
                 each['distance'] += z @ z
-        known += [begun(k) for k in range(AT_START, alarms.CUP) if (
+        known += [begun(k, place) for k in range(AT_START, alarms.CUP) if (
             count >= alarms.SETTLING and (count - alarms.SETTLING) % HYPOTHESES[k].every == 0)]
     for each in known:
         cause, count = each['cause'], each['count']
@@ -260,26 +262,27 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
                 model, before, *track, noise, np.zeros((0, 0), np.float32), NO_CUPS)
             verdict, found, *_ = updated(model, after, (after[0] - before[0]) * 1e-9, seen)
             if verdict != OUT_OF_REACH:
-                given.append((F, found, verdict == USED))
+                given.append((F, found, verdict == USED, result[1][2][0]))
                 totals.append(result[3][0])
         return result
 
     monkeypatch.setattr(alarms, 'filter_step', processing)
     monkeypatch.setattr(alarms.Alarms, 'detected', lambda *given: None)
-    Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.32, size=1.5).run()
+    cell = Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.32, size=1.5)
+    cell.run()
     assert len(totals) > 12
-    assert totals[-1] == pytest.approx(_dense_total(given), rel=1e-5)
+    assert totals[-1] == pytest.approx(_dense_total(given, cell.body[0][0]), rel=1e-5)
     assert totals[-1] > totals[8] + 1.0
 
 
 def test_likeliest_onsets_keep_their_slots():
     """Put a new onset elsewhere than the likeliest ones, from whose slots an alarm has sizes."""
     made = Alarms(1.0, 49, False, SINGLE)
-    E, statistics, onsets, *_ = made.start(1, 0)
+    E, statistics, onsets, *_ = made.start(1, ZERO, 0)
 
     def add(k, pinned):
         alarms._add_onset(
-            E, statistics, onsets, made.steps, 1_000_000_000 + k * alarms.ONSET_NS, pinned)
+            E, statistics, onsets, made.steps, 1_000_000_000 + k * alarms.ONSET_NS, ZERO, pinned)
 
     for k in range(ekf.ONSETS):
         add(k, 1)
@@ -316,6 +319,14 @@ def test_camera_that_moved_is_not_followed():
     assert alarms_of_run[0][0] == 'camera'
     assert rms[1] < 2.0 * rms[0] + 2e-4
     assert np.abs(cell.made._estimates[-1].theta[ekf.CAMERA - 12:ekf.CAMERA - 9]).max() > 3e-3
+
+
+def test_shift_of_a_camera_is_told_where_the_package_is():
+    """Say hardly any where a camera turns by 1 degree about the package, far from the origin."""
+    for seed, axis in ((0, 3), (1, 3), (0, 4), (4, 4)):
+        cell = Cell(seed, 7.0, {}, 'camera', at=3.0, numbers=0.0175 * np.eye(6)[axis], **EXACTLY)
+        assert [cause for cause, _ in cell.run()] == ['camera']
+        assert cell.made.alarms[0].size < 3e-3
 
 
 def test_camera_that_moved_is_not_learned_as_noise():
