@@ -188,7 +188,7 @@ def main() -> None:
         print(f'| {name} | {kind} | {100 * right:.0f} % | {after[len(after) // 2]:.2f} | {most} |',
               flush=True)
     for kind in ('drop', 'peel') if arguments.drops else ():
-        for rate_hz, within in ((125 / 4, 0.3), (125 / 12, 0.4)):
+        for rate_hz, within in ((125 / 4, 0.3), (125 / 12, 0.3)):
             right, after = delays(
                 kind, arguments.drops, name, 1.5, rate_hz, arguments.seed)
             noticed = np.mean([s <= within for s in after])

@@ -97,7 +97,7 @@ CAUSES = (
           'state how uncertain they are (package.mass_std, package.com_std).',
           ((0, 1, LOG), (1, 4, 1e3))),
     Cause('lost', ((FORCE_LOSS,),), (0.3,), (1,), 0.1, False, True,
-          'The package is lost: stop the arm.', ((0, 1, 1.0),), 2, mean=1.0, least=0.5,
+          'The package is lost: stop the arm.', ((0, 1, 1.0),), 2, mean=1.0, least=0.3,
           confirmed=1, confirmed_ns=0),
     Cause('camera', tuple((row,) for row in range(ekf.CAMERA, ekf.CAMERA + 6)), (6e-3,) * 6,
           (3, 6), 0.2, True, True,

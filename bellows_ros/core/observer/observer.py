@@ -35,7 +35,8 @@ more no pose of the tool waits for a covariance to be propagated.
 """
 
 LOST_AFTER_NS = 25_000_000
-"""A package out of reach for so long (ns) is lost: trackers confuse bodies for some frames."""
+"""A package out of reach is lost after so long (ns) there or, just before, outside the gate:
+trackers confuse bodies for some frames."""
 
 SILENT_PERIODS, SILENT_NS = 2.5, 50_000_000
 """A sensor is silent if this many of its periods pass, and this time (ns). That of a camera is the
@@ -301,8 +302,10 @@ class Observer:
         if alarms is None or away_ns < 0:
             return estimate
         if away_ns == 0:
-            was_near = not evidence.from_start or evidence.onsets[0, 0] > 0
-            return estimate._replace(away_ns=stamp_ns * was_near)
+            if evidence.from_start and evidence.onsets[0, 0] == 0:  # it has never been within
+                return estimate
+            away_ns = min(estimate.gated_ns, default=stamp_ns)  # those have shown the fall
+            estimate = estimate._replace(away_ns=away_ns)
         is_held = self._is_held()
         if stamp_ns - away_ns < (VACUUM_DELAY_NS if is_held else LOST_AFTER_NS):
             return estimate

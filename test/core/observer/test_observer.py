@@ -329,6 +329,19 @@ def test_vacuum_of_one_cup_that_breaks_down_in_motion_is_its_loss():
         'Cup 0 of cup.layout, at x 60 mm, y 40 mm, holds no more (its vacuum breaks down)')
 
 
+@pytest.mark.parametrize(('before', 'causes'), [(-0.05, ['lost']), (0.0, [])])
+def test_package_that_was_falling_is_lost_at_the_first_pose_out_of_reach(before, causes):
+    """Need no second pose out of reach where the one before was outside the gate."""
+    stamps, tool, body, seen = scene(3, 1.2)
+    made = observer(alarm__false_per_hour=1.0)
+    *_, last, away = sorted(seen)
+    seen[last], seen[away] = (shifted(seen[k], 0.0, 0.0, by) for k, by in (
+        (last, before), (away, -0.5)))
+    follow(made, stamps, tool, body[0], at_once(stamps[:away + 1], seen))
+    assert (made.counts['gate'], made.counts['out_of_reach']) == (len(causes), 1)
+    assert [alarm.cause for alarm in made.alarms] == causes
+
+
 def test_one_wrong_pose_is_no_loss_while_the_vacuum_holds():
     """Raise no alarm where a camera falls silent after a pose out of reach, but the cup holds."""
     for away, vacuum, causes in ((1, {}, ['lost']), (1, {0: True}, []), (1, {-30: True}, []),
