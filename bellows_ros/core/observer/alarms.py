@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model.kernels import Branch, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
