@@ -53,7 +53,7 @@ def main() -> None:
         for row, (axis, unit) in enumerate(((0, 'x (mm)'), (4, 'ry (mrad)'))):
             panel = figure.add_subplot(2, 1, row + 1)
             for (name, estimate), colour in zip(found.estimates.items(), shown, strict=True):
-                seconds = (estimate.stamps_ns - found.both.stamps_ns[0]) * 1e-9
+                seconds = (estimate.stamps_ns - found.estimates['both'].stamps_ns[0]) * 1e-9
                 panel.plot(seconds, 1e3 * estimate.error[:, axis], color=colour, label=name)
             panel.set_ylabel(f'error of {unit}')
             reach = 1.05e3 * max(np.nanmax(np.abs(estimate.error[:, axis]))

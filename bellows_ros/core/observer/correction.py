@@ -50,7 +50,7 @@ MASS_SHARE, COM_UNCERTAIN = 0.05, 0.01
 UNCALIBRATED = 0.03, 0.05, 0.05
 """Standard deviations of position (m), rotation and latency (s) of a camera to be calibrated."""
 
-BIAS_WALK, WALK_ARM = 0.01, 0.02
+BIAS_WALK, WALK_ARM = 0.003, 0.02
 """Random walk of the wrench bias per second: fraction of the weight, and moment by force (m)."""
 
 CAMERA_WALK_TIME = 300.0
