@@ -7,6 +7,7 @@ wrenches (`hypotheses`), and by simulation (`given`): all of them end in a `Find
 """
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 import json
 from operator import attrgetter
@@ -258,8 +259,9 @@ def _misread(recording: Recording) -> Finding | None:
         raise BellowsError(MISREAD['one_body'].format(**names))
     if away <= conventions.MAX_DISTANCE and above <= 0.0:
         return None
-    if (clocks := _clocks(recording)) and not misread(_by_one_clock(recording, clocks)):
-        return clocks._replace(is_fact=True)
+    with suppress(BellowsError):  # of a recording that other clocks do not explain
+        if (clocks := _clocks(recording)) and not misread(_by_one_clock(recording, clocks)):
+            return clocks._replace(is_fact=True)
     if apart := _two_worlds(recording, tool, package, lip):
         return _fact('package_world', apart)
     if away > conventions.MAX_DISTANCE:

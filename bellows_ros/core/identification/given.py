@@ -431,7 +431,8 @@ def outlying(
 
 def _coupled(search: Search, given: Free) -> Finding | None:
     """Return that directions are coupled, where nothing given is off then by many deviations."""
-    structure = next((each for each in STRUCTURES.values() if each.couples), search.structure)
+    structure = next((each for each in STRUCTURES.values() if each.couples and (
+        each.size > search.structure.size)), search.structure)
     if search.structure.couples or search.structure.places or not (
             search.places.keys() & given.keys()):
         return None

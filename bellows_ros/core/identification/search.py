@@ -379,7 +379,7 @@ class Search(Parametrization):
     def with_free(
         self, theta: Array, more: Free, relaxes: bool = True, structure: Structure | None = None,
     ) -> 'Search':
-        """Return a search from unknowns, with more free, without relaxation, or a structure."""
+        """Return a search from unknowns: more is free, nothing relaxes, or another structure."""
         free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
                 for name, rows in self.places.items() if relaxes or name != 'relaxation'}
         cup = self.cup(theta)

@@ -246,8 +246,8 @@ def _propagate(
     n, m, length = len(P), A.shape[1], lengths[k - 1]
     mean, ramp, entered = np.zeros((m, m)), np.zeros((m, m)), np.empty((m, 6))
     tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]
-    F, held = _exponential(0.5 * length * (A[0] + A[1]), steps[k - 1], mean, ramp), (
-        0.5 * length * (E[0] + E[1]))
+    F = _exponential(0.5 * length * (A[0] + A[1]), steps[k - 1], mean, ramp)
+    held = 0.5 * length * (E[0] + E[1])
     t3.product(mean, held, entered)
     t3.product(ramp, held, B[:m])
     for i in range(m):

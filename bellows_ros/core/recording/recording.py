@@ -126,15 +126,15 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
 
 def noise_at_rest(poses: Trajectory) -> 'BodyNoise':
     """Return the noise of poses of a body at rest: with a memory, that of fewer poses."""
-    moved, kept = _at_rest(poses), max(correlation_at_rest(poses, 1), 0.0)
+    moved = _at_rest(poses)
+    kept = max(_correlation(moved, 1), 0.0)
     count = max(len(moved) * (1.0 - kept) / (1.0 + kept), 2.0)
     return BodyNoise(
         np.sqrt(count / (count - 1.0) * np.mean(moved**2, axis=0)), independent=count)
 
 
-def correlation_at_rest(poses: Trajectory, lag: int) -> float:
-    """Return the correlation of poses of a body at rest so many samples apart, over all axes."""
-    moved = _at_rest(poses)
+def _correlation(moved: Array, lag: int) -> float:
+    """Return the correlation of noise (N, 6) so many samples apart, on average over the axes."""
     squares = np.maximum(np.sum(moved**2, axis=0), 1e-30)
     return float(np.mean(np.sum(moved[lag:] * moved[:-lag], axis=0) / squares))
 
@@ -188,7 +188,8 @@ def ar1_noise_of(
     """
     rate_hz = trajectory.NS_PER_S / float(np.median(np.diff(poses.stamps_ns)))
     if LOW_RATE_HZ < rate_hz < MIN_STRIDE_HZ and len(still) > MIN_STILL:
-        kept, later = (correlation_at_rest(still, lag) for lag in (1, 2))
+        moved = _at_rest(still)
+        kept, later = _correlation(moved, 1), _correlation(moved, 2)
         if kept > MIN_CORRELATION and later < 0.5 * kept * (1.0 + kept):
             part = float(np.sqrt(ripple_part(kept) / ripple_part(0.0)))
             return AR1Noise(noise.position / part, kept), AR1Noise(noise.rotation / part, kept)
