@@ -221,9 +221,9 @@ class Flight:
     ) -> tuple[float, State, float, State]:
         """Return what `toss_along` does, of a package that is held up to a time (s)."""
         return release.toss_along(
-            model, self.grip or release.NO_GRIP, self._release, 0.0, now.tool,
+            (model, self.grip or release.NO_GRIP, self._release, switched), 0.0, now.tool,
             adapted(model, now.tool, now.body),
-            (*_after_now(tool), until, self._longest_step(model)), switched)
+            (*_after_now(tool), until, self._longest_step(model)))
 
     def _longest_step(self, model: ModelTuple) -> float:
         """Return the longest integration step (s) of a model."""
@@ -259,11 +259,10 @@ class Flight:
         k = self._count % len(release.DIFFERENCE_STEPS)
         try:
             is_sound, landing = release.toss_with_derivatives(
-                model, self.grip or release.NO_GRIP, self._release, self._factor, prediction.tool,
-                adapted(model, prediction.tool, prediction.body),
-                *_after_now(self._future(prediction)), self._ahead, longest,
-                *((k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))),
-                self._by)
+                (model, self.grip or release.NO_GRIP, self._release, 0.0), self._factor,
+                prediction.tool, adapted(model, prediction.tool, prediction.body),
+                (*_after_now(self._future(prediction)), self._ahead, longest),
+                (k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS)), self._by)
         except (BellowsError, ArithmeticError, ValueError):
             is_sound = False
         by_state, by_law = self._by[:, :12], self._by[:, 12:]

@@ -49,6 +49,8 @@ NO_ABORT = np.zeros(1, np.bool_)
 Extremes = tuple[Array, Array, Array]
 """Peaks (8, 3) as in `PlanPrediction`; time and value of each at the two samples before (8, 4);
 and the range of the lip's shift and rotation vector with the largest twist (6, 3)."""
+Watch = tuple[Extremes, float, Mask]
+"""What is kept; a load above which, and a flag (1,) with which, a simulation ends."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Passed to the kernel if the grip is unknown; the loads are then not used."""
@@ -225,8 +227,8 @@ class PlanSimulation:
         self._extremes = (np.zeros((len(PEAKS), 3)), no_sample,
                           np.tile([math.inf, -math.inf, 0.0], (6, 1)))
         self._body, self._seconds, below = self._run(
-            _simulate_plan, self._start, *self._inputs, duration_scale, self._longest, ceiling,
-            self._samples, self._extremes)
+            _simulate_plan, self._start, (*self._inputs, duration_scale), self._longest,
+            self._samples, (self._extremes, ceiling, self._stop))
         return bool(below)
 
     def _simulate_decay(self, ceiling: float) -> float:
@@ -234,12 +236,13 @@ class PlanSimulation:
         h = max(self._longest, min(TAIL_STEP, COARSE_STEP_FACTOR * self._longest))
         return float(self._run(
             _simulate_decay, self._end[1], simulation.row_state(self._inputs[0][-1]), self._body,
-            self._seconds, h, math.ceil(self._tail / h), ceiling, self._extremes))
+            self._seconds, (h, math.ceil(self._tail / h)),
+            (self._extremes, ceiling, self._stop)))
 
     def _run(self, simulate: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a kernel does; raise where it diverges or another thread has stopped it."""
         try:
-            result = simulate(self._model, self._grip or UNKNOWN_GRIP, *arguments, self._stop)
+            result = simulate(self._model, self._grip or UNKNOWN_GRIP, *arguments)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise simulation.diverged() from None
         if self._stop[0]:
@@ -321,15 +324,15 @@ def record_sample(
 
 @kernel
 def _simulate_plan(
-    model: ModelTuple, grip: Grip, start: State, rows: Any, durations: Any, duration_scale: float,
-    longest: float, ceiling: float, samples: tuple[Array, Array, Array], extremes: Extremes,
-    stop: Mask,
+    model: ModelTuple, grip: Grip, start: State, plan: tuple[Any, Any, float], longest: float,
+    samples: tuple[Array, Array, Array], watch: Watch,
 ) -> tuple[State, float, bool]:
     """
-    Advance along the plan until a load is above the ceiling.
+    Advance along a plan, its durations scaled, until a load is above the ceiling.
 
     Return the state at the end, when that is (s), and whether all loads are below.
     """
+    (rows, durations, duration_scale), (extremes, ceiling, stop) = plan, watch
     arm = (model[1][1][0], model[1][1][1], model[1][1][2] - model[0][1])
     (states, wrench, loads), (peaks, _, _) = samples, extremes
     body, tool, t = start, slowed(simulation.row_state(rows[0]), duration_scale), 0.0
@@ -367,13 +370,15 @@ def _simulate_plan(
 @kernel
 def _simulate_decay(
     model: ModelTuple, grip: Grip, hanging: Quaternion, tool: State, body: State, t: float,
-    h: float, count: int, ceiling: float, extremes: Extremes, stop: Mask,
+    steps: tuple[float, int], watch: Watch,
 ) -> float:
     """
     Let the package swing under a tool at rest, until a load is above the ceiling.
 
-    Return after what time (s) it is turned from rest by less than `SETTLED_ANGLE`.
+    Steps are their length (s) and most of them. Return after what time (s) it is turned from
+    rest by less than `SETTLED_ANGLE`.
     """
+    (h, count), (extremes, ceiling, stop) = steps, watch
     wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
     settled, turn = 0.0, t3.norm(t3.turn_between(hanging, body[1]))

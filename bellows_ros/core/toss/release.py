@@ -79,19 +79,6 @@ def suction(law: Law, since_valve: float) -> float:
 
 
 @kernel
-def suction_margin(grip: Grip, law: Law, since_valve: float, load: float) -> float:
-    """
-    Return the lip's excess suction (N) over a load (N) a time (s) after the valve.
-
-    It lets go at 0 and below. Without a grip model, the part of the suction that is left
-    before it lets go, or the time (s) for a cup that does not open.
-    """
-    if grip[1] > 0.0:
-        return grip[0] * (suction(law, since_valve) + law[7]) - load
-    return suction(law, since_valve) + law[7] if law[5] > 0.0 else law[0] - since_valve
-
-
-@kernel
 def length_change(
     model: ModelTuple, law: Law, since_valve: float, tool: State, body: State
 ) -> float:
@@ -119,27 +106,6 @@ def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
 
 
 @kernel
-def step_released(
-    model: ModelTuple, law: Law, since_valve: float, body: State, tool: State, tool_middle: State,
-    tool_end: State, h: float,
-) -> State:
-    """
-    Return the package's state after h, a time (s) after the valve, as `step` does of a held one.
-
-    The cup length is the mean of those at both ends: second order.
-    """
-    if law[5] <= 0.0 or since_valve + h <= law[0]:
-        return kernels.step(model, body, tool, tool_middle, tool_end, h)
-    start = length_change(model, law, since_valve, tool, body)
-    change, end = start, body
-    for _ in range(3):
-        opened = with_length(model, law, change)
-        end = kernels.step(opened, body, tool, tool_middle, tool_end, h)
-        change = 0.5 * (start + length_change(model, law, since_valve + h, tool_end, end))
-    return end
-
-
-@kernel
 def opened_by(
     model: ModelTuple, law: Law, since_valve: float, tool: State, body: State
 ) -> ModelTuple:
@@ -150,36 +116,20 @@ def opened_by(
 
 
 @kernel
-def load_at(
+def suction_margin(
     model: ModelTuple, grip: Grip, law: Law, since_valve: float, tool: State, body: State
 ) -> float:
-    """Return the suction force (N) at or below which the first lip peels in a state."""
-    if grip[1] <= 0.0:
-        return 0.0
-    return largest_peel_load(grip, opened_by(model, law, since_valve, tool, body), tool, body)
+    """
+    Return the suction (N) of the first lip to peel above its load, a time (s) after the valve.
 
-
-@kernel
-def _simulate_held(
-    model: ModelTuple, grip: Grip, body: State, rows: Any, durations: Any, counts: Any,
-    times: Array, tools: Array, states: Array, loads: Array,
-) -> None:
-    """Write time, tool, package and load at both ends of all integration steps along rows."""
-    tool, j, start, times[0] = row_state(rows[0]), 0, 0.0, 0.0
-    write_row(tools[j], tool)
-    write_row(states[j], body)
-    loads[j] = load_at(model, grip, NO_LAW, 0.0, tool, body)
-    for k in range(len(durations)):
-        segment = kernels.tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
-        for i in range(counts[k]):
-            j += 1
-            times[j] = start + durations[k] * (i + 1.0) / counts[k]
-            tool, body = _held_substep(
-                model, NO_LAW, 0.0, segment, body, i / counts[k], (i + 1.0) / counts[k])
-            write_row(tools[j], tool)
-            write_row(states[j], body)
-            loads[j] = load_at(model, grip, NO_LAW, 0.0, tool, body)
-        start += durations[k]
+    It lets go at 0 and below. Without a grip model, the part of the suction that is left
+    before it lets go, or the time (s) for a cup that does not open.
+    """
+    if grip[1] > 0.0:
+        opened = opened_by(model, law, since_valve, tool, body)
+        load = largest_peel_load(grip, opened, tool, body)
+        return grip[0] * (suction(law, since_valve) + law[7]) - load
+    return suction(law, since_valve) + law[7] if law[5] > 0.0 else law[0] - since_valve
 
 
 @kernel
@@ -190,15 +140,64 @@ def _held_substep(
     """
     Return tool and package at a fraction of a segment, from the package at a lower one.
 
-    The segment begins a time (s) after the valve.
+    The segment begins a time (s) after the valve. The length of a cup that opens is the mean of
+    those at both ends: second order.
     """
-    tool = kernels.tool_at(segment, high)
-    middle = kernels.tool_at(segment, 0.5 * (low + high))
-    h = (high - low) * segment[0]
+    before, middle = kernels.tool_at(segment, low), kernels.tool_at(segment, 0.5 * (low + high))
+    tool, h = kernels.tool_at(segment, high), (high - low) * segment[0]
     since_valve += low * segment[0]
-    before = kernels.tool_at(segment, low)
-    return tool, step_released(model, law, since_valve, body, before, middle, tool, h)
+    if law[5] <= 0.0 or since_valve + h <= law[0]:
+        return tool, kernels.step(model, body, before, middle, tool, h)
+    start = length_change(model, law, since_valve, before, body)
+    change, end = start, body
+    for _ in range(3):
+        end = kernels.step(with_length(model, law, change), body, before, middle, tool, h)
+        change = 0.5 * (start + length_change(model, law, since_valve + h, tool, end))
+    return tool, end
 
+
+@kernel
+def _simulate_held(
+    model: ModelTuple, grip: Grip, body: State, plan: tuple[Any, Any, Any],
+    samples: tuple[Array, Array, Array, Array],
+) -> None:
+    """
+    Write time, tool, package and margin at both ends of all integration steps.
+
+    A plan is rows (N, 13), the durations (s) between them, and how many steps each takes.
+    """
+    (rows, durations, counts), (times, tools, states, margins) = plan, samples
+    tool, j, start, times[0] = row_state(rows[0]), 0, 0.0, 0.0
+    write_row(tools[j], tool)
+    write_row(states[j], body)
+    margins[j] = suction_margin(model, grip, NO_LAW, -1.0, tool, body)
+    for k in range(len(durations)):
+        segment = kernels.tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
+        for i in range(counts[k]):
+            j += 1
+            times[j] = start + durations[k] * (i + 1.0) / counts[k]
+            tool, body = _held_substep(
+                model, NO_LAW, 0.0, segment, body, i / counts[k], (i + 1.0) / counts[k])
+            write_row(tools[j], tool)
+            write_row(states[j], body)
+            margins[j] = suction_margin(model, grip, NO_LAW, -1.0, tool, body)
+        start += durations[k]
+
+
+class Release(NamedTuple):
+    """Data of valve, cup, package and floor."""
+
+    law: Law
+    box: free_flight.Box
+    height: float
+    """Of the floor, from the world's origin against gravity, m."""
+
+
+NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
+"""Of a package whose flight does not count."""
+
+Switching = tuple[ModelTuple, Grip, Release, float]
+"""Model and grip of the held package, its release, and when the valve is switched (s)."""
 
 Ahead = tuple[Any, Any, float, float]
 """
@@ -209,11 +208,11 @@ release is looked for (s), and the longest integration step (s).
 
 @kernel
 def find_release(
-    model: ModelTuple, grip: Grip, law: Law, start: float, tool: State, body: State, ahead: Ahead,
-    switched: float,
+    switching: Switching, start: float, tool: State, body: State, ahead: Ahead
 ) -> tuple[float, State]:
     """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
-    rows, seconds, until, max_step = ahead
+    model, grip, release, switched = switching
+    law, (rows, seconds, until, max_step) = release.law, ahead
     max_step = min(max_step, OPENING_STEP) if law[5] > 0.0 else max_step
     above = -1.0  # margin of the suction, not computed before the valve
     for k in range(len(seconds) + 1):
@@ -234,11 +233,10 @@ def find_release(
             bracket, released = (low, last, above, 0.0, 0.0), body  # without a root yet
             s = low if above <= 0.0 and low < last else last
             while True:
-                since_valve = start + s * duration - switched
                 tool_s, carried = _held_substep(
                     model, law, start - switched, segment, body, before, s)
-                load = load_at(model, grip, law, since_valve, tool_s, carried)
-                margin = suction_margin(grip, law, since_valve, load)
+                margin = suction_margin(
+                    model, grip, law, start + s * duration - switched, tool_s, carried)
                 if bracket[4] != 0.0:
                     bracket = free_flight.narrowed(bracket, s, margin)
                 elif margin <= 0.0 and s >= low:
@@ -260,49 +258,35 @@ def find_release(
 
 @kernel
 def write_toss(
-    model: ModelTuple, grip: Grip, law: Law, body: State, rows: Any, seconds: Any,
-    switched: float, max_step: float, out: Array,
+    switching: Switching, body: State, rows: Any, seconds: Any, max_step: float, out: Array
 ) -> float:
     """
     Write the package's states at the times (N,) of the tool's rows (N, 13).
 
     It is `body` at the first one. Return when it is let go (s), -1 where it is not.
     """
+    (_, package, gravity), _, release, _ = switching
     released = -1.0
     write_row(out[0], body)
     for k in range(1, len(seconds)):
         start = seconds[k - 1]
         if released < 0.0:
             released, body = find_release(
-                model, grip, law, start, row_state(rows[k - 1]), body,
-                (rows[k:k + 1], seconds[k:k + 1], seconds[k], max_step), switched)
+                switching, start, row_state(rows[k - 1]), body,
+                (rows[k:k + 1], seconds[k:k + 1], seconds[k], max_step))
             start = released
             if released >= 0.0:
-                body = free_flight.pushed_off(model[1], body, law[2])
+                body = free_flight.pushed_off(package, body, release.law[2])
         if released >= 0.0:
             body = free_flight.flight(
-                model[1], model[2], body, seconds[k] - start, free_flight.COARSE_ROTATION_PER_STEP)
+                package, gravity, body, seconds[k] - start, free_flight.COARSE_ROTATION_PER_STEP)
         write_row(out[k], body)
     return released
 
 
-class Release(NamedTuple):
-    """Data of valve, cup, package and floor."""
-
-    law: Law
-    box: free_flight.Box
-    height: float
-    """Of the floor, from the world's origin against gravity, m."""
-
-
-NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
-"""Of a package whose flight does not count."""
-
-
 @kernel
 def toss_along(
-    model: ModelTuple, grip: Grip, release: Release, start: float, tool: State, body: State,
-    ahead: Ahead, switched: float,
+    switching: Switching, start: float, tool: State, body: State, ahead: Ahead
 ) -> tuple[float, State, float, State]:
     """
     Return when it is let go (s), the state after that, when it lands (s), and the state then.
@@ -311,9 +295,8 @@ def toss_along(
     Times are -1 where it is not let go in time, and the first state is that of then, or where it
     never lands; below the floor it lands at once.
     """
-    _, package, gravity = model
-    released, body = find_release(
-        model, grip, release.law, start, tool, body, ahead, switched)
+    (_, package, gravity), _, release, _ = switching
+    released, body = find_release(switching, start, tool, body, ahead)
     if released < 0.0:
         return released, body, -1.0, body
     body = free_flight.pushed_off(package, body, release.law[2])
@@ -349,16 +332,17 @@ def changed_law(law: Law, k: float, by: Law) -> Law:
 
 @kernel
 def toss_with_derivatives(
-    model: ModelTuple, grip: Grip, release: Release, factor: Factor, tool: State, body: State,
-    rows: Any, seconds: Any, until: float, max_step: float, first: int, last: int, by: Array,
+    switching: Switching, factor: Factor, tool: State, body: State, ahead: Ahead,
+    renewed: tuple[int, int], by: Array,
 ) -> tuple[bool, tuple[float, State, float, State]]:
     """
     Write derivatives of a landing; return whether all of them land, and `toss_along` from 0.
 
     They are derivatives (6, 20) of the `landing_error` by the package's shift, turn and twist, in
     body axes, and by the law of release, changed by each column of the factor of its covariance.
-    Those from the first to before the last are renewed.
+    Those from one number to before another are renewed.
     """
+    (model, grip, release, switched), (first, last) = switching, renewed
     nominal = -1.0, body, -1.0, body
     for i in range(first - 1, last):
         j = i if i >= first else -1  # the first is the toss itself
@@ -369,10 +353,9 @@ def toss_with_derivatives(
         size = DIFFERENCE_STEPS[max(j, 0)]
         changed = Release(changed_law(release.law, size, column), release.box, release.height)
         toss_changed = toss_along(
-            model, grip, changed, 0.0, tool,
+            (model, grip, changed, switched), 0.0, tool,
             equilibrium.moved(body, t3.unit(j, size), t3.unit(j - 3, size), t3.unit(j - 6, size),
-                              t3.unit(j - 9, size)),
-            (rows, seconds, until, max_step), 0.0)
+                              t3.unit(j - 9, size)), ahead)
         if toss_changed[2] <= toss_changed[0]:
             return False, toss_changed
         if j < 0:
@@ -421,9 +404,8 @@ class HeldMotion:
         How it lets go: 'peel', or 'delay' if the grip is unknown.
     duration : float
         Of the plan, s.
-    times, tools, states, loads : ndarray (M,), (M, 13), (M, 13), (M,)
-        At each integration step: time (s), states of E and B, and the suction force (N) at which
-        it would peel.
+    times, tools, states, margins : ndarray (M,), (M, 13), (M, 13), (M,)
+        At each integration step: time (s), states of E and B, and the `suction_margin` (N).
 
     Raises
     ------
@@ -454,13 +436,12 @@ class HeldMotion:
         start = start or simulation.steady_start(model, tool)
         self.start = start = equilibrium.adapted(model, row_state(rows[0]), start)
         size = int(counts.sum()) + 1
-        self.times, self.loads = np.empty((2, size))
+        self.times, self.margins = np.empty((2, size))
         tools, states = np.empty((size, 13)), np.empty((size, simulation.row_length(start)))
         self.tools, self.states = tools, states[:, :13]
         try:
-            _simulate_held(
-                model, self.grip, start, *as_inputs(rows[:count], durations, counts), self.times,
-                tools, states, self.loads)
+            _simulate_held(model, self.grip, start, as_inputs(rows[:count], durations, counts),
+                           (self.times, tools, states, self.margins))
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             states[-1] = math.nan
         if not np.isfinite(states[-1]).all():
@@ -472,9 +453,9 @@ class HeldMotion:
         times, tools, states = self._inputs
         i = self._step_at(switched)
         return toss_along(
-            self.model, self.grip, release, times[i], row_state(tools[i]),
+            (self.model, self.grip, release, switched), times[i], row_state(tools[i]),
             body_row(states[i], self.start),
-            (tools[i + 1:], times[i + 1:], times[-1], self._longest), switched)
+            (tools[i + 1:], times[i + 1:], times[-1], self._longest))
 
     def _step_at(self, time: float) -> int:
         """Return the number of the last integration step that begins at a time (s) or before."""
@@ -498,15 +479,13 @@ class HeldMotion:
             elif since > 0.0:
                 tool = kernels.extrapolated(tool, since)
             write_row(rows[k], tool)
-        write_toss(self.model, self.grip, release.law, self.start, rows, seconds, switched,
+        write_toss((self.model, self.grip, release, switched), self.start, rows, seconds,
                    self._longest, out)
         return rows, out
 
     def lost_before(self, switched: float) -> float | None:
         """Return the first time (s) before the valve at which the grip is lost already."""
-        if self.mode == 'delay':
-            return None
-        early = np.flatnonzero((self.loads >= self.grip[0]) & (self.times < switched))
+        early = np.flatnonzero((self.margins <= 0.0) & (self.times < switched))
         return float(self.times[early[0]]) if len(early) else None
 
 

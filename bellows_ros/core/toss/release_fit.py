@@ -26,8 +26,9 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.toss import release as tossing
 from bellows_ros.core.toss.landing import as_law
-from bellows_ros.core.toss.release import Law, NO_GRIP, NO_LAW, RELEASE_NAMES, write_toss
+from bellows_ros.core.toss.release import Law, NO_GRIP, NO_LAW, RELEASE_NAMES
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
@@ -155,8 +156,8 @@ class Drop:
         if change is not None:
             start = moved_by(start, STATE_STD * change)
         states = np.empty((len(seconds), 13))
-        released = write_toss(self.model, self.grip, law, start, rows, seconds, self.valve,
-                              max_step, states)
+        switching = self.model, self.grip, tossing.NO_FLIGHT._replace(law=law), self.valve
+        released = tossing.write_toss(switching, start, rows, seconds, max_step, states)
         return float(released), states
 
     def errors(self, states: Array) -> Array:

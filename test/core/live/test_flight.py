@@ -84,8 +84,8 @@ def worked_out(flight, now, std):
 
     def landing(body, release):
         return tossing.toss_along(
-            MODEL, tosses.GRIP, release, 0.0, now.tool, body,
-            (np.empty((0, 13)), np.empty(0), flight._ahead, longest), 0.0)[3]
+            (MODEL, tosses.GRIP, release, 0.0), 0.0, now.tool, body,
+            (np.empty((0, 13)), np.empty(0), flight._ahead, longest))[3]
 
     nominal, by = landing(now.body, release), []
     for size, push in zip(tossing.DIFFERENCE_STEPS, axes, strict=True):
