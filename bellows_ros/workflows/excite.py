@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.excitation import motion_design
-from bellows_ros.core.excitation.arm_limits import limits_from
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR, parameter_units
@@ -171,7 +170,7 @@ def excite(
             raise BellowsError(words)
     values: dict[str, Any] = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
     arm = arm_of(urdf, values['tool_link']) if urdf else None
-    bounds, block = limits_from(limits, float(values['safety.least']), arm)
+    bounds, block = motion_design.limits_from(limits, float(values['safety.least']), arm)
     tracking = tracking_from(block)
     structure = fitted_structure(values)
     cup, package = cup_package.one_cup_of(values), cup_package.package_of(values)

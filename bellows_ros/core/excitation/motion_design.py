@@ -23,9 +23,8 @@ import itertools
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.excitation.arm_limits import ArmLimits, CHECK_RATE
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import exp_so3, hat, log_so3, rotation_to_quaternion
 from bellows_ros.core.identification.result import covariance_of
 from bellows_ros.core.identification.search import Search
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
@@ -35,14 +34,24 @@ from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.parameters.checks import Settings
+from bellows_ros.core.planning.arm import Arm
+from bellows_ros.core.planning.limits import largest_rates, read_rates
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.recording.recording import BodyNoise, Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.core.synthetic.motion import Motion, MoveAndHold, Pose, Vibration, Waypoints
+from bellows_ros.core.synthetic import motion as moving
+from bellows_ros.core.synthetic.motion import Motion, Pose, Waypoints
 from bellows_ros.errors import BellowsError
 import numpy as np
 import scipy  # whose parts are loaded as they are used
+
+CHECK_RATE, JOINT_RATE = 1000.0, 250.0
+"""Rates (Hz) at which limits are checked, and at which joint positions are computed for that."""
+
+BENDING, TORSION, MAX_FREQUENCY = math.radians(20.0), math.radians(30.0), 12.0
+"""Defaults for real cups (rad; beyond 45 degrees the model's moment falls) and real arms (Hz)."""
 
 REST, RAMP = 2.0, 1.0
 """Durations (s): the initial rest, and each ramp of the amplitude."""
@@ -80,6 +89,166 @@ DIFFERENCE = 1e-4
 LOADS = ('bending', 'torsion', 'safety factor (peel)', 'safety factor (slip)')
 
 Progress = Callable[[str, float], None]
+
+
+class Bound(NamedTuple):
+    """
+    A limit (above 0) on the length of a linear function of the tool's displacement.
+
+    `order` is how often the displacement (6: m in world axes, rotation vector in rad) is derived
+    by time before the rows (d, 6) are applied.
+    """
+
+    name: str
+    order: int
+    rows: Array
+    limit: float
+
+
+class ArmLimits(NamedTuple):
+    """
+    Limits of an arm, SI units.
+
+    Parameters
+    ----------
+    start : Pose
+        Of E, at rest and amid the motion.
+    lower, upper : array (3,)
+        Corners of the workspace in the world, m.
+    turn : array (3,)
+        Largest components of the rotation vector from the start, rad.
+    rates : mapping of str to float
+        Largest speed, acceleration and jerk, and the angular ones, as in `planning.limits.RATES`.
+    bending, torsion : float
+        Of the cup, rad.
+    safety : float
+        Least safety factor of the grip.
+    highest_frequency : float
+        Of the motion, Hz.
+    arm : Arm or None
+        Its joints' ranges and speeds are limits, too.
+    joints : array (M,)
+        Positions of its moving joints at the start.
+
+    """
+
+    start: Pose
+    lower: Array
+    upper: Array
+    turn: Array
+    rates: Mapping[str, float]
+    bending: float
+    torsion: float
+    safety: float
+    highest_frequency: float
+    arm: Arm | None
+    joints: Array
+
+    @property
+    def axes(self) -> Array:
+        """Return the map (6, 6) from displacements of the tool to its axes at the start."""
+        turned = np.eye(6)
+        turned[:3, :3] = self.start.rotation.T
+        return turned
+
+    def bounds(self) -> list[Bound]:
+        """Return the limits on the tool, those of joints for small motions."""
+        eye, start = np.eye(6), self.start.position
+        headroom = np.concatenate(
+            [np.minimum(self.upper - start, start - self.lower), self.turn]).tolist()
+        bounds = [Bound('workspace' if i < 3 else 'rotation', 0, eye[i:i + 1], headroom[i])
+                  for i in range(6)]
+        for i, (name, limit) in enumerate(self.rates.items()):
+            part = slice(3) if i < 3 else slice(3, 6)
+            bounds.append(Bound(name.replace('_', ' '), 1 + i % 3, eye[part], limit))
+        if self.arm is not None:
+            rows = np.linalg.pinv(self.arm.jacobian(self.joints[None])[0], rcond=1e-3) @ self.axes
+            for joint, row, at in zip(self.arm.moving_joints, rows, self.joints, strict=True):
+                ends = min(joint.upper - at, at - joint.lower)
+                bounds += [
+                    Bound(f'{joint.name} {what}', order, row[None], float(limit))
+                    for what, order, limit in (('range', 0, ends), ('speed', 1, joint.speed))
+                    if math.isfinite(limit)]
+        return bounds
+
+    def ratios(self, motion: Motion) -> dict[str, float]:
+        """Return the largest part of each limit that a motion takes, at `CHECK_RATE`."""
+        tool = motion.at_rate(CHECK_RATE)
+        o, R = tool.position, tool.rotation
+        shift, turn = o - self.start.position, lie.log_so3(self.start.rotation.T @ R)
+        headroom = np.where(shift > 0.0, self.upper - self.start.position,
+                            self.start.position - self.lower)
+        ratios = {'workspace': np.abs(shift / headroom).max(),
+                  'rotation': np.abs(turn / self.turn).max()}
+        for name, peak in largest_rates(R, np.asarray(tool.twist), 1.0 / CHECK_RATE).items():
+            ratios[name.replace('_', ' ')] = peak / self.rates[name]
+        if self.arm is not None:
+            coarse = slice(None, None, round(CHECK_RATE / JOINT_RATE))
+            joints = self.arm.positions(lie.transform(R[coarse], o[coarse]), self.joints)
+            spline = scipy.interpolate.CubicSpline(tool.seconds[coarse], joints)
+            q, speed = spline(tool.seconds), spline(tool.seconds, 1)
+            for joint, at, position, rate in zip(
+                    self.arm.moving_joints, self.joints, q.T, speed.T, strict=True):
+                headroom = np.where(position > at, joint.upper - at, at - joint.lower)
+                ratios[f'{joint.name} range'] = np.abs((position - at) / headroom).max()
+                ratios[f'{joint.name} speed'] = np.abs(rate).max() / joint.speed
+        return {name: float(ratio) for name, ratio in ratios.items()}
+
+
+def limits_from(
+    content: Mapping[str, Any], safety: float, arm: Arm | None = None
+) -> tuple[ArmLimits, Settings]:
+    """
+    Return the limits in a file, and how both bodies are tracked, which is read elsewhere.
+
+    Parameters
+    ----------
+    content : mapping
+        As config/limits_example.yaml explains it.
+    safety : float
+        Least safety factor of the grip where the file gives none.
+    arm : Arm, optional
+        Whose `joints` at the start are given instead of `start`.
+
+    Raises
+    ------
+    BellowsError
+        If a setting is missing, unknown or not allowed, or the start is outside of the limits.
+
+    """
+    settings = Settings(content)
+    joints = np.zeros(0)
+    if arm is None:
+        start = moving.pose_from(settings.block('start'))
+    else:
+        block = settings.block('joints')
+        joints = np.array([block.number(name, unit='rad or m') for name in arm.moving])
+        for joint, at in zip(arm.moving_joints, joints.tolist(), strict=True):
+            if not joint.lower < at < joint.upper:
+                raise block.refuse(joint.name, f'in its range, {joint.lower:g} to '
+                                   f'{joint.upper:g}', at)
+        T = arm.tool(joints[None])[0][0]
+        start = Pose(T[:3, 3], T[:3, :3])
+    space = settings.block('workspace')
+    turn, box = space.vector('rotation', 3, unit='rad'), settings.block('excitation')
+    lower, upper = (
+        box.vector(name, 3, tuple(space.vector(name, 3, unit='m')), 'm')
+        for name in ('lower', 'upper'))
+    if not ((lower < start.position) & (start.position < upper)).all() or turn.min() <= 0.0:
+        raise settings.error(
+            'workspace', f"The start {start.position.tolist()} m is not inside of 'workspace' or "
+            f"'excitation' ({lower.tolist()} to {upper.tolist()} m), or 'workspace.rotation' is "
+            'not above 0. Move the start or widen the box.')
+    limits = ArmLimits(
+        start, lower, upper, turn, read_rates(settings),
+        settings.number('bending', BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
+        settings.number('torsion', TORSION, 'rad', above=0.0, maximum=0.5 * math.pi),
+        settings.number('safety_factor', safety, minimum=0.0),
+        settings.number('highest_frequency', MAX_FREQUENCY, 'Hz', above=0.0, maximum=50.0),
+        arm, joints)
+    tracking = settings.block('tracking')
+    settings.done(ignored=('tracking', 'joint_acceleration'))
+    return limits, tracking
 
 
 class Tracking(NamedTuple):
@@ -220,7 +389,7 @@ def window(t: Array, period: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class FourierMotion(Vibration):
+class FourierMotion(moving.Vibration):
     """
     A rest, a Fourier series in each axis under an envelope, and a hold of a tilt.
 
@@ -474,7 +643,7 @@ def design(
     minimise: Any = scipy.optimize.minimize
     period = duration - REST
     start = checks.limits.start
-    at = state_row(start.position, rotation_to_quaternion(start.rotation))
+    at = state_row(start.position, lie.rotation_to_quaternion(start.rotation))
 
     def responses_at(omega: Array) -> list[Response]:
         return [response(
@@ -542,7 +711,7 @@ def load_rows(
     Three numbers whose length counts, and one that adds to it. Without a grip model two loads.
     """
     mass, com, inertia, _ = model[1]
-    c, g = hat(com), hat(limits.start.rotation.T @ model[2])
+    c, g = lie.hat(com), lie.hat(limits.start.rotation.T @ model[2])
     inert = np.block([
         [mass * np.eye(3), np.zeros((3, 3))], [mass * c, np.reshape(inertia, (3, 3))]])
     turned = mass * np.vstack([-g, -c @ g])
@@ -592,7 +761,7 @@ def standstills(checks: Checks) -> Waypoints:
         [(0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 0)])
 
     def slowed(factor: float) -> Waypoints:
-        poses = [Pose(limits.start.position, limits.start.rotation @ exp_so3(tilt / factor))
+        poses = [Pose(limits.start.position, limits.start.rotation @ lie.exp_so3(tilt / factor))
                  for tilt in tilts]
         return _through(poses, limits, factor, itertools.repeat(STANDSTILL))
 
@@ -605,7 +774,7 @@ def everyday(checks: Checks, duration: float, seed: int) -> Waypoints:
     draws = rng.uniform(-1.0, 1.0, (500, 6))
     middle = 0.5 * (limits.lower + limits.upper)
     reach = 0.5 * (limits.upper - limits.lower)
-    poses = [Pose(middle + WORKSPACE_SHARE * reach * draw[:3], limits.start.rotation @ exp_so3(
+    poses = [Pose(middle + WORKSPACE_SHARE * reach * draw[:3], limits.start.rotation @ lie.exp_so3(
         WORKSPACE_SHARE * limits.turn * draw[3:])) for draw in draws]
 
     def slowed(factor: float) -> Waypoints:
@@ -626,10 +795,10 @@ def _through(
     segments, start = [], limits.start
     for pose, hold in zip(poses, holds, strict=False):
         sizes = np.repeat([np.linalg.norm(pose.position - start.position),
-                           np.linalg.norm(log_so3(start.rotation.T @ pose.rotation))], 3)
+                           np.linalg.norm(lie.log_so3(start.rotation.T @ pose.rotation))], 3)
         ratios = np.tile(SMOOTH_STEP_PEAKS, 2) * sizes / list(limits.rates.values())
         shortest = float(np.max(ratios ** np.tile([1.0, 1.0 / 2.0, 1.0 / 3.0], 2)))
-        segments.append(MoveAndHold(pose, max(0.05, 1.001 * factor * shortest), hold))
+        segments.append(moving.MoveAndHold(pose, max(0.05, 1.001 * factor * shortest), hold))
         start = pose
     return Waypoints(limits.start, REST, tuple(segments))
 

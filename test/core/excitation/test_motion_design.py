@@ -2,10 +2,11 @@
 
 
 from bellows_ros.core.excitation import motion_design
-from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.excitation.motion_design import (
+    ArmLimits,
     Checks,
     FourierMotion,
+    limits_from,
     MotionObjective,
     response,
     standard_errors,
