@@ -13,12 +13,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, log_so3, quaternion_to_rotation, transform
-from bellows_ros.core.identification.result import (
-    covariance_of,
-    Fit,
-    information_of,
-    parameter_units,
-)
+from bellows_ros.core.identification import result
+from bellows_ros.core.identification.result import Fit, information_of
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.model.kernels import ORIGIN
@@ -204,13 +200,17 @@ def compare_fits(before: Fitted, after: Fitted, package: Package, gravity: float
     values = [structure.parameters(fit.cup.stiffness, fit.cup.damping) for fit in fits]
     covariances = [_propagated(fit.structure.within(structure), fit.covariance) for fit in fits]
     columns = (column.tolist() for column in (*values, *map(_standard_errors, covariances)))
-    changes = tuple(map(Change, structure.labels, parameter_units(structure), *columns))
+    changes = tuple(map(Change, structure.labels, result.parameter_units(structure), *columns))
     tool = SHAKE.at_rate(SHAKE_RATE_HZ)
     moved = [relative_coordinates(tool, simulate(fit.cup, package, tool, gravity=gravity))
              for fit in fits]
-    return FitComparison(changes, _effects(before, after, package, gravity),
-                         np.sqrt(np.mean((moved[1] - moved[0]) ** 2, axis=0)),
-                         _joint_p_value(values[1] - values[0], covariances[0] + covariances[1]))
+    covariance, difference = covariances[0] + covariances[1], values[1] - values[0]
+    information = information_of(covariance)
+    degrees = round(np.trace(information @ np.where(np.isfinite(covariance), covariance, 0.0)))
+    return FitComparison(
+        changes, _effects(before, after, package, gravity),
+        np.sqrt(np.mean((moved[1] - moved[0]) ** 2, axis=0)),
+        float(chdtrc(degrees, difference @ information @ difference)) if degrees else np.nan)
 
 
 class Mode(NamedTuple):
@@ -294,13 +294,6 @@ def _propagated(jacobian: Array, covariance: Array) -> Array:
 def _standard_errors(covariance: Array) -> Array:
     """Return standard errors."""
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-
-
-def _joint_p_value(difference: Array, covariance: Array) -> float:
-    """Return the probability of a difference by chance, of the parameters with a covariance."""
-    information = information_of(covariance)
-    degrees = round(np.trace(information @ np.where(np.isfinite(covariance), covariance, 0.0)))
-    return float(chdtrc(degrees, difference @ information @ difference)) if degrees else np.nan
 
 
 def _effects(
@@ -429,7 +422,7 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
 def _weighted_mean(x: Array, covariances: Array) -> tuple[Array, float]:
     """Return the weighted mean (p,), and the chance of more scatter, NaN without a comparison."""
     weights = np.array([information_of(covariance) for covariance in covariances])
-    covariance = covariance_of(weights.sum(axis=0))
+    covariance = result.covariance_of(weights.sum(axis=0))
     finite = np.isfinite(np.diag(covariance))
     mean = np.where(np.outer(finite, finite), covariance, 0.0) @ np.einsum('nij,nj', weights, x)
     statistic = np.einsum('ni,nij,nj', x - mean, weights, x - mean)

@@ -253,8 +253,10 @@ def excitation_of(
         Identifiability, structure.labels, np.where(identifiable, values, np.nan).tolist(),
         (np.where(solved.identifiable, shares, 1.0) if is_filtered else shares).tolist(),
         bias.tolist()))
-    pairs = tuple(_correlated(
-        with_unidentifiable(covariance, ~identifiable) / np.outer(std, std), structure.labels))
+    correlation = with_unidentifiable(covariance, ~identifiable) / np.outer(std, std)
+    near = np.argwhere(np.triu(np.abs(correlation), 1) > MAX_CORRELATION).tolist()
+    pairs = tuple((structure.labels[i], structure.labels[j], float(correlation[i, j]))
+                  for i, j in sorted(near, key=lambda pair: -abs(correlation[*pair])))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
     fast = too_fast(axes, [movement.passed for movement in movements]) if is_filtered else ()
     rank = int(np.count_nonzero(identifiable)) if fit else solved.rank
@@ -292,13 +294,3 @@ def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:
         Axis(name, lip, motion, rate, (lowest, highest), lip_noise, rate_noise)
         for name, (lip, motion, rate, lowest, highest, lip_noise, rate_noise)
         in zip(AXES, columns.T.tolist(), strict=True))
-
-
-def _correlated(correlation: Array, labels: Sequence[str]) -> Iterator[tuple[str, str, float]]:
-    """Yield the pairs of strongly correlated parameters, the worst first."""
-    upper = np.abs(np.triu(correlation, 1))
-    for flat in np.argsort(-upper, axis=None):
-        i, j = divmod(int(flat), upper.shape[1])
-        if upper[i, j] <= MAX_CORRELATION:
-            return
-        yield labels[i], labels[j], float(correlation[i, j])

@@ -14,25 +14,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.identification import result
+from bellows_ros.core.identification import samples as sampling
 from bellows_ros.core.identification.reduction import Statistics
-from bellows_ros.core.identification.result import (
-    Fit,
-    IN_NULL_SPACE,
-    MAX_RELATIVE_ERROR,
-    NOTES,
-    with_unidentifiable,
-    WRENCH_UNITS,
-)
-from bellows_ros.core.identification.samples import (
-    CLUSTER_WINDOWS,
-    draws,
-    joined,
-    Moments,
-    regularised,
-    SampleEquations,
-    Samples,
-    with_noise,
-)
+from bellows_ros.core.identification.result import Fit, IN_NULL_SPACE, MAX_RELATIVE_ERROR, NOTES
+from bellows_ros.core.identification.samples import joined, Moments, SampleEquations, Samples
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Relaxation
 from bellows_ros.errors import UndeterminedError
@@ -68,7 +54,7 @@ MAX_RESIDUAL_TO_NOISE, MAX_RESIDUAL_TO_WRENCH = 1.5, 0.1
 
 def whitening_of(covariance: Array) -> Array:
     """Return the root of the weight W that makes a covariance (6, 6) of wrenches the identity."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(regularised(covariance))))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(sampling.regularised(covariance))))
 
 
 def r_factor(parts: Iterable[Array], columns: int) -> Array:
@@ -170,7 +156,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         method='least_squares',
         structure=structure.name,
         parameters=x,
-        covariance=with_unidentifiable(covariance, ~significant),
+        covariance=result.with_unidentifiable(covariance, ~significant),
         samples_used=used,
         samples_rejected=rejected,
         condition_number=condition,
@@ -240,7 +226,7 @@ def _uncertainty(
         return covariance, squares
     variances = np.diag(covariance)
     if len(u) < MIN_CLUSTERS:
-        degrees = 6 * CLUSTER_WINDOWS * (len(u) - 1) - size
+        degrees = 6 * sampling.CLUSTER_WINDOWS * (len(u) - 1) - size
         meat = np.tensordot(6.0 * whitened / max(degrees, 1), products, axes=1)
         variances = np.maximum(
             variances, np.diag(gain @ meat @ gain.T) if degrees > 0 else np.inf)
@@ -282,7 +268,7 @@ def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> s
     if not doubtful.any():
         return ''
     worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
-    axis, unit = 'xyz'[worst % 3], WRENCH_UNITS[worst]
+    axis, unit = 'xyz'[worst % 3], result.WRENCH_UNITS[worst]
     what = f'moment about {axis}' if worst > 2 else f'force along {axis}'
     return NOTES['too_large_residual'].format(
         what=what, rms=residual_rms[worst], unit=unit, noise=noise_rms[worst])
@@ -377,12 +363,12 @@ def _cluster_products(
         for rows, parts in _relaxing_rows(samples, cup_length, structure):
             rows = whitening @ rows
             clusters += [_square(rows[part]) for part in parts]
-        thinned, (draw,) = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES), draws(1)
+        thinned, (draw,) = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES), sampling.draws(1)
         part = max(thinned.count, 1) / max(samples.count, 1)
         for block in thinned.blocks():
             for (clean, _), (noisy, _) in zip(*(
                     _relaxing_rows(each, cup_length, structure)
-                    for each in (block, with_noise(block, noise, draw))), strict=True):
+                    for each in (block, sampling.with_noise(block, noise, draw))), strict=True):
                 added += _square(whitening @ (noisy - clean)) / part
     products = np.array(clusters)
     return products, products.sum(axis=0) - added

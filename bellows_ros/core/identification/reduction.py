@@ -17,26 +17,13 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.samples import (
-    filtered_samples,
-    LipMotion,
-    Moments,
-    SampleEquations,
-    Samples,
-    samples_of,
-    SEED,
-    with_noise,
-)
+from bellows_ros.core.identification import samples as sampling
+from bellows_ros.core.identification.samples import LipMotion, Moments, SampleEquations, Samples
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.model.validity_range import Envelope
-from bellows_ros.core.recording.recording import (
-    FilterNoise,
-    NOISE_SAMPLES,
-    PackageWorld,
-    Recording,
-    TimeOffset,
-)
+from bellows_ros.core.recording import recording as measured
+from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Recording
 from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
@@ -70,7 +57,7 @@ BAND = 0.9
 
 def noise_products(
     recording: Samples, noise: FilterNoise, cup_length: float, structure: Structure,
-    seed: int = SEED,
+    seed: int = sampling.SEED,
 ) -> Array:
     """
     Return the expected contribution of noise to the products of [L c] (6, q, 6, q), q = p + 1.
@@ -84,7 +71,7 @@ def noise_products(
     thinned = recording.thinned(NOISE_SAMPLES)
     rows = thinned.lip.equations(cup_length, structure)
     for block, clean in zip(thinned.blocks(), rows, strict=False):
-        noisy = with_noise(block, noise, draw).lip.equations(cup_length, structure)
+        noisy = sampling.with_noise(block, noise, draw).lip.equations(cup_length, structure)
         added = (next(noisy).stacked - clean.stacked).reshape(-1, 6 * size)
         products += added.T @ added
     part = max(thinned.count, 1) / max(recording.count, 1)
@@ -302,7 +289,7 @@ def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Move
 
     """
     thinned = samples.thinned(NOISE_SAMPLES)
-    noisy = with_noise(thinned, noise, np.random.default_rng(SEED)).lip
+    noisy = sampling.with_noise(thinned, noise, np.random.default_rng(sampling.SEED)).lip
     motion, moved = (np.array([lip.displacement(cup_length), lip.twist])
                      for lip in (thinned.lip, noisy))
     added = moved - motion
@@ -343,8 +330,8 @@ class ReducedRecording(NamedTuple):
     digest: str
     files: tuple[Mapping[str, Any], ...]
     payload: Package
-    time_offset: TimeOffset | None
-    package_world: PackageWorld | None
+    time_offset: measured.TimeOffset | None
+    package_world: measured.PackageWorld | None
     statistics: Statistics
     movement: Movement
     envelope: Envelope
@@ -384,13 +371,13 @@ def reduced(recording: AnyRecording, values: Mapping[str, Any]) -> ReducedRecord
 
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
     """Return the validity range of a recording."""
-    return recording.cached(
-        ('envelope', cup_length), lambda: envelope(filtered_samples(recording), cup_length))
+    return recording.cached(('envelope', cup_length), lambda: envelope(
+        sampling.filtered_samples(recording), cup_length))
 
 
 def _reduced(recording: Recording, length: float, structure: Structure) -> ReducedRecording:
     """Return a recording reduced."""
-    samples, noise = samples_of(recording), recording.noise
+    samples, noise = sampling.samples_of(recording), recording.noise
     if len(samples.tool) > MAX_STORED:  # a copy, with which the motion of the lip is dropped
         samples = replace(samples)
     seen = recording.cached(  # refuses a recording without valid samples

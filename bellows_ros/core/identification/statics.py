@@ -15,19 +15,14 @@ measured pose, whose noise would look like strain where there is no load. The er
 pose, and of the cup's length, whiten the equations.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.identification.result import (
-    covariance_of,
-    Fit,
-    information_of,
-    NOTES,
-    StandstillPart,
-)
+from bellows_ros.core.identification import result
+from bellows_ros.core.identification.result import Fit, NOTES
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import displaced, linearise, static_equilibrium
 from bellows_ros.core.model.jacobians import parameter_jacobian
@@ -128,21 +123,16 @@ class CupLength(NamedTuple):
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user should know, in sentences."""
-        return tuple(self._warnings())
-
-    def _warnings(self) -> Iterator[str]:
-        """Yield the warnings."""
         masses, count = len(set(_groups(self.loads).tolist())), self.degrees_of_freedom
-        if count and chdtrc(count, self.chi2) < MISFIT_P_VALUE:
-            words = 'wrong_mass' if np.isfinite(self.pick_std) else 'scatter_or_wrong_mass'
-            yield NOTES[words].format(size=np.sqrt(self.chi2 / count))
-        if not np.isfinite(self.length_std):
-            yield NOTES['two_masses']
-        elif masses < CUBIC_DEGREE + 2:
-            yield NOTES['straight'].format(masses=masses, enough=CUBIC_DEGREE + 2)
-        if MAX_LENGTH_STD < self.length_std < np.inf:
-            yield NOTES['uncertain_length'].format(
-                mm=1e3 * self.length_std, load=self.loads.min())
+        told, known = np.isfinite([self.pick_std, self.length_std])
+        return tuple(NOTES[name].format(
+            size=np.sqrt(self.chi2 / max(count, 1)), masses=masses, enough=CUBIC_DEGREE + 2,
+            mm=1e3 * self.length_std, load=self.loads.min()) for name, applies in (
+                ('wrong_mass' if told else 'scatter_or_wrong_mass',
+                 count and chdtrc(count, self.chi2) < MISFIT_P_VALUE),
+                ('two_masses', not known),
+                ('straight', known and masses < CUBIC_DEGREE + 2),
+                ('uncertain_length', MAX_LENGTH_STD < self.length_std < np.inf)) if applies)
 
 
 def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLength:
@@ -460,7 +450,7 @@ def joined_with_standstills(
     structure = replace(structure_named(fit.structure), places=places)
     x0 = fit.parameters
     moving = np.hstack([np.eye(len(x0)), -length.std * length.jacobian[:, None]])
-    J = information_of(fit.covariance)
+    J = result.information_of(fit.covariance)
     prior = moving.T @ J @ moving
     prior[-1, -1] += 1.0
     start = np.append(x0, 0.0)
@@ -469,7 +459,7 @@ def joined_with_standstills(
         guess = _guess(structure, z[:-1], covariance, typical)
         of_K, b, by_length = static_equations(standstills, length.value, structure, gravity, guess)
         A = np.hstack([of_K, np.zeros_like(of_K), length.std * by_length[:, None]])
-        joint = covariance_of(prior + weight * A.T @ A)
+        joint = result.covariance_of(prior + weight * A.T @ A)
         finite = np.where(np.isfinite(joint), joint, 0.0)  # other entries stay as they are
         z = start + finite @ (weight * A.T @ (b - A @ start))
         degrees = len(b) - weight * float(np.trace(A @ finite @ A.T))
@@ -479,7 +469,7 @@ def joined_with_standstills(
     with np.errstate(divide='ignore', invalid='ignore'):
         narrowed = np.sqrt(np.diag(covariance) / np.diag(before))
     return replace(
-        fit, parameters=z[:-1], covariance=covariance, standstills=StandstillPart(
+        fit, parameters=z[:-1], covariance=covariance, standstills=result.StandstillPart(
             len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
             length.value + length.std * float(z[-1]), length.std * float(np.sqrt(joint[-1, -1]))),
         notes=(*fit.notes, *[NOTES['disagreement'].format(chi2=chi2)] * (chi2 > MAX_CHI2)))
