@@ -13,7 +13,7 @@ import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.model.structure import Structure, structure_named, STRUCTURES
+from bellows_ros.core.model.structure import ROUNDING, Structure, structure_named, STRUCTURES
 import numpy as np
 
 WORDS = tomllib.loads(Path(__file__).with_name('notes.toml').read_text())
@@ -36,9 +36,6 @@ def parameter_units(structure: Structure) -> tuple[str, ...]:
 
 MAX_RELATIVE_ERROR = 0.5
 """Largest relative standard error of an identifiable parameter."""
-
-ROUNDING = 1e-12
-"""Eigenvalues of scaled information below this fraction of the largest are rounding errors."""
 
 IN_NULL_SPACE = 0.05
 """A parameter with a larger component in the null space is not identifiable."""
@@ -276,7 +273,7 @@ def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> t
     simpler = (f', or use fit.structure: {simplest.name}, which has fewer parameters'
                if structure_named(structure).size > simplest.size else '')
     smallest = [float(np.linalg.eigvalsh(matrix)[0]) for matrix in (stiffness, damping)]
-    refused = (smallest[0] <= 0.0, smallest[1] < -1e-12 * float(np.abs(damping).max()))
+    refused = (smallest[0] <= 0.0, smallest[1] < -ROUNDING * float(np.abs(damping).max()))
     return tuple(
         NOTES['indefinite'].format(name=name, value=value, simpler=simpler)
         for name, value, is_refused in zip(

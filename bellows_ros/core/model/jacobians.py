@@ -122,7 +122,7 @@ def spring_jacobian(
     Ro = t3.add_scaled_matrix(t3.multiply_transposed(J_RR, Z_Ro), 1.0, t3.hat(s_o))
     oR = t3.add_scaled_matrix(
         t3.multiply_transposed(J_oo, Z_oR), 1.0, t3.hat(t3.apply_transposed(R, s_o)))
-    return scale_square(-0.25, (  # J_oR^T = -q_hat
+    return scale_square(-kernels.ENERGY_FACTOR, (  # J_oR^T = -q_hat
         t3.multiply_transposed(J_oo, Z_oo), oR,
         t3.add_scaled_matrix(Ro, -1.0, t3.multiply(q_hat, Z_oo)),
         t3.add_scaled_matrix(RR, -1.0, t3.multiply(q_hat, Z_oR))))
@@ -236,7 +236,7 @@ def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Squar
     c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
     Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, model[0][2])
-    quarter = scale_square(0.25, (
+    quarter = scale_square(kernels.ENERGY_FACTOR, (
         t3.transposed(Z_oo), t3.transposed(Z_Ro), t3.transposed(Z_oR), t3.transposed(Z_RR)))
     return accelerations(model[1], shift_left(c, quarter)), shift_right(
         (J_oo, J_oR, NOTHING, J_RR), c)
@@ -382,7 +382,7 @@ def _entries(
         for k in range(j, 6):
             half = 0.5 if j == k else 1.0
             if first <= number < last:
-                a, b = _pair(-0.25 * half, s[j], h[k], s[k], h[j])
+                a, b = _pair(-kernels.ENERGY_FACTOR * half, s[j], h[k], s[k], h[j])
                 write_column(out, number - first, a, b)
             if first <= number + 21 < last:
                 a, b = _pair(-0.5 * half, e[j], at_S1[k], e[k], at_S1[j])

@@ -35,6 +35,9 @@ Strains = tuple[Strain, ...]
 State = tuple[Vector, Quaternion, Vector, Vector, *Strains]
 """Position (m), orientation, linear and angular body twist (m/s, rad/s) of a frame in A."""
 
+ENERGY_FACTOR = 0.25
+"""Of the energy 1/8 h^T K h (3.17), in its gradient by the strain, h^T K / 4."""
+
 ORIGIN: tuple[Vector, Quaternion, Vector, Vector] = (ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO)
 """A still frame that is A."""
 
@@ -132,7 +135,7 @@ def strain_wrench(o: Vector, R: Matrix, K: Blocks, h: Strain) -> Wrench:
     force = t3.add(s_o, t3.apply_transposed(R, s_o))
     turned = t3.subtract(t3.scale(trace, s_R), t3.apply(R, s_R))
     moment = t3.add(turned, t3.cross(s_o, t3.apply_transposed(R, o)))
-    return t3.scale(-0.25, force), t3.scale(-0.25, moment)
+    return t3.scale(-ENERGY_FACTOR, force), t3.scale(-ENERGY_FACTOR, moment)
 
 
 @kernel
@@ -397,15 +400,7 @@ def weighted_strains(a: Strains, b: Strains, c: Strains, d: Strains) -> Strains:
     """Return `weighted` rates of strains."""
     if len(a) == 0:
         return ()
-    one, other = weighted_pair(a[0], b[0], c[0], d[0]), weighted_pair(a[1], b[1], c[1], d[1])
-    return one, other
-
-
-@kernel
-def renormalised(q: Quaternion) -> Quaternion:
-    """Return q scaled to unit length, to first order: rounding never adds up."""
-    k = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return (k * q[0], k * q[1], k * q[2], k * q[3])
+    return weighted_pair(a[0], b[0], c[0], d[0]), weighted_pair(a[1], b[1], c[1], d[1])
 
 
 @kernel
@@ -435,7 +430,9 @@ def stages(
         body, h, weighted(a[0], b[0], c[0], d[0]), weighted(a[1], b[1], c[1], d[1]),
         weighted(a[2], b[2], c[2], d[2]), weighted(a[3], b[3], c[3], d[3]),
         weighted_strains(a[4], b[4], c[4], d[4]))
-    return body2, body3, body4, with_rotation(end, renormalised(end[1]))
+    q = end[1]  # scaled to unit length to first order: rounding never adds up
+    k = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return body2, body3, body4, with_rotation(end, (k * q[0], k * q[1], k * q[2], k * q[3]))
 
 
 @kernel

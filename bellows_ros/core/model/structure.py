@@ -365,6 +365,9 @@ The rounded figures of a thin plate's data sheet may be so.
 SYMMETRIC_WITHIN = 1e-9
 """Relative difference of a matrix and its transpose that counts as rounding."""
 
+ROUNDING = 1e-12
+"""Eigenvalues so much smaller than the largest, or than the largest entry, are rounding errors."""
+
 MIN_STIFFNESS = 1e-6
 """Smallest eigenvalue (N/m, N m/rad) of a stiffness: a million times softer than any cup."""
 
@@ -390,9 +393,10 @@ def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
         With the smallest eigenvalue.
 
     """
-    smallest, rounding = _smallest_eigenvalue(name, stiffness)
-    if smallest <= rounding or smallest < MIN_STIFFNESS:
-        what = 'not positive definite' if smallest <= rounding else 'too soft to hold a package'
+    require_symmetric(stiffness, name)
+    smallest = float(np.linalg.eigvalsh(stiffness)[0])
+    if smallest < MIN_STIFFNESS:
+        what = 'not positive definite' if smallest <= 0.0 else 'too soft to hold a package'
         raise BellowsError(
             f'{name} is {what}: its smallest eigenvalue is {smallest:.6g}, expected at least '
             f'{MIN_STIFFNESS:g}. Check signs, rows and units (N/m, N and N m/rad), or identify it '
@@ -409,8 +413,9 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
         With the smallest eigenvalue.
 
     """
-    smallest, rounding = _smallest_eigenvalue(name, damping)
-    if smallest < -rounding:
+    require_symmetric(damping, name)
+    smallest = float(np.linalg.eigvalsh(damping)[0])
+    if smallest < -ROUNDING * float(np.abs(damping).max()):
         raise BellowsError(
             f'{name} is not positive semidefinite: its smallest eigenvalue is {smallest:.6g}, '
             'but a negative one would let the cup create energy. Check signs and rows, or '
@@ -426,13 +431,6 @@ def require_symmetric(values: Array, name: str) -> None:
             f'{name} is not symmetric: row {row + 1}, column {column + 1} is '
             f'{values[row, column]:.9g}, row {column + 1}, column {row + 1} is '
             f'{values[column, row]:.9g}. Give the same number to both, row by row.')
-
-
-def _smallest_eigenvalue(name: str, values: Array) -> tuple[float, float]:
-    """Return the smallest eigenvalue of a symmetric matrix and the size of its rounding error."""
-    require_symmetric(values, name)
-    rounding = len(values) * float(np.finfo(np.float64).eps * np.max(np.abs(values)))
-    return float(np.linalg.eigvalsh(values)[0]), rounding
 
 
 def check_inertia(inertia: Array) -> None:

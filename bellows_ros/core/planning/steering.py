@@ -128,13 +128,6 @@ def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw
 
 
 @kernel
-def reference_at(rows: Any, i: int) -> tuple[State, Vector, Vector]:
-    """Return the state of a row (19,), or of the last one, and the rates of its twist."""
-    row = rows[min(i, len(rows) - 1)]
-    return simulation.row_state(row), (row[13], row[14], row[15]), (row[16], row[17], row[18])
-
-
-@kernel
 def _invert_kernel(
     model: ModelTuple, tool: State, reference: Any, h: float, speed: float, rate: float,
     out: Array, package: Array,
@@ -150,10 +143,11 @@ def _invert_kernel(
         do, ds, sum_o, sum_s, stage = still, still, still, still, tool
         dz = sum_z = kernels.moved_strains(tool[4:], -1.0, tool[4:])
         for i in range(4):  # of a step of RKMK4
-            body, dv, dw = reference_at(reference, 2 * k + (i + 1) // 2)
-            at = 0.5 * ((i + 1) // 2) * h
+            row = reference[min(2 * k + (i + 1) // 2, len(reference) - 1)]
+            body, at = simulation.row_state(row), 0.5 * ((i + 1) // 2) * h
             stage = inverse_dynamics(
-                model, kernels.stage_state(tool, at, do, ds, still, still, dz), body, dv, dw)
+                model, kernels.stage_state(tool, at, do, ds, still, still, dz), body,
+                (row[13], row[14], row[15]), (row[16], row[17], row[18]))
             if i == 0 and faded == 0 and 2 * k >= len(reference) - 1 and (
                     t3.dot(stage[2], stage[2]) < speed * speed and (
                         t3.dot(stage[3], stage[3]) < rate * rate)):

@@ -141,9 +141,18 @@ class Drop:
         return float(self.model[1][0])
 
     @cached_property
-    def _inputs(self) -> tuple[Array, Array, float]:
-        """The tool as the kernels take it, and the longest integration step."""
-        return tool_rows(self.tool), self.tool.seconds, largest_step(self.model)
+    def _inputs(self) -> tuple[Array, Array, float, Array, Array]:
+        """
+        The tool as the kernels take it, and the longest integration step.
+
+        Of the package the orientations, and what makes velocities of local polynomials out of
+        positions, no further than to the ends.
+        """
+        seconds = self.tool.seconds
+        return (
+            tool_rows(self.tool), seconds, largest_step(self.model),
+            lie.rotation_to_quaternion(self.package.rotation),
+            _derivative(np.eye(len(seconds)), seconds, 1, 'constant'))
 
     def predicted(self, law: Law, change: Array | None = None) -> tuple[float, Array]:
         """
@@ -151,7 +160,7 @@ class Drop:
 
         The start may be changed (12,), in units of `STATE_STD`.
         """
-        rows, seconds, max_step = self._inputs
+        rows, seconds, max_step, *_ = self._inputs
         start = adapted(self.model, row_state(rows[0]), self.start)
         if change is not None:
             start = moved_by(start, STATE_STD * change)
@@ -162,19 +171,10 @@ class Drop:
 
     def errors(self, states: Array) -> Array:
         """Return measured less predicted position (m), velocity (m/s), rotation (rad), (9, N)."""
-        position = self.package.position - states[:, :3]
+        position, (*_, orientation, slopes) = self.package.position - states[:, :3], self._inputs
         turn = lie.log_quaternion(lie.quaternion_product(
-            lie.quaternion_conjugate(states[:, 3:7]), self._orientation))
-        return np.hstack([position, self._slopes @ position, turn]).T
-
-    @cached_property
-    def _orientation(self) -> Array:
-        return lie.rotation_to_quaternion(self.package.rotation)
-
-    @cached_property
-    def _slopes(self) -> Array:
-        """From positions to velocities of the local polynomials, no further than to the ends."""
-        return _derivative(np.eye(len(self.package)), self.package.seconds, 1, 'constant')
+            lie.quaternion_conjugate(states[:, 3:7]), orientation))
+        return np.hstack([position, slopes @ position, turn]).T
 
 
 class Explained(NamedTuple):
