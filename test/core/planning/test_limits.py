@@ -26,17 +26,6 @@ def test_demands_are_those_of_the_quintic():
         assert_allclose(found[names[2]], truth[2], rtol=0.03)
 
 
-@pytest.mark.parametrize('name', list(RATES))
-def test_a_motion_is_stretched_no_further_than_needed(name):
-    asked = demands(PLAN)[name]
-    order = 1 + list(RATES).index(name) % 3
-    limits = NO_LIMITS._replace(rates={**NO_LIMITS.rates, name: asked / 2.0**order})
-    scale, reason = stretched(limits, lambda s: (timed(PLAN, s), math.inf))
-    assert reason == name
-    assert_allclose(scale, 2.0, rtol=0.01)
-    assert demands(timed(PLAN, scale))[name] <= limits.rates[name]
-
-
 def test_safety_and_workspace_count():
     limits = NO_LIMITS._replace(safety_factor=2.0)
     scale, reason = stretched(limits, lambda s: (timed(PLAN, s), 1.5 * s))
