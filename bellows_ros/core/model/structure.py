@@ -170,7 +170,9 @@ class Structure:
         parameters = []
         for blocks in self.blocks:
             for i, j in combinations_with_replacement(range(len(blocks[0])), 2):
-                entries = [_entry(block[i], block[j]) for block in blocks]
+                pairs = [sorted((block[i], block[j])) for block in blocks]
+                entries = [(row, column, sign * other)
+                           for (row, sign), (column, other) in pairs]
                 lead = min(entries)[2]
                 parameters.append(tuple(sorted(
                     (row, column, sign * lead) for row, column, sign in entries)))
@@ -285,12 +287,6 @@ class Structure:
                 scatter[rows, columns] * signs + count * off[:, :, None] * off[:, None], axis=0)
             Q[rows, columns] = total * signs / (len(blocks) * count - 1)
         return Q
-
-
-def _entry(one: tuple[int, float], other: tuple[int, float]) -> Entry:
-    """Return the entry of two signed axes."""
-    (row, sign), (column, other_sign) = sorted((one, other))
-    return row, column, sign * other_sign
 
 
 STRUCTURES = {structure.name: structure for structure in (

@@ -263,14 +263,6 @@ def rigid_velocity(tool: State, arm: Vector) -> Vector:
 
 
 @kernel
-def rigid_moment(model: ModelTuple, tool: State, acceleration: Vector) -> float:
-    """Return |com x m (a - g)| (N m): the lip's moment if tool and package were one body."""
-    mass, com, _, _ = model[1]
-    return mass * t3.norm(
-        t3.cross(t3.apply(t3.rotation_matrix(tool[1]), com), t3.subtract(acceleration, model[2])))
-
-
-@kernel
 def update_peak(extremes: Extremes, i: int, t: float, value: float) -> bool:
     """
     Keep the largest value of a quantity, and return whether it grew.
@@ -359,7 +351,9 @@ def _simulate_plan(
             if load > ceiling:
                 return body, now, False
             before, velocity = velocity, rigid_velocity(tool, arm)
-            moment = rigid_moment(model, tool, t3.scale(1.0 / h, t3.subtract(velocity, before)))
+            felt = t3.subtract(t3.scale(1.0 / h, t3.subtract(velocity, before)), model[2])
+            lever = t3.apply(t3.rotation_matrix(tool[1]), model[1][1])
+            moment = model[1][0] * t3.norm(t3.cross(lever, felt))  # if both were one body
             if moment > peaks[6, 0]:
                 peaks[6, 0], peaks[6, 1] = moment, now - 0.5 * h
         t += duration

@@ -361,12 +361,13 @@ def _oscillation(
     duration = settings.number('duration', unit='s', above=rest, maximum=MAX_DURATION)
     ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, maximum=MAX_DURATION)
     block = settings.block(kind)
-    axis, amplitude, frequency = _sines(block) if kind == 'multi_sine' else _sweeps(block)
+    lines = _sines(block) if kind == 'multi_sine' else _sweeps(block)
     block.done()
-    if not len(axis):
+    if not lines:
         raise BellowsError(
             f"Setting '{kind}' moves nothing. Give it an amplitude on one axis at least, of "
             'position or of rotation.')
+    axis, amplitude, *frequency = np.transpose(lines)
     phase = phases.uniform(0.0, 2.0 * np.pi, len(axis))
     hold, held = np.zeros(3), 0.0
     if 'hold' in settings:
@@ -375,12 +376,13 @@ def _oscillation(
         longest = duration - rest - ramp - HOLD_MOVE
         held = block.number('duration', unit='s', above=0.0, maximum=longest)
         block.done()
-    return Oscillation(start, rest, ramp, duration, amplitude, axis, frequency, phase, hold, held)
+    return Oscillation(start, rest, ramp, duration, amplitude, axis.astype(np.int64),
+                       np.transpose(frequency), phase, hold, held)
 
 
-def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
-    """Return axis, amplitude and constant frequencies of the components of a multi-sine."""
-    parts = []
+def _sines(settings: Settings) -> list[tuple[float, ...]]:
+    """Return axis, amplitude, first and last frequency of the components of a multi-sine."""
+    parts = list[tuple[float, ...]]()
     for offset, name, unit in ((0, 'position', 'm'), (3, 'rotation', 'rad')):
         block = settings.block(name)
         for index, axis in enumerate(AXES):
@@ -392,21 +394,19 @@ def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
                 raise BellowsError(
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "
                     f'long, got {len(amplitude)} and {len(frequency)} numbers.')
-            parts += [(offset + index, a, f) for a, f in zip(amplitude, frequency, strict=True)]
-    axes, amplitudes, frequencies = np.array(parts).reshape(-1, 3).T
-    return axes.astype(np.int64), amplitudes, np.stack([frequencies, frequencies], axis=1)
+            parts += [(offset + index, a, f, f) for a, f in zip(amplitude, frequency, strict=True)]
+    return parts
 
 
-def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
-    """Return axis, amplitude and first and last frequency of the components of a chirp."""
+def _sweeps(settings: Settings) -> list[tuple[float, ...]]:
+    """Return the same of a chirp."""
     amplitude = np.concatenate([
         settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
         settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad')])
     ends = [
         settings.number(name, unit='Hz', minimum=0.0, maximum=MAX_FREQUENCY)
         for name in ('from', 'to')]
-    axes = np.flatnonzero(amplitude)
-    return axes, amplitude[axes], np.tile(ends, (len(axes), 1))
+    return [(axis, size, *ends) for axis, size in enumerate(amplitude) if size]
 
 
 def _times(settings: Settings) -> tuple[float, float]:

@@ -33,8 +33,6 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import default_rng, Generator, SeedSequence
 
-Indices = Stamps
-
 WORLDS = {world: R.T for world, R in alignment.WORLDS.items()}
 """R_recording_world of each possible world of a recording."""
 
@@ -120,7 +118,7 @@ class Schedule(NamedTuple):
 
     sampled_ns: Stamps
     stamps_ns: Stamps
-    jump: Indices
+    jump: Stamps
     sent: Mask
     jumps: tuple[int, ...]
     dropouts: tuple[int, ...]

@@ -529,27 +529,22 @@ class _DropFit:
         self.drop, self.free = drop, free
         noise = np.maximum(drop.noise, MIN_NOISE)
         self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
-        self._scattered = [k for k in free if k in PRIOR_SCATTER]
-        self._scatter = np.array([PRIOR_SCATTER[k] for k in self._scattered])
-        self.nuisance = np.zeros(len(self._scatter) + (6 if drop.stands else 12))
+        self._scatter = np.transpose(
+            [PRIOR_SCATTER[k] * np.eye(8)[k] for k in free if k in PRIOR_SCATTER])
+        self._lead = self._scatter.shape[1]
+        self.nuisance = np.zeros(self._lead + (6 if drop.stands else 12))
         self._count = 0
 
     @property
     def law_offset(self) -> Array:
         """By how much the law of the drop differs from that of all (8,)."""
-        return self._law(np.zeros(8), self.nuisance)
-
-    def _law(self, law: Array, nuisance: Array) -> Array:
-        """Return the law of the drop."""
-        changed = law.copy()
-        changed[self._scattered] += self._scatter * nuisance[:len(self._scatter)]
-        return changed
+        return np.asarray(self._scatter @ self.nuisance[:self._lead])
 
     def _predicted(self, law: Array, nuisance: Array) -> tuple[float, Array]:
         """Return what `Drop.predicted` does."""
         return self.drop.predicted(
-            as_law(self._law(law, nuisance)),
-            None if self.drop.stands else nuisance[len(self._scatter):])
+            as_law(law + self._scatter @ nuisance[:self._lead]),
+            None if self.drop.stands else nuisance[self._lead:])
 
     def residuals(self, law: Array, nuisance: Array) -> Array:
         """Return errors over their sizes, and the nuisance parameters, which are to be small."""
@@ -563,13 +558,12 @@ class _DropFit:
         """Return matrix and gradient of the free numbers, nuisance parameters eliminated."""
         residuals = self.residuals(law, self.nuisance)
         self.cost = float(residuals @ residuals)
-        n, m, lead = len(self.free), len(self.nuisance), len(self._scatter)
+        n, m, lead = len(self.free), len(self.nuisance), self._lead
         J = np.zeros((len(residuals), n + m))
         for i, k in enumerate(self.free):
             changed = law + 1e-3 * SCALES * np.eye(8)[k]
             J[:, i] = (self.residuals(changed, self.nuisance) - residuals) / 1e-3
-        for i, k in enumerate(self._scattered):
-            J[:, n + i] = PRIOR_SCATTER[k] / SCALES[k] * J[:, self.free.index(k)]
+        J[:, n:n + lead] = J[:, :n] @ (self._scatter / SCALES[:, None])[list(self.free)]
         if self._count % STATE_UPDATE_STEPS == 0:
             self._by_state = np.transpose([
                 (self.residuals(law, self.nuisance + change) - residuals) / 1e-3
@@ -579,8 +573,7 @@ class _DropFit:
         J[-m:, n:] = np.eye(m)
         A, B, C = J[:, :n].T @ J[:, :n], J[:, :n].T @ J[:, n:], J[:, n:].T @ J[:, n:]
         gradient = -J.T @ residuals
-        self.noise = np.zeros(8)
-        self.noise[self._scattered] = self._scatter**2 * np.diag(np.linalg.inv(C))[:lead]
+        self.noise = self._scatter**2 @ np.diag(np.linalg.inv(C))[:lead]
         self._follows = np.linalg.solve(C, B.T)
         self._newton_step = np.linalg.solve(C, gradient[n:])
         return A - B @ self._follows, gradient[:n] - B @ self._newton_step
