@@ -4,13 +4,13 @@ Declare the parameters of a node from the table, and change them live, all or no
 A managed node refuses invalid transitions, at which rclpy would end, and cleans up.
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces import msg as interfaces
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.lifecycle.node import LifecycleNodeMixin
@@ -113,8 +113,6 @@ class TableNode(GuardedNode):
             self.destroy_node()
             raise
         self._parameter_service = AtomicParameterService(self)
-        self.add_on_set_parameters_callback(self._check)
-        self.add_post_set_parameters_callback(self._keep)
 
     def check_values(self, values: Values) -> None:
         """Raise BellowsError if values that are allowed one by one contradict each other."""
@@ -129,12 +127,13 @@ class TableNode(GuardedNode):
         A parameter that is given the value it has counts as set, so that what `ros2 param dump`
         writes can be loaded, and without any effect on what runs.
         """
-        result = self._set(parameter_list)
+        result = self.set_parameters_atomically(parameter_list)
         if result.successful:
             return [result] * len(parameter_list)
         together = [p for p in parameter_list if p.name.startswith(ATOMIC_PREFIXES)]
-        common = self._set(together)
-        return [common if p in together else self._set([p]) for p in parameter_list]
+        common = self.set_parameters_atomically(together)
+        return [common if p in together else self.set_parameters_atomically([p])
+                for p in parameter_list]
 
     def declare_from_table(self, name: str, value: table.Value) -> None:
         """Declare a parameter of the table with a value that has been checked."""
@@ -145,82 +144,54 @@ class TableNode(GuardedNode):
         if value == () and parameter.kind == 'double_array':
             super().set_parameters_atomically([typed])
 
-    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
+    def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult:
         """Set all or none of some parameters, and say why not."""
         now = {p.name: self.get_parameter_or(p.name, Parameter(p.name)) for p in parameters}
         changing = [p for p in map(_as_double, parameters) if not self.has_parameter(p.name) or (
             now[p.name].get_parameter_value() != p.get_parameter_value())]
         if not changing:
             return SetParametersResult(successful=True)
+        ours = {p.name: p.value for p in changing if _is_ours(p)}
         previous = self.values
         try:
             if not all(p.name for p in changing):
                 raise BellowsError(
                     "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
-            self._checked(changing)  # before rclpy, whose message is shorter
-            return self.set_parameters_atomically(changing)
+            new = {**previous, **{name: checks.validate(name, ours[name]) for name in ours}}
+            self.check_values(new)  # before rclpy, whose messages are shorter
+            result = super().set_parameters_atomically(changing)
+            if result.successful and ours:
+                self.values = new
+                self.on_values(list(ours))
+            return result
         except ParameterNotDeclaredException:
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]
             return _refused(_why_unknown(unknown[0], self.get_name()))
         except Exception as error:  # noqa: BLE001 (whatever it is, nothing is to change)
             if self.values is not previous:
-                self.set_parameters_atomically([now[p.name] for p in changing])
+                self.values = previous
+                super().set_parameters_atomically([now[p.name] for p in changing])
+                self.on_values(list(ours))
             if not isinstance(error, BellowsError):
                 self.note_failure(error)
             return _refused(str(error))
-
-    def _checked(self, parameters: list[Parameter]) -> Values:
-        """Return all values with some of them replaced, or raise BellowsError."""
-        new = {p.name: checks.validate(p.name, p.value) for p in parameters if _is_ours(p)}
-        return {**self.values, **new}
-
-    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Check new values without changing anything."""
-        try:
-            self.check_values(self._checked(parameters))
-        except BellowsError as error:
-            return _refused(str(error))
-        return SetParametersResult(successful=True)
-
-    def _keep(self, parameters: list[Parameter]) -> None:
-        """Take over values that have been set."""
-        names = [p.name for p in parameters if _is_ours(p)]
-        if names:
-            self.values = self._checked(parameters)
-            self.on_values(names)
 
 
 class AtomicParameterService(ParameterService):
     """
     The parameter services of a node, with its own `set_parameters`.
 
-    The service of rclpy sets one parameter after the other, whatever the node.
+    The service of rclpy sets one parameter after the other, whatever the node. A request with a
+    type that does not exist fails, and gets an empty answer.
     """
 
     def _set_parameters_callback(
         self, request: SetParameters.Request, response: SetParameters.Response
     ) -> SetParameters.Response:
         """Set parameters that belong together all or none, the others one by one."""
-        response.results = self._answer(request.parameters, self._get_node().set_parameters)
+        response.results = self._get_node().set_parameters(
+            [Parameter.from_parameter_msg(message) for message in request.parameters])
         return response
-
-    def _set_parameters_atomically_callback(
-        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
-    ) -> SetParametersAtomically.Response:
-        """Set all or none."""
-        response.result, *_ = self._answer(
-            request.parameters, lambda parameters: [self._get_node()._set(parameters)])
-        return response
-
-    def _answer(
-        self, messages: Sequence[Any], set_them: Callable[[list[Parameter]], list[Any]]
-    ) -> list[Any]:
-        """Return the results of setting parameters, none of them where one has no known type."""
-        try:
-            parameters = [Parameter.from_parameter_msg(message) for message in messages]
-        except (TypeError, ValueError) as error:
-            return [_refused(f'Nothing was set: {error}.')] * len(messages)
-        return set_them(parameters)
 
 
 def _refused(reason: str) -> SetParametersResult:

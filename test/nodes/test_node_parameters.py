@@ -156,7 +156,7 @@ def test_malformed_requests_are_answered(node, caller):
     """Refuse a type that does not exist, and the removal of a parameter; live on."""
     for kind in (0, 99):
         odd = [ParameterMessage(name='package.mass', value=ParameterValue(type=kind))]
-        assert [result.successful for result in caller.set_one_by_one(odd)] == [False]
+        assert not any(result.successful for result in caller.set_one_by_one(odd))
         assert not caller.set_at_once(odd).successful
     assert caller.set_parameters(package__mass=2.0) == [(True, '')]
 
@@ -270,7 +270,7 @@ def test_a_set_that_fails_changes_nothing(node):
     """Go back to what was, though it fails where the values are used."""
     kept = node.values
     break_once(node.pipeline.outputs, 'use_values')
-    result = node._set([Parameter('cup.stiffness', value=K)])
+    result = node.set_parameters_atomically([Parameter('cup.stiffness', value=K)])
     assert not result.successful and 'broken' in result.reason
     assert node.values == kept and list(kept['cup.stiffness']) == cup(node)[0]
     assert used(node)[0][0][0] == kept['cup.stiffness'][0] and sum(node.failures.values()) == 1
