@@ -1,22 +1,14 @@
-"""
-Declare the parameters of a node from the table, and change them live, all or nothing.
+"""Declare the parameters of a node from the table, and change them live, all or nothing."""
 
-A managed node refuses invalid transitions, at which rclpy would end, and cleans up.
-"""
-
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection
 from typing import Any
 
-from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces import msg as interfaces
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
-from rclpy.task import Future
 
 from .guarding import GuardedNode
 from ..core.parameters import checks, table
@@ -226,146 +218,3 @@ def _as_double(parameter: Parameter) -> Parameter:
         return parameter
     doubles = float(value) if kind == Parameter.Type.INTEGER else [float(x) for x in value]
     return ros_parameter(parameter.name, doubles)
-
-
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-
-
-class ManagedNode(LifecycleNodeMixin, TableNode):
-    """
-    A lifecycle node with the parameters of the table.
-
-    Parameters
-    ----------
-    user : {'predictor', 'identifier'}
-        Default name of the node, and whose parameters it has.
-    options
-        Keyword arguments of `rclpy.node.Node`.
-
-    Attributes
-    ----------
-    finished : rclpy.task.Future
-        Ends the process when it is done.
-    is_active : bool
-        Whether it publishes.
-
-    Raises
-    ------
-    BellowsError
-        If a parameter is unknown, not allowed or missing.
-
-    """
-
-    def __init__(self, user: str, **options: Any) -> None:
-        """Check the parameters; the node is unconfigured."""
-        TableNode.__init__(self, user, **options)
-        LifecycleNodeMixin.__init__(self)
-        # rclpy's own callback raises where a transition is not allowed, and leaves no answer.
-        service = next(each for each in self.services if each.srv_type is ChangeState)
-        self._change_state_unchecked = self.guarded(service.callback, ChangeState.Response)
-        service.callback = self._change_state
-        self.finished: Future = Future()
-        self._before: set[Any] | None = None  # what exists while it is not configured
-        self._failure, self.is_active = '', False
-
-    def configure(self) -> None:
-        """Make everything that needs the parameters, or raise the obstacle."""
-
-    def start(self) -> None:
-        """Configure and activate, or end and raise the obstacle."""
-        for step in (self.trigger_configure, self.trigger_activate):
-            if step() != SUCCESS:
-                self.destroy_node()
-                raise BellowsError(self._failure or 'The node could not be started.')
-
-    @property
-    def lifecycle_state(self) -> str:
-        """Name of the state: unconfigured, inactive, active or finalized."""
-        return str(self._state_machine.current_state[1])
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Configure, or log why not and leave nothing behind."""
-        self._before = {*self.publishers, *self.subscriptions, *self.services, *self.timers}
-        try:
-            self.configure()
-        except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
-            kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
-            self._failure = f'{kind}{short(str(error), 1000)}'
-            self.get_logger().error(f'Cannot be configured: {self._failure}')
-            self.release_resources()
-            return FAILURE
-        return super().on_configure(state)
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let publishers publish, and callbacks work."""
-        result = super().on_activate(state)
-        self.is_active = True
-        return result
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop publishing."""
-        self.is_active = False
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything that was made."""
-        self.release_resources()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop publishing for good."""
-        if self.is_active:
-            self.on_deactivate(state)
-        self.release_resources()
-        return super().on_shutdown(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything, so that the node can be configured again."""
-        self.get_logger().error('A transition failed; the node is unconfigured now.')
-        self.is_active = False
-        self.release_resources()
-        return SUCCESS
-
-    def release_resources(self) -> None:
-        """End the threads, and destroy what was made to be configured."""
-        for worker in self.workers:
-            worker.close()
-        self.workers.clear()
-        if self._before is None:
-            return
-        made: tuple[tuple[Iterable[Any], Callable[[Any], object]], ...] = (
-            (self.publishers, self.destroy_lifecycle_publisher),
-            (self.subscriptions, self.destroy_subscription),
-            (self.services, self.destroy_service), (self.timers, self.destroy_timer))
-        for entities, destroy in made:
-            for entity in set(entities) - self._before:
-                destroy(entity)
-        self._before = None
-
-    def close(self) -> None:
-        """Release everything, and leave the graph."""
-        self.is_active = False
-        self.release_resources()
-        self.destroy_node()
-
-    def _change_state(
-        self, request: ChangeState.Request, response: ChangeState.Response
-    ) -> ChangeState.Response:
-        """Go through a transition that the state allows; refuse any other."""
-        wanted = request.transition
-        allowed = self._state_machine.available_transitions
-        if any(wanted.label == label if wanted.label else wanted.id == number
-               for number, label, *_ in allowed):
-            return self._change_state_unchecked(request, response)
-        name = short(wanted.label) or wanted.id
-        self.get_logger().warning(
-            f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
-            f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')
-        response.success = False
-        return response
-
-    def destroy_node(self) -> None:
-        """Leave the graph; rclpy forgets the state machine, which would keep the node there."""
-        super().destroy_node()
-        if hasattr(self, '_state_machine'):  # not where the parameters were refused
-            self._state_machine.destroy_when_not_in_use()

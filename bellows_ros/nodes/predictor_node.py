@@ -1,22 +1,26 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
 from collections import Counter
+from collections.abc import Callable, Iterable
 from threading import Timer
 import time
 from typing import Any
 
 from bellows_ros.files.parameter_files import with_chosen_cup
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.srv import ChangeState
 import numpy as np
 from rclpy.clock import Clock, JumpThreshold
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from .node_parameters import ManagedNode, QOS_PREFIX, Values
+from .node_parameters import QOS_PREFIX, TableNode, Values
 from .pipeline import Pipeline
 from ..core.live import health
 from ..core.live.load import check_live
@@ -29,6 +33,8 @@ REPORT_PERIOD = 1.0
 COMPILE_TIME = 1.0
 """A start that takes longer (s) compiles the model, and says so."""
 
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
 ANY_BACKWARD_JUMP = Duration(nanoseconds=-1)
 
 CUP_DEFAULTS = {
@@ -38,12 +44,13 @@ CUP_DEFAULTS = {
 """What describes a cup, and the value of the thesis where it is not set."""
 
 
-class PredictorNode(ManagedNode):
+class PredictorNode(LifecycleNodeMixin, TableNode):
     """
     Predict the package's pose and twist and the cup's wrench from the tool arm's messages.
 
     A managed node: configured it has its model and its topics, active it predicts. With the
-    parameter autostart it goes there by itself.
+    parameter autostart it goes there by itself. It refuses invalid transitions, at which rclpy
+    would end, and cleans up.
 
     Parameters
     ----------
@@ -54,6 +61,10 @@ class PredictorNode(ManagedNode):
     ----------
     pipeline : Pipeline or None
         All that predicts; None until it is configured.
+    finished : rclpy.task.Future
+        Ends the process when it is done.
+    is_active : bool
+        Whether it publishes.
 
     Raises
     ------
@@ -65,7 +76,15 @@ class PredictorNode(ManagedNode):
     def __init__(self, **options: Any) -> None:
         """Check the parameters, and start unless autostart is off."""
         self.pipeline: Pipeline | None = None
-        super().__init__('predictor', **options)
+        TableNode.__init__(self, 'predictor', **options)
+        LifecycleNodeMixin.__init__(self)
+        # rclpy's own callback raises where a transition is not allowed, and leaves no answer.
+        service = next(each for each in self.services if each.srv_type is ChangeState)
+        self._change_state_unchecked = self.guarded(service.callback, ChangeState.Response)
+        service.callback = self._change_state
+        self.finished: Future = Future()
+        self._before: set[Any] | None = None  # what exists while it is not configured
+        self._failure, self.is_active = '', False
         self.diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=ANY_BACKWARD_JUMP, on_clock_change=True),
@@ -76,6 +95,31 @@ class PredictorNode(ManagedNode):
             self.start()
         else:
             self.get_logger().info('Unconfigured: waits for its lifecycle manager (autostart).')
+
+    def start(self) -> None:
+        """Configure and activate, or end and raise the obstacle."""
+        for step in (self.trigger_configure, self.trigger_activate):
+            if step() != SUCCESS:
+                self.destroy_node()
+                raise BellowsError(self._failure or 'The node could not be started.')
+
+    @property
+    def lifecycle_state(self) -> str:
+        """Name of the state: unconfigured, inactive, active or finalized."""
+        return str(self._state_machine.current_state[1])
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Configure, or log why not and leave nothing behind."""
+        self._before = {*self.publishers, *self.subscriptions, *self.services, *self.timers}
+        try:
+            self.configure()
+        except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
+            kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
+            self._failure = f'{kind}{short(str(error), 1000)}'
+            self.get_logger().error(f'Cannot be configured: {self._failure}')
+            self.release_resources()
+            return FAILURE
+        return super().on_configure(state)
 
     def configure(self) -> None:
         """Make all that predicts."""
@@ -94,11 +138,12 @@ class PredictorNode(ManagedNode):
                     f"The QoS override '{short(name)}' matches no topic of this node.")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start from rest at the next tool pose."""
+        """Let publishers publish and callbacks work; start from rest at the next tool pose."""
         assert self.pipeline
         self.pipeline.reset()
         self.pipeline.live.set_attached(self.pipeline.attachment.held)
         result = super().on_activate(state)
+        self.is_active = True
         self.pipeline.publish_state()
         return result
 
@@ -106,14 +151,74 @@ class PredictorNode(ManagedNode):
         """Stop publishing."""
         assert self.pipeline
         self.pipeline.stop()
+        self.is_active = False
         return super().on_deactivate(state)
 
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release everything that was made."""
+        self.release_resources()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop publishing for good."""
+        if self.is_active:
+            self.on_deactivate(state)
+        self.release_resources()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release everything, so that the node can be configured again."""
+        self.get_logger().error('A transition failed; the node is unconfigured now.')
+        self.is_active = False
+        self.release_resources()
+        return SUCCESS
+
     def release_resources(self) -> None:
-        """Log the final counts, and release the model and the topics."""
+        """Log the final counts, end the threads, and destroy what was made to be configured."""
         if self.pipeline:
             self.get_logger().info(health.summary(self.pipeline.live))
         self.pipeline = None
-        super().release_resources()
+        for worker in self.workers:
+            worker.close()
+        self.workers.clear()
+        if self._before is None:
+            return
+        made: tuple[tuple[Iterable[Any], Callable[[Any], object]], ...] = (
+            (self.publishers, self.destroy_lifecycle_publisher),
+            (self.subscriptions, self.destroy_subscription),
+            (self.services, self.destroy_service), (self.timers, self.destroy_timer))
+        for entities, destroy in made:
+            for entity in set(entities) - self._before:
+                destroy(entity)
+        self._before = None
+
+    def close(self) -> None:
+        """Release everything, and leave the graph."""
+        self.is_active = False
+        self.release_resources()
+        self.destroy_node()
+
+    def _change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Go through a transition that the state allows; refuse any other."""
+        wanted = request.transition
+        allowed = self._state_machine.available_transitions
+        if any(wanted.label == label if wanted.label else wanted.id == number
+               for number, label, *_ in allowed):
+            return self._change_state_unchecked(request, response)
+        name = short(wanted.label) or wanted.id
+        self.get_logger().warning(
+            f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
+            f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')
+        response.success = False
+        return response
+
+    def destroy_node(self) -> None:
+        """Leave the graph; rclpy forgets the state machine, which would keep the node there."""
+        super().destroy_node()
+        if hasattr(self, '_state_machine'):  # not where the parameters were refused
+            self._state_machine.destroy_when_not_in_use()
 
     def _log_model(self, pipeline: Pipeline) -> None:
         """Log the cup and the package that are used."""
