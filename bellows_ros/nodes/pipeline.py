@@ -1,8 +1,16 @@
-"""From messages to predictions: inputs, live predictor and outputs of a configured predictor."""
+"""
+From messages to predictions: inputs, live predictor and outputs of a configured predictor.
+
+Inputs are subscriptions to sensors, best effort unless overridden, monitored for rate, age and
+QoS: the tool's poses and twists; the vacuum, which attaches and detaches the package as two
+services do; and measured poses of the package, which correct the prediction.
+"""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+import gc
+import importlib.util
 import math
 from operator import mul
 import time
@@ -10,20 +18,31 @@ from typing import Any
 
 from bellows_ros.core.parameters.checks import gravity_of
 from bellows_ros.files.parameter_files import with_chosen_cup
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import InertiaStamped, TwistStamped
+import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
 
-from .conversions import read_pose, stamp_to_ns, TOOL_POSES, vector
-from .inputs import Attachment, Observing, SensorInput, TransformInput
+from .conversions import quaternion_xyzw, read_pose, stamp_to_ns, TOOL_POSES, vector, write_payload
+from .guarding import GuardedNode
 from .node_parameters import Values
-from .outputs import Outputs, Tossing
+from .outputs import Outputs, QUEUE, Topic, Tossing
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import flight, health, LivePredictor, load, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import cup_of, model_tuple, package_of
+from ..core.model.kernels import ModelTuple
+from ..core.observer.alarms import Alarm
+from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
+from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import tip_of
+from ..core.signals.transforms import Chain
+from ..errors import BellowsError, short
 
 TICK = 0.02
 """Time (s) between two checks for missing messages; each costs as much as a message."""
@@ -308,3 +327,364 @@ class Pipeline:
         if live.flight is None or not live.flight.state:
             self.tossing.use_values()
             live.flight = self.tossing.flight
+
+
+class SensorInput:
+    """
+    One subscription with the statistics of its messages.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    kind : type
+        Of the messages.
+    topic : str
+        Relative name.
+    callback : callable
+        Takes each message.
+    on_publishers : callable, optional
+        Takes the number of matching publishers when it changes.
+    qos : QoSProfile, optional
+        As for any sensor unless given: without asking for lost messages.
+
+    Attributes
+    ----------
+    topic : str
+        Full name.
+
+    """
+
+    def __init__(
+        self, node: GuardedNode, kind: type, topic: str, callback: Callable[[Any], None],
+        on_publishers: Callable[[int], None] | None = None, qos: QoSProfile | None = None,
+    ) -> None:
+        """Listen as to any sensor, without asking for lost messages; QoS can be overridden."""
+        self._node, self._type = node, f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
+        self.arrivals = health.Arrivals()
+        self._refused: Mapping[str, int] = {}
+        self._subscription = node.create_subscription(
+            kind, topic, callback,
+            qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
+            on_publishers=on_publishers)
+        self.topic = str(self._subscription.topic_name)
+
+    def note(self, stamp_ns: int | None = None) -> int:
+        """
+        Note a message, and its age if it has a stamp; return its arrival (ns), monotonic.
+
+        The node's clock takes 2.5 us to ask, the system's 0.04: it is the same one unless time is
+        simulated, which is looked up once a report.
+        """
+        arrival_ns = time.monotonic_ns()
+        if self.arrivals.is_empty:
+            self._clock = self._node.get_clock()
+            self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
+        now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
+        self.arrivals.add(arrival_ns, math.nan if stamp_ns is None else (now_ns - stamp_ns) * 1e-9)
+        return arrival_ns
+
+    def report(self, refused: Mapping[str, int]) -> health.InputReport:
+        """Return the statistics since the last call, with the refused messages so far."""
+        before, self._refused = self._refused, dict(refused)
+        if any(count < before.get(reason, 0) for reason, count in refused.items()):
+            before = {}  # what counts has been replaced
+        last_ns = self.arrivals.last_ns
+        silent = (time.monotonic_ns() - last_ns) * 1e-9 if last_ns >= 0 else float('inf')
+        publishers = self._node.count_publishers(self.topic)
+        return health.InputReport(
+            self.topic, publishers, self._mismatch(publishers), *self.arrivals.reset(), silent,
+            {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
+
+    def _mismatch(self, publishers: int) -> str:
+        """Return why a publisher cannot be heard, if there is one."""
+        if self._subscription.get_publisher_count() >= publishers:
+            return ''
+        asked = self._subscription.qos_profile
+        for other in self._node.get_publishers_info_by_topic(self.topic):
+            offered = other.qos_profile
+            if other.topic_type != self._type:
+                return self._sentence('type', other.topic_type)
+            for name, mismatch in (
+                    ('reliability', (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)),
+                    ('durability', (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE))):
+                if (getattr(asked, name), getattr(offered, name)) == mismatch:
+                    return self._sentence('qos', name)
+        return ''
+
+    def _sentence(self, mismatch: str, name: str) -> str:
+        """Return what does not match, in words."""
+        return str(health.INPUTS[mismatch].format(topic=self.topic, name=name))
+
+
+class TransformInput(SensorInput):
+    """
+    The poses of the tool by tf: the way from `frames.world` to `frames.tool`.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    values : mapping
+        Parameters by name.
+    on_pose : callable
+        Takes stamp (ns), frame, position and quaternion of each pose.
+
+    Raises
+    ------
+    BellowsError
+        Where tf2_msgs is not installed.
+
+    """
+
+    def __init__(
+        self, node: GuardedNode, values: Mapping[str, Any], on_pose: Callable[..., None]
+    ) -> None:
+        """Listen to transforms, and to the static ones, which come once."""
+        if importlib.util.find_spec('tf2_msgs') is None:
+            raise BellowsError(
+                'tool_pose.type is tf, but tf2_msgs is not installed. Install it (apt: '
+                'ros-jazzy-tf2-msgs), or publish the pose on tool_arm/pose.')
+        from tf2_msgs.msg import TFMessage
+
+        self._on_pose = on_pose
+        self._chain = Chain(values['frames.world'], values['frames.tool'])
+        super().__init__(node, TFMessage, '/tf', self._on_moving)
+        self._static = SensorInput(
+            node, TFMessage, '/tf_static', partial(self._add, static=True),
+            qos=QoSProfile(depth=QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+
+    def _on_moving(self, message: Any) -> None:
+        """Pass on the poses that a message completes."""
+        self._add(message, static=False)
+        for pose in self._chain.due():
+            self._on_pose(pose.stamp_ns, self._chain.world, *pose[1:])
+
+    def _add(self, message: Any, static: bool) -> None:
+        """Put the transforms of a message into the tree."""
+        for stamped in message.transforms:
+            header, transform = stamped.header, stamped.transform
+            self._chain.add(header.frame_id, stamped.child_frame_id, PoseSample(
+                stamp_to_ns(header.stamp), vector(transform.translation),
+                quaternion_xyzw(transform.rotation)), static)
+
+    def report(self, refused: Mapping[str, int]) -> health.InputReport:
+        """Return the arrivals since the last call, with the poses that lacked a transform."""
+        return super().report({**refused, 'no_transform': self._chain.dropped})
+
+    def _mismatch(self, publishers: int) -> str:
+        """Return why there is no pose although there is a publisher."""
+        missing = self._chain.missing if publishers and self.arrivals.is_empty else ''
+        return self._sentence('frames', missing) if missing else super()._mismatch(publishers)
+
+
+class Attachment:
+    """
+    Ask to attach and to detach.
+
+    What a service asks for holds until the vacuum signal changes the next time.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Attaches and detaches.
+
+    Attributes
+    ----------
+    held : bool
+        Whether the cup holds the package, by the newest service call or vacuum signal.
+    signal : SensorInput or None
+        The vacuum signal, where one is asked for.
+    vacuum : Vacuum
+        Which cups hold, by their pressures.
+
+    """
+
+    def __init__(self, pipeline: Any) -> None:
+        """Offer the services, and listen to the vacuum if the parameters say so."""
+        self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
+        self.vacuum = load.Vacuum(values)
+        self._kind = values['vacuum.signal']
+        self.held = values['package.attached'] and self._kind == 'none'
+        for service, held, words in (
+                ('attach', True, 'Attached: starts from rest at the next tool pose.'),
+                ('detach', False, 'Detached: nothing is predicted.')):
+            node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
+        self._last_reading: bool | None = None  # by the vacuum signal, the last time
+        self._refused = {'nan': 0, 'negative': 0, 'no_such_cup': 0}
+        self.signal = None if self._kind == 'none' else SensorInput(node, *{
+            'bool': (Bool, 'vacuum/held', self._on_held),
+            'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[self._kind])
+
+    def _answer(
+        self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Carry out a service request."""
+        response.success = self._pipeline.attach(held, 'service')
+        response.message = words if response.success else 'The node is not active.'
+        if response.success:
+            self.held = held
+        return response
+
+    def _on_held(self, message: Bool) -> None:
+        """Follow a vacuum switch."""
+        assert self.signal
+        self.signal.note()
+        self._pipeline.observing.on_vacuum(message.data, load.ALL)
+        self._follow(message.data)
+
+    def _on_pressure(self, message: FluidPressure) -> None:
+        """Follow the pressure in the cup, and go on without cups of a gripper that lose it."""
+        assert self.signal
+        self.signal.note(stamp_to_ns(message.header.stamp))
+        vacuum, opened = self.vacuum, self.vacuum.open_cups
+        readings = vacuum.update(message.fluid_pressure, message.header.frame_id)
+        if isinstance(readings, str):
+            self._refused[readings] += 1
+            return
+        for reading in readings:
+            self._pipeline.observing.on_vacuum(*reading)
+        if vacuum.pressure is not None:
+            self._pipeline.load.set_pressure(vacuum.pressure)
+        if vacuum.open_cups != opened:
+            cups = ', '.join(map(str, vacuum.open_cups))
+            self._pipeline.node.get_logger().warning(
+                f'Without vacuum: cups {cups} of cup.layout.' if cups else 'All cups have vacuum.')
+            self._pipeline.use_values()
+        self._follow(vacuum.held)
+
+    def _follow(self, held: bool) -> None:
+        """Follow the vacuum when it changes; a node that is not active yet does so once it is."""
+        changed, self._last_reading = held != self._last_reading, held
+        if changed and held != self.held:
+            self.held = held
+            self._pipeline.attach(held, 'vacuum')
+
+    def status(self, name: str) -> health.Status | None:
+        """Return the diagnostics line on the vacuum signal, if there is to be one."""
+        if self.signal is None:
+            return None
+        latched = self._kind == 'bool'
+        return health.vacuum_status(name, self.signal.report(self._refused), self.held, latched)
+
+
+ALARM_DURATION_NS = 5_000_000_000
+"""How long (ns) an alarm stays in the diagnostics and as the state."""
+
+
+class Observing:
+    """
+    Subscriber to measured poses of the package, and the outputs of the observer.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Takes the poses, and goes on without cups that are lost.
+
+    Attributes
+    ----------
+    lost_cups : set of int
+        Cups of cup.layout that were lost since the package was attached.
+
+    """
+
+    def __init__(self, pipeline: Any) -> None:
+        """Subscribe; nothing changes before the first message."""
+        self._pipeline, node = pipeline, pipeline.node
+        self._live: LivePredictor = pipeline.live
+        kind = pipeline.values['measured.type']
+        self._with_covariance = kind != 'pose'
+        message_type, self._parts = TOOL_POSES[kind]
+        self._is_warm, self._reported = False, 0
+        self.lost_cups: set[int] = set()
+        self._measured_in = SensorInput(
+            node, message_type, 'package/measured', self._on_measured, self._on_publishers)
+        self._estimated = Topic(node, InertiaStamped, 'package/estimated')
+
+    def use_values(self) -> None:
+        """Use other values; the estimate starts again, alarms stay."""
+        if before := self._observer:
+            self._live.package.observe(observer := Observer(self._pipeline.values))
+            observer.alarms = before.alarms
+
+    @property
+    def _observer(self) -> Observer | None:
+        """The observer that corrects the predictions, if any."""
+        return self._live.package.observer
+
+    def _on_publishers(self, count: int) -> None:
+        """Compile once a possible publisher appears."""
+        if count and not self._is_warm:
+            self._is_warm = True
+            self.warm_up(self._live.model)
+            gc.collect()
+            gc.freeze()  # as `spin` does: what a compiler leaves is never looked at again
+
+    def warm_up(self, model: ModelTuple) -> None:
+        """Compile for a model what corrects it, if a camera may come."""
+        if self._is_warm:
+            warm_up_observer(self._pipeline.values, model)
+
+    def _on_measured(self, message: Any) -> None:
+        """Correct the prediction."""
+        live, node = self._live, self._pipeline.node
+        if live.arrivals.newest_ns is None:
+            return
+        if (observer := live.package.observer) is None:
+            live.package.observe(observer := Observer(self._pipeline.values))
+        stamp_ns, frame_id, *pose = read_pose(message, self._parts)
+        self._measured_in.note(stamp_ns)
+        covariance = np.reshape(message.pose.covariance, (6, 6)) if self._with_covariance else None
+        self._pipeline.advance(live.on_measured, stamp_ns, frame_id, *pose, covariance)
+        if frame_id != live.frame_id and not observer.sensor.has_own_world:
+            node.get_logger().warning(
+                f"package/measured is in frame '{short(frame_id)}', the tool in "
+                f"'{short(live.frame_id)}', so its poses are not used. Set "
+                'recording.package_world to the pose of the first frame in the second, as '
+                'estimated by bellows identify.',
+                throttle_duration_sec=10.0)
+        self.log_alarms()
+        if payload := self._observer and self._observer.payload:
+            self._estimated.send(
+                write_payload, self._pipeline.values['frames.lip'], payload)
+
+    def on_vacuum(self, held: bool, cup: int) -> None:
+        """Join the vacuum, or that of one cup, with what a camera sees."""
+        self._live.on_vacuum(held, cup)
+        self.log_alarms()
+
+    def log_alarms(self) -> None:
+        """Log the alarms since the last call, and go on without the cups that are lost."""
+        alarms = self._observer.alarms if self._observer else []
+        fresh, self._reported = alarms[self._reported:], len(alarms)
+        for alarm in fresh:
+            self._pipeline.node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
+        if lost := {alarm.cup for alarm in fresh if alarm.cup >= 0}:
+            self.lost_cups |= lost
+            self._pipeline.use_values()
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """The alarm of the last seconds, if any."""
+        newest = self._observer.alarms[-1] if self._observer and self._observer.alarms else None
+        is_recent = newest and self._live.newest_ns - newest.stamp_ns < ALARM_DURATION_NS
+        return newest if is_recent else None
+
+    def status(self, name: str) -> health.Status | None:
+        """Return the line of the diagnostics; None if no message ever came."""
+        observer = self._observer
+        if observer is None:
+            return None
+        counts, payload = observer.counts, observer.payload
+        more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}
+        if payload:
+            more['mass (kg)'] = f'{payload.mass:.4g} ± {payload.mass_std:.2g}'
+            for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True):
+                more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
+        more |= Counter(f'alarm: {alarm.cause}' for alarm in observer.alarms)
+        status = health.input_status(
+            name, self._measured_in.report({verdict: counts[verdict] for verdict in VERDICTS}))
+        status.values.update({key: str(value) for key, value in more.items()})
+        if self.alarm:
+            return status._replace(level=health.Level.ERROR, message=self.alarm.message)
+        flight = self._live.flight
+        is_held = self._live.attached and not (flight and flight.state)
+        return status if is_held else status._replace(level=min(status.level, health.Level.WARN))
