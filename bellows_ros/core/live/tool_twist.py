@@ -56,8 +56,6 @@ class Pairing:
     expect : bool
         Whether a pose waits for its twist. Set by callers that know of a publisher of twists, and
         by the pairs themselves.
-    unpaired : int
-        Twists that served no pose.
     interpolated : int
         Poses whose twist lies between two that came.
 
@@ -66,7 +64,7 @@ class Pairing:
     def __init__(self) -> None:
         """Start with empty queues; poses do not wait."""
         self.expect = False
-        self.unpaired = self.interpolated = 0
+        self.interpolated = self._pairs = self._received = 0
         self.clear()
 
     def clear(self) -> None:
@@ -74,7 +72,6 @@ class Pairing:
         self._poses: deque[PoseSample] = deque()
         self._twists: deque[TwistSample] = deque(maxlen=MAX_TWISTS)
         self._before: TwistSample | None = None
-        self._before_served = True
         self._newest_ns = self._last_emitted_ns = -1
         self._pose_period_ns = self._twist_period_ns = 0.0
         self._newest_twist_ns = -1
@@ -87,6 +84,11 @@ class Pairing:
         """Number of poses that wait for their twist."""
         return len(self._poses)
 
+    @property
+    def unpaired(self) -> int:
+        """Number of twists by which more came than there were poses to serve."""
+        return max(0, self._received - self._pairs - len(self._twists))
+
     def add_pose(self, pose: PoseSample) -> None:
         """Queue a pose; stamps increase."""
         if self._newest_ns >= 0:
@@ -97,9 +99,9 @@ class Pairing:
     def add_twist(self, twist: TwistSample) -> None:
         """Queue a twist, or note that it came behind its pose."""
         stamp_ns = twist.stamp_ns
+        self._received += 1
         self._drop_leaps(stamp_ns)
         if self._twists and stamp_ns <= self._twists[-1].stamp_ns:
-            self.unpaired += 1
             return
         newest_ns, self._newest_twist_ns = self._newest_twist_ns, max(
             self._newest_twist_ns, stamp_ns)
@@ -108,15 +110,12 @@ class Pairing:
         if abs(stamp_ns - self._last_emitted_ns) <= PAIRING_TOLERANCE_NS:
             if not self._last_paired:  # it came after its pose had gone on without it
                 self._count_pair()
-            self._set_before(twist, served=True)
+            self._before = twist
         elif stamp_ns < self._last_emitted_ns:
             self._note_late(stamp_ns)
             if self._before is None or stamp_ns > self._before.stamp_ns:
-                self._set_before(twist)
-            else:
-                self.unpaired += 1
+                self._before = twist
         else:
-            self.unpaired += len(self._twists) == MAX_TWISTS  # the oldest falls out
             self._twists.append(twist)
 
     def _drop_leaps(self, stamp_ns: int) -> None:
@@ -126,7 +125,6 @@ class Pairing:
         ):
             self._twists.pop()
             self._newest_twist_ns = self._twists[-1].stamp_ns if self._twists else -1
-            self.unpaired += 1
 
     def give_up_waiting(self) -> None:
         """Let all poses go on that wait, without their twists."""
@@ -163,11 +161,9 @@ class Pairing:
             difference = self._twists[0].stamp_ns - stamp_ns
             if difference > PAIRING_TOLERANCE_NS:
                 return self._interpolated(stamp_ns)
-            twist = self._twists.popleft()
-            paired = difference >= -PAIRING_TOLERANCE_NS
-            self._set_before(twist, served=paired)
-            if paired:
-                return twist
+            self._before = self._twists.popleft()
+            if difference >= -PAIRING_TOLERANCE_NS:
+                return self._before
         return None
 
     def _interpolated(self, stamp_ns: int) -> TwistSample | None:
@@ -178,18 +174,11 @@ class Pairing:
         span = after.stamp_ns - before.stamp_ns
         if span > MAX_BRACKET_NS:
             return None
-        self._before_served = True
         self.interpolated += 1
         s = (stamp_ns - before.stamp_ns) / span
         return TwistSample(stamp_ns, *(
             t3.add_scaled(t3.scale(1.0 - s, a), s, b)
             for a, b in zip(before[1:], after[1:], strict=True)))
-
-    def _set_before(self, twist: TwistSample, served: bool = False) -> None:
-        """Keep the last twist before the poses that wait."""
-        if not self._before_served:
-            self.unpaired += 1
-        self._before, self._before_served = twist, served
 
     def _note_late(self, stamp_ns: int) -> None:
         """Wait for twists again when those of poses that went on alone come, only later."""
@@ -201,6 +190,7 @@ class Pairing:
     def _count_pair(self) -> None:
         """Note that the newest pose has a twist; after two in a row wait for them."""
         self._last_paired = True
+        self._pairs += 1
         self._lost_in_a_row = self._late_in_a_row = 0
         self._pairs_in_a_row += 1
         if self._pairs_in_a_row >= 2:
