@@ -7,6 +7,7 @@ tool_pose.offset is set, the tool tip E is at that pose in the frame that is rec
 """
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -190,7 +191,7 @@ class Trajectory(_Stamped):
 
         What was checked is not checked again, and a slice copies nothing.
         """
-        picked = object.__new__(Trajectory)
+        picked = copy(self)
         _store(picked, 'stamps_ns', checked_stamps(self.stamps_ns[index], 'Picked samples'))
         for name in ('position', 'rotation', 'twist', 'acceleration', 'valid'):
             array = getattr(self, name)
