@@ -123,7 +123,6 @@ class LivePayload:
         self.settling = Settling()
         self.observer: Observer | None = None
         self.sample: Sample | None = None
-        self._coasted: Sample | None = None
         self.set_model(cup, package)
         self.forget()
 
@@ -156,13 +155,12 @@ class LivePayload:
         observer, sample = self.observer, self.sample
         if observer is not None and not observer.update(measurement) and sample is not None:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
-            self._coasted = None
 
     def forget(self, is_another: bool = True) -> None:
         """Restart from rest at the next tool sample, with the same or another package."""
         if self.observer is not None:
             self.observer.forget(is_another)
-        self.sample = self._coasted = None
+        self.sample = None
         self.settling.clear()
         self._retry_ns = -1
         self.outcome = ''
@@ -181,7 +179,6 @@ class LivePayload:
             Pose and body twist of the tool at the stamp.
 
         """
-        self._coasted = None
         self.outcome = ''
         last = self.sample
         if last is None:
@@ -206,7 +203,7 @@ class LivePayload:
 
         Returns None when there is nothing to go on from.
         """
-        base = self._coasted or self.sample
+        base = self.sample
         if base is None or stamp_ns <= base.stamp_ns:
             return None
         duration = (stamp_ns - base.stamp_ns) * 1e-9
@@ -215,7 +212,6 @@ class LivePayload:
         if result is None:
             return None
         body, (force, moment) = result
-        self._coasted = Sample(stamp_ns, tool, body)
         return Prediction(stamp_ns, *body[:4], force, moment, tool, True, self.settling.now,
                           strains=body[4:])
 
