@@ -24,9 +24,10 @@ import csv
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from decimal import Decimal
+from io import StringIO
 from pathlib import Path
 import re
-from typing import TextIO
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
@@ -306,15 +307,10 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody,
         If it is no such file, or was exported in another way.
 
     """
-    file = Path(path)
     try:
-        if file.stat().st_size > MAX_FILE_BYTES:
-            raise BellowsError(f"'{path}' is larger than {MAX_FILE_BYTES} bytes. Export less.")
-        with file.open(encoding='utf-8-sig', newline='') as stream:
-            return _bodies(file, stream, min_markers)
-    except OSError as error:
-        raise BellowsError(f"'{path}' cannot be read: {error.strerror}.") from None
-    except (UnicodeDecodeError, csv.Error) as error:
+        return _bodies(Path(path), csv.reader(StringIO(read_text(path, MAX_FILE_BYTES))),
+                       min_markers)
+    except csv.Error as error:
         raise BellowsError(f"'{path}' is no CSV file: {error}.") from None
 
 
@@ -325,9 +321,8 @@ def is_motive(path: File) -> bool:
     return False
 
 
-def _bodies(path: Path, stream: TextIO, min_markers: int) -> tuple[MotiveBody, ...]:
-    """Return the bodies in an open file."""
-    rows = csv.reader(stream)
+def _bodies(path: Path, rows: Any, min_markers: int) -> tuple[MotiveBody, ...]:
+    """Return the bodies by the rows of a file, of `csv.reader`."""
     about, heads = _read_head(path, rows)
     scale = UNITS[about['Length Units'].lower()]
     columns = _body_columns(path, heads)
