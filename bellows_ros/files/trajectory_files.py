@@ -248,9 +248,9 @@ def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequenc
 MIN_MARKER_QUALITY = 0.99  # appendix H
 MIN_MARKERS = 3  # of a rigid body, for a pose
 UNITS = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0254}  # m
-# 2021-05-11 02.31.05.250 PM, in some languages of Windows with P.M. or without.
-START = re.compile(
-    r'(\d{4})-(\d\d)-(\d\d) (\d{1,2})[.:](\d\d)[.:](\d\d)(?:[.,](\d{1,6}))?\s*([AaPp]?)')
+# In some languages of Windows with P.M., or without.
+START_FORMS = [f'%Y-%m-%d {time}' for time in (
+    '%I.%M.%S.%f %p', '%H.%M.%S.%f', '%I.%M.%S %p', '%H.%M.%S')]
 SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units',
             'Capture Start Time')
 MAX_FRAME_TIME = 1e9  # s, of the time of a frame
@@ -391,17 +391,13 @@ def _require_settings(path: Path, about: Mapping[str, str]) -> None:
 
 def _start_ns(about: Mapping[str, str]) -> int:
     """Return when the capture began, ns (its clock is taken as UTC); 1 s if not stated."""
-    match = START.match(about.get('Capture Start Time', ''))
-    if match is None:
-        return int(NS_PER_S)
-    year, month, day, hour, minute, second = map(int, match.groups()[:6])
-    if match[8]:
-        hour = hour % 12 + (12 if match[8] in 'Pp' else 0)
-    try:
-        start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-    except ValueError:
-        return int(NS_PER_S)
-    return int(start.timestamp()) * 10**9 + int((match[7] or '0').ljust(9, '0'))
+    text = re.sub('[:,]', '.', about.get('Capture Start Time', '').strip().upper())
+    text = re.sub(r'\s*([AP])\.?M\.?$', r' \1M', text)
+    for form in START_FORMS:
+        with suppress(ValueError):
+            start = datetime.strptime(text, form).replace(tzinfo=UTC)
+            return int(start.timestamp()) * 10**9 + 1000 * start.microsecond
+    return int(NS_PER_S)
 
 
 def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
