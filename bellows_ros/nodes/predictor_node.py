@@ -33,8 +33,6 @@ REPORT_PERIOD = 1.0
 COMPILE_TIME = 1.0
 """A start that takes longer (s) compiles the model, and says so."""
 
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-
 ANY_BACKWARD_JUMP = Duration(nanoseconds=-1)
 
 CUP_DEFAULTS = {
@@ -91,15 +89,11 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
             post_callback=self.guarded(self._on_clock_jump))
         self.create_timer(REPORT_PERIOD, lambda: self.diagnostics.report(),
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
-        if self.values['autostart']:
-            self.start()
-        else:
+        if not self.values['autostart']:
             self.get_logger().info('Unconfigured: waits for its lifecycle manager (autostart).')
-
-    def start(self) -> None:
-        """Configure and activate, or end and raise the obstacle."""
+            return
         for step in (self.trigger_configure, self.trigger_activate):
-            if step() != SUCCESS:
+            if step() != TransitionCallbackReturn.SUCCESS:
                 self.destroy_node()
                 raise BellowsError(self._failure or 'The node could not be started.')
 
@@ -118,7 +112,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
             self._failure = f'{kind}{short(str(error), 1000)}'
             self.get_logger().error(f'Cannot be configured: {self._failure}')
             self.release_resources()
-            return FAILURE
+            return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
 
     def configure(self) -> None:
@@ -171,7 +165,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         self.get_logger().error('A transition failed; the node is unconfigured now.')
         self.is_active = False
         self.release_resources()
-        return SUCCESS
+        return TransitionCallbackReturn.SUCCESS
 
     def release_resources(self) -> None:
         """Log the final counts, end the threads, and destroy what was made to be configured."""
