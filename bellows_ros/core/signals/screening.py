@@ -36,9 +36,6 @@ LONGEST_GAP_NS = 500_000_000
 BACKWARD_RUN = 5
 """Consecutive backward stamps, increasing among themselves, that mean a clock set back."""
 
-FAR_BACKWARD_RUN = 3
-"""The same, further back than any late message: a recording that starts again."""
-
 LEAP_NS = 20_000_000
 LEAP_PERIODS = 4
 """Lead (periods) over earlier stamps relative to arrival that makes a stamp a leap."""
@@ -102,12 +99,10 @@ class StampScreen:
         """Take whatever stamp comes next."""
         self.newest_ns = -1
         self.period_ns = 0
-        self._newest_arrival_ns: int | None = None
         self._least_age_ns = self._accepted = 0
         self._leap_ns = -1
         self._backward_run = 0
         self._backward_last_ns = -1
-        self._ahead_ns = -1
         self._leaps = False
 
     def judge_stamp(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
@@ -129,12 +124,13 @@ class StampScreen:
             return Verdict('duplicate_stamp', '')
         if stamp_ns < self.newest_ns:
             return self._judge_backward(stamp_ns)
-        if stamp_ns - self.newest_ns > LONGEST_GAP_NS:
-            return self._judge_ahead(stamp_ns, arrival_ns)
-        if arrival_ns is not None and self._leaps_alone(stamp_ns, arrival_ns - stamp_ns):
+        leads = arrival_ns is not None and self._leads(stamp_ns, arrival_ns)
+        before, self._leap_ns = self._leap_ns, stamp_ns if leads else -1
+        if leads and not (self._leaps or 0 <= before < stamp_ns):
             return Verdict('future_stamp', '')
-        self._ahead_ns = -1
-        return GOOD
+        if stamp_ns - self.newest_ns <= LONGEST_GAP_NS:
+            return GOOD
+        return Verdict(ACCEPTED, 'clock_set_forward' if leads else 'gap')  # or fast playback
 
     def accept_stamp(self, stamp_ns: int, arrival_ns: int | None, restart: str) -> None:
         """Make this stamp the reference; after a restart, the only one."""
@@ -148,21 +144,17 @@ class StampScreen:
             above = arrival_ns - stamp_ns - self._least_age_ns
             self._least_age_ns += above // 1024 if self._accepted and above > 0 else above
             self._accepted += 1
-        self._newest_arrival_ns = arrival_ns
         self._backward_run = 0
-        self._ahead_ns = -1
         self._leaps = restart == 'clock_set_forward'
 
-    def _leaps_alone(self, stamp_ns: int, age_ns: int) -> bool:
-        """Return whether a stamp, unlike the previous one, lies in the future."""
-        ahead_ns = self._least_age_ns - age_ns
-        if ahead_ns <= LEAP_NS or self._accepted < MIN_DELAY_SAMPLES:
-            self._leap_ns = -1
-            return False
-        if ahead_ns <= LEAP_PERIODS * self.period_ns:
-            return False
-        before, self._leap_ns = self._leap_ns, stamp_ns
-        return not 0 <= before < stamp_ns
+    def _leads(self, stamp_ns: int, arrival_ns: int) -> bool:
+        """Return whether a stamp lies in the future; a pause of the driver explains half of it."""
+        lead_ns = self._least_age_ns - (arrival_ns - stamp_ns)
+        step_ns = stamp_ns - self.newest_ns
+        if step_ns > LONGEST_GAP_NS:
+            return self._accepted > 0 and 2 * lead_ns > step_ns
+        return self._accepted >= MIN_DELAY_SAMPLES and (
+            lead_ns > max(LEAP_NS, LEAP_PERIODS * self.period_ns))
 
     def _judge_backward(self, stamp_ns: int) -> Verdict:
         """Refuse stamps that go back until this persists."""
@@ -170,28 +162,15 @@ class StampScreen:
             self._backward_run = 0
         self._backward_run += 1
         self._backward_last_ns = stamp_ns
-        is_far = self.newest_ns - stamp_ns > LONGEST_GAP_NS
-        if self._backward_run >= (FAR_BACKWARD_RUN if is_far else BACKWARD_RUN):
+        if self._backward_run >= BACKWARD_RUN:
             return Verdict(ACCEPTED, 'clock_set_back')
         return Verdict('backward_stamp', '')
-
-    def _judge_ahead(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
-        """Distinguish a pause, after which prediction restarts, from a stamp in the future."""
-        if arrival_ns is None or self._newest_arrival_ns is None:
-            return Verdict(ACCEPTED, 'gap')
-        waited = arrival_ns - self._newest_arrival_ns
-        if 2 * waited >= stamp_ns - self.newest_ns:
-            return Verdict(ACCEPTED, 'gap')
-        before, self._ahead_ns = self._ahead_ns, stamp_ns
-        if self._leaps or 0 <= before < stamp_ns:  # the next one too: the clock, or fast playback
-            return Verdict(ACCEPTED, 'clock_set_forward')
-        return Verdict('future_stamp', '')
 
 
 REASONS = ('duplicate_stamp', 'backward_stamp', 'future_stamp')
 
 
-def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> dict[str, Mask]:
+def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps) -> dict[str, Mask]:
     """
     Return which messages have stamps that cannot be used, by reason.
 
@@ -199,9 +178,8 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> dict[str, 
     ----------
     stamps_ns : int array (N,)
         Header stamps in the order the messages came in, ns.
-    arrivals_ns : int array (N,), optional
-        When they came, ns, not decreasing; without them a stamp that lies ahead is detected only
-        by those behind it.
+    arrivals_ns : int array (N,)
+        When they came, ns, not decreasing.
 
     Returns
     -------
@@ -257,27 +235,21 @@ def _is_rather_lost(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> boo
     return len(one[1]) < len(other[1])
 
 
-def _are_plain(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> bool:
+def _are_plain(stamps_ns: Stamps, arrivals_ns: Stamps) -> bool:
     """Return whether the screen would accept all stamps, so that checking each is unnecessary."""
-    steps = np.diff(stamps_ns)
-    if np.any(steps <= 0):
-        return False
-    if arrivals_ns is None or not len(steps):
-        return True
     ages = arrivals_ns - stamps_ns
     leaps = np.maximum.accumulate(ages)[:-1] - ages[1:] > LEAP_NS
-    unexplained = (steps > LONGEST_GAP_NS) & (2 * np.diff(arrivals_ns) < steps)
-    return not np.any(leaps | unexplained)
+    return not np.any(leaps | (np.diff(stamps_ns) <= 0))
 
 
 def _parts(
-    stamps_ns: Stamps, arrivals_ns: Stamps | None, unusable: dict[str, Mask]
+    stamps_ns: Stamps, arrivals_ns: Stamps, unusable: dict[str, Mask]
 ) -> list[Stamps]:
     """Return the indices of the usable messages between the moments at which a clock was set."""
     screen = StampScreen()
     parts: list[list[int]] = [[]]
-    arrivals = [None] * len(stamps_ns) if arrivals_ns is None else arrivals_ns.tolist()
-    for i, (stamp_ns, arrival_ns) in enumerate(zip(stamps_ns.tolist(), arrivals, strict=True)):
+    for i, (stamp_ns, arrival_ns) in enumerate(zip(
+            stamps_ns.tolist(), arrivals_ns.tolist(), strict=True)):
         verdict = screen.judge_stamp(stamp_ns, arrival_ns)
         if verdict.refused:
             unusable[verdict.refused][i] = True
