@@ -53,9 +53,6 @@ PAUSE_NS = 40_000_000
 MAX_TWIST_WAIT_NS = 40_000_000
 """This long (ns) after the newest pose none waits for its twist any longer."""
 
-LOAD_TICKS = 3
-"""Ticks between two comparisons of the cup's deflection with its validity range."""
-
 MIN_UPWARD_GRAVITY = 0.5
 """Above this fraction of gravity along z of the tool the package is above the tool."""
 
@@ -95,7 +92,7 @@ class Pipeline:
         self.values: Values = with_chosen_cup(node.values)
         self.compute, self.reported = health.Window(), Counter[str]()
         self._twists_exist = False
-        self._ticks = self._ticked_ns = 0
+        self._ticked_ns = 0
         self._was_late = self._is_compiling = False
         self._arrival_at_last_tick: int | None = None
         values = self.values
@@ -258,7 +255,6 @@ class Pipeline:
             self.use_values()
         if not self.node.is_active or self._was_late:
             return
-        self._ticks += 1
         live = self.live
         if live.pairing.waiting and (
                 self._ticked_ns - (live.arrivals.newest_ns or 0) >= MAX_TWIST_WAIT_NS):
@@ -268,8 +264,7 @@ class Pipeline:
         self._arrival_at_last_tick = live.arrivals.newest_ns
         self.publish_state()
         if held := self.held:
-            if self._ticks % LOAD_TICKS == 0:
-                self.load.watch_deflection(live.model, held)
+            self.load.watch_deflection(live.model, held)
             self.tossing.publish(held)
 
     def publish_state(self) -> None:

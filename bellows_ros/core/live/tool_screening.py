@@ -17,7 +17,6 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen, Verdict
 
-FRAME_RUN = 3
 FRAME_RUN_NS = 150_000_000
 """A new frame is accepted after consecutive poses that span this time (ns)."""
 
@@ -185,19 +184,18 @@ class FrameChange:
     def __init__(self) -> None:
         """Know of no other frame."""
         self._frame_id: str | None = None
-        self._run = self._first_ns = self._last_ns = 0
+        self._first_ns = self._last_ns = -1
 
     def clear(self) -> None:
         """Note that the frame is unchanged."""
-        self._run = 0
+        self._first_ns = -1
 
     def is_believed(self, frame_id: str | None, stamp_ns: int) -> bool:
         """Return whether only this new frame has come for long enough."""
-        if not self._run or frame_id != self._frame_id or stamp_ns <= self._last_ns:
-            self._frame_id, self._run, self._first_ns = frame_id, 0, stamp_ns
-        self._run += 1
+        if self._first_ns < 0 or frame_id != self._frame_id or stamp_ns <= self._last_ns:
+            self._frame_id, self._first_ns = frame_id, stamp_ns
         self._last_ns = stamp_ns
-        return self._run >= FRAME_RUN and stamp_ns - self._first_ns >= FRAME_RUN_NS
+        return stamp_ns - self._first_ns >= FRAME_RUN_NS
 
 
 class TwistScreen:
