@@ -37,8 +37,8 @@ MAX_BRACKET_NS = 30_000_000
 MAX_TWISTS = 32
 """Most twists that wait."""
 
-LOST_RUN = 3
-"""Consecutive poses without a twist after which poses no longer wait."""
+FOUND_RUN, LOST_RUN = 2, 3
+"""Consecutive poses with a twist, and without, after which poses wait, and no longer wait."""
 
 SMOOTHING = 0.1
 """Weight of a new period in the mean period, so that one lost twist hardly changes it."""
@@ -75,7 +75,7 @@ class Pairing:
         self._newest_ns = self._last_emitted_ns = -1
         self._pose_period_ns = self._twist_period_ns = 0.0
         self._newest_twist_ns = -1
-        self._pairs_in_a_row = self._lost_in_a_row = self._late_in_a_row = 0
+        self._run = 0  # of poses with a twist, or below zero without
         self._last_paired = False
         self._without_twist: deque[int] = deque(maxlen=16)  # stamps that went on alone
 
@@ -109,7 +109,9 @@ class Pairing:
             self._twist_period_ns = smoothed(self._twist_period_ns, stamp_ns - newest_ns)
         if abs(stamp_ns - self._last_emitted_ns) <= PAIRING_TOLERANCE_NS:
             if not self._last_paired:  # it came after its pose had gone on without it
-                self._count_pair()
+                self._last_paired = True
+                self._pairs += 1
+                self._count(True)
             self._before = twist
         elif stamp_ns < self._last_emitted_ns:
             self._note_late(stamp_ns)
@@ -129,8 +131,7 @@ class Pairing:
     def give_up_waiting(self) -> None:
         """Let all poses go on that wait, without their twists."""
         if self._poses:
-            self.expect = False
-            self._pairs_in_a_row = 0
+            self.expect, self._run = False, 0
 
     def ready(self) -> Iterator[tuple[PoseSample, TwistSample | None]]:
         """Yield the poses that need not wait, oldest first, with their twists."""
@@ -143,16 +144,15 @@ class Pairing:
                            or len(self._poses) > MAX_QUEUE)
                 if not (overdue or self._twists):  # a newer twist shows that this one is lost
                     return
-                self._lost_in_a_row += 1
-                self.expect = not overdue and self._lost_in_a_row < LOST_RUN
+                self._count(False)
+                self.expect = self.expect and not overdue
             self._poses.popleft()
-            if not self._last_paired:
-                self._pairs_in_a_row = 0
-            self._last_emitted_ns, self._last_paired = pose.stamp_ns, False
+            self._last_emitted_ns, self._last_paired = pose.stamp_ns, twist is not None
             if twist is None:
                 self._without_twist.append(pose.stamp_ns)
             else:
-                self._count_pair()
+                self._pairs += 1
+                self._count(True)
             yield pose, twist
 
     def _twist_of(self, stamp_ns: int) -> TwistSample | None:
@@ -184,17 +184,13 @@ class Pairing:
         """Wait for twists again when those of poses that went on alone come, only later."""
         if self._newest_ns - stamp_ns <= MAX_WAIT_NS and any(
                 abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist):
-            self._late_in_a_row += 1
-            self.expect = self.expect or self._late_in_a_row >= 2
+            self._count(True)
 
-    def _count_pair(self) -> None:
-        """Note that the newest pose has a twist; after two in a row wait for them."""
-        self._last_paired = True
-        self._pairs += 1
-        self._lost_in_a_row = self._late_in_a_row = 0
-        self._pairs_in_a_row += 1
-        if self._pairs_in_a_row >= 2:
-            self.expect = True
+    def _count(self, is_found: bool) -> None:
+        """Wait for twists, or no longer, after some poses in a row with one, or without."""
+        self._run = max(self._run, 0) + 1 if is_found else min(self._run, 0) - 1
+        if not -LOST_RUN < self._run < FOUND_RUN:
+            self.expect = is_found
 
 
 def smoothed(mean: float, value: float) -> float:
