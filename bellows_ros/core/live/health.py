@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Load, Safety
-from bellows_ros.core.live.predictor import LivePredictor, MESSAGES, REFUSALS, RESTARTS
+from bellows_ros.core.live.predictor import LivePredictor, MESSAGES, RESTARTS
+from bellows_ros.core.live.tool_screening import REFUSALS
 from bellows_ros.core.model.validity_range import Distance
 import numpy as np
 

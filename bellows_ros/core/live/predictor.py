@@ -34,16 +34,13 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .tool_screening import Screen, ToolArrivals, TwistSample, TwistScreen
+from .tool_screening import REFUSALS, Screen, ToolArrivals, TwistSample, TwistScreen
 
 COAST_LIMIT_NS = 100_000_000
 """Default time (ns) for which the tool is extrapolated."""
 
 MOVING_SPEED, MOVING_RATE = 0.02, 0.1
 """Speed (m/s) or rate (rad/s) of the tool from which on no package is released."""
-
-REFUSALS: Mapping[str, str] = {**screening.REFUSALS['both'], **screening.REFUSALS['live']}
-"""Why messages are refused, in words."""
 
 MESSAGES = tomllib.loads(Path(__file__).with_name('messages.toml').read_text())
 RESTARTS: Mapping[str, str] = {
@@ -246,14 +243,14 @@ class LivePredictor:
 
         """
         self.poses_in += 1
-        verdict = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
-        if verdict.refused:
-            self._counts[verdict.refused] += 1
+        reason = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
+        if reason in self._counts:
+            self._counts[reason] += 1
             return []
         predictions: list[Prediction] = []
-        if verdict.restart:
+        if reason:
             predictions = self.flush()
-            self.restarts[verdict.restart] += 1
+            self.restarts[reason] += 1
             self._forget_motion()
         if self._screen.suspect:
             self.package.settling.inflate(stamp_ns, *self._screen.suspect)

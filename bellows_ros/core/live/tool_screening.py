@@ -8,6 +8,7 @@ changes its frame or a tool was moved while nobody saw it. Of two tools on one t
 came first is followed.
 """
 
+from collections.abc import Mapping
 import math
 from typing import NamedTuple
 
@@ -15,7 +16,10 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.signals import screening
-from bellows_ros.core.signals.screening import StampScreen, Verdict
+from bellows_ros.core.signals.screening import StampScreen
+
+REFUSALS: Mapping[str, str] = {**screening.REFUSALS['both'], **screening.REFUSALS['live']}
+"""Why messages are refused, in words."""
 
 FRAME_RUN_NS = 150_000_000
 """A new frame is accepted after consecutive poses that span this time (ns)."""
@@ -263,9 +267,9 @@ class Screen(StampScreen):
     def judge(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
         arrival_ns: int | None = None,
-    ) -> Verdict:
+    ) -> str:
         """
-        Return whether a pose can be used; if so, keep it as reference.
+        Return why a pose is refused, or prediction restarts with it, or ''; else keep it.
 
         Parameters
         ----------
@@ -282,42 +286,40 @@ class Screen(StampScreen):
             future; without it a late stamp is taken for a pause.
 
         """
-        verdict = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
-        if not verdict.refused:
-            moved = self._elsewhere if verdict.restart == 'moved' else None
-            if verdict.restart:
+        reason = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
+        if reason not in REFUSALS:
+            moved = self._elsewhere if reason == 'moved' else None
+            if reason:
                 self.forget_motion()
-            self.accept_stamp(stamp_ns, arrival_ns, verdict.restart)
+            self.accept_stamp(stamp_ns, arrival_ns, reason)
             self._last = moved or Reference(
                 stamp_ns, position, quaternion_xyzw, self.period_ns * 1e-9, self._step)
             self.frame_id, self._elsewhere = frame_id, None
             self._change.clear()
-        return verdict
+        return reason
 
     def _judge(
         self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion, arrival_ns: int | None
-    ) -> Verdict:
-        """Return the first verdict of the checks."""
+    ) -> str:
+        """Return what the first of the checks says that says anything."""
         if reason := screening.why_no_pose(o, q):
-            return Verdict(reason, '')
+            return reason
         if stamp_ns <= 0:
-            return Verdict('zero_stamp', '')
+            return 'zero_stamp'
         if self.frame_id and frame_id != self.frame_id:
-            if self._change.is_believed(frame_id, stamp_ns):
-                return Verdict(screening.ACCEPTED, 'frame_changed')
-            return Verdict('frame_id', '')
+            is_believed = self._change.is_believed(frame_id, stamp_ns)
+            return 'frame_changed' if is_believed else 'frame_id'
         self._change.clear()
-        verdict = self.judge_stamp(stamp_ns, arrival_ns)
-        return self._judge_place(stamp_ns, o, q) if verdict is screening.GOOD else verdict
+        return self.judge_stamp(stamp_ns, arrival_ns) or self._judge_place(stamp_ns, o, q)
 
-    def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> Verdict:
+    def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> str:
         """Refuse poses of a tracker that has lost its body: repeated, or far away."""
         last = self._last
         if last is None:
-            return screening.GOOD
+            return ''
         if o == last.position and q == last.quaternion_xyzw:
             self._step, self.suspect = REST, None
-            return Verdict('repeated_pose', '') if _cannot_stop(last) else screening.GOOD
+            return 'repeated_pose' if _cannot_stop(last) else ''
         is_doubted = self._elsewhere is not None
         if is_doubted:  # then the time since the last one tells of no burst
             last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
@@ -325,11 +327,9 @@ class Screen(StampScreen):
         if step.excess <= 1.0 and not (is_doubted and self._is_elsewhere(stamp_ns, o, q)):
             limit = SUSPICION_AFTER_JUMPS if is_doubted else 1.0
             self.suspect = step.jump if step.suspicion > limit else None
-            return screening.GOOD
+            return ''
         self._note_elsewhere(stamp_ns, o, q)
-        if self._elsewhere_run >= JUMP_RUN:
-            return Verdict(screening.ACCEPTED, 'moved')
-        return Verdict('jump', '')
+        return 'moved' if self._elsewhere_run >= JUMP_RUN else 'jump'
 
     def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
         """Return whether a pose continues rather from the last refused than the last accepted."""

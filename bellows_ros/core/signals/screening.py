@@ -43,8 +43,6 @@ LEAP_PERIODS = 4
 MIN_DELAY_SAMPLES = 10
 """Poses needed to know the delay between stamps and arrivals."""
 
-ACCEPTED = ''
-
 
 class PoseSample(NamedTuple):
     """A pose of the tool in the world that has been accepted."""
@@ -52,18 +50,6 @@ class PoseSample(NamedTuple):
     stamp_ns: int
     position: Vector
     quaternion_xyzw: Quaternion
-
-
-class Verdict(NamedTuple):
-    """The decision on a pose."""
-
-    refused: str
-    """Why the pose is refused, or ''."""
-    restart: str
-    """Why prediction restarts with this pose, or ''."""
-
-
-GOOD = Verdict(ACCEPTED, '')
 
 
 def why_no_pose(o: Vector, q: Quaternion) -> str:
@@ -105,9 +91,9 @@ class StampScreen:
         self._backward_last_ns = -1
         self._leaps = False
 
-    def judge_stamp(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
+    def judge_stamp(self, stamp_ns: int, arrival_ns: int | None) -> str:
         """
-        Return whether a stamp can be used.
+        Return why a stamp is refused, or prediction restarts with it, or ''.
 
         Parameters
         ----------
@@ -119,18 +105,18 @@ class StampScreen:
 
         """
         if self.newest_ns < 0:
-            return GOOD
+            return ''
         if stamp_ns == self.newest_ns:
-            return Verdict('duplicate_stamp', '')
+            return 'duplicate_stamp'
         if stamp_ns < self.newest_ns:
             return self._judge_backward(stamp_ns)
         leads = arrival_ns is not None and self._leads(stamp_ns, arrival_ns)
         before, self._leap_ns = self._leap_ns, stamp_ns if leads else -1
         if leads and not (self._leaps or 0 <= before < stamp_ns):
-            return Verdict('future_stamp', '')
+            return 'future_stamp'
         if stamp_ns - self.newest_ns <= LONGEST_GAP_NS:
-            return GOOD
-        return Verdict(ACCEPTED, 'clock_set_forward' if leads else 'gap')  # or fast playback
+            return ''
+        return 'clock_set_forward' if leads else 'gap'  # or fast playback
 
     def accept_stamp(self, stamp_ns: int, arrival_ns: int | None, restart: str) -> None:
         """Make this stamp the reference; after a restart, the only one."""
@@ -156,15 +142,13 @@ class StampScreen:
         return self._accepted >= MIN_DELAY_SAMPLES and (
             lead_ns > max(LEAP_NS, LEAP_PERIODS * self.period_ns))
 
-    def _judge_backward(self, stamp_ns: int) -> Verdict:
+    def _judge_backward(self, stamp_ns: int) -> str:
         """Refuse stamps that go back until this persists."""
         if self._backward_run and stamp_ns <= self._backward_last_ns:
             self._backward_run = 0
         self._backward_run += 1
         self._backward_last_ns = stamp_ns
-        if self._backward_run >= BACKWARD_RUN:
-            return Verdict(ACCEPTED, 'clock_set_back')
-        return Verdict('backward_stamp', '')
+        return 'clock_set_back' if self._backward_run >= BACKWARD_RUN else 'backward_stamp'
 
 
 REASONS = ('duplicate_stamp', 'backward_stamp', 'future_stamp')
@@ -250,12 +234,12 @@ def _parts(
     parts: list[list[int]] = [[]]
     for i, (stamp_ns, arrival_ns) in enumerate(zip(
             stamps_ns.tolist(), arrivals_ns.tolist(), strict=True)):
-        verdict = screen.judge_stamp(stamp_ns, arrival_ns)
-        if verdict.refused:
-            unusable[verdict.refused][i] = True
+        reason = screen.judge_stamp(stamp_ns, arrival_ns)
+        if reason in unusable:
+            unusable[reason][i] = True
             continue
-        if verdict.restart:
+        if reason:
             parts.append([])
         parts[-1].append(i)
-        screen.accept_stamp(stamp_ns, arrival_ns, verdict.restart)
+        screen.accept_stamp(stamp_ns, arrival_ns, reason)
     return [np.array(part, dtype=np.int64) for part in parts if part]

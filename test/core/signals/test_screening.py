@@ -1,6 +1,6 @@
 """Which stamps of a recording are left out: as few as the live screen would refuse, or fewer."""
 
-from bellows_ros.core.signals.screening import StampScreen, unusable_stamps
+from bellows_ros.core.signals.screening import REASONS, StampScreen, unusable_stamps
 import numpy as np
 import pytest
 
@@ -33,11 +33,11 @@ def live(stamps, arrivals):
     screen = StampScreen()
     refused = 0
     for stamp, arrival in zip(stamps.tolist(), arrivals.tolist(), strict=True):
-        verdict = screen.judge_stamp(stamp, arrival)
-        if verdict.refused:
+        reason = screen.judge_stamp(stamp, arrival)
+        if reason in REASONS:
             refused += 1
         else:
-            screen.accept_stamp(stamp, arrival, verdict.restart)
+            screen.accept_stamp(stamp, arrival, reason)
     return refused
 
 
