@@ -129,12 +129,10 @@ class TableNode(GuardedNode):
 
     def declare_from_table(self, name: str, value: table.Value) -> None:
         """Declare a parameter of the table with a value that has been checked."""
-        parameter, typed = table.lookup(name), ros_parameter(name, value)
+        typed = ros_parameter(name, value)
         self.declare_parameter(
             name, typed.type_ if value == () else typed.value,  # an empty list has no type
-            descriptor(parameter, self._read_only), ignore_override=True)
-        if value == () and parameter.kind == 'double_array':
-            super().set_parameters_atomically([typed])
+            descriptor(table.lookup(name), self._read_only), ignore_override=True)
 
     def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult:
         """Set all or none of some parameters, and say why not."""

@@ -149,9 +149,11 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything that was made."""
+        """Release everything that was made, so that the node can be configured again."""
         self.release_resources()
         return super().on_cleanup(state)
+
+    on_error = on_cleanup
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop publishing for good."""
@@ -160,18 +162,11 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         self.release_resources()
         return super().on_shutdown(state)
 
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything, so that the node can be configured again."""
-        self.get_logger().error('A transition failed; the node is unconfigured now.')
-        self.is_active = False
-        self.release_resources()
-        return TransitionCallbackReturn.SUCCESS
-
     def release_resources(self) -> None:
         """Log the final counts, end the threads, and destroy what was made to be configured."""
         if self.pipeline:
             self.get_logger().info(health.summary(self.pipeline.live))
-        self.pipeline = None
+        self.pipeline, self.is_active = None, False
         for worker in self.workers:
             worker.close()
         self.workers.clear()
@@ -188,7 +183,6 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
 
     def close(self) -> None:
         """Release everything, and leave the graph."""
-        self.is_active = False
         self.release_resources()
         self.destroy_node()
 
