@@ -139,8 +139,6 @@ class PlanTracker:
     plan : ToolRows
     progress : float
         s of the plan.
-    rate : float
-        Its speed is so many times that of the plan.
     done, deviated, paused : bool
         Whether the tool has arrived, is elsewhere, or stands where the plan moves.
 
@@ -161,17 +159,12 @@ class PlanTracker:
             t for t, row, near in zip(self._seconds, self._rows, reach, strict=True)
             if pose_distance(row, o, q) > PLACE_TOLERANCE + near), self._seconds[-1]))
         self.done = self.deviated = self.paused = False
-        self._anchor = -1, 0.0, 1.0
+        self._anchor = -1, 0.0, 1.0  # stamp, progress, and speed of the tool in that of the plan
 
     @property
     def progress(self) -> float:
         """Time in the plan of the last pose of the tool, s."""
         return self._anchor[1]
-
-    @property
-    def rate(self) -> float:
-        """Speed of the tool relative to the plan."""
-        return self._anchor[2]
 
     def follow(self, now: Prediction) -> None:
         """Find where on the plan the tool is, and how fast it is driven; for each of its poses."""
@@ -212,7 +205,7 @@ class PlanTracker:
         Return the tool as it is, then the rest of the plan, with stamps from now.
 
         A plan that has not begun and has no time to begin, begins now. The tool joins it at
-        `JOIN_SPEED`, and drives it at `rate`; its points are thinned to a spacing (s).
+        `JOIN_SPEED`, and drives it as fast as last; its points are thinned to a spacing (s).
         """
         _, progress, rate = self._anchor
         seconds, last, wait = self._seconds, len(self._seconds) - 1, 0.0

@@ -46,7 +46,7 @@ def test_follows_the_tool_and_not_the_clock(speed, late, stamp_ns):
         if 0.06 < truth < 0.74:
             assert abs(ahead.progress - truth) < 2e-3
         if 0.3 < truth < 0.7:
-            assert abs(ahead.rate - speed) < 0.02
+            assert abs(ahead._anchor[2] - speed) < 0.02
             rest = ahead.rest(now).trajectory()
             for after in rest.seconds[1:-1:7]:
                 later = driven(t + after, speed, late)
