@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Mapping
+import math
 from typing import Any
 
 from bellows_ros.core.signals.residuals import MILLI_UNITS
@@ -54,11 +55,11 @@ def _excitation_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table, with its head, of the motion of the lip in each axis of the tool."""
     rows: list[tuple[str, ...]] = [
         ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'main band')]
-    for (name, axis), unit in zip(excitation['axes'].items(), MILLI_UNITS, strict=True):
+    for (name, axis), noise in zip(excitation['axes'].items(), MILLI_UNITS, strict=True):
+        factor, unit = (1e3, noise) if noise == 'mm' else (math.degrees(1.0), 'deg')
         low, high = axis['band_hz']
-        rows.append((
-            name, *(formatted(axis[key], '.3g', unit, 1e3)
-                    for key in ('strain', 'motion', 'strain_noise')),
-            *(formatted(axis[key], '.3g', f'{unit}/s', 1e3) for key in ('twist', 'twist_noise')),
-            '-' if formatted(low) == '-' else f'{low:.1f}-{high:.1f} Hz'))
+        rows.append((name, *(formatted(axis[key], '.3g', of_key, scale) for key, of_key, scale in (
+            ('strain', unit, factor), ('motion', unit, factor), ('strain_noise', noise, 1e3),
+            ('twist', f'{unit}/s', factor), ('twist_noise', f'{noise}/s', 1e3))),
+            f'{low:.1f}-{high:.1f} Hz' if math.isfinite(low) else '-'))
     return rows

@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.live.load import equivalent_box
+from bellows_ros.core.model.simulation import ToolRows
 from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
@@ -64,55 +64,33 @@ def write_animation(
         If the ending is another, or ffmpeg is missing.
 
     """
-    measured = replayed.motion
-    world = View(
-        'in the world', replayed.seconds, (measured.tool_position, measured.tool_rotation),
-        (replayed.position, replayed.rotation),
-        (measured.package_position, measured.package_rotation), replayed.com, replayed.box,
-        replayed.cup_length, REPLAY_ZOOM)
-    close_up = world._replace(label='moving with the tool tip', zoom=CUP_ZOOM, at_tool=True)
-    _write(path, (world, close_up), 'Predicted, and measured as an outline', note, theme, progress,
-           speed)
+    views = (View('in the world', replayed, REPLAY_ZOOM),
+             View('moving with the tool tip', replayed, CUP_ZOOM, at_tool=True))
+    _write(path, views, 'Predicted, and measured as an outline', note, theme, progress, speed)
 
 
 def write_steering(path: File, report: steer.SteerReport, note: str, speed: float) -> None:
     """Write a motion as planned and as steered, side by side; see `write_animation`."""
-    values = report.source.values
-    com, box = np.array(values['package.com']), np.array(equivalent_box(values))
-    views = []
+    values, views = report.source.values, []
     last = TAIL_SHOWN + max(float(motion.tool.seconds[-1]) for motion in report.motions.values())
     for name in ('as planned', report.method):
         if motion := report.motions.get(name):
-            until_end = motion.along.seconds <= last
-            tool, outline = motion.along.select(until_end), motion.reference.select(until_end)
-            states = motion.states[until_end]
-            views.append(View(
-                name, motion.along.seconds[until_end], (tool.position, tool.rotation),
-                (states[:, :3], quaternion_to_rotation(states[:, 3:7])),
-                (outline.position, outline.rotation), com, box, values['cup.length'], PLAN_ZOOM))
+            seconds = motion.along.seconds
+            package = ToolRows(motion.along.stamps_ns, motion.states).trajectory()
+            tool, package, outline = (body.select(seconds <= last)
+                                      for body in (motion.along, package, motion.reference))
+            views.append(View(name, plot.Scene(
+                seconds[seconds <= last], tool, package, outline, values['cup.length'],
+                np.array(values['package.com']), np.array(equivalent_box(values))), PLAN_ZOOM))
     _write(path, views, 'The motion as planned and steered; the reference as an outline', note,
            'light', recordings.no_progress, speed)
 
 
-Poses = tuple[Array, Array]
-"""Of a body in the world: positions (N, 3), m, and rotations (N, 3, 3)."""
-
-
 class View(NamedTuple):
-    """
-    Tool and package at times (N,), s, with the package once more as an outline.
-
-    Seen in the world, or close up and moving with the tool tip.
-    """
+    """A scene in the world, or close up and moving with the tool tip."""
 
     label: str
-    seconds: Array
-    tool: Poses
-    package: Poses
-    outline: Poses
-    com: Array
-    box: Array
-    cup_length: float
+    scene: plot.Scene
     zoom: float
     at_tool: bool = False
 
@@ -125,8 +103,8 @@ def _write(
     ending = f'.{require_picture(path, FILMS)}'
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else _mp4
-    times = np.arange(min(view.seconds[0] for view in views),
-                      max(view.seconds[-1] for view in views), speed / rate_hz)
+    times = np.arange(min(view.scene.seconds[0] for view in views),
+                      max(view.scene.seconds[-1] for view in views), speed / rate_hz)
     pictures = _drawn(views, times, title, note, theme, progress)
     write_bytes(path, encode(pictures, rate_hz))
 
@@ -169,11 +147,12 @@ def _drawn(
 
 def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
     """Return a panel that shows the whole way, or the cup close up."""
-    bodies = np.vstack([view.tool[0], view.package[0]])
+    scene = view.scene
+    bodies = np.vstack([scene.tool.position, scene.package.position])
     low, high = bodies.min(axis=0), bodies.max(axis=0)
-    centre, half = 0.5 * (low + high), 0.5 * np.max(high - low) + 0.7 * np.max(view.box)
+    centre, half = 0.5 * (low + high), 0.5 * np.max(high - low) + 0.7 * np.max(scene.box)
     if view.at_tool:
-        half = 0.8 * np.max(view.box) + 0.2 * view.cup_length
+        half = 0.8 * np.max(scene.box) + 0.2 * scene.cup_length
         centre = np.array([0.0, 0.0, -0.15 * half])
     space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d', computed_zorder=False)
     space.set_axis_off()
@@ -189,13 +168,15 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
     """Draw one moment into a panel and return its artists."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-    i = min(int(np.searchsorted(view.seconds, t)), len(view.seconds) - 1)
-    shift = view.tool[0][i] if view.at_tool else np.zeros(3)
-    (tool_o, tool_R), (body_o, body_R), (outline_o, outline_R) = (
-        (o[i] - shift, R[i]) for o, R in (view.tool, view.package, view.outline))
-    lip_o = body_o - body_R @ view.com
+    scene = view.scene
+    i = min(int(np.searchsorted(scene.seconds, t)), len(scene.seconds) - 1)
+    shift = scene.tool.position[i] if view.at_tool else np.zeros(3)
+    (tool_o, tool_R), (body_o, body_R), outline = (
+        (body.position[i] - shift, body.rotation[i])
+        for body in (scene.tool, scene.package, scene.outline))
+    lip_o = body_o - body_R @ scene.com
     package = Poly3DCollection(
-        list(box_corners(body_o, body_R, view.box)[BOX_FACES]), facecolor=colours.predicted,
+        list(box_corners(body_o, body_R, scene.box)[BOX_FACES]), facecolor=colours.predicted,
         alpha=0.55, edgecolor=colours.text, linewidth=0.8)
     rings = bellows_rings(tool_o, tool_R, lip_o, body_R)
     cup = Poly3DCollection(
@@ -203,14 +184,13 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
          for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)],
         facecolor=colours.measured, edgecolor=colours.quiet, linewidth=0.3)
     arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM_LENGTH])])
-    outline = Line3DCollection(
-        list(box_corners(outline_o, outline_R, view.box)[BOX_EDGES]), colors=colours.error,
-        linewidths=1.3)
-    for order, thing in enumerate((package, cup, outline), 1):
+    edges = Line3DCollection(
+        list(box_corners(*outline, scene.box)[BOX_EDGES]), colors=colours.error, linewidths=1.3)
+    for order, thing in enumerate((package, cup, edges), 1):
         thing.set_zorder(order)
         space.add_collection3d(thing)
     drawn = space.plot(*arm.T, color=colours.quiet, linewidth=7.0, solid_capstyle='butt', zorder=2)
-    return [package, cup, outline, *drawn]
+    return [package, cup, edges, *drawn]
 
 
 def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:

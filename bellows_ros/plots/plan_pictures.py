@@ -1,7 +1,6 @@
 """Pictures of plans: predicted, steered, tossed, designed; and of the safety factor over time."""
 
-from collections.abc import Callable, Mapping
-import math
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +17,13 @@ from bellows_ros.workflows.identification import Identification
 import numpy as np
 
 from .animation import box_corners, BOX_EDGES
-from .style import BELOW_HEAD, draw_series, MILLI, name_panel, picture, Theme
+from .style import BELOW_HEAD, DEGREES, draw_series, MILLI, name_panel, picture, Theme
 
 WIDE = (9.4, 4.2)  # inches
 WIDE_PANEL = {'top': 1.0 - 0.9 / WIDE[1], 'bottom': 0.52 / WIDE[1]}
 BANDS = 'bands: two standard deviations'
-ABOVE_PANEL = {'loc': 'lower right', 'bbox_to_anchor': (1.0, 1.0), 'ncols': 3}
-"""Place of a legend."""
-
 MAX_SHOWN_FACTOR = 4.0
 """Safety factors are drawn up to this multiple of the required one."""
-
-DEGREES = 180.0 / math.pi
-STYLES = ('-', '--', ':')
 
 
 def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
@@ -50,56 +43,38 @@ def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
 
     """
     curves = report.curves
-    values, std = curves.values, curves.std
+    seconds, values, std = curves.seconds, curves.values, curves.std
     offset = values[:, :3] - curves.tool
     note = f'{report.source.path}; {BANDS}'
     with picture('What the plan does to the package', note, theme) as (figure, colours):
-        grid = figure.subplots(
-            3, 2, sharex=True, gridspec_kw={**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.2})
-        path, safety, *others = panels = grid.ravel()
-        _draw_path(path, curves, colours)
+        grid = {**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.2}
+        panels = figure.subplots(3, 2, sharex=True, gridspec_kw=grid).ravel()
+        draw_series(panels[0], seconds, curves.tool, [colours.quiet] * 3)
+        safety = 'safety factor: set cup.lip_radius, vacuum.holding'
         if report.prediction.grip:
-            _draw_margins(safety, replay.Margins(
-                curves.seconds, values[:, 4:6], std[:, 4:6],
+            safety = 'safety factor'
+            _draw_margins(panels[1], replay.Margins(
+                seconds, values[:, 4:6], std[:, 4:6],
                 report.prediction.smallest_safety, report.least), colours)
-        else:
-            safety.text(0.5, 0.5, 'unknown: set cup.lip_radius and vacuum.holding', ha='center',
-                        transform=safety.transAxes, color=colours.quiet)
-        for panel, shown, sigma in (
-            (others[0], MILLI * (offset - offset[0]), MILLI * std[:, :3]),
-            (others[2], DEGREES * values[:, 3:4], DEGREES * std[:, 3:4]),
-            (others[1], values[:, 6:9], std[:, 6:9]), (others[3], values[:, 9:], std[:, 9:]),
+        for panel, factor, shown, sigma, names in (
+            (panels[0], 1.0, values[:, :3], std[:, :3], 'xyz'),
+            (panels[2], MILLI, offset - offset[0], std[:, :3], 'xyz'),
+            (panels[3], 1.0, values[:, 6:9], std[:, 6:9], 'xyz'),
+            (panels[4], DEGREES, values[:, 3:4], std[:, 3:4], ''),
+            (panels[5], 1.0, values[:, 9:], std[:, 9:], 'xyz'),
         ):
-            draw_series(panel, curves.seconds, shown, colours.three, 'xyz', sigma)
-            if shown.shape[1] > 1:
-                _legend(panel)
+            draw_series(panel, seconds, factor * shown, colours.three, names, factor * sigma)
         for panel, name in zip(panels, (
-                'position (m)', 'safety factor',
-                'package seen from the tool tip (mm)', 'force at the lip (N)',
-                'bending of the cup (degrees)', 'moment at the lip (N m)'), strict=True):
+                'position (m), grey: the tool', safety, 'package seen from the tool tip (mm)',
+                'force at the lip (N)', 'bending of the cup (degrees)',
+                'moment at the lip (N m)'), strict=True):
             name_panel(panel, name)
             panel.axvline(
                 report.source.duration, color=colours.quiet, linewidth=0.8, linestyle=':')
-            panel.set_xlim(0.0, curves.seconds[-1])
+            panel.set_xlim(0.0, seconds[-1])
         for panel in panels[-2:]:
             panel.set_xlabel('time (s); dotted: end of the plan')
     return figure
-
-
-def _legend(panel: Any) -> None:
-    """Draw the legend above the panel, where no curve is."""
-    panel.legend(**ABOVE_PANEL, fontsize=8, handlelength=1.4, borderaxespad=0.2, columnspacing=1.2)
-
-
-def _draw_path(panel: Any, curves: plan.Curves, colours: Theme) -> None:
-    """Draw the positions of tool and package in the world."""
-    for axis, style in enumerate(STYLES):
-        panel.plot(curves.seconds, curves.tool[:, axis], style, color=colours.quiet,
-                   linewidth=2.6, label=f'tool {"xyz"[axis]}')
-        panel.plot(curves.seconds, curves.values[:, axis], style, color=colours.predicted,
-                   linewidth=1.2, label=f'package {"xyz"[axis]}')
-    panel.legend(fontsize=6.5, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 0.98),
-                 handlelength=2.2, borderaxespad=0.2, columnspacing=1.0, labelspacing=0.2)
 
 
 def margin_figure(margins: replay.Margins, note: str, theme: str = 'light') -> Any:
@@ -125,8 +100,7 @@ def margin_figure(margins: replay.Margins, note: str, theme: str = 'light') -> A
         panel = figure.subplots(gridspec_kw={**BELOW_HEAD, **WIDE_PANEL})
         _draw_margins(panel, margins, colours)
         panel.set_xlim(margins.seconds[0], margins.seconds[-1])
-        panel.set_xlabel('time (s)')
-        panel.set_ylabel('safety factor of the grip')
+        name_panel(panel, 'safety factor', 'time (s)')
     return figure
 
 
@@ -136,7 +110,6 @@ def _draw_margins(panel: Any, margins: replay.Margins, colours: Theme) -> None:
     factor, mode, time = margins.smallest
     panel.plot([time], [factor], 'o', markersize=4.0, color=colours.text,
                label=f'{factor:.3g} ({mode}, {time:.3g} s)')
-    _legend(panel)
     panel.axhline(margins.least, color=colours.text, linewidth=0.8, linestyle='--')
     panel.axhspan(0.0, 1.0, color=colours.predicted, alpha=0.12, linewidth=0.0)
     for height, words, place in ((margins.least, 'safety.least', 'bottom'),
@@ -178,11 +151,8 @@ def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:
             draw_series(of_frequency, hertz, factor * lines[:, axes], colours.three, AXES[axes],
                         width=0.8)
             of_frequency.set_yscale('log')
-            name_panel(of_time, f'{kind} of the tool ({unit})')
-            name_panel(of_frequency, f'amplitude ({unit})')
-            of_frequency.legend(**ABOVE_PANEL, fontsize=8, borderaxespad=0.2)
-            of_time.set_xlabel('time (s)')
-            of_frequency.set_xlabel('frequency (Hz)')
+            name_panel(of_time, f'{kind} of the tool ({unit})', 'time (s)')
+            name_panel(of_frequency, f'amplitude ({unit})', 'frequency (Hz)')
         panel = figure.add_subplot(grid[2, :])
         panel.bar(range(len(ratios)), [100.0 * ratio for ratio in ratios.values()],
                   color=colours.measured, width=0.6)
@@ -226,7 +196,8 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
             for panel, seconds, values in zip(
                     panels, (motion.along.seconds, tool.seconds, tool.seconds),
                     (np.degrees(motion.tilt), distance, np.degrees(np.arccos(z))), strict=True):
-                panel.plot(seconds, values, color=colour, linewidth=1.4, label=name)
+                panel.plot(seconds, values, color=colour, linewidth=1.4,
+                           label=name if panel is panels[0] else None)
                 panel.axvline(tool.seconds[-1], color=colour, linewidth=0.8, linestyle=':')
         for panel, title in zip(panels, (
                 'tilt of the package from its reference (degrees)',
@@ -234,7 +205,6 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
             name_panel(panel, title)
         longest = max(float(motion.tool.seconds[-1]) for motion in motions.values())
         panels[0].set_xlim(0.0, longest + TAIL_SHOWN)
-        panels[0].legend(**ABOVE_PANEL, fontsize=9)
         panels[-1].set_xlabel('time (s)')
     return figure
 
@@ -278,63 +248,55 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
         side = figure.add_subplot(grid[0, 0])
         above = figure.add_subplot(grid[1, 0], sharex=side)
         close = figure.add_subplot(grid[1, 1])
-        for panel, (i, j) in ((side, (0, 2)), (above, (0, 1))):
-            panel.plot(tool.position[:, i], tool.position[:, j], color=colours.quiet,
-                       linewidth=3.0, alpha=0.5, label='tool')
-            panel.plot(held[:, i], held[:, j], '--', color=colours.predicted, linewidth=1.2,
-                       label='package, held')
-            panel.plot(path[:, i], path[:, j], color=colours.predicted, linewidth=1.2,
-                       label='package, flying')
-            _draw_outlines(panel, path, result.case.release.box, i, j, colours)
-            for o, marker, name in ((valve, 'v', 'valve'), (path[0], 'o', 'lets go')):
-                panel.plot([o[i]], [o[j]], marker, color=colours.text, markersize=6.0,
-                           zorder=5, label=name)
-        if result.aim is not None:
-            side.plot(result.aim.target[0], result.case.release.height, '+', color=colours.text,
-                      markersize=12, markeredgewidth=1.6)
-        side.axhline(result.case.release.height, color=colours.text, linewidth=1.0)
+        height, box = result.case.release.height, result.case.release.box
+        for panel, axes in ((side, [0, 2]), (above, [0, 1])):
+            for rows, style, colour, name in (
+                    (tool.position, '-', colours.measured, 'tool'),
+                    (held, '--', colours.predicted, 'package, held'),
+                    (path, '-', colours.predicted, 'package, flying'),
+                    (valve[None], 'v', colours.text, 'valve'),
+                    (path[:1], 'o', colours.text, 'lets go')):
+                panel.plot(*rows[:, axes].T, style, color=colour, linewidth=1.2, label=name)
+            for lines in _outlines(path, *map(np.array, box)):
+                for line in lines:
+                    panel.plot(*line[:, axes].T, color=colours.predicted, linewidth=0.6)
+        side.axhline(height, color=colours.text, linewidth=1.0)
         side.set_ylabel('z (m), from the side')
         above.set_ylabel('y (m), from above')
         above.set_xlabel('x (m)')
         _draw_landing(above, close, result, colours)
+        if result.aim is not None:
+            side.plot(result.aim.target[0], height, '+', color=colours.text, markersize=12)
         width = max(np.ptp(side.get_xlim()), *(  # the same scale for all three axes
             np.ptp(panel.get_ylim()) * panel.bbox.width / panel.bbox.height
             for panel in (side, above)))
         side.set_xlim(np.mean(side.get_xlim()) + width * np.array([-0.5, 0.5]))
-        for panel in (side, above):
+        for panel in (side, above, close):
             panel.set_aspect('equal', adjustable='datalim')
-        handles, labels = above.get_legend_handles_labels()
-        figure.legend(handles, labels, loc='upper right', bbox_to_anchor=(0.99, 0.985), ncols=3,
-                      fontsize=8.5)
+        figure.legend(*above.get_legend_handles_labels(), loc='upper right',
+                      bbox_to_anchor=(0.99, 0.985), ncols=3, fontsize=8.5)
     return figure
 
 
-def _draw_outlines(panel: Any, path: Array, box: Any, i: int, j: int, colours: Theme) -> None:
-    """Draw the edges of the flying box (half size, middle) at a few places, in two axes."""
-    half, middle = map(np.array, box)
-    for k in np.linspace(0, len(path) - 1, OUTLINES).astype(int):
-        last = k == len(path) - 1
-        R = quaternion_to_rotation(path[k, 3:7])
-        for line in box_corners(path[k, :3] + R @ middle, R, 2.0 * half)[BOX_EDGES]:
-            panel.plot(line[:, i], line[:, j], color=colours.predicted,
-                       linewidth=0.9 if last else 0.6, alpha=1.0 if last else 0.35)
+def _outlines(path: Array, half: Array, middle: Array) -> Iterator[Array]:
+    """Yield the edges (12, 2, 3) of the flying box at a few places."""
+    for row in path[np.linspace(0, len(path) - 1, OUTLINES).astype(int)]:
+        R = quaternion_to_rotation(row[3:7])
+        yield box_corners(row[:3] + R @ middle, R, 2.0 * half)[BOX_EDGES]
 
 
 def _draw_landing(above: Any, close: Any, result: toss.TossResult, colours: Theme) -> None:
-    """Draw ellipse, drawn landings and target from above, and the ellipse once more closely."""
-    centre = np.array(result.toss.landing[0][:2])
-    ring = ellipse(result.covariance, 121)
-    for panel, about, scale in ((above, centre, 1.0), (close, np.zeros(2), 1e3)):
-        panel.plot(*(scale * ring + about).T, color=colours.error, linewidth=1.4,
-                   label='95 % ellipse')
+    """Draw ellipse, drawn landings and target from above, and once more closely."""
+    landing = np.array(result.toss.landing[0][:2])
+    for panel, origin, scale in ((above, np.zeros(2), 1.0), (close, landing, MILLI)):
+        panel.plot(*(scale * (landing - origin + ellipse(result.covariance, 121))).T,
+                   color=colours.error, linewidth=1.4, label='95 % ellipse')
         if result.drawn is not None:
-            panel.plot(*(scale * result.drawn.errors[:, :2] + about).T, '.', markersize=2.0,
-                       color=colours.error, alpha=0.5, label='drawn tosses')
-    if result.aim is not None:
-        for panel, about, scale in ((above, np.zeros(2), 1.0), (close, centre, 1e3)):
-            panel.plot(*(scale * np.subtract(result.aim.target, about)), '+', color=colours.text,
-                       markersize=12, markeredgewidth=1.6, label='target')
-    close.set_aspect('equal', adjustable='datalim')
+            panel.plot(*(scale * (landing - origin + result.drawn.errors[:, :2])).T, '.',
+                       markersize=2.0, color=colours.error, alpha=0.5, label='drawn tosses')
+        if result.aim is not None:
+            panel.plot(*(scale * (result.aim.target - origin)), '+', color=colours.text,
+                       markersize=12, label='target')
     close.set_title('where the package lands', fontsize=10)
     close.set_xlabel('x from the prediction (mm)')
     close.set_ylabel('y from the prediction (mm)')

@@ -5,7 +5,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.signals.residuals import AXES, Comparison, MILLI_UNITS, Spectrum, Whiteness
+from bellows_ros.core.signals.residuals import AXES, Comparison, Spectrum, Whiteness
 from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
 
@@ -35,18 +35,12 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
     def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Any:
         turned = log_so3(rotation @ rotation[start].T)
         moved = style.masked(np.hstack([position - position[start], turned]), motion.valid)
-        return style.Line(name, colour, width, motion.seconds, style.MILLI * moved)
+        return style.Line(name, colour, width, motion.seconds, style.SHOWN * moved)
 
-    figure = style.six_lines('Motion in the world, from the start', note, theme, (
+    return style.six_lines('Motion in the world, from the start', note, theme, (
         line('tool', 'measured', 3.0, motion.tool_position, motion.tool_rotation),
         line('package', 'predicted', 0.9, motion.package_position, motion.package_rotation),
     ), 'time (s)')
-    unusable = motion.seconds[~motion.valid]  # marked at the foot of each panel
-    for panel in figure.axes:
-        panel.plot(unusable, np.zeros_like(unusable), '|', color=style.THEMES[theme].error,
-                   markersize=7.0, transform=panel.get_xaxis_transform(), clip_on=False)
-        panel.set_xlim(motion.seconds[0], motion.seconds[-1])
-    return figure
 
 
 def spectra_figure(
@@ -72,16 +66,16 @@ def spectra_figure(
 
     """
     hertz = spectra.frequency_hz[1:]
-    lines = [style.Line('measured', 'measured', 2.2, hertz, style.MILLI * spectra.measured[1:])]
+    lines = [style.Line('measured', 'measured', 2.2, hertz, style.SHOWN * spectra.measured[1:])]
     if spectra.error is not None:
         lines.append(style.Line(
-            'predicted minus measured', 'error', 1.1, hertz, style.MILLI * spectra.error[1:]))
+            'predicted minus measured', 'error', 1.1, hertz, style.SHOWN * spectra.error[1:]))
     if one_step:
         lines.append(style.Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
-                                style.MILLI * np.sqrt(one_step.density[1:])))
+                                style.SHOWN * np.sqrt(one_step.density[1:])))
     return style.six_lines(
         'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
-        [f'{unit}/√Hz' for unit in MILLI_UNITS], log=True)
+        [f'{unit}/√Hz' for unit in style.SHOWN_UNITS], log=True)
 
 
 def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
@@ -105,13 +99,11 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
     usable = np.flatnonzero(motion.valid)
     with style.picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (
             figure, colours):
-        style.legend(figure, (('tool tip E', colours.measured, 3.0),
-                              ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
         tool = style.masked(motion.tool_position, motion.valid)
         package = style.masked(motion.package_position, motion.valid)
-        space.plot(*tool.T, color=colours.measured, linewidth=2.4)
-        space.plot(*package.T, color=colours.predicted, linewidth=1.0)
+        space.plot(*tool.T, color=colours.measured, linewidth=2.4, label='tool tip E')
+        space.plot(*package.T, color=colours.predicted, linewidth=1.0, label='package B')
         for i in usable[:: max(1, len(usable) // 40)]:  # some forty
             space.plot(*np.array([tool[i], package[i]]).T, color=colours.quiet, linewidth=0.6)
         space.plot(*tool[usable[0]][:, None], 'o', color=colours.text, markersize=4.0)
@@ -119,6 +111,7 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
         space.set_aspect('equal', adjustable='datalim')
         space.locator_params(nbins=5)
         space.set(xlabel='x (m)', ylabel='y (m)', zlabel='z (m)')
+        figure.legend(loc='upper right', ncols=2)
     return figure
 
 
@@ -148,19 +141,18 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     shown = usable[:: max(1, len(usable) // MAX_POINTS)]
     title = 'Load on the cup against its deflection'
     with style.picture(title, note, theme) as (figure, colours):
-        style.legend(figure, (('needed by the motion', colours.measured, 4.0),
-                              ('stiffness of the cup', colours.predicted, 1.4)))
         for axis, panel in enumerate(style.six_panels(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
-            kind, scale, unit = (('force', style.MILLI, 'mm') if axis < 3
-                                 else ('moment', np.rad2deg(1.0), 'degrees'))
-            panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
-                       markeredgewidth=0.0)
+            scale, unit = style.SHOWN[axis], style.SHOWN_UNITS[axis]
+            points, = panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8,
+                                 alpha=0.8, markeredgewidth=0.0)
             ends = np.array([x.min(), x.max()])
-            panel.plot(scale * ends, loads.stiffness[axis] * ends, color=colours.predicted,
-                       linewidth=1.3)
+            line, = panel.plot(scale * ends, loads.stiffness[axis] * ends,
+                               color=colours.predicted, linewidth=1.3)
             panel.set_xlabel(f'deflection {AXES[axis]} ({unit})', labelpad=1.0)
-            panel.set_ylabel(f'{kind} {AXES[axis]} ({UNITS[axis]})')
+            panel.set_ylabel(f'{"moment" if axis > 2 else "force"} {AXES[axis]} ({UNITS[axis]})')
+        figure.legend((points, line), ('needed by the motion', 'stiffness of the cup'),
+                      loc='upper right', ncols=2, markerscale=4.0)
     return figure
 
 
@@ -183,26 +175,21 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
 
     """
     load, residual = (style.masked(x, loads.valid) for x in (loads.load, loads.residual))
-    title = 'Load on the cup, and the unexplained part'
-    with style.picture(title, note, theme) as (figure, colours):
-        style.legend(figure, (('needed by the motion', colours.measured, 2.4),
-                              ('unexplained', colours.error, 1.0)))
-        rms = np.sqrt(np.nanmean(residual**2, axis=0))
-        parts = 100.0 * rms / np.maximum(np.nanstd(load, axis=0), 1e-12)
-        style.six_pairs(
-            figure, colours, [style.Line('', 'measured', 1.8, loads.seconds, load)], residual,
-            [f'unexplained RMS {value:.2g} {unit}, {part:.2g} % of the load'
-             for value, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS, '{}',
-            -0.155, **style.BELOW_HEAD, hspace=0.24, wspace=0.26)
-    return figure
+    rms = np.sqrt(np.nanmean(residual**2, axis=0))
+    parts = 100.0 * rms / np.maximum(np.nanstd(load, axis=0), 1e-12)
+    return style.six_pairs(
+        'Load on the cup, and the unexplained part', note, theme,
+        [style.Line('needed by the motion', 'measured', 1.8, loads.seconds, load)],
+        style.Line('unexplained', 'error', 0.6, loads.seconds, residual),
+        [f'unexplained RMS {value:.2g} {unit}, {part:.2g} % of the load'
+         for value, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS)
 
 
-SIZE = (11.0, 8.4)  # inches
 GAP_PERIODS = 3.0
 """A line is interrupted where samples are missing for this many periods."""
 
-MIN_SPAN = 2.0
-"""mm or mrad that an axis shows at least, so that noise at rest does not look like motion."""
+MIN_SPAN = (2.0,) * 3 + (0.1,) * 3
+"""mm and degrees that an axis shows at least, so that noise at rest does not look like motion."""
 
 
 def prediction_figure(
@@ -227,31 +214,23 @@ def prediction_figure(
     matplotlib.figure.Figure
 
     """
-    with style.picture(title, note, theme, SIZE) as (figure, colours):
-        style.legend(figure, (
-            ('measured', colours.measured, 4.0), ('predicted', colours.predicted, 1.0),
-            ('predicted minus measured', colours.error, 1.0)))
-        scores = comparison.scores
-        titles = [
-            f'error RMS {two_digits(rms)} {unit}, largest {two_digits(largest)} {unit}, '
-            f'{two_digits(100.0 * nrmse) + " %" if np.isfinite(nrmse) else "-"} of the motion'
-            for rms, largest, nrmse, unit in zip(
-                style.MILLI * scores.rms, style.MILLI * scores.largest, scores.nrmse,
-                MILLI_UNITS, strict=True)]
-        times, measured, predicted = (with_gaps(seconds, values) for values in (
-            seconds, style.MILLI * comparison.measured, style.MILLI * comparison.predicted))
-        columns = style.six_pairs(
-            figure, colours, (style.Line('', 'measured', 3.6, times, measured),
-                              style.Line('', 'predicted', 0.9, times, predicted)),
-            predicted - measured, titles, MILLI_UNITS, 'error\n({})', left=style.LEFT,
-            right=0.985, top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
-        for upper, _ in columns:
-            low, high = upper.get_ylim()
-            lack = 0.5 * max(0.0, MIN_SPAN - (high - low))
-            upper.set_ylim(low - lack, high + lack)
-        for (top, _), what in zip(columns[::3], ('Position', 'Rotation'), strict=True):
-            figure.text(top.get_position().x0, 0.885, f'{what} of B in tool axes', fontsize=10.5,
-                        fontweight='bold')
+    scores = comparison.scores
+    titles = [
+        f'error RMS {two_digits(rms)} {unit}, largest {two_digits(largest)} {unit}, '
+        f'{two_digits(100.0 * nrmse) + " %" if np.isfinite(nrmse) else "-"} of the motion'
+        for rms, largest, nrmse, unit in zip(
+            style.SHOWN * scores.rms, style.SHOWN * scores.largest, scores.nrmse,
+            style.SHOWN_UNITS, strict=True)]
+    times, measured, predicted = (with_gaps(seconds, values) for values in (
+        seconds, style.SHOWN * comparison.measured, style.SHOWN * comparison.predicted))
+    figure = style.six_pairs(
+        title, note, theme, (style.Line('measured', 'measured', 3.6, times, measured),
+                             style.Line('predicted', 'predicted', 0.9, times, predicted)),
+        style.Line('predicted minus measured', 'error', 0.6, times, predicted - measured), titles)
+    for panel, least in zip(figure.axes[::2], MIN_SPAN, strict=True):
+        low, high = panel.get_ylim()
+        lack = 0.5 * max(0.0, least - (high - low))
+        panel.set_ylim(low - lack, high + lack)
     return figure
 
 
@@ -277,7 +256,7 @@ def errors_figure(estimates: Mapping[str, Comparison], note: str, theme: str = '
     styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
     return style.six_lines('Predicted minus measured', note, theme, [
         style.Line(name, *drawn, (estimate.stamps_ns - start_ns) * 1e-9,
-                   style.MILLI * estimate.error)
+                   style.SHOWN * estimate.error)
         for (name, estimate), drawn in zip(estimates.items(), styles, strict=False)],
         'time (s)')
 

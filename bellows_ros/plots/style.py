@@ -17,7 +17,7 @@ import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
@@ -126,7 +126,10 @@ BELOW_HEAD = {'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
 """Edges of the panels of a figure of `SIZE`."""
 
 TITLE, NOTE = 0.31, 0.52  # inches from the top
-MILLI = 1e3
+MILLI, DEGREES = 1e3, np.rad2deg(1.0)
+SHOWN = np.array(3 * [MILLI] + 3 * [DEGREES])
+SHOWN_UNITS = ('mm',) * 3 + ('degrees',) * 3
+"""Factors and units in which six coordinates, in m and rad, are drawn."""
 
 
 @contextmanager
@@ -150,7 +153,7 @@ def picture(
         yield figure, colours
 
 
-def six_panels(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
+def six_panels(figure: Any, units: Sequence[str]) -> list[Any]:
     """Return six panels: x, y, z on the left, rx, ry, rz on the right, each with its unit."""
     panels = list(figure.subplots(
         3, 2, gridspec_kw={**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.26}).T.ravel())
@@ -173,7 +176,7 @@ class Line(NamedTuple):
 
 def six_lines(
     title: str, note: str, theme: str, lines: Sequence[Line], abscissa: str,
-    units: Sequence[str] = MILLI_UNITS, log: bool = False,
+    units: Sequence[str] = SHOWN_UNITS, log: bool = False,
 ) -> Any:
     """
     Draw lines into six panels, one per axis.
@@ -199,8 +202,7 @@ def six_lines(
 
     """
     with picture(title, note, theme) as (figure, colours):
-        legend(figure, [(line.name, getattr(colours, line.colour), line.width)
-                        for line in lines if line.name])
+        legend_of(figure, lines, colours)
         for axis, panel in enumerate(six_panels(figure, units)):
             for _, colour, width, x, values in lines:
                 panel.plot(x, values[:, axis], color=getattr(colours, colour), linewidth=width)
@@ -227,20 +229,24 @@ def draw_series(
         panel.plot(x, value, color=colour, linewidth=width, label=names[i] if names else None)
 
 
-def name_panel(panel: Any, title: str) -> None:
-    """Write what a panel shows above it."""
+def name_panel(panel: Any, title: str, abscissa: str = '') -> None:
+    """Write what a panel shows above it, with a legend of what has a label, and below it."""
     panel.set_title(title, loc='left', fontsize=9.5, pad=4.0)
     panel.tick_params(length=2.5, width=0.6)
+    panel.set_xlabel(abscissa)
+    if panel.get_legend_handles_labels()[0]:
+        panel.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8,
+                     handlelength=1.4, borderaxespad=0.2, columnspacing=1.2)
 
 
-def legend(figure: Any, entries: Sequence[tuple[str, str, float]]) -> None:
-    """Write a legend at the top right: (label, colour, line width) each."""
+def legend_of(figure: Any, lines: Sequence[Line], theme: Theme) -> None:
+    """Write a legend of the lines that have a name at the top right."""
     from matplotlib.lines import Line2D
 
-    lines = [Line2D([], [], color=colour, linewidth=width, label=label)
-             for label, colour, width in entries]
+    handles = [Line2D([], [], color=getattr(theme, line.colour), linewidth=line.width,
+                      label=line.name) for line in lines if line.name]
     figure.legend(
-        handles=lines, loc='upper right', bbox_to_anchor=(0.992, 0.985), ncols=len(lines),
+        handles=handles, loc='upper right', bbox_to_anchor=(0.992, 0.985), ncols=len(handles),
         fontsize=9.5, handlelength=1.8, columnspacing=1.6)
 
 
@@ -252,65 +258,69 @@ def label_abscissa(panel: Any, axis: int, label: str) -> None:
         panel.tick_params(labelbottom=False)
 
 
+LARGE = (11.0, 8.4)  # inches
+
+
 def six_pairs(
-    figure: Any, theme: Theme, lines: Sequence[Line], error: Array, titles: Sequence[str],
-    units: Sequence[str], below: str, labels_at: float = -0.125, **place: float,
-) -> list[tuple[Any, Any]]:
+    title: str, note: str, theme: str, lines: Sequence[Line], error: Line, titles: Sequence[str],
+    units: Sequence[str] = SHOWN_UNITS,
+) -> Any:
     """
-    Draw six coordinates over time, placed as by `six_panels`, and the error of each below it.
+    Draw six coordinates over time, and an error of each below it, to another scale.
 
     Parameters
     ----------
-    figure, theme
-        As from `picture`.
+    title, note : str
+        What is shown, and under which conditions.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
     lines : sequence of Line
-        Over the same times (s), in `units`.
-    error : array (N, 6)
-        Drawn about zero, to another scale.
+        Over the same times (s), in their units.
+    error : Line
+        Drawn about zero.
     titles : sequence of str
         Title of each coordinate.
     units : sequence of str
         Of each coordinate.
-    below : str
-        Label of the strips, with {} for the unit.
-    labels_at : float
-        Where the labels of the ordinates stand, in parts of a panel's width.
-    **place
-        Of the panels in the figure, and between them.
 
     Returns
     -------
-    list of (panel, panel)
+    matplotlib.figure.Figure
+        Its axes are each coordinate, followed by its error.
 
     """
-    from matplotlib.ticker import MaxNLocator
+    with picture(title, note, theme, LARGE) as (figure, colours):
+        from matplotlib.ticker import MaxNLocator
 
-    outer, seconds, pairs = figure.add_gridspec(3, 2, **place), lines[0].x, []
-    for axis in range(6):
-        inner = outer[axis % 3, axis // 3].subgridspec(2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
-        upper, lower = (figure.add_subplot(inner[i]) for i in (0, 1))
-        for line in lines:
-            upper.plot(seconds, line.values[:, axis], color=getattr(theme, line.colour),
-                       linewidth=line.width)
-        upper.set_title(titles[axis], loc='right', fontsize=8.5, color=theme.quiet, pad=4.0)
-        upper.set_ylabel(f'{AXES[axis]}  ({units[axis]})')
-        upper.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
-        lower.axhline(0.0, color=theme.quiet, linewidth=0.6)
-        lower.plot(seconds, error[:, axis], color=theme.error, linewidth=0.6)
-        reach = 1.15 * max(float(np.nanmax(np.abs(error[:, axis]))), 1e-3)
-        lower.set_ylim(-reach, reach)
-        lower.set_ylabel(below.format(units[axis]), color=theme.error, fontsize=8.5)
-        lower.yaxis.set_major_locator(MaxNLocator(nbins=2, symmetric=True, steps=[1, 2, 3, 5, 10]))
-        for panel in (upper, lower):
-            panel.set_xlim(seconds[0], seconds[-1])
-            panel.tick_params(length=2.5, width=0.6)
-            panel.xaxis.set_major_locator(MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
-            panel.yaxis.set_label_coords(labels_at, 0.5)
-        upper.tick_params(labelbottom=False)
-        lower.tick_params(axis='y', labelsize=7.5)
-        label_abscissa(lower, axis, 'time (s)')
-        pairs.append((upper, lower))
-    return pairs
+        legend_of(figure, [*lines, error], colours)
+        outer = figure.add_gridspec(3, 2, **BELOW_HEAD, hspace=0.2, wspace=0.19)
+        for axis in range(6):
+            inner = outer[axis % 3, axis // 3].subgridspec(
+                2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
+            upper, lower = pair = [figure.add_subplot(part) for part in inner]
+            for panel, shown in ((upper, lines), (lower, (error,))):
+                for _, colour, width, seconds, values in shown:
+                    panel.plot(seconds, values[:, axis], color=getattr(colours, colour),
+                               linewidth=width)
+            upper.set_title(titles[axis], loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)
+            upper.set_ylabel(f'{AXES[axis]}  ({units[axis]})')
+            upper.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
+            upper.tick_params(labelbottom=False)
+            lower.axhline(0.0, color=colours.quiet, linewidth=0.6)
+            reach = 1.15 * max(float(np.nanmax(np.abs(error.values[:, axis]))), 1e-3)
+            lower.set_ylim(-reach, reach)
+            lower.set_ylabel(f'({units[axis]})', color=colours.error, fontsize=8.5)
+            lower.yaxis.set_major_locator(
+                MaxNLocator(nbins=2, symmetric=True, steps=[1, 2, 3, 5, 10]))
+            for panel in pair:
+                panel.margins(x=0.0)
+                panel.tick_params(length=2.5, width=0.6)
+                panel.xaxis.set_major_locator(
+                    MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
+                panel.yaxis.set_label_coords(-0.125, 0.5)
+            lower.tick_params(axis='y', labelsize=7.5)
+            label_abscissa(lower, axis, 'time (s)')
+    return figure
 
 
 def masked(values: Array, valid: Mask) -> Array:

@@ -4,8 +4,8 @@ A replay in Rerun's viewer (extra `view`): tool, cup and package in space, and t
 Rerun has a timeline for it to be played, and every quantity under a path:
 
     world/tool, world/cup, world/predicted, world/measured    poses, in m
-    package/AXIS/predicted, package/AXIS/measured             B in the tool, mm and mrad
-    error/AXIS, deflection/AXIS                               mm and mrad
+    package/AXIS/predicted, package/AXIS/measured             B in the tool, mm and degrees
+    error/AXIS, deflection/AXIS                               mm and degrees
 
 The deflection is that of the predicted lip from where it is without load.
 """
@@ -18,7 +18,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Stamps
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
@@ -26,7 +26,7 @@ from bellows_ros.workflows.plot import Replayed
 import numpy as np
 
 from .animation import bellows_rings, RINGS, SIDES
-from .style import MILLI, THEMES
+from .style import SHOWN, SHOWN_UNITS, THEMES
 
 NO_RERUN = (
     f'The viewer Rerun is not installed. Install it: {install("view")}. Or use '
@@ -116,15 +116,11 @@ def _fill(rr: Any, recording: Any, replayed: Replayed) -> None:
     """Send all that is shown."""
     recording.send_blueprint(_blueprint(rr, replayed))
     recording.log('world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    moved = replayed.motion
     times = [rr.TimeColumn(TIMELINE, duration=replayed.seconds)]
-    for name, position, rotation in (
-        ('tool', moved.tool_position, moved.tool_rotation),
-        ('predicted', replayed.position, replayed.rotation),
-        ('measured', moved.package_position, moved.package_rotation),
-    ):
+    for name, body in (('tool', replayed.tool), ('predicted', replayed.package),
+                       ('measured', replayed.outline)):
         recording.send_columns(f'world/{name}', times, rr.Transform3D.columns(
-            translation=position, quaternion=rotation_to_quaternion(rotation)))
+            translation=body.position, quaternion=rotation_to_quaternion(body.rotation)))
     _send_bodies(rr, recording, replayed)
     _send_cup(rr, recording, replayed)
     _send_series(rr, recording, replayed, times)
@@ -150,10 +146,10 @@ def _send_cup(rr: Any, recording: Any, replayed: Replayed) -> None:
     """Send the cup between tool and predicted package, `CUPS_PER_SECOND`."""
     step = max(1, round(1.0 / (CUPS_PER_SECOND * float(np.median(np.diff(replayed.seconds))))))
     shown = np.arange(0, len(replayed.seconds), step)
-    lip = replayed.position - replayed.rotation @ replayed.com
-    moved = replayed.motion
+    tool, package = replayed.tool, replayed.package
+    lip = package.position - package.rotation @ replayed.com
     rings = np.array([
-        bellows_rings(moved.tool_position[i], moved.tool_rotation[i], lip[i], replayed.rotation[i])
+        bellows_rings(tool.position[i], tool.rotation[i], lip[i], package.rotation[i])
         for i in shown])
     outward = rings - rings[:, :, :-1].mean(axis=2, keepdims=True)
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
@@ -177,7 +173,7 @@ def _triangles() -> Stamps:
 
 
 def _send_series(rr: Any, recording: Any, replayed: Replayed, times: list[Any]) -> None:
-    """Send the time series, in mm and mrad."""
+    """Send the time series, in mm and degrees."""
     live = replayed.live
     for axis, name in enumerate(AXES):
         for path, label, colour, width, values in (
@@ -188,16 +184,16 @@ def _send_series(rr: Any, recording: Any, replayed: Replayed, times: list[Any]) 
             (f'deflection/{name}', name, XYZ_COLOURS[axis % 3], 1.2, replayed.deflection),
         ):
             recording.log(path, rr.SeriesLines(
-                names=[f'{label} ({MILLI_UNITS[axis]})'], widths=[width], colors=[colour]),
+                names=[f'{label} ({SHOWN_UNITS[axis]})'], widths=[width], colors=[colour]),
                 static=True)
             recording.send_columns(
-                path, times, rr.Scalars.columns(scalars=MILLI * values[:, axis]))
+                path, times, rr.Scalars.columns(scalars=SHOWN[axis] * values[:, axis]))
 
 
 def _blueprint(rr: Any, replayed: Replayed) -> Any:
     """Return the layout of the viewer: space on the left, series on the right."""
     rrb = rr.blueprint
-    bodies = np.vstack([replayed.motion.tool_position, replayed.position])
+    bodies = np.vstack([replayed.tool.position, replayed.package.position])
     low, high = bodies.min(axis=0), bodies.max(axis=0)
     centre, reach = 0.5 * (low + high), float(np.max(high - low)) + 2.0 * np.max(replayed.box)
     eye = rrb.EyeControls3D(
@@ -210,7 +206,7 @@ def _blueprint(rr: Any, replayed: Replayed) -> Any:
         tabs.append(rrb.Vertical(*(
             rrb.TimeSeriesView(origin='/', name=f'{words} ({unit})',
                                contents=[f'{what}/{name}' for name in names])
-            for unit, names in (('mm', AXES[:3]), ('mrad', AXES[3:]))), name=words))
+            for unit, names in (('mm', AXES[:3]), ('degrees', AXES[3:]))), name=words))
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin='world', name='Tool, cup, package', eye_controls=eye),

@@ -1,10 +1,10 @@
 """Data of pictures of a recording: motion, spectra, loads against deflections, predictions."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, wrench_transform
 from bellows_ros.core.identification import samples
 from bellows_ros.core.identification.result import POSE_UNITS, WRENCH_UNITS
@@ -13,6 +13,7 @@ from bellows_ros.core.model import cup_package, kernels
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals import residuals, trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, Values
 from bellows_ros.files.results import with_units
@@ -109,22 +110,16 @@ class Loads:
 
 
 @dataclass(frozen=True, eq=False)
-class Replayed:
+class Scene:
     """
-    A replayed recording with the poses of all bodies, where there is one of the tool.
+    Tool, cup and package in the world, over time.
 
     Parameters
     ----------
     seconds : array (N,)
         From the recording's first stamp, s.
-    live : Live
-        The live prediction.
-    motion : MeasuredMotion
-        Measured, at the same times.
-    position, rotation : array (N, 3), (N, 3, 3)
-        Of B in the world, predicted.
-    deflection : array (N, 6)
-        Of the predicted lip from its pose without load: shift (m) and rotation vector (rad) in E.
+    tool, package, outline : Trajectory
+        N poses of E, of B, and of B as it is drawn beside that.
     cup_length : float
         m.
     com, box : array (3,)
@@ -133,14 +128,30 @@ class Replayed:
     """
 
     seconds: Array
-    live: Live
-    motion: MeasuredMotion
-    position: Array
-    rotation: Array
-    deflection: Array
+    tool: Trajectory
+    package: Trajectory
+    outline: Trajectory
     cup_length: float
     com: Array
     box: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed(Scene):
+    """
+    A replayed recording, where there is a pose of the tool; the outline is measured.
+
+    Parameters
+    ----------
+    live : Live
+        The live prediction.
+    deflection : array (N, 6)
+        Of the predicted lip from its pose without load: shift (m) and rotation vector (rad) in E.
+
+    """
+
+    live: Live
+    deflection: Array
 
 
 DRAWN_UNITS: Mapping[type, Mapping[str, Any]] = {
@@ -155,7 +166,6 @@ DRAWN_UNITS: Mapping[type, Mapping[str, Any]] = {
 """Units of what is drawn that the keys of other results do not have."""
 
 Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
-Group = TypeVar('Group', MeasuredMotion, Loads, Margins, Replayed, Live)
 
 
 def motion(bag: File, settings: Values) -> MeasuredMotion:
@@ -250,17 +260,17 @@ def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
         Its prediction.
 
     """
-    result = _selected(live, np.isfinite(live.predicted[:, 0]))
-    index = np.searchsorted(recording.measured_package.stamps_ns, result.stamps_ns)
-    measured = _selected(_motion(recording), index)
+    live = replace(live, **vars(live.select(np.isfinite(live.predicted[:, 0]))))
+    at = np.isin(recording.measured_package.stamps_ns, live.stamps_ns)
+    tool, measured = recording.measured_tool.select(at), recording.measured_package.select(at)
     package, length = cup_package.package_of(values), cup_package.cup_of(values).length
-    position = measured.tool_position + apply(measured.tool_rotation, result.predicted[:, :3])
-    bent = exp_so3(result.predicted[:, 3:])
-    shift = result.predicted[:, :3] - bent @ package.com + np.array([0.0, 0.0, length])
+    place, bent = live.predicted[:, :3], exp_so3(live.predicted[:, 3:])
+    predicted = Trajectory(
+        tool.stamps_ns, tool.position + apply(tool.rotation, place), tool.rotation @ bent)
+    shift = place - bent @ package.com + np.array([0.0, 0.0, length])
     return Replayed(
-        measured.seconds, result, measured,
-        position, measured.tool_rotation @ bent, np.hstack([shift, result.predicted[:, 3:]]),
-        length, package.com, np.array(equivalent_box(values)))
+        recording.since_start(tool.stamps_ns), tool, predicted, measured, length, package.com,
+        np.array(equivalent_box(values)), live, np.hstack([shift, live.predicted[:, 3:]]))
 
 
 def margins(bag: File, settings: Values) -> Margins:
@@ -288,27 +298,20 @@ def within(shown: Timed, first: float, last: float) -> Timed:
     """
     seconds = shown.seconds
     part = (seconds >= first) & (seconds <= last)
-    poses = shown.motion if isinstance(shown, Replayed) else shown
-    if np.count_nonzero(part & getattr(poses, 'valid', True)) < 2:
+    if np.count_nonzero(part & getattr(shown, 'valid', True)) < 2:
         raise BellowsError(
             f'There are fewer than two usable samples from {first:g} to {last:g} s; the '
             f'recording covers {seconds[0]:.2f} to {seconds[-1]:.2f} s.')
-    groups: dict[str, Any] = {}
-    if isinstance(shown, Replayed):
-        live = _selected(shown.live, part)
-        groups = {'motion': _selected(shown.motion, part),
-                  'live': replace(live, scores=residuals.score(live.measured, live.predicted))}
-    return replace(_selected(shown, part), **groups)
 
+    def chosen(value: Any) -> Any:
+        if isinstance(value, Live):
+            return replace(value, **vars(value.select(part)))
+        if isinstance(value, Trajectory):
+            return value.select(part)
+        is_timed = isinstance(value, np.ndarray) and len(value) == len(part)
+        return value[part] if is_timed else value
 
-def _selected(group: Group, index: Stamps | Mask) -> Group:
-    """Return a group of arrays at some samples; what is not by sample stays whole."""
-    arrays: dict[str, Any] = {
-        field.name: value for field in fields(group)
-        if isinstance(value := getattr(group, field.name), np.ndarray)}
-    count = max(map(len, arrays.values()))
-    return replace(group, **{
-        name: value[index] for name, value in arrays.items() if len(value) == count})
+    return replace(shown, **{name: chosen(value) for name, value in vars(shown).items()})
 
 
 def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:
@@ -320,7 +323,7 @@ def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> d
         'measured': shown.live.measured,
         'predicted': shown.live.predicted,
         'deflection': shown.deflection,
-        'position': shown.position,
-        'rotation': shown.rotation,
+        'position': shown.package.position,
+        'rotation': shown.package.rotation,
         'scores': shown.live,
         'units': {'rotation': '1'}})

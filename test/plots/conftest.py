@@ -3,15 +3,11 @@
 from types import SimpleNamespace
 
 from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 import pytest
 
 COUNT = 300
-
-
-def cut(motion, part):
-    """Return a part of a motion."""
-    return SimpleNamespace(**{name: values[part] for name, values in vars(motion).items()})
 
 
 @pytest.fixture(scope='session')
@@ -29,12 +25,15 @@ def motion():
 @pytest.fixture(scope='session')
 def replayed(motion):
     """Give a replay of half a second whose prediction is 5 mm beside the measurement."""
-    moved = cut(motion, slice(50, 101))
-    measured = np.random.default_rng(3).normal(size=(len(moved.seconds), 6))
+    part = slice(50, 101)
+    seconds, rotation = motion.seconds[part], motion.tool_rotation[part]
+    measured = np.random.default_rng(3).normal(size=(len(seconds), 6))
+    tool, package, outline = (
+        Trajectory(np.arange(len(seconds)), position[part], rotation) for position in (
+            motion.tool_position, motion.package_position + 5e-3, motion.package_position))
     return SimpleNamespace(
-        seconds=moved.seconds, motion=moved, position=moved.package_position + 5e-3,
-        rotation=moved.package_rotation, deflection=2.0 * measured, cup_length=0.05,
-        com=np.array([0.0, 0.0, -0.03]), box=np.array([0.2, 0.16, 0.06]),
+        seconds=seconds, tool=tool, package=package, outline=outline, deflection=2.0 * measured,
+        cup_length=0.05, com=np.array([0.0, 0.0, -0.03]), box=np.array([0.2, 0.16, 0.06]),
         live=SimpleNamespace(measured=measured, predicted=measured + 5e-3))
 
 

@@ -71,7 +71,7 @@ def test_words_stay_on_the_page_in_both_themes(theme, motion, loads):
 
 
 def test_motion_is_drawn_from_the_start_and_interrupted(motion, loads):
-    """Draw mm and mrad against the first pose, with nothing where nothing is valid."""
+    """Draw mm and degrees against the first pose, with nothing where nothing is valid."""
     figure = draw_all(motion, loads, 'light')['motion']
     panels = {panel.get_ylabel()[:2].strip(): panel for panel in figure.axes}
     tool, package, *_ = panels['x'].get_lines()

@@ -40,20 +40,21 @@ def lines(panel):
 
 
 def test_each_axis_has_both_curves_and_their_difference(figure, comparison):
-    """Draw in mm and mrad, the error in a strip of its own."""
+    """Draw in mm and degrees, the error in a strip of its own."""
     assert len(figure.axes) == 12
     for axis in range(6):
         upper, lower = figure.axes[2 * axis: 2 * axis + 2]
         measured, predicted = (line.get_ydata() for line in lines(upper))
         (error,) = (line.get_ydata() for line in lines(lower))
+        factor, unit = (1e3, 'mm') if axis < 3 else (np.rad2deg(1.0), 'degrees')
         kept = ~np.isnan(predicted)
-        np.testing.assert_allclose(measured[kept], 1e3 * comparison.measured[:, axis], atol=1e-12)
         np.testing.assert_allclose(
-            predicted[kept], 1e3 * comparison.predicted[:, axis], atol=1e-12)
+            measured[kept], factor * comparison.measured[:, axis], atol=1e-12)
+        np.testing.assert_allclose(
+            predicted[kept], factor * comparison.predicted[:, axis], atol=1e-12)
         np.testing.assert_allclose(error, predicted - measured)
-        unit = 'mm' if axis < 3 else 'mrad'
         assert upper.get_ylabel().endswith(f'({unit})')
-        rms = two_digits(1e3 * comparison.scores.rms[axis])
+        rms = two_digits(factor * comparison.scores.rms[axis])
         assert f'{rms} {unit}' in upper.get_title('right')
 
 

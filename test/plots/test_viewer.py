@@ -3,6 +3,7 @@
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.plots.animation import bellows_rings
+from bellows_ros.plots.style import SHOWN
 from bellows_ros.plots.viewer import write_view
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def read(path):
 
 @pytest.mark.extras
 def test_what_is_written_is_what_was_replayed(replayed, tmp_path):
-    """Hold every sample: poses in m, time series in mm and mrad, time in ns from the start."""
+    """Hold every sample: poses in m, time series in mm and degrees, time in ns from the start."""
     pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
     write_view(tmp_path / 'a.rrd', replayed, 'a recording')
     found = read(tmp_path / 'a.rrd')
@@ -35,9 +36,9 @@ def test_what_is_written_is_what_was_replayed(replayed, tmp_path):
             (f'/deflection/{name}', replayed.deflection),
         ):
             (shown,) = zip(*found[path, 'Scalars:scalars'].to_pylist(), strict=True)
-            np.testing.assert_allclose(shown, 1e3 * values[:, axis])
+            np.testing.assert_allclose(shown, SHOWN[axis] * values[:, axis])
     position = np.array(found['/world/predicted', 'Transform3D:translation'].to_pylist())
-    np.testing.assert_allclose(position[:, 0], replayed.position, atol=1e-7)  # float32
+    np.testing.assert_allclose(position[:, 0], replayed.package.position, atol=1e-7)  # float32
     times = found['/deflection/x', 'time'].cast('int64').to_pylist()
     np.testing.assert_allclose(times, 1e9 * replayed.seconds, atol=1.0)
 
