@@ -2,9 +2,142 @@
 """
 The command `bellows`: the package from a shell, without ROS.
 
-One module per command, loaded only when it is asked for; see `app`.
+Finds the command, runs it, and turns errors into a message and an exit code. A command is a module
+of this package with its name, whose `run(arguments, console)` does the work and returns an
+`options.Outcome`. It is imported only to run; its help is in `commands.toml`.
 """
 
-from .app import main
+import argparse
+from collections.abc import Mapping, Sequence
+import difflib
+import os
+import sys
+import textwrap
+from types import MappingProxyType
+from typing import Any, NoReturn
 
-__all__ = ['main']
+from bellows_ros import __version__
+from bellows_ros.core import configure_process
+
+from .arguments import arguments_of, COMMANDS, PROGRAM
+from .console import Console, run_guarded, USER_ERROR
+
+WIDTH = 79
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser with short errors: what is wrong, and where to find help."""
+
+    commands: Mapping[str, 'Parser'] = MappingProxyType({})
+    """Of the program: the parsers of its commands."""
+
+    def __init__(self, prog: str, description: str, epilog: str) -> None:
+        """Wrap the description; the epilog stays as it is."""
+        super().__init__(
+            prog=prog, epilog=epilog, allow_abbrev=False,
+            description=textwrap.fill(' '.join(description.split()), WIDTH),
+            formatter_class=argparse.RawDescriptionHelpFormatter)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse what is unknown here: the parser of the program does not know the options."""
+        self._words = list(args or ())
+        parsed, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f'unrecognized arguments: {" ".join(unknown)}')
+        return parsed, unknown
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print help or an error; unlike the base class, raise where that cannot be written."""
+        print(message, end='', file=file or sys.stderr, flush=True)
+
+    def error(self, message: str) -> NoReturn:
+        """Report what is wrong with the command line and what was meant, and exit with 2."""
+        known = [*self._option_string_actions, *self.commands]
+        for word in (word.partition('=')[0] for word in (
+                self._words[:1] if self.commands else self._words)):
+            matches = difflib.get_close_matches(word, known, n=1)
+            if (self.commands or word.startswith('--')) and word not in known and matches:
+                kind = 'an option' if word.startswith('-') else 'a command'
+                message = f"'{word}' is not {kind}. Did you mean '{matches[0]}'?"
+        self.exit(USER_ERROR, f'{self.prog}: {message}\nSee {self.prog} --help.\n')
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """
+    Run the command line.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        Command line behind the command's name; that of the process if left out.
+
+    Returns
+    -------
+    int
+        The exit code, of `console`.
+
+    Raises
+    ------
+    SystemExit
+        After --help and --version, and when the command line itself is wrong.
+
+    """
+    return run_guarded(lambda console: _run(sys.argv[1:] if args is None else args, console))
+
+
+def _run(args: Sequence[str], console: Console) -> int:
+    """Run the named command, or answer for `bellows` itself."""
+    program = program_parser()
+    if '_ARGCOMPLETE' in os.environ:
+        _complete(program)
+    if not args:
+        program.print_help(sys.stderr)
+        return USER_ERROR
+    parsed = program.parse_args(args)
+    configure_process()
+    from .options import run_command
+
+    return run_command(parsed, console)
+
+
+def _complete(program: Parser) -> None:
+    """Print what can follow a command line, which the shell gives in its environment, and end."""
+    import argcomplete
+    from bellows_ros.core.parameters.table import PARAMETERS
+
+    def assignments(**_: object) -> dict[str, str]:
+        return {f'{name}=': parameter.description for name, parameter in PARAMETERS.items()}
+
+    for command in program.commands.values():
+        for action in command._actions:
+            if action.dest == 'overrides':
+                action.completer = assignments  # type: ignore[attr-defined]
+    argcomplete.autocomplete(program)
+
+
+def add_arguments(parser: argparse.ArgumentParser, name: str) -> None:
+    """Add the arguments of a command to a parser."""
+    for argument, settings in arguments_of(name):
+        parser.add_argument(argument, **settings)
+
+
+def program_parser() -> Parser:
+    """Return the parser of the program, which knows those of its commands."""
+    width = max(map(len, COMMANDS))
+    listed = '\n'.join(f'  {name:{width}}  {entry["does"]}' for name, entry in COMMANDS.items())
+    program = Parser('bellows', PROGRAM['text'], PROGRAM['ends'].format(
+        commands=listed, exit_codes=PROGRAM['exit_codes']))
+    program.add_argument('--version', action='version', version=f'bellows {__version__}',
+                         help='print the version and exit')
+    commands = program.add_subparsers(dest='command', metavar='COMMAND', help=argparse.SUPPRESS)
+    program.usage = 'bellows COMMAND [ARGUMENTS]'
+    for name, entry in COMMANDS.items():
+        examples = '\n'.join(
+            f'  {each["line"]}\n      {each["what"]}' for each in entry['examples'])
+        code_1 = f'1 if {entry["negative"]}, ' if 'negative' in entry else ''
+        ends = textwrap.fill(f'Exit code 0 when done, {code_1}2 on an error.', WIDTH)
+        add_arguments(commands.add_parser(
+            name, help=entry['does'], description=entry['text'],
+            epilog=f'examples:\n{examples}\n\n{ends}'), name)
+    program.commands = commands.choices
+    return program

@@ -10,18 +10,17 @@ from bellows_ros.report import column, with_error
 from bellows_ros.workflows.excite import DesignedMotion, excite, write_motion
 
 from .console import Console
-from .options import Outcome, plan_settings, write_plot
+from .options import Outcome, read_settings
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     """Design and write."""
     result = excite(
-        plan_settings(arguments, console), load(arguments.limits), arguments.time,
+        read_settings(arguments, cup_for=console), load(arguments.limits), arguments.time,
         str(arguments.urdf or ''), arguments.beside, arguments.seed, console.progress,
         arguments.series, arguments.hold)
     write_motion(arguments.out, result, arguments.csv, arguments.urscript, arguments.force)
-    write_plot(arguments.plot, result)
-    return Outcome(result, inputs=())
+    return Outcome(result, inputs=(), draw=arguments.plot)
 
 
 def print_result(result: DesignedMotion, console: Console) -> None:

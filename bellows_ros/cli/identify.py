@@ -15,7 +15,7 @@ from .arguments import Output
 from .console import Console
 
 if TYPE_CHECKING:
-    from bellows_ros.workflows.drops import ReleaseResult
+    from bellows_ros.workflows.toss import ReleaseResult
 
 OUTPUTS = {'out': 'output.parameters', 'json': 'output.json', 'report': 'output.report'}
 """The parameters that name what options do."""
@@ -65,7 +65,7 @@ def _release(
         raise BellowsError(
             f'--release cannot be combined with {", ".join(excluded)}. Leave it out.')
     from bellows_ros.files.parameter_files import write_parameters
-    from bellows_ros.workflows.drops import identify_release
+    from bellows_ros.workflows.toss import identify_release
 
     result = identify_release(settings, console.progress)
     if arguments.out:
@@ -84,7 +84,7 @@ def print_result(result: 'Identification | ReleaseResult', console: Console) -> 
 
 def _print_release(result: 'ReleaseResult', console: Console) -> None:
     """Print the law with its errors, and how it explains the drops of each mass."""
-    from bellows_ros.workflows.drops import RELEASE_UNITS
+    from bellows_ros.workflows.toss import RELEASE_UNITS
 
     fit, milli, names = result.fit, 1e3, list(RELEASE_UNITS)
     console.line(

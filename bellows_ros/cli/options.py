@@ -43,6 +43,8 @@ class Outcome(NamedTuple):
         files; None where it has no provenance, or its own.
     content : mapping or None
         Is written to --json instead.
+    draw : str
+        File for the picture of the result.
 
     """
 
@@ -51,14 +53,20 @@ class Outcome(NamedTuple):
     then: tuple[str, ...] = ()
     inputs: Sequence[File] | None = None
     content: Mapping[str, Any] | None = None
+    draw: str = ''
 
 
 def run_command(arguments: argparse.Namespace, console: Console) -> int:
     """Check the outputs, work, write --json, print, name what was written; return the code."""
     require_named_outputs(arguments)
+    require_drawable(arguments)
     command = importlib.import_module(f'{__package__}.{arguments.command}')
     with console.progress:
         done: Outcome = command.run(arguments, console)
+        if done.draw:
+            from bellows_ros.plots import style
+
+            style.write_figure(done.draw, done.result.plot())
         if getattr(arguments, 'json', None):
             content = done.content or {**results.plain(done.result), 'version': __version__}
             more = {} if done.inputs is None else {
@@ -83,26 +91,14 @@ def require_absent(output: str, force: bool) -> None:
             'holds is then lost.')
 
 
-def plan_settings(
-    arguments: argparse.Namespace, console: Console, films: tuple[str, ...] = ()
-) -> dict[str, table.Value]:
-    """Return the parameters of a command on a plan; refuse what it could not write or draw."""
-    values = read_settings(arguments, cup_for=console)
-    require_absent(arguments.out, arguments.force)
-    if arguments.plot:
+def require_drawable(arguments: argparse.Namespace) -> None:
+    """Refuse a name for --plot that is no picture, nor a film where there are some."""
+    if getattr(arguments, 'plot', ''):
         from bellows_ros.plots import style
 
         require_pictures()
+        films = style.FILMS if arguments.command == 'steer' else ()
         style.require_picture(arguments.plot, (*style.PICTURES, *films))
-    return values
-
-
-def write_plot(path: str, result: Any) -> None:
-    """Draw a result where --plot names a picture."""
-    if path:
-        from bellows_ros.plots import style
-
-        style.write_figure(path, result.plot())
 
 
 def read_settings(
@@ -223,6 +219,8 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
             'others names.')
     for name in files:
         bag_folder.require_no_input(name, read)
+        if isinstance(name, Folder) and os.path.isdir(name):
+            require_absent(name, arguments.force)
         targets.append(Path(os.path.realpath(
             atomic.require_folder_target(name) if isinstance(name, Folder) else
             atomic.require_file_target(name))))

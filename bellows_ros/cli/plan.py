@@ -7,19 +7,18 @@ from bellows_ros.report import with_error
 from bellows_ros.workflows.plan import plan, PlanReport, write_prediction
 
 from .console import Console
-from .options import Outcome, plan_settings, write_plot
+from .options import Outcome, read_settings
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     """Predict and write."""
-    values = plan_settings(arguments, console)
+    values = read_settings(arguments, cup_for=console)
     console.progress('planning')
     report = plan(
         arguments.plan, values, str(arguments.urdf or ''), arguments.topic, arguments.fastest)
     if arguments.out:
         write_prediction(arguments.out, report.source, *report.driven[:2], arguments.force)
-    write_plot(arguments.plot, report)
-    return Outcome(report, report.holds, inputs=[arguments.plan])
+    return Outcome(report, report.holds, inputs=[arguments.plan], draw=arguments.plot)
 
 
 def print_result(report: PlanReport, console: Console) -> None:

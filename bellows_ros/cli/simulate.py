@@ -15,7 +15,6 @@ from .console import Console
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Simulate and write."""
     values = options.read_settings(arguments, cup_for=console)
-    options.require_absent(arguments.out, arguments.force)
     report = simulate_recording(
         values, load(arguments.motion), arguments.out, console.progress, arguments.force,
         arguments.plan or '')

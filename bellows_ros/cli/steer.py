@@ -9,7 +9,7 @@ from bellows_ros.report import formatted
 from bellows_ros.workflows import plan, steer
 
 from .console import Console
-from .options import Outcome, plan_settings, write_plot
+from .options import Outcome, read_settings
 
 DEGREES = math.degrees(1.0)
 FILM_SPEED = 0.25
@@ -17,7 +17,7 @@ FILM_SPEED = 0.25
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     """Steer and write."""
-    values = plan_settings(arguments, console, FILMS)
+    values = read_settings(arguments, cup_for=console)
     console.progress('planning')
     report = steer.steer_plan(
         arguments.plan, values, arguments.method, arguments.limits or '',
@@ -26,11 +26,10 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     if arguments.out:
         plan.write_prediction(
             arguments.out, report.source, motion.tool, motion.prediction.states, arguments.force)
-    if arguments.plot.lower().endswith(FILMS):
+    is_film = arguments.plot.lower().endswith(FILMS)
+    if is_film:
         write_steering(arguments.plot, report, f'{arguments.plan}', FILM_SPEED)
-    else:
-        write_plot(arguments.plot, report)
-    return Outcome(report, inputs=[arguments.plan])
+    return Outcome(report, inputs=[arguments.plan], draw='' if is_film else arguments.plot)
 
 
 def print_result(report: steer.SteerReport, console: Console) -> None:

@@ -10,7 +10,7 @@ from bellows_ros.workflows.toss import toss_plan, TossResult, write_toss
 import numpy as np
 
 from .console import Console
-from .options import Outcome, plan_settings, write_plot
+from .options import Outcome, read_settings
 
 MILLI = 1e3
 
@@ -18,13 +18,12 @@ MILLI = 1e3
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     """Predict and write."""
     result = toss_plan(
-        arguments.plan, plan_settings(arguments, console), arguments.release, arguments.target,
-        arguments.target_rotation, arguments.monte_carlo, console.progress,
+        arguments.plan, read_settings(arguments, cup_for=console), arguments.release,
+        arguments.target, arguments.target_rotation, arguments.monte_carlo, console.progress,
         str(arguments.urdf or ''), arguments.topic)
     if arguments.out:
         write_toss(arguments.out, result, arguments.force)
-    write_plot(arguments.plot, result)
-    return Outcome(result, result.reached, inputs=[arguments.plan])
+    return Outcome(result, result.reached, inputs=[arguments.plan], draw=arguments.plot)
 
 
 def print_result(result: TossResult, console: Console) -> None:

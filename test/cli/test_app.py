@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import bellows_ros
-from bellows_ros.cli.app import add_arguments, COMMANDS
+from bellows_ros.cli import add_arguments, COMMANDS
 from bellows_ros.cli.arguments import Output
 import pytest
 

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-from bellows_ros.cli.app import COMMANDS
+from bellows_ros.cli import COMMANDS
 import pytest
 
 pytest.importorskip('argcomplete', reason="no argcomplete here (pip install '.[complete]')")

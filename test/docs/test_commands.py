@@ -6,7 +6,7 @@ import re
 import shlex
 import subprocess
 
-from bellows_ros.cli.app import add_arguments, COMMANDS
+from bellows_ros.cli import add_arguments, COMMANDS
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.table import PARAMETERS
 import pytest

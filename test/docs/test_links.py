@@ -96,7 +96,7 @@ def test_the_first_page_leads_to_every_page(root):
 
 def test_guides_name_every_command(root):
     """Lead to each command from a page other than the reference."""
-    from bellows_ros.cli.app import COMMANDS
+    from bellows_ros.cli import COMMANDS
 
     docs = root / 'docs'
     text = ''.join(page.read_text() for page in [root / 'README.md', *docs.glob('*.md')])

@@ -8,9 +8,8 @@ from bellows_ros.core.toss.landing import coverage, SECOND_ORDER
 from bellows_ros.errors import NoTopicError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load
-from bellows_ros.workflows.drops import identify_release
 from bellows_ros.workflows.simulate import simulate_recording
-from bellows_ros.workflows.toss import toss_plan
+from bellows_ros.workflows.toss import identify_release, toss_plan
 import numpy as np
 import pytest
 
