@@ -31,7 +31,7 @@ def test_seekers_at_the_same_time_find_different_domains():
 
 def test_the_search_ends_where_all_are_taken(monkeypatch):
     """Say so instead of sharing one."""
-    monkeypatch.setattr(demo, '_reserve', lambda number: False)
+    monkeypatch.setattr(demo, '_bound', lambda family, address: None)
     with pytest.raises(BellowsError):
         demo.unused_domain()
 

@@ -7,9 +7,9 @@ recorded speed, and shows how well the predicted poses meet the measured ones.
 `isolate`, for it and the tests, restricts ROS to this machine and an unused domain.
 """
 
-from contextlib import suppress
 import os
 import socket
+from typing import Any
 
 from bellows_ros.errors import BellowsError
 
@@ -49,27 +49,25 @@ def unused_domain() -> int:
     """
     for offset in range(DOMAINS):
         domain = 1 + (os.getpid() + offset) % DOMAINS
-        if all(_is_free(port + PORTS_PER_DOMAIN * domain) for port in PORTS) and _reserve(domain):
+        probes = [_bound(socket.AF_INET, ('', port + PORTS_PER_DOMAIN * domain))
+                  for port in PORTS]
+        for probe in filter(None, probes):
+            probe.close()
+        # abstract: it vanishes with the process
+        name = _bound(socket.AF_UNIX, f'\0bellows_ros domain {domain}') if all(probes) else None
+        if name:
+            _reserved.append(name)
             return domain
     raise BellowsError(
         f'All ROS domains from 1 to {DOMAINS} are in use on this machine. End other ROS programs.')
 
 
-def _is_free(port: int) -> bool:
-    """Return whether a UDP port of this machine is free."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
-        probe.bind(('', port))
-        return True
-    return False
-
-
-def _reserve(domain: int) -> bool:
-    """Reserve a domain among the processes of this machine; return whether it was free."""
-    name = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+def _bound(family: socket.AddressFamily, address: Any) -> socket.socket | None:
+    """Return a socket at an address of this machine, None where that is taken."""
+    bound = socket.socket(family, socket.SOCK_DGRAM)
     try:
-        name.bind(f'\0bellows_ros domain {domain}')  # abstract: it vanishes with the process
+        bound.bind(address)
     except OSError:
-        name.close()
-        return False
-    _reserved.append(name)
-    return True
+        bound.close()
+        return None
+    return bound

@@ -128,18 +128,16 @@ def _fill(rr: Any, recording: Any, replayed: Replayed) -> None:
 
 def _send_bodies(rr: Any, recording: Any, replayed: Replayed) -> None:
     """Send what is fixed to the moving frames: the arm, axes, boxes."""
-    half = [0.5 * replayed.box]
     axes = rr.Arrows3D(vectors=AXES_LENGTH * np.eye(3), radii=0.001, colors=XYZ_COLOURS)
-    for name in ('tool', 'predicted'):
-        recording.log(f'world/{name}/axes', axes, static=True)
-    recording.log('world/tool/arm', rr.LineStrips3D(
-        [[[0.0, 0.0, 0.0], [0.0, 0.0, ARM]]], radii=0.005, colors=[_rgb(COLOURS.quiet)]),
-        static=True)
-    recording.log('world/predicted/box', rr.Boxes3D(
-        half_sizes=half, fill_mode='solid', colors=[_rgb(COLOURS.predicted)]), static=True)
-    recording.log('world/measured/box', rr.Boxes3D(
-        half_sizes=half, fill_mode='majorwireframe', radii=0.001,
-        colors=[_rgb(COLOURS.error)]), static=True)
+    arm = rr.LineStrips3D(
+        [[[0.0, 0.0, 0.0], [0.0, 0.0, ARM]]], radii=0.005, colors=[_rgb(COLOURS.quiet)])
+    solid, outline = (
+        rr.Boxes3D(half_sizes=[0.5 * replayed.box], fill_mode=mode, radii=0.001,
+                   colors=[_rgb(colour)])
+        for mode, colour in (('solid', COLOURS.predicted), ('majorwireframe', COLOURS.error)))
+    for name, body in (('tool/axes', axes), ('predicted/axes', axes), ('tool/arm', arm),
+                       ('predicted/box', solid), ('measured/box', outline)):
+        recording.log(f'world/{name}', body, static=True)
 
 
 def _send_cup(rr: Any, recording: Any, replayed: Replayed) -> None:
