@@ -74,14 +74,6 @@ def test_a_part_is_cut_of_all_alike(tmp_path):
         to_tum(tmp_path / 'bag', tmp_path / 'part.tum', '/tool/pose', {'recording.start': 1.0})
 
 
-def test_euroc_is_distinguished_from_motive(tmp_path):
-    """Look into a .csv, not at its name."""
-    (tmp_path / 'data.csv').write_text('#t\n1000000000,1,2,3,1,0,0,0\n2000000000,1,2,3,1,0,0,0\n')
-    to_bag(bodies_in_files([tmp_path / 'data.csv']), tmp_path / 'bag')
-    stream = read_streams(tmp_path / 'bag', {'tool_pose': '/data/pose'})['tool_pose']
-    np.testing.assert_array_equal(stream.stamps_ns, [10**9, 2 * 10**9])
-
-
 def test_topics_must_differ_and_be_as_many_as_bodies(tmp_path):
     """Refuse both."""
     for folder in ('a', 'b'):

@@ -6,18 +6,6 @@ import pytest
 from ..core.identification.hypotheses.laboratory import FAULTS, Laboratory
 
 
-@pytest.fixture(scope='module')
-def shipped(root, known):
-    """Return what the shipped recording tells."""
-    return structures({**known, 'bags': [str(root / 'bags/identification')]})
-
-
-def test_the_shipped_recording_tells_all_of_a_round_cup(shipped):
-    assert shipped.selection.advised == 'axisymmetric'
-    assert all(found.identifiable for found in shipped.excitation.parameters)
-    assert shipped.excitation.rank == 8
-
-
 def test_a_static_recording_is_said_to_tell_little(root, known):
     result = structures({**known, 'bags': [str(root / 'bags/static')], 'recording.end': 8.0})
     words = ' '.join(result.warnings)
