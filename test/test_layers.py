@@ -35,7 +35,7 @@ LATE = {
         'bellows_ros.core.parameters.table', 'bellows_ros.files.parameter_files',
         'bellows_ros.nodes.guarding'),
     'bellows_ros/demo/steps.py': ('bellows_ros.nodes.bag_player',),
-    'bellows_ros/workflows/__init__.py': ('bellows_ros.plots.plan_pictures',)}
+    'bellows_ros/workflows/__init__.py': ('bellows_ros.plots.pictures',)}
 """
 What functions import, beside what is optional, and outside `cli`.
 

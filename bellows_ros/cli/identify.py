@@ -10,8 +10,7 @@ from bellows_ros.report import column, formatted, in_milli, listed, many, print_
 from bellows_ros.workflows.identification import Identification, save
 from bellows_ros.workflows.identify import identify
 
-from . import options
-from .arguments import Output
+from . import options, Output
 from .console import Console
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from bellows_ros.core.parameters import checks, table
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import atomic, bag_folder, File, parameter_files, results, Values
 
-from .arguments import Binary, Folder, Output, STDOUT
+from . import Binary, Folder, Output, STDOUT
 from .console import Console, NOT_USABLE, OK
 
 INTERVAL = {'from': 'recording.start', 'to': 'recording.end'}

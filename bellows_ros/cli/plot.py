@@ -5,12 +5,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import Values
-from bellows_ros.plots import animation, plan_pictures, style
-from bellows_ros.plots import recording_pictures as pictures
-from bellows_ros.workflows.plot import data_json, loads, margins, motion, replayed, spectra, within
+from bellows_ros.plots import animation, pictures, style
+from bellows_ros.workflows import plot, replay
 
 from . import options
 from .console import Console, Progress
@@ -25,15 +24,10 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     needs_cup = arguments.what not in WITHOUT_CUP
     values = options.read_settings(arguments, cup_for=console if needs_cup else None)
     has_cup = 'cup.stiffness' in values
-    settings = resolve(values, PACKAGE_PARAMETERS if needs_cup or (
-        arguments.what == 'spectra' and has_cup) else ())
     style.require_picture(
         arguments.out, style.FILMS if arguments.what == 'animation' else style.PICTURES)
     if arguments.what == 'spectra' and (arguments.first, arguments.last) != FULL_RANGE:
         raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
-    if arguments.last <= max(arguments.first, 0.0):
-        raise BellowsError(
-            f'--to must be above {max(arguments.first, 0.0):g} s, got {arguments.last:g}.')
     if not 0.0 < arguments.speed <= MAX_SPEED:
         raise BellowsError(
             f'--speed must be above 0 and at most {MAX_SPEED:g}, got {arguments.speed:g}.')
@@ -41,10 +35,12 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     if arguments.what == 'animation':
         note += f'; {arguments.speed:g} times real time'
     console.progress(f'reading {arguments.bag}')
-    content = _draw(arguments, settings, has_cup, note, console.progress)
+    settings, recording = plot.recorded(
+        arguments.bag, values, needs_cup or arguments.what == 'spectra' and has_cup)
+    content = _draw(arguments, settings, recording, has_cup, note, console.progress)
     return options.Outcome(None, content={
         'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out,
-        **(data_json(content) if arguments.json else {})})
+        **(plot.data_json(content) if arguments.json else {})})
 
 
 def print_result(result: None, console: Console) -> None:
@@ -52,25 +48,30 @@ def print_result(result: None, console: Console) -> None:
 
 
 def _draw(
-    arguments: argparse.Namespace, settings: Values, has_cup: bool, note: str, progress: Progress,
+    arguments: argparse.Namespace, values: Values, recording: Recording, has_cup: bool, note: str,
+    progress: Progress,
 ) -> Any:
-    """Read, draw and write; return what the picture shows."""
-    replay = partial(replayed, progress=progress)
-    kinds: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
+    """Draw and write; return what the picture shows."""
+    def bodies() -> plot.Replayed:
+        live = replay.predicted_live(recording, values, progress)
+        return plot.with_bodies(values, recording, live)
+
+    motion, loads = partial(plot.motion, recording), partial(plot.loads, values, recording)
+    kinds: dict[str, tuple[Callable[[], Any], Callable[..., Any]]] = {
         'motion': (motion, pictures.motion_figure), 'path': (motion, pictures.path_figure),
         'deflection': (loads, pictures.deflection_figure),
         'residuals': (loads, pictures.residual_figure),
-        'margin': (margins, plan_pictures.margin_figure),
-        'spectra': (partial(spectra, cup=has_cup), pictures.spectra_figure),
-        'prediction': (replay, lambda content, note, theme: pictures.prediction_figure(
+        'margin': (lambda: replay.validated(values, recording).margins, pictures.margin_figure),
+        'spectra': (partial(plot.spectra, values, recording, has_cup), pictures.spectra_figure),
+        'prediction': (bodies, lambda content, note, theme: pictures.prediction_figure(
             content.seconds, content.live, 'Package: predicted, and measured',
             f'relative to the tool; {note}', theme)),
-        'animation': (replay, partial(
+        'animation': (bodies, partial(
             animation.write_animation, arguments.out, progress=progress, speed=arguments.speed))}
     read, draw = kinds[arguments.what]
-    content = read(arguments.bag, settings)
+    content = read()
     if arguments.what != 'spectra':
-        content = within(content, arguments.first, arguments.last)
+        content = plot.within(content, arguments.first, arguments.last)
     if figure := draw(content, note, arguments.theme):
         style.write_figure(arguments.out, figure)
     return content

@@ -20,7 +20,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bags, parameter_files, Values
 from bellows_ros.nodes.command import require_ros
-from bellows_ros.plots import recording_pictures, style
+from bellows_ros.plots import pictures, style
 from bellows_ros.report import percent, print_cup
 from bellows_ros.workflows import identification, identify
 from bellows_ros.workflows.recordings import load as load_recording
@@ -85,7 +85,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
         exchange.predicted, recorded.measured_tool, recorded.measured_package)
     seconds = recorded.since_start(comparison.stamps_ns)
     for theme, name in PICTURES.items():
-        style.write_figure(out / name, recording_pictures.prediction_figure(
+        style.write_figure(out / name, pictures.prediction_figure(
             seconds, comparison, 'Package: predicted live, and measured',
             'relative to the tool; the cup was identified from another recording', theme))
     lost = _print_result(result.fit, comparison.scores, exchange, recorded.noise.package, console)

@@ -14,8 +14,7 @@ from bellows_ros.core.identification import samples, validation
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
 from bellows_ros.files import atomic, File, results, Values
-from bellows_ros.plots import recording_pictures as pictures
-from bellows_ros.plots.plan_pictures import margin_figure, replay_figure
+from bellows_ros.plots import pictures
 from bellows_ros.plots.style import inline_svg, THEMES
 from bellows_ros.workflows import identification, plot, recordings, replay
 import numpy as np
@@ -169,8 +168,8 @@ def _figures(replayed: replay.Replay) -> Iterator[Any]:
     """Yield the figures of a recording that was simulated freely."""
     validation, bag = replayed.validation, replayed.bag
     if replayed.margin:
-        yield margin_figure(replayed.margins, bag)
-    yield replay_figure(replayed)
+        yield pictures.margin_figure(replayed.margins, bag)
+    yield pictures.replay_figure(replayed)
     yield pictures.spectra_figure(
         plot.Spectra(validation.motion.frequency, np.sqrt(validation.motion.density),
                      np.sqrt(validation.spectrum.density)),

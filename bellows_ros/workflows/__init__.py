@@ -77,6 +77,6 @@ class CommandResult:
 
         """
         require_pictures()
-        from bellows_ros.plots.plan_pictures import FIGURES  # matplotlib is optional
+        from bellows_ros.plots.pictures import FIGURES  # matplotlib is optional
 
         return FIGURES[type(self)](self, theme)

@@ -17,8 +17,8 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, Values
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.recordings import load, NO_INERTIA, no_progress, Progress
-from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated
+from bellows_ros.workflows.recordings import load, NO_INERTIA
+from bellows_ros.workflows.replay import Live, Margins, predicted_live
 import numpy as np
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
@@ -168,17 +168,17 @@ DRAWN_UNITS: Mapping[type, Mapping[str, Any]] = {
 Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
 
 
-def motion(bag: File, settings: Values) -> MeasuredMotion:
-    """
-    Return tool and package of a recording as measured.
+def recorded(
+    bag: File, settings: Values, needs_package: bool
+) -> tuple[dict[str, Any], Recording]:
+    """Return all parameters, and a recording; without package.com, B is where it is tracked."""
+    given = settings if needs_package else {**NO_PACKAGE, **settings}
+    values: dict[str, Any] = resolve(given, PACKAGE_PARAMETERS)
+    return values, load(bag, values)
 
-    Without package.com, B is where the package is tracked.
-    """
-    return _motion(load(bag, resolve({**NO_PACKAGE, **settings})))
 
-
-def _motion(recording: Recording) -> MeasuredMotion:
-    """Return tool and package as measured."""
+def motion(recording: Recording) -> MeasuredMotion:
+    """Return tool and package of a recording as measured."""
     tool, package = recording.measured_tool, recording.measured_package
     return MeasuredMotion(
         recording.since_start(tool.stamps_ns), tool.position, tool.rotation,
@@ -186,16 +186,13 @@ def _motion(recording: Recording) -> MeasuredMotion:
         tool.valid & package.valid)
 
 
-def spectra(bag: File, settings: Values, cup: bool) -> Spectra:
+def spectra(values: Values, recording: Recording, cup: bool) -> Spectra:
     """
     Return the spectra of a recording and, with a cup, of the prediction error.
 
-    Samples that are missing are interpolated linearly. Without a cup no package is needed, as for
-    `motion`.
+    Samples that are missing are interpolated linearly.
     """
-    values: dict[str, Any] = resolve({**NO_PACKAGE, **settings})
-    recording = load(bag, values)
-    shown = _motion(recording)
+    shown = motion(recording)
     rate_hz = trajectory.uniform_rate_hz(recording.measured_package.stamps_ns)
     relative = np.where(shown.valid[:, None], shown.relative, np.nan)
     measured = residuals.spectrum(residuals.interpolated(relative), rate_hz, SPECTRUM_SECONDS)
@@ -209,10 +206,8 @@ def spectra(bag: File, settings: Values, cup: bool) -> Spectra:
     return Spectra(measured.frequency, np.sqrt(measured.density), error)
 
 
-def loads(bag: File, settings: Values) -> Loads:
+def loads(values: Values, recording: Recording) -> Loads:
     """Return the load of the cup in a recording, by inverse dynamics, and its deflection."""
-    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
-    recording = load(bag, values)
     cup, package = cup_package.cup_of(values), cup_package.package_of(values)
     o, R, v = samples.lip_relative(recording.tool, recording.package, package.com)
     at_lip = samples.needed_wrench(package, recording.package, values['gravity.magnitude'])
@@ -237,13 +232,6 @@ def loads(bag: File, settings: Values) -> Loads:
         load=needed, residual=residual,
         stiffness=np.diag(cup.stiffness),
         valid=recording.valid)
-
-
-def replayed(bag: File, settings: Values, progress: Progress = no_progress) -> Replayed:
-    """Return a replay with the poses of all bodies."""
-    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
-    recording = load(bag, values)
-    return with_bodies(values, recording, predicted_live(recording, values, progress))
 
 
 def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
@@ -271,12 +259,6 @@ def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
     return Replayed(
         recording.since_start(tool.stamps_ns), tool, predicted, measured, length, package.com,
         np.array(equivalent_box(values)), live, np.hstack([shift, live.predicted[:, 3:]]))
-
-
-def margins(bag: File, settings: Values) -> Margins:
-    """Return the safety factors of the grip in a free simulation of a recording; see `Replay`."""
-    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
-    return validated(values, load(bag, values)).margins
 
 
 def within(shown: Timed, first: float, last: float) -> Timed:

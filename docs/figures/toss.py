@@ -8,7 +8,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.release import HeldMotion, landing_error, release_of, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.plots.plan_pictures import toss_figure
+from bellows_ros.plots.pictures import toss_figure
 from bellows_ros.plots.style import write_figure
 from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.toss import toss_plan

@@ -16,8 +16,7 @@ import sys
 import tempfile
 from typing import Any
 
-from bellows_ros.cli import COMMANDS, program_parser
-from bellows_ros.cli.arguments import PROGRAM
+from bellows_ros.cli import COMMANDS, PROGRAM, program_parser
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import UNITLESS

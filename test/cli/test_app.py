@@ -7,8 +7,7 @@ import subprocess
 import sys
 
 import bellows_ros
-from bellows_ros.cli import add_arguments, COMMANDS
-from bellows_ros.cli.arguments import Output
+from bellows_ros.cli import add_arguments, COMMANDS, Output
 import pytest
 
 HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'yaml', 'rclpy')

@@ -9,9 +9,9 @@ from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
-from bellows_ros.plots.plan_pictures import margin_figure
-from bellows_ros.plots.recording_pictures import (
+from bellows_ros.plots.pictures import (
     deflection_figure,
+    margin_figure,
     motion_figure,
     path_figure,
     residual_figure,

@@ -4,7 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 
 from bellows_ros.core.signals.residuals import Comparison, score
-from bellows_ros.plots.recording_pictures import prediction_figure, two_digits
+from bellows_ros.plots.pictures import prediction_figure, two_digits
 from bellows_ros.plots.style import drawing, inline_svg, THEMES
 import numpy as np
 import pytest

@@ -1,7 +1,8 @@
 """What pictures are made of, against the cup that a recording was simulated with."""
 
 
-from bellows_ros.workflows.plot import loads, motion, replayed, spectra, within
+from bellows_ros.workflows.plot import loads, motion, recorded, spectra, with_bodies, within
+from bellows_ros.workflows.replay import predicted_live
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ def settings(known, true_cup):
 
 def test_loads_lie_on_the_cups_stiffness(root, settings):
     """Find K again as the slope of load over deflection, where damping averages out."""
-    found = loads(root / 'bags' / 'identification', settings)
+    found = loads(*recorded(root / 'bags' / 'identification', settings, True))
     x, y = found.deflection[found.valid], found.load[found.valid]
     slope = [np.polyfit(a, b, 1)[0] for a, b in zip(x.T, y.T, strict=True)]
     # Damping, noise and the sine in the strain leave some percent.
@@ -26,7 +27,7 @@ def test_loads_lie_on_the_cups_stiffness(root, settings):
 
 def test_spectra_show_the_noise_floor(root, settings):
     """Hold the density of white noise of 0.1 mm at 360 Hz, and a prediction error at it."""
-    found = spectra(root / 'bags' / 'validation', settings, cup=True)
+    found = spectra(*recorded(root / 'bags' / 'validation', settings, True), cup=True)
     floor = 1e-4 / np.sqrt(180.0)
     high = found.frequency_hz > 60.0
     np.testing.assert_allclose(np.median(found.measured[high, :3], axis=0), floor, rtol=0.15)
@@ -37,7 +38,8 @@ def test_spectra_show_the_noise_floor(root, settings):
 
 def test_a_part_of_a_replay_has_its_own_scores(root, settings):
     """Pick all that belongs to the time, and judge the prediction by that."""
-    whole = replayed(root / 'bags' / 'validation', settings)
+    values, recording = recorded(root / 'bags' / 'validation', settings, True)
+    whole = with_bodies(values, recording, predicted_live(recording, values))
     part = within(whole, 3.0, 4.0)
     picked = (whole.seconds >= 3.0) & (whole.seconds <= 4.0)
     for name in ('seconds', 'deflection'):
@@ -56,7 +58,8 @@ def test_without_a_package_the_tracked_point_is_shown(root, settings):
     """Put B where the poses are, in whichever frame they are taken."""
     bag = root / 'bags' / 'validation'
     unknown = {name: value for name, value in settings.items() if not name.startswith('package.')}
-    expected = motion(bag, settings).package_position  # of B, which is tracked here
+    of_b = recorded(bag, settings, True)[1]  # which is tracked here
+    expected = motion(of_b).package_position
     for frame in ('com', 'lip'):
-        found = motion(bag, {**unknown, 'recording.package_frame': frame})
-        np.testing.assert_array_equal(found.package_position, expected)
+        found = recorded(bag, {**unknown, 'recording.package_frame': frame}, False)[1]
+        np.testing.assert_array_equal(motion(found).package_position, expected)
