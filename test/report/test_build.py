@@ -10,7 +10,7 @@ from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report import build as pages
 from bellows_ros.report import print_identification
-from bellows_ros.report.build import identification_report, replay_report
+from bellows_ros.report.build import identification_report
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
 import numpy as np
@@ -92,15 +92,6 @@ def test_a_validation_is_shown_before_the_fit(result, root, words_only):
     assert html.index('Not used in the fit') < html.index('Used in the fit')
     for file in digests(root / 'bags/static'):
         assert file['sha256'] in html
-
-
-def test_a_replay_has_a_page_of_its_own(result, root):
-    """Make a page from a replay alone, the same twice."""
-    found = replay(root / 'bags/validation', result.cup_values())
-    html = replay_report(found)
-    parsed(html)
-    assert html == replay_report(found)
-    assert found.validation.verdict() in html
 
 
 def test_a_cup_that_cannot_be_simulated_still_has_its_page(result, words_only):
