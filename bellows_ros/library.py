@@ -195,8 +195,10 @@ def identify(
             raise BellowsError(
                 'A recording must be a path, or two Trajectory, of the tool and of the package.')
         bags.append(f'recording {len(bags) + 1}')
-        poses[bags[-1]] = {f'{body}_pose': _stream(of_body, body) for body, of_body in zip(
-            ('tool', 'package'), pair, strict=True)}
+        poses[bags[-1]] = {f'{body}_pose': PoseStream(
+            body, 'world', good.stamps_ns, good.position, good.rotation)
+            for body, each in zip(('tool', 'package'), pair, strict=True)
+            for good in [each.select(each.valid)]}
     if len(poses) == len(bags):
         values.setdefault('recording.package_frame', 'com')
     return workflows.identify.identify({**values, 'bags': bags}, poses=poses)
@@ -559,12 +561,6 @@ def observe(recording: File, parameters: Parameters, topic: str) -> 'workflows.r
 
     """
     return workflows.replay.replay(recording, _parameters(parameters), observe=topic)
-
-
-def _stream(poses: Trajectory, name: str) -> PoseStream:
-    """Return the valid poses of a trajectory as if they had been recorded."""
-    good = poses.select(poses.valid)
-    return PoseStream(name, 'world', good.stamps_ns, good.position, good.rotation)
 
 
 def _parameters(

@@ -1,7 +1,7 @@
 """Work on single recordings in parallel: in processes on this machine, or on a Dask cluster."""
 
 import asyncio
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 import importlib
@@ -31,42 +31,32 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
         return
     joblib = _imported('joblib', 'parallel', '--jobs')
     pending = {item[0]: item for item in work}
-    while pending:
-        begun: list[int] = []
-        try:
-            with closing(_in_pool(joblib, jobs, task, [*pending.values()], begun)) as results:
-                for number, result in results:
-                    del pending[number]
-                    yield number, result
-        except BrokenProcessPool:
-            # One of those begun has ended its process; in another pool it ends no other.
-            for item in (pending.pop(number) for number in begun if number in pending):
-                try:
-                    yield from _in_pool(joblib, 2, task, [item], [])
-                except BrokenProcessPool:
-                    yield item[0], Failed(
-                        item[1], 'the process that read it was ended from outside, twice. If '
-                        'memory was short, take fewer jobs, or a shorter recording.')
+    try:
+        with closing(_in_pool(joblib, jobs, task, work)) as results:
+            for number, result in results:
+                del pending[number]
+                yield number, result
+    except BrokenProcessPool:  # one of them has ended its process; alone it ends no other
+        for item in pending.values():
+            try:
+                yield from _in_pool(joblib, 2, task, [item])
+            except BrokenProcessPool:
+                yield item[0], Failed(
+                    item[1], 'the process that read it was ended from outside, twice. If '
+                    'memory was short, take fewer jobs, or a shorter recording.')
 
 
 def _in_pool(
-    joblib: Any, jobs: int, task: Task, work: Iterable[Work], begun: list[int]
+    joblib: Any, jobs: int, task: Task, work: Sequence[Work]
 ) -> Generator[Outcome, None, None]:
     """
     Yield the results of a pool of processes, which is handed no more than it works on.
 
-    The numbers of what it was handed are added to those begun.
     Whatever ends this generator early ends the processes.
     """
     parallel = joblib.Parallel(
         jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')
-
-    def handed() -> Iterator[Any]:
-        for item in work:
-            begun.append(item[0])
-            yield joblib.delayed(_attempt)(task, *item)
-
-    results = parallel(handed())
+    results = parallel(joblib.delayed(_attempt)(task, *item) for item in work)
     try:
         yield from results
     finally:
