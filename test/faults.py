@@ -13,33 +13,30 @@ import argparse
 from collections import Counter
 import time
 
+from bellows_ros.core.identification.causes import facts
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 
-from .core.identification.hypotheses.laboratory import FAULTS, Laboratory, parameters
+from .core.identification.laboratory import FAULTS, Laboratory, parameters
 
 SOUND = 'sound'
 
 
-def outcome(laboratory, cause, other='', quick=False):
+def outcome(laboratory, cause, other=''):
     """
     Return what is said first of a laboratory in a word, and all that is said.
 
-    Of two causes both are named, or neither is certain. Quick is without the fit, which is where
-    what the wrenches do not show is named.
+    Of two causes both are named, or neither is certain.
     """
     try:
         recordings = laboratory.recordings()
         warned = ' '.join(own for one in recordings for own in one.report.warnings)
         values = parameters(laboratory)
         length = values['cup.length']
-        verdict, found = verdict_of(None, recordings, length, values), None
-        if not quick and all(len(own.theta) and not own.is_fact for own in verdict.wrong):
-            fitted = fit(recordings, values).fit
-            if fitted.converged or not verdict.wrong:
-                found, verdict = fitted, verdict_of(fitted, recordings, length, values)
+        found = None if facts(recordings, length) else fit(recordings, values).fit
+        verdict = verdict_of(found, recordings, length, values)
     except BellowsError as error:
         named = [own for own in (cause, other) if own and own in str(error)]
         return ('refused otherwise', 'one of two' if other else 'right', 'right')[len(named)], (
@@ -105,7 +102,6 @@ def main():
     parser.add_argument('--sound', type=int, default=1, help='sound recordings')
     parser.add_argument('--first', type=int, default=100, help='seed')
     parser.add_argument('--seconds', type=float, default=12.0, help='length of recordings')
-    parser.add_argument('--quick', action='store_true', help='what is said before the fit')
     parser.add_argument('--coloured', action='store_true',
                         help='noise with a memory of 26 ms in all, not in every second sound one')
     parser.add_argument('--kinds', nargs='*', choices=FAULTS, default=list(FAULTS))
@@ -127,8 +123,7 @@ def main():
         for name in names:
             FAULTS[name][0](laboratory)
         began = time.process_time()
-        word, said = outcome(laboratory, *([FAULTS[name][1] for name in names] or [SOUND]),
-                             quick=arguments.quick)
+        word, said = outcome(laboratory, *([FAULTS[name][1] for name in names] or [SOUND]))
         counts.setdefault(group, Counter())[word] += 1
         print(f'{" and ".join(names) or SOUND} {seed}: {word} ({said}; '
               f'{time.process_time() - began:.0f} s)', flush=True)

@@ -20,6 +20,7 @@ from bellows_ros.core.identification.reduction import AnyRecording, reduced, who
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures, UnexplainedError
 from bellows_ros.files import bag_folder, Values
@@ -27,7 +28,7 @@ from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult, with_spring
-from bellows_ros.workflows.verdict import allowances, MAX_TESTED, verdict_of
+from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
@@ -48,15 +49,8 @@ MAX_PAGE_RECORDINGS = 20
 REGISTRATION_NAMES = {'time_offset', 'package_world'}
 """Names in fit.free for which there is a parameter, too."""
 
-LEAST_SQUARES = {'fit.method': 'least_squares'}
-"""How recordings are fitted whose data are certainly wrong."""
-
 RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
 """Parameters that need the recordings themselves, not only their statistics."""
-
-LEAST_SQUARES_NOTE = (
-    'K and P are those of least squares, as something given is wrong. --force fits the output '
-    'error all the same.')
 
 NOT_FITTED = 'The cup was not fitted; --force fits it all the same.'
 
@@ -107,34 +101,26 @@ def identify(
         values[name] for name in RECORDING_USERS)
 
     parts, failed = read_all(effective, keep, progress, jobs, dask, poses)
-    is_differentiable = methods.are_differentiable(parts, effective)
-    if is_differentiable:
+    if methods.are_differentiable(parts, effective):
         parts = methods.with_relaxation(parts, effective)
-    attempts: Sequence[Values] = ({},)
-    is_output_error = values['fit.method'] == 'output_error' and not force
-    if is_output_error and not is_differentiable:
-        if facts := _facts(parts, effective):
-            raise UnexplainedError(f'{facts} {NOT_FITTED}')
-    elif is_output_error and not (static or set(values['fit.free']) - REGISTRATION_NAMES):
-        progress(CAUSES, FIT_BEGINS)
-        early = verdict_of(None, whole_recordings(parts), effective['cup.length'], effective)
-        wrong = early.beyond(allowances(effective)).wrong if early else []
-        is_setting = any(finding.is_fact or not (  # a fit finds numbers, lip or com, couplings
-            len(finding.theta) or finding.name in ('recording.package_frame', 'structure'))
-                         for finding in wrong)
-        attempts = ({},) * (not is_setting) + (LEAST_SQUARES,) * bool(wrong)
+    if values['fit.method'] == 'output_error' and not force:
+        _require_no_facts(whole_recordings(parts), effective, progress)
     return _identify(
-        values, effective, attempts, parts, static, progress, failed=tuple(failed),
+        values, effective, parts, static, progress, failed=tuple(failed),
         assumed=_assumed(settings),
         parameter_files=tuple(
             {'path': os.fspath(file), 'files': bag_folder.digests(file)}
             for file in parameter_files))
 
 
-def _facts(parts: Sequence[AnyRecording], values: Values) -> str:
-    """Return what is wrong with the recordings without any fit, '' where nothing is."""
-    return ' '.join(causes.finding_sentence(fact, values) for recording in whole_recordings(parts)
-                    for fact in causes.corrected(recording)[0])
+def _require_no_facts(
+    recordings: Sequence[Recording], values: Values, progress: Progress
+) -> None:
+    """Refuse recordings that are wrong without any fit; say what else is wrong with them."""
+    if causes.facts(recordings, values['cup.length']):
+        progress(CAUSES, FIT_BEGINS)
+        verdict = verdict_of(None, recordings, values['cup.length'], values)
+        raise UnexplainedError(' '.join([*(verdict.cause if verdict else ()), NOT_FITTED]))
 
 
 def resolved(settings: Values) -> dict[str, Any]:
@@ -275,30 +261,25 @@ def read_all(
 
 
 def _identify(
-    values: Values, given: Values, attempts: Sequence[Values], parts: Sequence[AnyRecording],
+    values: Values, effective: Values, parts: Sequence[AnyRecording],
     static: StaticResult | None, progress: Progress, assumed: tuple[str, ...], **more: Any,
 ) -> identification.Identification:
     """
     Fit the recordings; return the result.
 
-    `given` are the parameters `values` with the length that standstills have given, and attempts
-    are changes of them until a fit converges. What is estimated of the package or the cup's length
-    replaces what was given, in the recordings, too.
+    `effective` are the parameters `values` with the length that standstills have given. What is
+    estimated of the package or the cup's length replaces what was given, in the recordings, too.
     """
     progress('fitting', FIT_BEGINS)
     length = static.length if static and values['static.length'] else None
     try:
-        for changes in attempts:
-            effective = {**given, **changes}
-            result = methods.fit(
-                parts, effective,
-                lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-                static.standstills if static else (), length.length_std if length else 0.0)
-            if result.fit.converged:
-                break
-    except BellowsError as error:
-        facts = _facts(parts, given)
-        raise BellowsError(facts) if facts else error from None
+        result = methods.fit(
+            parts, effective,
+            lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
+            static.standstills if static else (), length.length_std if length else 0.0)
+    except BellowsError:
+        _require_no_facts(whole_recordings(parts), effective, progress)
+        raise
     fit = result.fit
     if fit.freed and fit.converged:
         values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))
@@ -308,13 +289,13 @@ def _identify(
     progress(CAUSES, FIT_ENDS)
     verdict = verdict_of(
         fit, recordings, fit.standstills.length if fit.standstills else effective['cup.length'],
-        effective, [entry.label for entry in result.excitation.parameters if entry.identifiable])
+        effective)
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress), verdict=verdict,
         selection=(workflows.structures.selection(recordings, effective, progress, verdict)
                    if values['fit.compare_structures'] else None),
-        assumed=(*assumed, LEAST_SQUARES_NOTE) if changes else assumed, **more)
+        assumed=assumed, **more)
     if static:
         identified = replace(identified, static=with_spring(
             static._replace(cup_length=identified.cup_length), identified.cup,

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.given import as_found, given_std
-from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
 from bellows_ros.core.identification.quantities import Free, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
+from bellows_ros.core.identification.search import MISFIT_CHI2
 from bellows_ros.core.identification.validation import validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import UnstableError
+from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import Values
 import numpy as np
 
@@ -96,7 +96,7 @@ class FitVerdict(NamedTuple):
     """
 
     simulated: tuple[Simulated, ...]
-    diagnosis: Diagnosis
+    diagnosis: causes.Diagnosis
     given: Values
     chi2: float | None = None
     expected: Free = MappingProxyType({})
@@ -109,51 +109,13 @@ class FitVerdict(NamedTuple):
     standard deviations: first what it has changed by most of these.
     """
 
-    def beyond(self, corrected: Free, explains: bool = False) -> 'FitVerdict':
-        """
-        Return it without what a fit corrects, no further off than by three standard deviations.
-
-        And where the fit explains all, without anything given or couplings, which it tests better
-        than wrenches show it, and without what the cup may be other than for certain.
-        """
-        findings, besides = (
-            tuple(finding for finding in each if finding.is_fact or (
-                not explains and not _is_within(finding, corrected) if finding.datum
-                else not explains or finding.certain and finding.name != 'structure'))
-            for each in (self.diagnosis.findings, self.diagnosis.besides))
-        if findings[:1] != self.diagnosis.findings[:1] and besides:
-            findings, besides = besides, ()  # others explain what the fit corrects
-        return self._replace(
-            diagnosis=self.diagnosis._replace(findings=findings, besides=besides))
-
-    def with_causes(self, found: Sequence[causes.Finding]) -> 'FitVerdict':
-        """
-        Return it with the causes of a fit first, where they are certain or wrenches show none.
-
-        What was seen without any fit stays first.
-        """
-        seen = self.diagnosis.findings
-        # A slip shows in the fit as a drift, too, but as one that leaves more causes.
-        drifts = [cause.name for cause in found] == ['world_drift']
-        is_shown = any(finding.certain or finding.datum and not (drifts and finding.name == 'slip')
-                       for finding in seen[:1])
-        is_fact = any(finding.is_fact for finding in seen[:1])
-        is_found = any(
-            cause.certain and cause.name == 'structure' and not is_fact or cause.datum
-            and cause.likely and (cause.certain and not is_fact or not is_shown)
-            for cause in found[:1])
-        if not found or self.cause and not is_found:
-            return self
-        rivals = (finding for finding in seen if finding.name != found[0].name)
-        return self._replace(diagnosis=self.diagnosis._replace(
-            findings=(found[0], *rivals), besides=tuple(found[1:])))
-
     @property
     def wrong(self) -> list[causes.Finding]:
         """Without which no cup is right: what is certain, or first, likely, large, and moves K."""
         return [finding for number, finding in enumerate(self.causing) if (
             finding.certain and (
-                finding.datum or finding.name == 'structure' and finding.left < causes.DISTINCT**2)
+                finding.datum or finding.name == 'structure' and (
+                    finding.left < causes.DISTINCT**2 or (self.chi2 or 0.0) > MISFIT_CHI2))
             or finding.datum and number == 0 and self.chi2 is not None and finding.name in LOCAL
             and finding.likely and finding.moved > causes.MATERIAL
             and not _is_within(finding, self.expected))]
@@ -204,7 +166,7 @@ class FitVerdict(NamedTuple):
         first, *others = self.causing
         besides = [f'Besides{"" if finding.certain else ", likely"}: '
                    f'{causes.finding_sentence(finding, self.given)}' for finding in others]
-        if self.diagnosis.is_open:
+        if first.is_fact and not others:
             besides.append('More may be wrong: correct this, and run it again.')
         if first.certain:
             return (causes.finding_sentence(first, self.given), *besides)
@@ -282,14 +244,8 @@ def _is_within(finding: causes.Finding, std: Free) -> bool:
     return bool(np.all(np.abs(finding.theta) <= SIGMAS * limits))
 
 
-def allowances(values: Values) -> Free:
-    """Return standard deviations, SI units, of what output error may correct beside K and P."""
-    return {name: std for name, std in given_std(values).items() if name in LOCAL}
-
-
 def verdict_of(
     fit: Fit | None, recordings: Sequence[Recording], length: float, values: Values,
-    identifiable: Sequence[str] = (),
 ) -> FitVerdict | None:
     """
     Return the verdict on a fit from some of its recordings, None without any.
@@ -304,8 +260,6 @@ def verdict_of(
         Of the cup, m.
     values : mapping
         Parameters by name.
-    identifiable : sequence of str
-        Labels of the parameters that are; all where left out.
 
     """
     tested = recordings[:MAX_TESTED]
@@ -314,34 +268,49 @@ def verdict_of(
     package = tested[0].payload
     given = {**values, 'package.mass': package.mass, 'package.com': package.com,
              'package.inertia': np.diag(package.inertia)}
-    if (fit is None or fit.method == 'output_error') and not (
-            methods.are_differentiable(tested, given)):
-        facts = [fact for recording in tested for fact in causes.corrected(recording)[0]]
-        diagnosis = Diagnosis(np.inf, tuple(facts), is_open=True) if fit is None else Diagnosis(
-            max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0,
-            (*facts, *fit.causes[:1]), fit.causes[1:])
-    else:
-        diagnosis = diagnose(tested, length, given_structure(given), identifiable)
-    if fit is None:
-        return FitVerdict((), diagnosis, given)
-    expected = allowances(values)
+    verdict = FitVerdict((), causes.Diagnosis(0.0, ()), given)
+    if fit is not None:
+        verdict = _judged(verdict, fit, tested, length, values)
+    if facts := causes.facts(tested, length):
+        besides: tuple[causes.Finding, ...] = ()
+        right = [causes.corrected(each)[1] for each in tested]
+        with suppress(BellowsError):  # what is wrong cannot be corrected
+            besides = _by_simulation(right, length, values).causes
+        return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts, tuple(
+            cause for cause in besides if cause.likely and all(
+                cause.name not in (fact.name, fact.instead) for fact in facts))))
+    if (fit is None or fit.method != 'output_error') and not verdict.is_at_noise:
+        fit = _by_simulation(tested, length, values)
+    if fit is None or fit.method != 'output_error':
+        return verdict
+    excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
+    return verdict._replace(
+        diagnosis=causes.Diagnosis(excess, fit.causes[:1], fit.causes[1:]))
+
+
+def _by_simulation(recordings: Sequence[Recording], length: float, values: Values) -> Fit:
+    """Return the fit by output error, which looks for causes."""
+    return methods.fitted(
+        recordings, {**values, 'fit.method': 'output_error', 'cup.length': length})
+
+
+def _judged(
+    verdict: FitVerdict, fit: Fit, tested: Sequence[Recording], length: float, values: Values
+) -> FitVerdict:
+    """Return a verdict with free simulations of recordings, and with what a fit has corrected."""
     log_inertia_ratio = float(  # one of the three moments may hardly be known
         np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
         'inertia' in fit.nuisances) else 0.0
     length += float(fit.nuisances['length'][0, 0]) if 'length' in fit.nuisances else 0.0
-    cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
-                     given_structure(given).places)
-    others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(given))
-    verdict = FitVerdict(
-        tuple(_simulated(cup, as_found(recording, fit.nuisances, number), others)
-              for number, recording in enumerate(tested) if fit.usable),
-        diagnosis, given, fit.robust_chi2, expected, log_inertia_ratio,
-        _found(fit, values, package, length))
-    explains = fit.method == 'output_error' and not fit.causes and (
-        verdict.is_at_noise or fit.converged and not fit.misfit)
-    verdict = verdict.beyond(
-        {name: std for name, std in expected.items() if name in fit.nuisances}, explains)
-    return verdict.with_causes(fit.causes)
+    structure = given_structure(verdict.given)
+    cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation), structure.places)
+    others = [] if fit.robust_chi2 is None else _drawn(fit, cup, structure)
+    return verdict._replace(
+        simulated=tuple(_simulated(cup, as_found(recording, fit.nuisances, number), others)
+                        for number, recording in enumerate(tested) if fit.usable),
+        chi2=fit.robust_chi2, log_inertia_ratio=log_inertia_ratio,
+        expected={name: std for name, std in given_std(values).items() if name in LOCAL},
+        found=_found(fit, values, tested[0].payload, length))
 
 
 def _found(

@@ -3,7 +3,7 @@
 from bellows_ros.workflows.structures import selection, structures
 import pytest
 
-from ..core.identification.hypotheses.laboratory import FAULTS, Laboratory
+from ..core.identification.laboratory import FAULTS, Laboratory
 
 
 def test_a_static_recording_is_said_to_tell_little(root, known):

@@ -3,10 +3,10 @@ What may be wrong with a recording, or with what was given with it: one list of 
 
 Each cause has a name, the parameter to change, and a sentence with a remedy, in `causes.toml`.
 Some are seen in a recording without any fit, and corrected in it. What is left is tried by
-wrenches (`hypotheses`), and by simulation (`given`): all of them end in a `Finding`.
+simulation (`given`, `alternatives`). All of them end in a `Finding`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 import json
@@ -63,6 +63,9 @@ MAX_LIP_DEPTH = 0.3
 MIN_LENGTH_ERROR = 0.02
 """Error (m) of cup.length beyond which it is seen without a fit, if the lip is also nearer by half
 of the length, or farther by all of it: no weight stretches a cup so far."""
+
+MAX_SPREAD = 0.1
+"""By so much (m) no lip moves about its tool; see `conventions.spread`."""
 
 MAX_SPREAD_RATIO = 0.3
 """In its own world the lip moves by at most this part of what it does in another."""
@@ -164,6 +167,26 @@ class Finding(NamedTuple):
         return self.certain or self.left**2 < DISTINCT or self.name in ('world_drift', 'slip')
 
 
+class Diagnosis(NamedTuple):
+    """
+    What was found to be otherwise.
+
+    Parameters
+    ----------
+    excess : float
+        What noise does not explain, in squares expected of noise.
+    findings : tuple of Finding
+        The likeliest; or all that is wrong without any fit.
+    besides : tuple of Finding
+        What is wrong beside the first of them, once that is corrected.
+
+    """
+
+    excess: float
+    findings: tuple[Finding, ...]
+    besides: tuple[Finding, ...] = ()
+
+
 IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
 """Of twists of the tool, which are to be in rad/s."""
 
@@ -227,6 +250,13 @@ def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
     return tool, package, lip - tool.position
 
 
+def facts(recordings: Sequence[Recording], length: float) -> tuple[Finding, ...]:
+    """Return what is wrong with recordings of a cup of a length (m) without any fit."""
+    found = tuple(fact for recording in recordings for fact in corrected(recording)[0])
+    off = None if found or not recordings else wrong_length(recordings[0], length)
+    return (off,) if off else found
+
+
 def wrong_length(recording: Recording, length: float) -> Finding | None:
     """Return that a cup's length (m) is far from where its lip is below the tool, else None."""
     tool, _, in_world = _arrangement(recording)
@@ -234,7 +264,9 @@ def wrong_length(recording: Recording, length: float) -> Finding | None:
         return None
     below = -apply(np.swapaxes(tool.rotation, 1, 2), in_world)
     x, y, depth = np.median(below, axis=0)
-    offset = float(depth) - length
+    offset, com = float(depth) - length, np.linalg.norm(recording.payload.com)
+    if abs(abs(offset) - com) < 0.5 * com:  # poses of the lip or of the centre of mass
+        return None
     if abs(offset) < MIN_LENGTH_ERROR + length * (1.0 if offset > 0.0 else 0.5) or (
             depth > MAX_LIP_DEPTH or np.hypot(x, y) + conventions.spread(below) > abs(offset)):
         return None
@@ -257,7 +289,7 @@ def _misread(recording: Recording) -> Finding | None:
     recorded = lip if recording.settings.package_frame == 'lip' else centre
     if float(np.median(np.linalg.norm(recorded, axis=1))) < MAX_BODY_DISTANCE:
         raise BellowsError(MISREAD['one_body'].format(**names))
-    if away <= conventions.MAX_DISTANCE and above <= 0.0:
+    if away <= conventions.MAX_DISTANCE and above <= 0.0 and conventions.spread(lip) < MAX_SPREAD:
         return None
     with suppress(BellowsError):  # of a recording that other clocks do not explain
         if (clocks := _clocks(recording)) and not misread(_by_one_clock(recording, clocks)):

@@ -10,9 +10,10 @@ motion is the same, so no recording knows the size of K better than the mass.
 A cause is a number that moves by many of its standard deviations. Each of `CANDIDATES` gets its
 columns in one pass about the minimum; what the squares would fall by if it were free is its score.
 The best is then freed, and all is fitted again (a slip from the start, as without it the noise of
-slow poses was learned far too large). With it free, what is left is looked at once more:
-it is certain where no other explains half as much, or none anything beside it and each clearly
-less; and what is found beside it no more than itself.
+slow poses was learned far too large; couplings as another structure). With it free, what is left
+is looked at once more: it is certain where no other explains half as much, or none anything beside
+it and each clearly less; and what is found beside it no more than itself. Settings that are no
+numbers are tried before any fit, see `alternatives`.
 
 With all that was given free, a fit may explain all poses though something given is wrong. The
 cause is then what is off by many of its standard deviations (`outlying`). A fit that leaves only
@@ -41,7 +42,7 @@ from bellows_ros.core.identification.search import (
 )
 from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.model.cup_package import package_of
-from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
@@ -195,14 +196,17 @@ by which the centre of mass may be off then."""
 MAX_TRIED = 2
 """Quantities that are freed in turn where the next explains at least half as much."""
 
+MAX_SEARCHES = 4
+"""Quantities that are freed at most, where searches do not converge."""
+
+SAME_FALL = 0.9
+"""Part of the fall of squares with the largest structure with which a smaller one is as good."""
+
 MAX_CAUSES = 2
 """Causes that are looked for, one beside the other, by a search for each quantity tried."""
 
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'gravity', 'package_world',
-              'package_marker', 'world_drift', 'drift', 'cubic')
-
-CANDIDATES_FROM_START = ('package_world', 'world_drift')
-"""Those of them with which a search that did not converge begins again."""
+              'package_marker', 'tool_marker', 'world_drift', 'drift', 'cubic', 'friction')
 
 MIN_LENGTH_ERROR = 2e-3
 """
@@ -212,13 +216,20 @@ With a length that is too small the weight seems to stretch the cup: K along z i
 only much damping keeps that from swinging. Smaller errors are found with K and P.
 """
 
-MAX_PULL, MIN_KNOWN = 4.0, 0.01
+MAX_PULL, MAX_RATIO_PULL, MIN_KNOWN = 4.0, 3.0, 0.01
 """Standard deviations beyond which a given number is wrong; by chance, one in 16,000 is. They are
 of its change by the recordings, and that part of its variance at least: of what only a sum is
-known (length, centre of mass, marker), each moves by a part."""
+known (length, centre of mass, marker), each moves by a part. And those of the ratio of inertia and
+mass, on which all of K and P depends."""
 
 OF_LIP = ('com', 'length', 'package_marker')
 """What seems wrong where poses of the lip are taken for those of the centre of mass."""
+
+WORLDS = ('package_world', 'world_drift')
+"""What keeps a search from converging that steps about its end do not show."""
+
+MARKERS = ('package_marker', 'tool_marker')
+"""Of which either is named."""
 
 SIMILAR: Mapping[str, str] = {'com': 'length', 'length': 'com'}
 """What recordings can hardly tell apart."""
@@ -238,32 +249,24 @@ def causes(
     Return the likeliest cause of what a fit leaves, none where all is as it should be.
 
     After it comes what is likeliest where that is corrected, up to so many. A given quantity whose
-    uncertainty was stated is no cause. Of a search that did not converge only a slip may be, or
-    another or a drifting world, with which it is begun again.
+    uncertainty was stated is no cause.
     """
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
-    candidates = (*CANDIDATES, *['couplings'] * (not search.structure.couples))
-    falls = scores(search, minimum, [
-        name for name in (candidates if minimum.converged else CANDIDATES_FROM_START)
-        if name not in (*search.places, *stated(given))])
+    falls = scores(search, minimum, [*_candidates(search, stated(given)), *['couplings'] * (
+        not search.structure.couples and not search.structure.places)])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in search.places and (
             not minimum.converged or max(falls.values(), default=0.0) > SIGNIFICANT**2
-            or largest_pull(search, minimum, given)[1] > MAX_PULL):  # a slip moves the com, too
+            or largest_pull(search, minimum, given)[1] > 1.0):  # a slip moves the com, too
         search, falls['slip'] = _with_likeliest_slip(search, minimum)
-    ranked = sorted(falls, key=falls.__getitem__, reverse=True)
-    if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
+    if max(falls.values(), default=0.0) < SIGNIFICANT**2:
         return ()
-    tried = [_freed(search, minimum, name, name == 'slip' or not minimum.converged)
-             for name in ranked[:MAX_TRIED]
-             if falls[name] >= DISTINCT * falls[ranked[0]]
-             # as they have most numbers, they explain a part of anything
-             and (name != 'couplings' or name == ranked[0])]
+    tried = _tried(search, minimum, dict(sorted(falls.items(), key=itemgetter(1), reverse=True)))
     best = max(tried, key=attrgetter('gain'))
-    if best.gain < SIGNIFICANT**2:  # or the search did not converge
+    if best.gain < SIGNIFICANT**2:
         return ()
-    theta, std = best.search.estimate(best.minimum, best.name)
+    theta, std = _estimate(best)
     shifts = [theta] * (best.name in OF_LIP) + [
         (search.units * minimum.theta)[search.places[name].ravel()]
         for name in OF_LIP if name in search.places]
@@ -281,35 +284,70 @@ def causes(
     similar = SIMILAR.get(best.name, '')
     clear = SIGNIFICANT**2 * quantities.KINDS['com'].size  # as it has more numbers
     instead = similar if gains.get(similar, 0.0) > best.gain - clear else ''
-    rival = max((gain for name, gain in gains.items() if name not in (best.name, instead)),
-                default=0.0)
+    alike = {best.name, instead, *(MARKERS if best.name in MARKERS else ())}
+    rival = max((gain for name, gain in gains.items() if name not in alike), default=0.0)
     left = best.left(minimum)
-    others = () if count == 1 else causes(best.search, best.minimum, given, 1) or outlying(
-        best.search, best.minimum, given, 1)
+    others = () if count == 1 or not best.minimum.converged else causes(
+        best.search, best.minimum, given, 1) or outlying(best.search, best.minimum, given, 1)
     unexplained = best.minimum.squares - best.minimum.residual_count
     is_all = count > 1 and (  # so that what a rival leaves is its own
         not others or unexplained < DISTINCT**2 * (best.gain - rival))
     pulls = [largest_pull(*end, given)[1]
              for end in ((search, minimum), (best.search, best.minimum))]
-    is_material = moved > MIN_SHIFT or left < DISTINCT or pulls[0] > MAX_PULL > pulls[1]
-    certain = is_material and (
+    is_material = best.name == 'slip' or moved > MIN_SHIFT or left < DISTINCT or (
+        pulls[0] > 1.0 > pulls[1])
+    is_expected = best.name in given and bool(np.all(np.abs(theta) <= 3.0 * given[best.name]))
+    certain = is_material and best.minimum.converged and not is_expected and (
         rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
         # what this one does not explain may be of another
         best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count
         or any(other.certain for other in others))
     return (_finding(best, theta, std)._replace(
         left=left, moved=moved, certain=certain, instead=instead),
-        # a frame that is turned looks like couplings
+        # a frame that is turned looks like couplings, and like another that is turned
         *(other._replace(certain=other.certain and certain and best.name != 'couplings')
-          for other in others))
+          for other in others if best.name not in MARKERS or other.name not in (
+              'structure', 'package_marker')))
+
+
+def _candidates(search: Search, without: Sequence[str] = ()) -> list[str]:
+    """Return what may be wrong and is not free; one marker is free for both."""
+    taken = {*search.places, *without}
+    return [name for name in CANDIDATES if name not in taken and not (
+        name in MARKERS and taken.intersection(MARKERS))]
+
+
+def _tried(search: Search, minimum: Minimum, falls: Mapping[str, float]) -> list['_Freed']:
+    """
+    Return the searches with each of what explains most free, by what it explains from the most on.
+
+    What explains half as much is tried, too, and the next where a search does not converge. As
+    couplings have most numbers they explain a part of anything: they come first, or instead. About
+    an implausible cup little is known: from the start worlds are tried beside.
+    """
+    tried, least = list[_Freed](), DISTINCT * max(falls.values())
+    is_known = search.is_plausible(minimum)
+    names = list(falls)[:MAX_SEARCHES] if is_known else dict.fromkeys(
+        [*list(falls)[:MAX_TRIED], *(name for name in WORLDS if name in falls)])
+    for name in names:
+        settled = [freed for freed in tried if freed.minimum.converged]
+        if is_known and settled and (
+                falls[name] < least or name == 'couplings' or len(settled) == MAX_TRIED):
+            break
+        if is_known and name not in ('slip', 'couplings'):
+            tried.append(_freed(search, minimum, name))
+        if name == 'couplings':
+            tried.append(_structured(search, minimum))
+        elif not (tried and tried[-1].name == name and tried[-1].minimum.converged):
+            tried.append(_freed(search, minimum, name, from_start=True))
+    return tried
 
 
 def is_explained(search: Search, minimum: Minimum, given: Free) -> bool:
     """Return whether a minimum leaves no cause to look for, with what was given free."""
-    names = [name for name in CANDIDATES if name not in search.places]
     return search.fits(minimum) and (
-        max(scores(search, minimum, names).values()) < SIGNIFICANT**2) and (
-            largest_pull(search, minimum, given)[1] < MAX_PULL)
+        max(scores(search, minimum, _candidates(search)).values()) < SIGNIFICANT**2) and (
+            largest_pull(search, minimum, given)[1] < 1.0)
 
 
 def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ...]:
@@ -321,8 +359,8 @@ def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ..
     would seem to be a cause. Nor does an implausible cup after an end with a likely cause. Where
     two would be wrong, couplings may be instead.
     """
-    reasons, search = _reasons_at(ends, given), next(iter(ends))
-    coupled = _coupled(search, given) if len(reasons) > 1 else None
+    reasons, (search, minimum) = _reasons_at(ends, given), next(iter(ends.items()))
+    coupled = _coupled(search, minimum, given) if len(reasons) > 1 else None
     return (coupled,) if coupled else reasons
 
 
@@ -375,7 +413,7 @@ def _is_as_far_as_com(search: Search, shift: Array) -> bool:
 
 def largest_pull(search: Search, minimum: Minimum, given: Free) -> tuple[str, float]:
     """
-    Return what was given and is off by most standard deviations, and by how many.
+    Return what was given and is off by most, and by how much, in what is allowed: `MAX_PULL`.
 
     Of mass and inertia only the ratio is known.
     """
@@ -395,8 +433,9 @@ def largest_pull(search: Search, minimum: Minimum, given: Free) -> tuple[str, fl
         for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
             place = search.places[name].ravel()
             ratio[place] = part * search.units[place]
-        pulls['mass'] = pull(ratio)
-    return max(pulls.items(), key=itemgetter(1))
+        pulls['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(ratio)
+    name, largest = max(pulls.items(), key=itemgetter(1))
+    return name, largest / MAX_PULL
 
 
 def outlying(
@@ -409,7 +448,7 @@ def outlying(
     """
     explains = minimum.converged and minimum.robust_chi2 < MISFIT_CHI2
     name, pull = largest_pull(search, minimum, given)
-    if not explains or pull < MAX_PULL:
+    if not explains or pull < 1.0:
         return ()
     freed = max((_freed(search, minimum, each) for each in (name, SIMILAR.get(name, ''))
                  if each in search.places), key=attrgetter('gain'))
@@ -429,20 +468,32 @@ def outlying(
         certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count), *others)
 
 
-def _coupled(search: Search, given: Free) -> Finding | None:
+def _structured(search: Search, minimum: Minimum) -> '_Freed':
+    """Return the search with the smallest structure that explains what the largest one does."""
+    larger = [each for each in STRUCTURES.values()
+              if each.size > search.structure.size and each.contains(search.structure)]
+    left = list[float]()
+    for structure in (search.structure, *larger):
+        for segment in search.segments:
+            segment.reset()
+        left.append(search.with_free(search.start, {}, structure=structure).approach().squares)
+    before, *after = left
+    most = max(before - SAME_FALL * (before - min(after)), min(after))
+    best = min((each for each, squares in zip(larger, after, strict=True) if squares <= most),
+               key=attrgetter('size'))
+    return _freed(search, minimum, 'couplings', True, best)
+
+
+def _coupled(search: Search, minimum: Minimum, given: Free) -> Finding | None:
     """Return that directions are coupled, where nothing given is off then by many deviations."""
-    structure = next((each for each in STRUCTURES.values() if each.couples and (
-        each.size > search.structure.size)), search.structure)
     if search.structure.couples or search.structure.places or not (
             search.places.keys() & given.keys()):
         return None
-    wide = search.with_free(search.start, {}, structure=structure)
-    for segment in search.segments:
-        segment.reset()
-    minimum = wide.minimum()
-    if not wide.fits(minimum) or largest_pull(wide, minimum, given)[1] > MAX_PULL:
+    freed = _structured(search, minimum)
+    if not freed.search.fits(freed.minimum) or (
+            largest_pull(freed.search, freed.minimum, given)[1] > 1.0):
         return None
-    return Finding('structure', structure.name, datum=False)
+    return Finding('structure', freed.search.structure.name, datum=False)
 
 
 def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:
@@ -484,8 +535,10 @@ def _finding(freed: '_Freed', theta: Array, std: Array) -> Finding:
         return Finding('inertia', '', -theta, std)
     if name == 'gravity':
         return Finding('gravity.direction', '', theta, std)
+    if name == 'tool_marker':
+        return Finding('package_marker', 'tool', theta, std)
     if name == 'couplings':
-        return Finding('structure', 'full', datum=False)
+        return Finding('structure', freed.search.structure.name, datum=False)
     if name not in quantities.OF_CUP:
         return Finding(name, '', theta, std)
     best = int(np.argmax(np.abs(theta) / std))  # the entry of K that shows it best is enough
@@ -527,6 +580,14 @@ def _other_frame(search: Search, minimum: Minimum, rival: float) -> Finding | No
                    left=with_com.left(minimum))
 
 
+def _estimate(freed: '_Freed') -> tuple[Array, Array]:
+    """Return what was freed, with its standard errors; for couplings in those of a number."""
+    if freed.name != 'couplings':
+        return freed.search.estimate(freed.minimum, freed.name)
+    mean = max(freed.gain, 0.0) / quantities.KINDS['couplings'].size
+    return np.sqrt([mean]), np.ones(1)
+
+
 class _Freed(NamedTuple):
     """A search with one quantity more, where it ended, and by how much squares fall."""
 
@@ -543,17 +604,19 @@ class _Freed(NamedTuple):
 
 
 def _freed(
-    search: Search, minimum: Minimum, name: str, from_start: bool = False
+    search: Search, minimum: Minimum, name: str, from_start: bool = False,
+    structure: Structure | None = None,
 ) -> _Freed:
     """Return the search from a minimum or its start with one quantity more, and its gain."""
     search.restore(minimum)
     theta = search.start if from_start else minimum.theta
-    wide = search.with_free(theta, quantities.weak_prior([name]))
+    wide = search.with_free(
+        theta, quantities.weak_prior([name] * (structure is None)), structure=structure)
     if from_start:
         for segment in search.segments:
             segment.reset()
     again = wide.minimum(near=None if from_start else wide.transferred(search, theta))
-    gain = _gain((search, minimum), (wide, again), name == 'slip') if again.converged else -np.inf
+    gain = _gain((search, minimum), (wide, again), name == 'slip')
     return _Freed(name, wide, again, gain)
 
 

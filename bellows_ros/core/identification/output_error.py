@@ -12,6 +12,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import least_squares
+from bellows_ros.core.identification.alternatives import likeliest_setting
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import (
     near_with_given,
@@ -125,16 +126,22 @@ def output_error(
 
     search = Search([Segment(part) for part in measured], structure, start, free)
     are_slow = any(segment.is_slow for segment in search.segments)
+    near = search.approach(record, with_couplings=are_slow)
+    if near.squares > MISFIT_CHI2 * near.residual_count and (
+            setting := likeliest_setting(search, other_start or start)):
+        unmoved = np.zeros((len(search.units),) * 2)
+        return _fit(search, near, unmoved, iterations, named, (setting,))
+    search.restore(near)
     (wide, minimum, from_given), ends = _from_slow_poses(
-        search, given, relaxation, record) if are_slow else _from_quick_poses(
-        search, given, relaxation, record, other_start or start)
+        search, near, given, relaxation, record) if are_slow else _from_quick_poses(
+        search, near, given, relaxation, record, other_start or start)
     reasons = reasons_at(ends, given)
     wide.restore(minimum)
     return _fit(wide, minimum, from_given, iterations, named, reasons)
 
 
 def _from_quick_poses(
-    search: Search, given: Free, relaxation: str, report: Report, other_start: Cup
+    search: Search, start: Minimum, given: Free, relaxation: str, report: Report, other_start: Cup
 ) -> Ends:
     """
     Return where a search ends whose recordings may know what was given better than the user.
@@ -144,7 +151,7 @@ def _from_quick_poses(
     then free from the start, as it may be far off.
     """
     more = {name: std for name, std in given.items() if name not in search.places}
-    start = minimum = search.approach(report, with_couplings=False)
+    base, minimum = search, start
     if start.squares < MISFIT_CHI2 * start.residual_count:
         minimum = search.root_from(start, report)
     for held, cup in ((more, other_start), ((), search.start_cup)):
@@ -162,12 +169,19 @@ def _from_quick_poses(
     else:
         search, minimum = _with_relaxation(search, minimum, relaxation, report)
     end = near_with_given(search, minimum, more, report)
-    return end, {end[0]: end[1]}
+    ends = _open_ends(search, minimum, end)
+    if search is not base and not _explains(end[1]):  # what was given hides the cause
+        for segment in base.segments:
+            segment.reset()
+        ends = {base: base.minimum(report)}
+    return end, ends
 
 
-def _from_slow_poses(search: Search, given: Free, relaxation: str, report: Report) -> Ends:
+def _from_slow_poses(
+    search: Search, start: Minimum, given: Free, relaxation: str, report: Report
+) -> Ends:
     """Return where a search ends that estimates the noise of poses, too."""
-    minimum = search.minimum(report)
+    minimum = search.root_from(start, report)
     end, is_open = (search, minimum, np.zeros((len(search.units),) * 2)), True
     if given and relaxation != 'on' and not search.is_plausible(minimum):
         end = with_given(search, minimum, given, report)
@@ -178,10 +192,19 @@ def _from_slow_poses(search: Search, given: Free, relaxation: str, report: Repor
         search, minimum = _with_relaxation(search, minimum, relaxation, report)
         if end[0] is stiff or search is not stiff:
             end = with_given(search, minimum, given, report)
-    ends = {search: minimum}
-    if end[1].robust_chi2 < MISFIT_CHI2:
-        ends = {end[0]: end[1], **ends}
-    return end, ends
+    return end, _open_ends(search, minimum, end)
+
+
+def _open_ends(
+    search: Search, minimum: Minimum, end: tuple[Search, Minimum, Array]
+) -> dict[Search, Minimum]:
+    """Return where causes are looked for: first the end with what was given, if it explains."""
+    return {**({end[0]: end[1]} if _explains(end[1]) else {}), search: minimum}
+
+
+def _explains(minimum: Minimum) -> bool:
+    """Return whether a minimum leaves no misfit."""
+    return minimum.robust_chi2 < MISFIT_CHI2
 
 
 def _with_relaxation(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
-from bellows_ros.core.model.jacobians import COM, GRAVITY, INERTIA, LENGTH, MASS
+from bellows_ros.core.model.jacobians import COM, GRAVITY, INERTIA, LENGTH, MASS, WRENCH
 from bellows_ros.core.model.structure import UPPER
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
@@ -48,11 +48,13 @@ KINDS: Mapping[str, Kind] = {
     'gravity': Kind(1e-3, 2, 5e-3, False, 0.3),
     'package_world': Kind(1e-3, 6, 5e-3, True, 0.2),
     'package_marker': Kind(1e-3, 6, 5e-3, True, 0.1),
+    'tool_marker': Kind(1.0, 6, 5e-3, True, 0.1),
     'world_drift': Kind(1e-5, 6, 1e-4, True, 1e-3),
     'relaxation': Kind(1e-2, 2, 0.1, False, 1.0),
     'drift': Kind(1e-2, 6, 0.1, False, 1.0),
     'cubic': Kind(1e-2, 6, 0.1, False, 1.0),
     'couplings': Kind(1e-2, 15, 0.1, False, 1.0),
+    'friction': Kind(1e-2, 6, 0.1, False, 1.0),
     'slip': Kind(1e-3, 2, 3e-3, True, 0.05),
 }
 """
@@ -61,15 +63,16 @@ By their names in fit.free.
 By how much the tool's stamps are behind the package's, s; the centre of mass beside the given one
 in axes of the lip, m; the length beside the given one, m; logarithms of the factors of the moments
 of inertia and of the mass; by what angle the world is turned about x and y, so that gravity is
-turned back, rad; shift and turn of the package's world about the middle of the package's way, and
-of B in its own axes against the measured pose, m and rad; by how much that world moves and turns
-per second, m/s and rad/s; the strengths of relaxation beside those of the start; parts by which
-the diagonal of K changes from beginning to end, and up to displacements of the size
-`LARGE_DISPLACEMENT`; couplings of directions in the roots of their stiffnesses; and by how much x
-and y of the centre of mass change at some moment as the package slips on the lip, m.
+turned back, rad; shift and turn of the package's world about the middle of the package's way, of B
+in its own axes against the measured pose, and of E likewise, m and rad; by how much that world
+moves and turns per second, m/s and rad/s; the strengths of relaxation beside those of the start;
+parts by which the diagonal of K changes from beginning to end, and up to displacements of the size
+`LARGE_DISPLACEMENT`; couplings of directions in the roots of their stiffnesses; friction in the
+largest forces; and by how much x and y of the centre of mass change at some moment as the package
+slips on the lip, m.
 """
 
-OF_CUP = ('drift', 'cubic', 'couplings')
+OF_CUP = ('drift', 'cubic', 'couplings', 'friction')
 """Deviations of the cup itself."""
 
 CHANGING = (*OF_CUP, 'slip')
@@ -85,7 +88,7 @@ DIAGONAL, COUPLINGS = (
 COLUMNS: Mapping[str, slice | list[int]] = {
     'length': LENGTH, 'com': COM, 'relaxation': slice(-2, None),
     'slip': slice(COM.start, COM.start + 2), 'drift': DIAGONAL, 'cubic': DIAGONAL,
-    'couplings': COUPLINGS}
+    'couplings': COUPLINGS, 'friction': WRENCH}
 """Derivatives of the model by quantities, among `jacobians.PARAMETERS`."""
 
 

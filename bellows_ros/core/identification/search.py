@@ -108,6 +108,9 @@ changed derivatives, it may leave the root again."""
 MAX_DAMPING, MAX_STIFFENING = 10.0, 100.0
 """Times ordinary damping, and the stiffness of the start, that a cup hardly has."""
 
+SLIDING = 0.2
+"""Part of the largest displacement of the lip from which on friction slides."""
+
 CHANCE = 3.0
 """Standard deviations by which noise at rest may be smaller by chance."""
 
@@ -394,7 +397,7 @@ class Search(Parametrization):
             return self._descend(near, 0.0, np.eye(len(near)), report, system)
         return self.root_from(self.approach(report), report)
 
-    def root_from(self, start: Minimum, report: Report) -> Minimum:
+    def root_from(self, start: Minimum, report: Report = no_report) -> Minimum:
         """Find the root from where an approach ended."""
         try:
             return self._descend(start.theta, 0.0, np.eye(len(start.theta)), report)
@@ -402,7 +405,7 @@ class Search(Parametrization):
             return start
 
     def approach(
-        self, report: Report, held: Collection[str] = (), with_couplings: bool = True
+        self, report: Report = no_report, held: Collection[str] = (), with_couplings: bool = True
     ) -> Minimum:
         """
         Return where the search comes near to the root.
@@ -535,9 +538,14 @@ class Search(Parametrization):
 
     def system(self, theta: Array, forgetting: float = 0.0) -> System:
         """Return the whitened segments, and information and slope of the whole."""
-        with ThreadPoolExecutor(os.cpu_count()) as threads:
-            parts = list(threads.map(
-                lambda segment: self.whitened(theta, segment, forgetting), self.segments))
+        def whitened(segment: Segment) -> WhitenedSegment:
+            return self.whitened(theta, segment, forgetting)
+
+        if len(self.segments) == 1:
+            parts = [whitened(self.segments[0])]
+        else:
+            with ThreadPoolExecutor(os.cpu_count()) as threads:
+                parts = list(threads.map(whitened, self.segments))
         H, g = self.prior(theta, forgetting)
         for part in parts:
             H = H + part.jacobian.T @ part.jacobian
@@ -610,7 +618,8 @@ class Search(Parametrization):
             for body in (segment.expected_start, segment.start))
         start = _start_near_rest(model, path.rows[0], start, segment.std)
         mean, poses = _difference(start, expected), self._poses(segment, nodes, free, lengths)
-        tool_noise, initial_std = segment.tool_noise(nodes), INITIAL_STD[:len(mean)]
+        tool_noise = segment.tool_noise(nodes, free.get('tool_marker', np.zeros(6)))
+        initial_std = INITIAL_STD[:len(mean)]
         scales, extra, reach = self._cup_deviations(
             theta, segment, nodes.stamps, model, start, path)
         unknowns = self._unknowns(segment, free, scales, extra)
@@ -662,9 +671,11 @@ class Search(Parametrization):
             columns[:, place] = quantities.model_columns(
                 name, payload, segment.measured.gravity, free, len(columns))
         columns[:, :-1] *= self.units
+        used = np.flatnonzero(np.any(columns[:WRENCH.stop], axis=1))[-1]
+        last = next(end for end in (DAMPING.stop, WRENCH.start, WRENCH.stop) if used < end)
         return whitening.Unknowns(
-            WRENCH.start if np.any(columns[DAMPING.stop:]) else DAMPING.stop,
-            columns, scales, extra, int(places.get('time_offset', (-1,))[0]))
+            last, columns, scales, extra, *(
+                int(places.get(name, (-1,))[0]) for name in ('time_offset', 'tool_marker')))
 
     def _cup_deviations(
         self, theta: Array, segment: Segment, stamps: Stamps, model: ModelTuple, start: State,
@@ -679,19 +690,22 @@ class Search(Parametrization):
             return np.empty((len(stamps), 0)), np.empty(0), np.ones(6)
         displacement = _displacement(
             model, path.rows, simulation.simulate_rows(model, start, *path))
+        size = np.asarray(sizes(displacement) / quantities.LARGE_DISPLACEMENT)
+        dragged = _dragged(displacement)
         first, *_, last = np.concatenate([
             other.path.stamps_ns[[0, -1]] for other in self.segments
             if other.measured.recording == segment.measured.recording])
         K = np.diag(gripper_of(self.cup(theta), self.structure.places).stiffness)
         profiles = {'drift': K * (np.asarray((stamps - first) / (last - first))[:, None] - 0.5),
-                    'cubic': K * displacement**2,
+                    'cubic': K * (size**2 - _slope(displacement, displacement * size**2)),
+                    'friction': K * (_slope(displacement, dragged) * displacement - dragged),
                     'couplings': np.sqrt(np.outer(K, K))[np.triu_indices(6, 1)],
                     'slip': ((stamps >= self.slip_ns) & (self.slip_ns >= first))[:, None]}
         scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
         for name, places in self.places_of(segment).items():
             if name in profiles:
                 scales[:, places], extra[places] = profiles[name], theta[places]
-        return scales, extra, displacement.max(axis=0)
+        return scales, extra, size.max(axis=0)
 
 
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:
@@ -757,14 +771,30 @@ def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -
 
 
 def _displacement(model: ModelTuple, tool: Array, body: Array) -> Array:
-    """Return that of the lip (M, 6) in `LARGE_DISPLACEMENT`, nan where a simulation diverges."""
+    """Return that of the lip (M, 6), m and rad, nan where a simulation diverges."""
     if not np.isfinite(body).all():
         return np.full((len(body), 6), np.nan)
     R_tool, R = (lie.quaternion_to_rotation(rows[:, 3:7]) for rows in (tool, body))
     back = np.swapaxes(R_tool, 1, 2)
     o = lie.apply(back, body[:, :3] - lie.apply(R, np.array(model[1][1])) - tool[:, :3])
-    displacement = np.hstack([o + [0.0, 0.0, model[0][1]], lie.log_so3(back @ R)])
-    return np.asarray(sizes(displacement) / quantities.LARGE_DISPLACEMENT)
+    return np.hstack([o + [0.0, 0.0, model[0][1]], lie.log_so3(back @ R)])
+
+
+def _slope(displacement: Array, other: Array) -> Array:
+    """Return the slopes (6,) of what is nearly proportional to displacements (M, 6)."""
+    return np.asarray(np.sum(displacement * other, axis=0) / np.maximum(
+        np.sum(displacement**2, axis=0), 1e-24))
+
+
+def _dragged(displacement: Array) -> Array:
+    """Return what a slider is dragged along by the lip (M, 6), in the lip's size (Dahl, 1968)."""
+    largest = np.maximum(sizes(displacement).max(axis=0), 1e-12)
+    steps = np.diff(displacement, axis=0, prepend=displacement[:1])
+    kept = 1.0 / (1.0 + sizes(steps) / (SLIDING * largest))
+    z, dragged = np.zeros(6), np.empty_like(steps)
+    for k, step in enumerate(steps):
+        z = dragged[k] = (z + step) * kept[k]
+    return dragged / SLIDING
 
 
 def _difference(body: State, other: State) -> Array:

@@ -78,6 +78,8 @@ class MeasuredSegment:
     middle : ndarray (4,), optional
         Point (m) about which the package's world may be turned, and time (s) since which it may
         drift; see `quantities.middle_of`.
+    world : str
+        That of the recording, as of the parameter recording.world.
 
     """
 
@@ -90,6 +92,7 @@ class MeasuredSegment:
     recording: int = 0
     moves_with_com: tuple[bool, bool, bool] = (False, False, False)
     middle: Array | None = None
+    world: str = 'z_up'
 
 
 def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSegment]:
@@ -107,7 +110,7 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
               for noise in recording.body_noise)
     context: tuple[Any, ...] = (
         recording.payload, recording.settings.gravity, *noises, number,
-        recording.settings.moves_with_com, quantities.middle_of(package))
+        recording.settings.moves_with_com, quantities.middle_of(package), recording.settings.world)
     stamps = tool.stamps_ns[tool.valid]
     cuts = np.flatnonzero(np.diff(stamps) > MAX_GAP * NS_PER_S)
     motions = []
@@ -213,13 +216,13 @@ class Segment:
         return Nodes(nodes, np.append(0, np.searchsorted(nodes, middles)), place, sampled, used,
                      (poses - stamps)[used] / NS_PER_S)
 
-    def tool_noise(self, nodes: Nodes) -> whitening.ToolNoise:
-        """Return the noise of the tool's samples at the nodes."""
+    def tool_noise(self, nodes: Nodes, marker: Array) -> whitening.ToolNoise:
+        """Return the noise of the tool's samples at the nodes, their frame moved (6,), m, rad."""
         correlation, count = self.measured.tool_noise.correlation, len(nodes.stamps)
         noise = whitening.ToolNoise(
             np.zeros((count, 6)), np.zeros((count, 6)), np.ones(count))
         noise.innovations[nodes.samples] = _innovations(
-            self.deviation[nodes.sampled], correlation)
+            self.deviation[nodes.sampled] + marker, correlation)
         noise.variances[nodes.samples] = self.variance[nodes.sampled] * (1.0 - correlation**2)
         noise.variances[nodes.samples[0]] /= 1.0 - correlation**2
         noise.correlations[nodes.samples] = correlation

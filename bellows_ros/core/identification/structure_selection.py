@@ -11,8 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.causes import DOUBTED
-from bellows_ros.core.identification.hypotheses import Diagnosis
+from bellows_ros.core.identification.causes import Diagnosis, DOUBTED
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
 from bellows_ros.core.identification.samples import Samples, SEED

@@ -139,7 +139,8 @@ class Unknowns(NamedTuple):
     How many of `jacobians.PARAMETERS` are used, and derivatives (64, p + 1) of the model's
     parameters; what these are multiplied by at the nodes (M, p), and the values (p,) of unknowns
     that the model is without, whose effect, as far as it is linear, is in the mean: empty where it
-    has all; and the unknown by which the tool's stamps are late, -1 for none.
+    has all; and the unknown by which the tool's stamps are late, and the first of those (6,) by
+    which the tool's frame is moved and turned in the measured one, -1 for none.
     """
 
     last: int
@@ -147,6 +148,7 @@ class Unknowns(NamedTuple):
     scales: Array
     extra: Array
     delay: int
+    marker: int
 
 
 @array_kernel
@@ -182,9 +184,8 @@ def whiten(
 
     """
     rows, lengths, steps = path  # by their order, on which the machine code on disk depends
-    tool_innovations, tool_variances, _ = tool_noise
     place, measured, by_unknowns, white_variance, _, _ = poses
-    last, columns, _, _, delay = unknowns
+    last, columns, _, _, delay, marker = unknowns
     m, n, nodes, count = len(mean), len(std), len(rows), len(measured)
     S, P = np.zeros((n, columns.shape[1])), np.zeros((n, n))
     for i in range(n):
@@ -204,7 +205,7 @@ def whiten(
             B[k, m + i, i] = 1.0
         if k > 0:
             _propagate(k, path, tool_noise, poses, unknowns, walk, A, C, E, B[k], S, P, T[k])
-        _add_tool_noise(tool_innovations[k], tool_variances[k], B[k], S, P)
+        _add_tool_noise(k, tool_noise, marker, B[k], S, P)
         i = place[k]
         if i >= 0:
             pose = measured[i]
@@ -242,7 +243,7 @@ def _propagate(
 ) -> None:
     """Propagate states, derivatives and covariance over a step to node k; write its T and B."""
     (_, lengths, steps), (_, _, tool_correlations) = path, tool_noise
-    (_, _, _, _, variance, correlations), (_, columns, scales, extra, _) = poses, unknowns
+    (_, _, _, _, variance, correlations), (_, columns, scales, extra, _, _) = poses, unknowns
     n, m, length = len(P), A.shape[1], lengths[k - 1]
     mean, ramp, entered = np.zeros((m, m)), np.zeros((m, m)), np.empty((m, 6))
     tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]
@@ -311,8 +312,16 @@ def _short_exponential(M: Any, mean: Any, ramp: Any) -> Any:
 
 
 @array_kernel
-def _add_tool_noise(innovation: Any, variances: Any, B: Any, S: Any, P: Any) -> None:
-    """Add the innovation of a sample of the tool's noise, and its variances, to the states."""
+def _add_tool_noise(k: int, tool_noise: ToolNoise, marker: int, B: Any, S: Any, P: Any) -> None:
+    """
+    Add the innovation of the tool's noise at node k, and its variances, to the states.
+
+    A constant offset of its samples, of which the unknowns from `marker` on are, counts likewise.
+    """
+    innovations, all_variances, correlations = tool_noise
+    innovation, variances = innovations[k], all_variances[k]
+    if marker >= 0:
+        S[:, marker:marker + 6] += (1.0 - correlations[k] if k > 0 else 1.0) * B
     noise = np.empty((6, P.shape[0]))
     for i in range(P.shape[0]):
         for j in range(6):

@@ -15,7 +15,7 @@ from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStr
 import numpy as np
 from scipy.signal import butter, lfilter
 
-from ..simulated import GRAVITY, shake
+from .simulated import GRAVITY, shake
 
 Y_UP = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 NOISES = ((2e-5, 5e-5), (1e-4, 3e-4), (1e-4, 5e-4), (3e-4, 1e-3))
@@ -32,13 +32,15 @@ def radial(way):
     return size
 
 
-def moved(cup, package, tool, stiffness, friction):
+def moved(cup, package, tool, stiffness, friction, slipped):
     """
     Return the package's motion with a stiffness (6,) of time (0 to 1) and deflection (6,).
 
     Friction is so many times a spring of that stiffness, at a slider that slips from `SLIP` on.
+    The package slips (3,) on the lip, within a two hundredth of the time.
     """
     model = model_tuple(cup, package, GRAVITY)
+    since = np.clip(np.linspace(-150.0, 90.0, len(tool)), 0.0, 1.0)
     rows, seconds = tool_rows(tool), tool.seconds
     body = static_equilibrium(model, row_state(rows[0]))
     out = np.empty((len(rows), 13))
@@ -48,7 +50,10 @@ def moved(cup, package, tool, stiffness, friction):
     for k, step in enumerate(np.diff(seconds).tolist()):
         R = quaternion_to_rotation(out[k, 3:7])
         R_E_A = tool.rotation[k].T
-        o = R_E_A @ (out[k, :3] - R @ package.com - tool.position[k]) + [0.0, 0.0, length]
+        com = package.com + since[k] * slipped
+        if since[k] and slipped.any():
+            model = model_tuple(cup, replace(package, com=com), GRAVITY)
+        o = R_E_A @ (out[k, :3] - R @ com - tool.position[k]) + [0.0, 0.0, length]
         turn = R_E_A @ R
         phi = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
         deflection = np.concatenate([o, phi])
@@ -132,7 +137,7 @@ class Laboratory:
         tool = self.motion.at_rate(self.rate_hz, 0)
         cup = Cup(np.diag(self.K), self.P, self.length)
         tool = _turned(self.level, tool)
-        body = moved(cup, self.package, tool, self.law, self.friction)
+        body = moved(cup, self.package, tool, self.law, self.friction, self.slipped)
         tool, body = (_turned(self.level.T, own) for own in (tool, body))
         streams = [self._seen('package', body, self.noise[0]),
                    self._seen('tool', tool, self.noise[1])]
@@ -153,8 +158,6 @@ class Laboratory:
                 drawn[:, i] = decay * drawn[:, i - 1] + np.sqrt(1 - decay**2) * drawn[:, i]
         if name == 'package':
             p = p - apply(R, self.package.com) if self.frame == 'lip' else p
-            part = np.clip(np.linspace(-150.0, 90.0, len(p)), 0.0, 1.0)  # within 0.08 s
-            p = p + apply(R, part[:, None] * self.slipped)
             turn, middle = exp_so3(self.apart[3:]), p.mean(axis=0)
             p, R = middle + self.apart[:3] + apply(turn, p - middle), turn @ R
             p = p + body.seconds[:, None] * self.wander
