@@ -50,13 +50,16 @@ MASS_SHARE, COM_UNCERTAIN = 0.05, 0.01
 UNCALIBRATED = 0.03, 0.05, 0.05
 """Standard deviations of position (m), rotation and latency (s) of a camera to be calibrated."""
 
-BIAS_WALK, WALK_ARM = 0.003, 0.02
+BIAS_WALK, WALK_ARM = 0.0003, 0.02
 """Random walk of the wrench bias per second: fraction of the weight, and moment by force (m)."""
+
+LEAST_TOOL_NOISE = 5e-7, 2.5e-6
+"""Least noise of the tool's position (m) and rotation: the filter's own steps err by as much."""
 
 CAMERA_WALK_TIME = 300.0
 """Time (s) in which the frame of a camera drifts by `measured.offset_std`: mounts warm up."""
 
-BIAS_SHARE = 0.1
+BIAS_SHARE = 0.01
 """Initial bias, relative to the effect of the default payload uncertainty."""
 
 FIRST_PERIOD, FIRST_SQUARES = 0.03, 100.0
@@ -110,7 +113,7 @@ def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
     if values['payload.estimate']:
         mass, com = mass or MASS_SHARE, [each or COM_UNCERTAIN for each in com]
     bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
-    marker = camera = np.repeat(values['measured.offset_std'], 3)
+    marker = camera = math.sqrt(0.5) * np.repeat(values['measured.offset_std'], 3)
     latency = values['measured.latency_std']
     if values['measured.calibrate']:
         camera = np.maximum(camera, np.repeat(UNCALIBRATED[:2], 3))
@@ -233,8 +236,8 @@ class Correction:
             allowed, len(self.prior), marker[2], places) if allowed > 0.0 else None
         self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
         self.first_memory = first_memory(values['measured.memory'])
-        self._tool_noise = np.repeat(
-            [values['tool_noise.position'], values['tool_noise.rotation']], 3)
+        noise = values['tool_noise.position'], values['tool_noise.rotation']
+        self._tool_noise = np.repeat(np.maximum(noise, LEAST_TOOL_NOISE), 3)
 
     def start(
         self, stamp_ns: int, tool: State, body: State, initial: tuple[Array, Array, Array],
