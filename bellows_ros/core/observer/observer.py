@@ -112,6 +112,7 @@ class Observer:
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # when, if it holds, and its period
         self.alarms: list[Alarm] = []
+        self._of_vacuum: list[Alarm] = []
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
         """Set a nominal model, its longest step (s), and how far (m) a lip can be."""
@@ -279,10 +280,13 @@ class Observer:
         """Update with a new measurement, and again with all that followed."""
         estimates, measurements = self._estimates, self._measurements
         del estimates[first + 1:]
-        while self.alarms and self.alarms[-1].stamp_ns >= measurements[first].stamp_ns and (
-                first < len(measurements) - 1):
-            self.alarms.pop()
+        since_ns, again = measurements[first].stamp_ns, list[Alarm]()
+        if first < len(measurements) - 1:
+            self.alarms[:] = [each for each in self.alarms if each.stamp_ns < since_ns]
+            again = [each for each in self._of_vacuum if each.stamp_ns >= since_ns]
         for k in range(first, len(measurements)):
+            while again and again[0].stamp_ns < measurements[k].stamp_ns:
+                self._raise(again.pop(0))
             after, verdict, alarm = self._correction.updated(
                 estimates[k], self._track, measurements[k], k == first)
             if k == first:
@@ -290,6 +294,8 @@ class Observer:
             self._raise(alarm)
             estimates.append(self._out_of_reach(after, measurements[k].stamp_ns)
                              if verdict == 'out_of_reach' else after)
+        for alarm in again:
+            self._raise(alarm)
         self._newest = None
         self._predict_with(estimates[-1].theta, estimates[-1].lost_cups)
         self.body = self._correction.body_at_end(estimates[-1], self._track)
@@ -342,10 +348,13 @@ class Observer:
         if not (self._estimates and self._correction.alarms and breaks):
             return
         is_seen = self._estimates[-1].away_ns != 0
+        alarm = None
         if cup < 0 and (moves or is_seen):
-            self._raise(self._correction.alarms.lost(newest_ns, False, is_seen))
+            alarm = self._correction.alarms.lost(newest_ns, False, is_seen)
         elif moves:
-            self._raise(self._correction.alarms.without_vacuum(newest_ns, cup))
+            alarm = self._correction.alarms.without_vacuum(newest_ns, cup)
+        self._of_vacuum += [alarm] if alarm else []
+        self._raise(alarm)
 
     def _is_held(self) -> bool | None:
         """
