@@ -31,7 +31,7 @@ from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model.kernels import Branch, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
-from bellows_ros.core.observer.measurement import observed, OUT_OF_REACH, Seen, updated, USED
+from bellows_ros.core.observer.measurement import observed, OUTSIDE, Seen, updated, USED
 import numpy as np
 
 FORCE_LOSS = -ekf.FALLEN
@@ -454,7 +454,7 @@ def filter_step(
     _, tool, body, theta, P, _ = after
     if seen[5] > 0.0:
         verdict, innovation, body, theta, learned = updated(model, after, seconds, seen)
-        if len(E) > 0 and verdict != OUT_OF_REACH:
+        if len(E) > 0 and verdict <= OUTSIDE:
             statistics, onsets = statistics.copy(), onsets.copy()
             likeliest = _assessed(
                 E, statistics, onsets, steps, until_ns, body[0], innovation, seen[3][2],

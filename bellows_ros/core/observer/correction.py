@@ -16,7 +16,13 @@ from bellows_ros.core.model.structure import composition, is_single, maps, place
 from bellows_ros.core.observer import alarms
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE, STATE
-from bellows_ros.core.observer.measurement import changed_by, Measurement, OUT_OF_REACH, OUTSIDE
+from bellows_ros.core.observer.measurement import (
+    changed_by,
+    FALLING,
+    Measurement,
+    OUT_OF_REACH,
+    OUTSIDE,
+)
 import numpy as np
 
 GATE = 27.86
@@ -318,8 +324,9 @@ class Correction:
         stamp_ns, lost_cups = _exposure_ns(before, measurement.stamp_ns), before.lost_cups
         verdict, after, likeliest = self._step(
             before, track, stamp_ns, is_recorded, measurement, GATE)
-        if verdict == OUT_OF_REACH:
-            return before, 'out_of_reach', None
+        if verdict in (OUT_OF_REACH, FALLING):
+            falls = verdict == FALLING and (before.falls or before.away_ns == 0)
+            return before._replace(falls=falls), 'out_of_reach', None
         gated = (*before.gated_ns, stamp_ns) if verdict == OUTSIDE else ()
         name = 'used' if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'

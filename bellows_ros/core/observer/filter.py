@@ -115,6 +115,8 @@ class Estimate(NamedTuple):
     away_ns: int = 0
     """Stamp of the first of consecutive measurements out of reach, after one within it; 0 for
     none, -1 once they have been judged."""
+    falls: bool = False
+    """Whether all of them are where a falling package may be."""
     late_ns: int = 0
     """By how much (ns) the last measurement was read earlier than its stamp."""
 

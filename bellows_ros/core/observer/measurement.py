@@ -336,7 +336,23 @@ Part of each variance that an update leaves uncertain: above what rounding takes
 covariance stays positive definite, and a ten thousandth of it after a month.
 """
 
-USED, OUTSIDE, OUT_OF_REACH = 0, 1, 2
+USED, OUTSIDE, OUT_OF_REACH, FALLING = 0, 1, 2, 3
+"""Verdicts on a pose; what is `FALLING` is out of reach, too."""
+
+FALL_ALIGNMENT, FALL_FACTOR = 0.8, 2.0
+"""
+Least cosine between a fall and gravity, and by how much faster than by gravity it may be: both are
+seen from a tool that accelerates. One of ten directions is along a fall.
+"""
+
+
+@kernel
+def _is_fall(away: Vector, gravity: Vector, reach: float, seconds: float) -> bool:
+    """Return whether what was within reach (m) some time ago may have fallen so far (m, world)."""
+    g = t3.norm(gravity)
+    most = math.sqrt(reach) + math.sqrt(0.5 * FALL_FACTOR * g) * seconds
+    return t3.norm(away) <= most * most and (
+        t3.dot(away, gravity) >= FALL_ALIGNMENT * g * t3.norm(away))
 
 
 @array_kernel
@@ -358,7 +374,8 @@ def updated(
     Returns
     -------
     int
-        `USED`, `OUTSIDE` the gate or `OUT_OF_REACH`, where no lip can be: another package.
+        `USED`, `OUTSIDE` the gate or `OUT_OF_REACH`, where no lip can be: another package, or this
+        one, `FALLING`.
     tuple
         `Innovation`.
     State, ndarray (n - 12,), ndarray (13,)
@@ -384,12 +401,14 @@ def updated(
     for i in range(3):
         unknown += P[COM + i, COM + i] + P[ekf.CAMERA + i, ekf.CAMERA + i]
     reach += 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
-    if t3.norm((o[0], o[1], o[2] + model[0][1])) > reach:
-        verdict = OUT_OF_REACH
+    away = o[0], o[1], o[2] + model[0][1]
+    if t3.norm(away) > reach:
+        away = t3.apply(t3.rotation_matrix(tool[1]), away)
+        verdict = FALLING if _is_fall(away, model[2], reach, seconds) else OUT_OF_REACH
     elif not innovation[3] <= gate:  # NaN is outside, too
         verdict = OUTSIDE
     else:
         body, theta = corrected(body, theta, P, innovation)
-    if verdict != OUT_OF_REACH:
+    if verdict <= OUTSIDE:
         memory = updated_memory(memory, theta, seconds, innovation[0], verdict == USED)
     return verdict, innovation, body, theta, memory

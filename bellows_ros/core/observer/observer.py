@@ -312,7 +312,7 @@ class Observer:
                 return estimate
             away_ns = min(estimate.gated_ns, default=stamp_ns)  # those have shown the fall
             estimate = estimate._replace(away_ns=away_ns)
-        is_held = self._is_held()
+        is_held = self._is_held(estimate)
         if stamp_ns - away_ns < (VACUUM_DELAY_NS if is_held else LOST_AFTER_NS):
             return estimate
         if any(alarm.cause == 'lost' and stamp_ns - alarm.stamp_ns < REPEATED_NS
@@ -328,8 +328,9 @@ class Observer:
         silence_ns = _silence_ns(float(np.diff(self._last_ns).min()))
         if alarms is None or stamp_ns - last_ns <= silence_ns + self._delay_ns:
             return
-        is_held, away_ns = self._is_held(), self._estimates[-1].away_ns
-        self._estimates[-1] = self._estimates[-1]._replace(away_ns=-1)
+        last = self._estimates[-1]
+        is_held, away_ns = self._is_held(last), last.away_ns
+        self._estimates[-1] = last._replace(away_ns=-1)
         if not is_held or last_ns - away_ns >= LOST_AFTER_NS:  # else it was one wrong pose
             self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
 
@@ -356,14 +357,16 @@ class Observer:
         self._of_vacuum += [alarm] if alarm else []
         self._raise(alarm)
 
-    def _is_held(self) -> bool | None:
+    def _is_held(self, estimate: Estimate) -> bool | None:
         """
-        Return whether the vacuum holds by its last reading; None if there is none.
+        Return whether the vacuum holds by its last reading; None if there is none to believe.
 
         A signal that has told the same twice comes in periods: one that is silent tells nothing.
+        One that holds a package which is seen to fall is stuck.
         """
         stamp_ns, is_held, period_ns = self._vacuum or (0, None, 0.0)
-        return is_held if self._track.newest_ns - stamp_ns <= _silence_ns(period_ns) else None
+        is_silent = self._track.newest_ns - stamp_ns > _silence_ns(period_ns)
+        return None if is_silent or (is_held and estimate.falls) else is_held
 
     def _raise(self, alarm: Alarm | None) -> None:
         """Keep an alarm if there is one, unless the same has just been raised."""

@@ -11,7 +11,7 @@ from bellows_ros.core.observer import alarms
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarms, AT_START, HYPOTHESES
 from bellows_ros.core.observer.correction import NO_CUPS
-from bellows_ros.core.observer.measurement import OUT_OF_REACH, updated, USED
+from bellows_ros.core.observer.measurement import OUTSIDE, updated, USED
 import numpy as np
 import pytest
 from scipy.special import logsumexp
@@ -178,11 +178,13 @@ def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shi
 @pytest.mark.parametrize(('rate_hz', 'within'), [(125 / 4, 0.27), (125 / 12, 0.27)])
 @pytest.mark.parametrize('kind', ['drop', 'peel'])
 def test_drop_is_always_noticed(kind, rate_hz, within):
-    """Notice what falls, though the camera loses sight of it after 0.55 m."""
+    """Notice what falls, though the camera loses sight of it after 0.55 m, or a sensor sticks."""
     for seed in range(4):
-        alarms, _ = first_of(seed, kind, CONDITIONS['all, small'], 1.0, rate_hz=rate_hz)
-        named, after = alarms[0]
-        assert (named, after <= within) == ('lost', True)
+        for is_stuck in (False, True):
+            cell = Cell(seed, 4.0, CONDITIONS['all, small'], kind, 3.0, rate_hz, **EXACTLY)
+            (named, after), *_ = cell.run(lambda k, cell=cell, is_stuck=is_stuck: (
+                is_stuck and k == 1 and cell.made.on_vacuum(True, False, True)))
+            assert (named, after <= within) == ('lost', True)
 
 
 def _dense_transition(model, before, *track):
@@ -261,7 +263,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
             after, _ = interpreted(
                 model, before, *track, noise, np.zeros((0, 0), np.float32), NO_CUPS)
             verdict, found, *_ = updated(model, after, (after[0] - before[0]) * 1e-9, seen)
-            if verdict != OUT_OF_REACH:
+            if verdict <= OUTSIDE:
                 given.append((F, found, verdict == USED, result[1][2][0]))
                 totals.append(result[3][0])
         return result
