@@ -289,9 +289,9 @@ def verdict_of(
 
 
 def _by_simulation(recordings: Sequence[Recording], length: float, values: Values) -> Fit:
-    """Return the fit by output error, which looks for causes."""
-    return methods.fitted(
-        recordings, {**values, 'fit.method': 'output_error', 'cup.length': length})
+    """Return the fit by output error, which looks for causes; least squares take all as exact."""
+    stds = {} if values['fit.method'] == 'least_squares' else given_std(values)
+    return methods.by_output_error(recordings, {**values, 'cup.length': length}, stds)
 
 
 def _judged(

@@ -598,7 +598,8 @@ class Search(Parametrization):
                 correlation = segment.measured.package_noise.correlation
                 total = (MAD_TO_STD * np.median(np.abs(part.residuals), axis=0)) ** 2
                 simulated = np.median(part.variance, axis=0) - part.new_variance
-                std = np.sqrt(np.maximum(total - simulated, 0.1 * total) / (1.0 - correlation**2))
+                std = np.maximum(MIN_POSE_STD, np.sqrt(
+                    np.maximum(total - simulated, 0.1 * total) / (1.0 - correlation**2)))
                 if np.any(np.abs(std - segment.std) > NOISE_TOLERANCE * segment.std):
                     segment.std, settled = std, False
         return settled
