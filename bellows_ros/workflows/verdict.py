@@ -268,6 +268,7 @@ def verdict_of(
     package = tested[0].payload
     given = {**values, 'package.mass': package.mass, 'package.com': package.com,
              'package.inertia': np.diag(package.inertia)}
+    simulated = {**values, 'cup.length': length}
     verdict = FitVerdict((), causes.Diagnosis(0.0, ()), given)
     if fit is not None:
         verdict = _judged(verdict, fit, tested, length, values)
@@ -275,23 +276,19 @@ def verdict_of(
         besides: tuple[causes.Finding, ...] = ()
         right = [causes.corrected(each)[1] for each in tested]
         with suppress(BellowsError):  # what is wrong cannot be corrected
-            besides = _by_simulation(right, length, values).causes
+            besides = methods.by_output_error(right, simulated).causes
         return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts, tuple(
             cause for cause in besides if cause.likely and all(
                 cause.name not in (fact.name, fact.instead) for fact in facts))))
-    if (fit is None or fit.method != 'output_error') and not verdict.is_at_noise:
-        fit = _by_simulation(tested, length, values)
+    is_judged = fit is not None and (
+        fit.method == 'output_error' or not fit.usable or verdict.is_at_noise)
+    if not is_judged:
+        fit = methods.by_output_error(tested, simulated, exactly=True)
     if fit is None or fit.method != 'output_error':
         return verdict
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
     return verdict._replace(
         diagnosis=causes.Diagnosis(excess, fit.causes[:1], fit.causes[1:]))
-
-
-def _by_simulation(recordings: Sequence[Recording], length: float, values: Values) -> Fit:
-    """Return the fit by output error, which looks for causes; least squares take all as exact."""
-    stds = {} if values['fit.method'] == 'least_squares' else given_std(values)
-    return methods.by_output_error(recordings, {**values, 'cup.length': length}, stds)
 
 
 def _judged(

@@ -3,7 +3,7 @@
 from bellows_ros.workflows.structures import selection, structures
 import pytest
 
-from ..core.identification.laboratory import FAULTS, Laboratory
+from ..core.identification.laboratory import FAULTS, Laboratory, parameters
 
 
 def test_a_static_recording_is_said_to_tell_little(root, known):
@@ -19,9 +19,7 @@ def test_where_no_structure_fits_the_cause_is_named(fault, word):
     """Say so of a cup that is no linear one, and of wrong data, and not of a sound recording."""
     laboratory = Laboratory(74102 if fault else 74100, rate_hz=240.0)
     FAULTS.get(fault, [lambda own: None])[0](laboratory)
-    values = {'cup.length': laboratory.said_length, 'fit.structure': 'axisymmetric',
-              'fit.free': (), 'package.com': laboratory.said.com}
-    found = selection([laboratory.recording()], values, lambda what, part: None)
+    found = selection([laboratory.recording()], parameters(laboratory), lambda what, part: None)
     assert found.fits is not bool(fault)
     assert found.advice[0].startswith('No structure fits' if fault else 'Use fit.structure')
     assert word in found.advice[0]

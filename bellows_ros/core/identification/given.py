@@ -199,6 +199,9 @@ MAX_TRIED = 2
 MAX_SEARCHES = 4
 """Quantities that are freed at most, where searches do not converge."""
 
+PRICE = 0.02
+"""Part of a fall of squares that each number costs, where several explain nearly the same."""
+
 SAME_FALL = 0.9
 """Part of the fall of squares with the largest structure with which a smaller one is as good."""
 
@@ -253,17 +256,18 @@ def causes(
     """
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
+    is_off = largest_pull(search, minimum, given)[1] > 1.0  # few numbers before many
     falls = scores(search, minimum, [*_candidates(search, stated(given)), *['couplings'] * (
-        not search.structure.couples and not search.structure.places)])
+        not search.structure.couples and not search.structure.places and not is_off)])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in search.places and (
             not minimum.converged or max(falls.values(), default=0.0) > SIGNIFICANT**2
-            or largest_pull(search, minimum, given)[1] > 1.0):  # a slip moves the com, too
+            or is_off):  # a slip moves the com, too
         search, falls['slip'] = _with_likeliest_slip(search, minimum)
     if max(falls.values(), default=0.0) < SIGNIFICANT**2:
         return ()
-    tried = _tried(search, minimum, dict(sorted(falls.items(), key=itemgetter(1), reverse=True)))
-    best = max(tried, key=attrgetter('gain'))
+    tried = _tried(search, minimum, dict(sorted(falls.items(), key=_priced, reverse=True)))
+    best = max(tried, key=lambda freed: _priced((freed.name, freed.gain)))
     if best.gain < SIGNIFICANT**2:
         return ()
     theta, std = _estimate(best)
@@ -308,6 +312,11 @@ def causes(
         *(other._replace(certain=other.certain and certain and best.name != 'couplings')
           for other in others if best.name not in MARKERS or other.name not in (
               'structure', 'package_marker')))
+
+
+def _priced(fall: tuple[str, float]) -> float:
+    """Return a fall of squares by what is free by a name, less the price of its numbers."""
+    return (1.0 - PRICE * quantities.KINDS[fall[0]].size) * fall[1]
 
 
 def _candidates(search: Search, without: Sequence[str] = ()) -> list[str]:
@@ -486,10 +495,12 @@ def _structured(search: Search, minimum: Minimum) -> '_Freed':
 
 def _coupled(search: Search, minimum: Minimum, given: Free) -> Finding | None:
     """Return that directions are coupled, where nothing given is off then by many deviations."""
+    structure = next((each for each in STRUCTURES.values() if each.couples and (
+        each.size > search.structure.size)), search.structure)
     if search.structure.couples or search.structure.places or not (
             search.places.keys() & given.keys()):
         return None
-    freed = _structured(search, minimum)
+    freed = _freed(search, minimum, 'couplings', True, structure)
     if not freed.search.fits(freed.minimum) or (
             largest_pull(freed.search, freed.minimum, given)[1] > 1.0):
         return None

@@ -12,7 +12,7 @@ from bellows_ros.core.identification import least_squares, reduction
 from bellows_ros.core.identification.given import given_std
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.quantities import Free, weak_prior
+from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import samples_of
@@ -167,7 +167,7 @@ def fitted(
     if values['fit.method'] == 'least_squares':
         return least_squares.least_squares(
             [reduced(recording, values).statistics for recording in recordings])
-    return by_output_error(whole_recordings(recordings), values, given_std(values), progress)
+    return by_output_error(whole_recordings(recordings), values, progress)
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:
@@ -180,10 +180,14 @@ def _report(progress: Progress, iteration: Iteration) -> None:
 
 
 def by_output_error(
-    recordings: Sequence[Recording], values: Mapping[str, Any], given_stds: Free,
-    progress: Progress | None = None,
+    recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress | None = None,
+    exactly: bool = False,
 ) -> Fit:
-    """Return the fit by simulation, with all that is uncertain free beside K and P."""
+    """
+    Return the fit by simulation, with all that is uncertain free beside K and P.
+
+    Or with what was given taken exactly, as least squares do, so that causes are what they miss.
+    """
     structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
     start = given = replace(one_cup_of(values), relaxation=strengths)
@@ -199,7 +203,7 @@ def by_output_error(
     free = weak_prior([*named, *['relaxation'] * any(strengths)])
     return output_error(
         measured, structure, start, progress and partial(_report, progress), free, named,
-        values['fit.relaxation'], given_stds, given)
+        values['fit.relaxation'], {} if exactly else given_std(values), given)
 
 
 def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[T]:
