@@ -271,10 +271,11 @@ def causes(
     if best.gain < SIGNIFICANT**2:
         return ()
     theta, std = _estimate(best)
-    shifts = [theta] * (best.name in OF_LIP) + [
+    shifts = [freed.search.estimate(freed.minimum, freed.name)[0]
+              for freed in tried if freed.name in OF_LIP] + [
         (search.units * minimum.theta)[search.places[name].ravel()]
         for name in OF_LIP if name in search.places]
-    is_far = minimum.converged and any(
+    is_far = any(
         _is_as_far_as_com(search, shift[:3]) for shift in shifts)
     if count == MAX_CAUSES and is_far and (frame := _other_frame(search, minimum, best.gain)):
         search.restore(minimum)
