@@ -175,11 +175,8 @@ class FitVerdict(NamedTuple):
         if self.given.get('fit.relaxation') == 'off':
             besides.append('Rubber that relaxes may be the cause, too: set fit.relaxation: auto.')
         if first.likely:
-            more = () if besides or first.rest < causes.DOUBTED else (
-                f'It leaves {np.sqrt(first.rest):.2g} times what noise and rubber explain: more '
-                'may be wrong.',)
             return (f'Likely, but not certain: {causes.finding_sentence(first, self.given)}',
-                    *besides, *more)
+                    *besides)
         if self.diagnosis.excess < causes.DOUBTED:
             return ()
         return ('Noise does not explain the residuals, and no tested cause explains most of '
@@ -238,10 +235,8 @@ class FitVerdict(NamedTuple):
 
 def _is_within(finding: causes.Finding, std: Free) -> bool:
     """Return whether a cause is no larger than three standard deviations of what was given."""
-    if finding.name not in std or not len(finding.theta):
-        return False
-    limits = np.delete(std[finding.name], 2) if len(finding.theta) == 5 else std[finding.name]
-    return bool(np.all(np.abs(finding.theta) <= SIGMAS * limits))
+    return finding.name in std and len(finding.theta) > 0 and bool(
+        np.all(np.abs(finding.theta) <= SIGMAS * std[finding.name]))
 
 
 def verdict_of(
@@ -280,12 +275,10 @@ def verdict_of(
         return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts, tuple(
             cause for cause in besides if cause.likely and all(
                 cause.name not in (fact.name, fact.instead) for fact in facts))))
-    is_judged = fit is not None and (
-        fit.method == 'output_error' or not fit.usable or verdict.is_at_noise)
-    if not is_judged:
-        fit = methods.by_output_error(tested, simulated, exactly=True)
     if fit is None or fit.method != 'output_error':
-        return verdict
+        if verdict.is_at_noise:
+            return verdict
+        fit = methods.by_output_error(tested, simulated, exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
     return verdict._replace(
         diagnosis=causes.Diagnosis(excess, fit.causes[:1], fit.causes[1:]))

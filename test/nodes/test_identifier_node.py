@@ -118,9 +118,11 @@ def test_packages_in_files_are_enough_and_an_absent_predictor_is_named(ros, root
 
 
 def test_a_forgotten_length_is_among_the_reasons(ros, root, tmp_path):
-    """Take the thesis' length for a cup that is 2 mm shorter: say that it was not set."""
-    node = make(ros, bags=[str(root / 'bags/validation')], **TOPICS,
+    """Take the thesis' length for a cup 2.1 mm shorter: say so, and that it was not set."""
+    stated = read_parameters(root / 'bags/package.yaml')
+    known = {name: value for name, value in stated.items() if name.startswith('package')}
+    node = make(ros, {**PACKAGE, **known}, bags=[str(root / 'bags/validation')], **TOPICS,
                 output__parameters=str(tmp_path / 'cup.yaml'))
-    with pytest.raises(BellowsError, match=r'cup\.length is not set: .* cup\.length'):
+    with pytest.raises(BellowsError, match=r'cup\.length is 2\.1\d+ .* cup\.length is not set'):
         result_of(ros, node)
     assert not (tmp_path / 'cup.yaml').exists() and not node.has_parameter('cup.stiffness')

@@ -37,8 +37,8 @@ MATERIAL = 0.05
 """Part by which a material change moves an entry of K, or a twist."""
 
 DISTINCT = 0.5
-"""A distinct hypothesis leaves less than this part of the squares that another leaves. The square
-of it is asked where it must explain nearly all, and of what the cup may be beside wrong data."""
+"""What is distinct explains more than this part of the squares that another leaves. The square of
+it is asked where a cause must explain nearly all."""
 
 DOUBTED = 1.0
 """Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
@@ -113,7 +113,7 @@ MIN_DENSITY = 1e-18
 
 class Finding(NamedTuple):
     """
-    A hypothesis tried.
+    What is, or may be, otherwise than it was given.
 
     Parameters
     ----------
@@ -130,8 +130,6 @@ class Finding(NamedTuple):
         Whether it is of what was given, and whether nothing else explains the recordings so well.
     instead : str
         Name or value of another datum that these recordings cannot tell from it; '' for none.
-    rest : float
-        Squares beyond noise that it leaves, in those expected of noise and rubber.
     is_fact : bool
         Whether it is seen without any fit.
     sentence : str
@@ -148,7 +146,6 @@ class Finding(NamedTuple):
     datum: bool = True
     certain: bool = True
     instead: str = ''
-    rest: float = 0.0
     is_fact: bool = False
     sentence: str = ''
 

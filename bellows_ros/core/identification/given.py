@@ -275,8 +275,7 @@ def causes(
               for freed in tried if freed.name in OF_LIP] + [
         (search.units * minimum.theta)[search.places[name].ravel()]
         for name in OF_LIP if name in search.places]
-    is_far = any(
-        _is_as_far_as_com(search, shift[:3]) for shift in shifts)
+    is_far = any(_is_as_far_as_com(search, shift[:3]) for shift in shifts)
     if count == MAX_CAUSES and is_far and (frame := _other_frame(search, minimum, best.gain)):
         search.restore(minimum)
         return (frame,)
