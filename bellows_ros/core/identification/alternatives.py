@@ -59,11 +59,10 @@ def _worlds(world: str) -> Iterator[tuple[str, Array]]:
 
 def likeliest_setting(search: Search, cup: Cup) -> Finding | None:
     """
-    Return the setting that explains recordings that are not explained as they were given, or None.
+    Return the other setting with which recordings leave noise alone, None without one.
 
-    Each is approached from the same cup, and the best is fitted: it leaves noise alone. Of two
-    frames that are turned recordings may not tell which: another that leaves as little is named
-    instead.
+    Each is approached from the same cup, and the best is fitted. Recordings may not tell which of
+    two frames is turned: the other one that leaves as little is then named with it.
 
     Parameters
     ----------
