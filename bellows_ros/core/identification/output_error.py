@@ -32,6 +32,7 @@ from bellows_ros.core.identification.result import (
     with_unidentifiable,
 )
 from bellows_ros.core.identification.search import (
+    MAX_DAMPING,
     MAX_NOISE_CHI2,
     Minimum,
     MISFIT_CHI2,
@@ -372,14 +373,17 @@ def _identifiable(
     for name in named:
         largest[search.places[name]] = KINDS[name].max_std
     errors = std / (largest / MAX_RELATIVE_ERROR)
+    ordinary = _ordinary_damping(search, minimum)
     is_noise = (shares > MAX_ERROR_SHARE) & (errors > MAX_NOISY_ERROR)
-    identifiable = (std <= largest) & ~is_noise & minimum.converged
+    is_overdamped = (minimum.theta > MAX_DAMPING * ordinary) & (errors > MAX_NOISY_ERROR)
+    identifiable = (std <= largest) & ~is_noise & ~is_overdamped & minimum.converged
     if minimum.converged:
-        growth = np.maximum(_damped_std(search, minimum, identifiable) / std, 1.0)
+        is_low = ~identifiable & (minimum.theta < ordinary) & np.isfinite(ordinary)
+        growth = np.maximum(_damped_std(search, minimum, ordinary, is_low) / std, 1.0)
         covariance = covariance * np.outer(growth, growth)
         std, errors = std * growth, errors * growth
         identifiable &= std <= largest
-    notes = list(_unidentifiable(search, errors, shares, identifiable[:size]))
+    notes = list(_unidentifiable(search, errors, shares, is_overdamped, identifiable[:size]))
     total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
     vague = identifiable[:size] & (total > 1.0)
     notes += [NOTES['vague'].format(
@@ -391,20 +395,24 @@ def _identifiable(
     return covariance, identifiable, notes
 
 
-def _damped_std(search: Search, minimum: Minimum, identifiable: Mask) -> Array:
+def _ordinary_damping(search: Search, minimum: Minimum) -> Array:
+    """Return the unknowns (m,) with ordinary damping of each axis, inf for all other numbers."""
+    count, leads, K = search.count, search.structure.leads, search.cup(minimum.theta).stiffness
+    ordinary = search.structure.parameters(K, search.ordinary_damping(K)) / search.units[:count]
+    is_axis = [False] * len(leads) + [row == column for row, column in leads]
+    return np.pad(np.where(is_axis, ordinary, np.inf), (0, len(minimum.theta) - count),
+                  constant_values=np.inf)
+
+
+def _damped_std(search: Search, minimum: Minimum, ordinary: Array, is_low: Mask) -> Array:
     """
     Return the standard errors (m,), SI units, if unknown damping were ordinary at least.
 
     Noise that rings at a mode tells its frequency, and so K, far too well.
     """
-    count, theta, leads = search.count, minimum.theta.copy(), search.structure.leads
-    K = search.cup(theta).stiffness
-    ordinary = search.structure.parameters(K, search.ordinary_damping(K)) / search.units[:count]
-    is_axis = np.array([False] * len(leads) + [row == column for row, column in leads])
-    is_low = is_axis & ~identifiable[:count] & (theta[:count] < ordinary)
     if not is_low.any():
-        return np.zeros(len(theta))
-    theta[:count][is_low] = ordinary[is_low]
+        return np.zeros(len(is_low))
+    theta = np.where(is_low, ordinary, minimum.theta)
     parts, information, _ = search.system(theta)
     damped = minimum._replace(theta=theta, parts=parts, information=information)
     return np.sqrt(np.diag(covariance_of(search, damped)[0]))
@@ -452,22 +460,24 @@ def _with_noise(
 
 
 def _unidentifiable(
-    search: Search, errors: Array, shares: Array, identifiable: Mask
+    search: Search, errors: Array, shares: Array, is_overdamped: Mask, identifiable: Mask
 ) -> Iterator[str]:
     """Yield a sentence about each number that is not identifiable, with what would make it so."""
     size = len(identifiable)
-    for label, error, share, is_identifiable in zip(
+    for label, error, share, is_too_large, is_identifiable in zip(
             search.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
-            identifiable.tolist(), strict=True):
+            is_overdamped[:size].tolist(), identifiable.tolist(), strict=True):
         if is_identifiable:
             continue
         less = MAX_RELATIVE_ERROR / error
         words = 'unknown' if error >= 1.0 else 'uncertain'  # the prior limits it
+        if is_too_large:
+            words = 'overdamped'
         if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
             words = 'noise_moves_it'
         yield NOTES[words].format(
             label=label, share=share, how=remedy_for(label.split()[1], search.structure),
-            error=100.0 * error, noise=100.0 * less, times=less**-2,
+            error=100.0 * error, noise=100.0 * less, times=less**-2, factor=MAX_DAMPING,
             one_cup=', or one of one cup alone' if search.structure.places else '')
 
 

@@ -286,6 +286,15 @@ def test_a_cup_far_too_stiff_for_the_rate_is_followed():
     assert 1.0 < np.mean(parts[0].innovations ** 2) < 1e4
 
 
+@pytest.mark.parametrize(['factor', 'is_known'], [(15.0, True), (30.0, False)])
+def test_more_than_rubber_damps_is_not_identifiable_where_little_explains_nearly_as_well(
+        factor, is_known):
+    cup = replace(TRUTH, damping=np.diag([1.0, 1.0, factor, 1.0, 1.0, 1.0]) * TRUTH.damping)
+    fit = output_error([measured(1, cup=cup)], AXISYMMETRIC, cup)
+    assert np.isfinite(fit.covariance[5, 5]) == is_known
+    assert any('P z' in note and '10 times ordinary' in note for note in fit.notes) != is_known
+
+
 def test_gaps_and_outliers_are_bridged():
     own = measured(9)
     position, R = own.package.position.copy(), own.package.rotation.copy()
