@@ -14,7 +14,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import DISTINCT, Finding
 from bellows_ros.core.identification.quantities import of_fixed_frame
-from bellows_ros.core.identification.search import Minimum, Search
+from bellows_ros.core.identification.search import Search
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, gravity_vector
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
@@ -73,15 +73,16 @@ def likeliest_setting(search: Search, cup: Cup) -> Finding | None:
 
     """
     given = [segment.measured for segment in search.segments]
-    ends = list[tuple[float, Finding, Search, Minimum]]()
+    ends = list[tuple[float, Finding, Search]]()
     for finding, measured in [(Finding('', ''), given), *settings_of(given)]:
         other = search.with_free(search.unknowns(cup), {})
         other.segments = [Segment(each) for each in measured]
         with suppress(BellowsError):  # no cup explains that
-            near = other.approach()
-            ends.append((near.squares, finding, other, near))
-    least, likeliest, other, near = min(ends, key=itemgetter(0))
-    if not likeliest.name or not other.fits(other.root_from(near)):
+            ends.append((other.approach(with_couplings=False).squares, finding, other))
+    least, likeliest, other = min(ends, key=itemgetter(0))
+    for segment in other.segments:
+        segment.reset()
+    if not likeliest.name or not other.fits(other.minimum()):
         return None
     (before, *_), *_ = ends
     instead = [finding.value for squares, finding, *_ in ends if finding is not likeliest and (

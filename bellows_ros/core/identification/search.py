@@ -64,6 +64,10 @@ Shortest step of the integrator (s).
 A cup that needs shorter ones, for modes faster than 20,000/s, is no cup: the search turns back.
 """
 
+MAX_QUICKENING = 30.0
+"""Times as fast as with the start that modes may become: 100 times as stiff, they are 10 times as
+fast, and some three times that with ten times ordinary damping."""
+
 COARSE_FACTOR = 4.0
 """Times that steps are longer while a start approaches: fast modes need no accuracy there."""
 
@@ -259,6 +263,9 @@ class Parametrization:
             self.weights[place] = (np.asarray(std) / kind.unit) ** -2
         self.fixing = np.zeros((ends[-1],) * 2)  # more information on the start
         self.start = np.pad(structure.parameters(start.stiffness, start.damping) / units, more)
+        self.shortest_step = max(MIN_INTEGRATION_STEP, min(
+            largest_step(self.model(self.start, segment)[0]) for segment in segments
+        ) / MAX_QUICKENING)
         self.uncoupled = np.eye(len(self.start))  # directions without couplings
         if self.count > 2 * STRUCTURES['diagonal'].size:
             diagonal = [structure.parameters(*pair) / units
@@ -611,7 +618,7 @@ class Search(Parametrization):
         model, free = self.model(theta, segment)
         nodes = segment.nodes(float(free.get('time_offset', (0.0,))[0]))
         lengths = np.diff(nodes.stamps) / NS_PER_S
-        step = _integration_step(model, COARSE_FACTOR if forgetting else 1.0)
+        step = self._integration_step(model, COARSE_FACTOR if forgetting else 1.0)
         path = whitening.Path(simulation.tool_rows(resample(segment.path, nodes.stamps)),
                               lengths, substeps_of(lengths, step))
         expected, start = (
@@ -642,6 +649,16 @@ class Search(Parametrization):
             (1.0 - segment.measured.package_noise.correlation**2) * segment.std**2,
             first_order(change, segment.measured.tool_noise.correlation),
             whitening.with_mean(start, correction[:, None]), reach)
+
+    def _integration_step(self, model: ModelTuple, factor: float) -> float:
+        """Return the longest step (s) of the integrator, or refuse a cup that is too fast."""
+        longest = min(factor * largest_step(model), MAX_INTEGRATION_STEP)
+        if longest < self.shortest_step:
+            raise BellowsError(
+                f'With this cup the simulation needs integration steps of {longest:.2g} s; at '
+                f'least {self.shortest_step:.2g} s is expected. Check the units of package.mass, '
+                'package.inertia, cup.stiffness and cup.damping.')
+        return longest
 
     def _poses(
         self, segment: Segment, nodes: Nodes, free: Free, lengths: Array
@@ -718,17 +735,6 @@ def _not_below(strengths: ArrayLike) -> tuple[float, float]:
 def squares(parts: Sequence[WhitenedSegment]) -> float:
     """Return the sum of squares."""
     return float(sum(part.innovations @ part.innovations for part in parts))
-
-
-def _integration_step(model: ModelTuple, factor: float) -> float:
-    """Return the longest step (s) of the integrator, or refuse a cup that needs too short ones."""
-    longest = min(factor * largest_step(model), MAX_INTEGRATION_STEP)
-    if longest < MIN_INTEGRATION_STEP:
-        raise BellowsError(
-            f'With this cup the simulation needs integration steps of {longest:.2g} s; at least '
-            f'{MIN_INTEGRATION_STEP:g} s is expected. Check the units of package.mass, '
-            'package.inertia, cup.stiffness and cup.damping.')
-    return longest
 
 
 def _anderson_step(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Array:

@@ -79,6 +79,16 @@ def test_a_cup_with_which_a_package_would_need_endless_steps_is_no_cup(damping):
         Search([segment], AXISYMMETRIC, damped, {}).minimum()
 
 
+def test_a_search_turns_back_from_a_cup_far_quicker_than_that_of_its_start():
+    """As a misfit leads to, with ten times as many integration steps."""
+    search = Search([Segment(measured(3, duration=2.0))], AXISYMMETRIC, TRUTH, {})
+    ten, hundred = (search.unknowns(replace(TRUTH, damping=factor * TRUTH.damping))
+                    for factor in (10.0, 100.0))
+    assert np.isfinite(search.system(ten)[2]).all()
+    with pytest.raises(BellowsError, match='integration steps'):
+        search.system(hundred)
+
+
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
     segment = Segment(measured(3, duration=2.0))
     search = Search([segment], AXISYMMETRIC, TRUTH, {})
