@@ -106,7 +106,8 @@ def print_identification(result: 'Identification', out: Writer) -> None:
     sentences = verdict.sentences if verdict else ()
     if verdict:
         out.paragraph(*verdict.cause, *verdict.doubts)
-    found = 'Cup' if fit.converged else 'No cup'
+    out.paragraph(*result.refusals, style='red')
+    found = 'No cup' if result.refusals else 'Cup'
     out.line(f'{found} identified from {listed(result.bags)}', 'bold')
     out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     out.line()
@@ -120,12 +121,13 @@ def print_identification(result: 'Identification', out: Writer) -> None:
               for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
             right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
     if fit.converged:
+        if result.refusals:
+            out.line('K and P of the refused fit, for diagnosis only:')
         print_cup(fit, out)
     _print_samples(result, out)
     if fit.converged:
         out.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
     out.paragraph(*result.findings[len(sentences):])
-    out.paragraph(*result.refusals, style='red')
     out.warn(*result.warnings)
 
 

@@ -204,12 +204,14 @@ class Identification(CommandResult):
             yield from offset_sentence(bag, offset)
 
     def _fit_warnings(self) -> tuple[str, ...]:
-        """Return the warnings of the fit and its equations, unless given data are their cause."""
+        """Return the warnings of the fit and its equations, unless what is wrong causes them."""
         causes = self.verdict.diagnosis.findings[:1] if self.verdict else ()
         if any(cause.material for cause in causes):
             return ()
         misfit = () if any(cause.certain for cause in causes) or not self.fit.misfit else (
             self.fit.misfit,)
+        if self.fit.usable and self.verdict and self.verdict.refusals:
+            return misfit
         return (*self.fit.warnings, *misfit, *self.excitation.warnings)
 
     @property

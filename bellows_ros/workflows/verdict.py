@@ -209,7 +209,7 @@ class FitVerdict(NamedTuple):
                 'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
                 'use a simpler fit.structure.')
         for name, (_, off, pull) in self.found.items():
-            if pull > MAX_PULL and name != 'package.inertia' and not self.wrong:
+            if pull > MAX_PULL and name != 'package.inertia' and not (self.wrong or reasons):
                 reasons.append(
                     f'{name} would be {off} off, {pull:.2g} times its standard deviation. Measure '
                     f'it again, set {name}_std if it is so uncertain, or try fit.structure: full.')

@@ -77,6 +77,17 @@ def test_the_page_has_what_the_command_prints(html, result):
     assert len(printed) > 30 and [own for own in printed if own not in text] == []
 
 
+def test_why_a_cup_is_refused_comes_first_and_nothing_that_follows_from_it(result):
+    """As that something is hardly identifiable, where the fit explains nothing."""
+    fit = dataclasses.replace(result.fit, notes=('K z is not identifiable.',))
+    assert 'K z is not identifiable.' in dataclasses.replace(result, fit=fit).warnings
+    refused = dataclasses.replace(result, fit=fit, verdict=result.verdict._replace(chi2=9.0))
+    assert refused.warnings == ()
+    html = identification_report(refused)
+    assert html.index(refused.refusals[0][:40]) < html.index('No cup identified')
+    assert html.index('of the refused fit') < html.index('stiffness K')
+
+
 def test_files_and_versions_are_named(html, root):
     """Show the digests of recordings and parameter files, and NumPy's version."""
     for path in ('bags/validation', 'bags/package.yaml'):
