@@ -27,7 +27,6 @@ from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import moved_by, pose_error
-from bellows_ros.core.model.jacobians import Square
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import row_state
 import numpy as np
@@ -47,25 +46,15 @@ def _derivatives(
     model: ModelTuple, tool: State, body: State, last: int, A: Any, C: Any, B: Any
 ) -> None:
     """Write the slope of x by x (m, m) and by the model's parameters (m, 64), and B (m, 6)."""
-    by_twist = jac.write_slope(model, tool, body, A)
+    jac.write_slope(model, tool, body, A)
     jac.parameter_jacobian(model, tool, body, 0, last, C[6:])
     of_pose, of_twist = jac.tool_jacobians(model, tool, body)
     jac.write_square(B, 0, 0, of_twist)
     jac.write_square(B, 6, 0, jac.add_scaled_square(
-        jac.add_scaled_square(of_pose, 1.0, jac.times_twist(of_twist, tool[2], tool[3])), 1.0,
-        multiply_squares(by_twist, of_twist)))
+        of_pose, 1.0, jac.times_twist(of_twist, tool[2], tool[3])))
+    t3.add_product(A[6:12, 6:12], B[:6], B[6:12])
     if len(body) == 6:
         _strain_derivatives(model, tool, body, A, C, B)
-
-
-@kernel
-def multiply_squares(A: Square, B: Square) -> Square:
-    """Return A B."""
-    return (
-        t3.add_scaled_matrix(t3.multiply(A[0], B[0]), 1.0, t3.multiply(A[1], B[2])),
-        t3.add_scaled_matrix(t3.multiply(A[0], B[1]), 1.0, t3.multiply(A[1], B[3])),
-        t3.add_scaled_matrix(t3.multiply(A[2], B[0]), 1.0, t3.multiply(A[3], B[2])),
-        t3.add_scaled_matrix(t3.multiply(A[2], B[1]), 1.0, t3.multiply(A[3], B[3])))
 
 
 @kernel

@@ -317,9 +317,9 @@ def write_column(out: Any, column: int, a: Vector, b: Vector) -> None:
 
 
 @kernel
-def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> Square:
+def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> None:
     """
-    Write the slope of a small change of the state by itself; return that of the twist by itself.
+    Write the slope of a small change of the state by itself.
 
     Pose and twist change in axes that turn with the body.
     """
@@ -330,7 +330,6 @@ def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> Square:
     write_square(A, 6, 6, by_twist)
     for i in range(6):
         A[i, 6 + i] = 1.0
-    return by_twist
 
 
 @kernel
