@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
+import tomllib
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
@@ -9,68 +11,24 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
 from bellows_ros.core.model.jacobians import COM, GRAVITY, INERTIA, LENGTH, MASS, WRENCH
 from bellows_ros.core.model.structure import UPPER
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 import numpy as np
 
 
 class Kind(NamedTuple):
-    """
-    A kind of quantity that may be estimated together with K and P.
-
-    Parameters
-    ----------
-    unit : float
-        Size in which it is searched for: s, m, or a logarithm.
-    size : int
-        How many there are.
-    max_std : float
-        With a larger standard error it is not identifiable.
-    each : bool
-        Whether each recording has another value.
-    prior_std : float
-        Standard deviation of a weak prior.
-
-    """
+    """A kind of quantity that may be estimated together with K and P, see `quantities.toml`."""
 
     unit: float
     size: int
     max_std: float
+    prior_std: float
     each: bool = False
-    prior_std: float = np.inf
 
 
 KINDS: Mapping[str, Kind] = {
-    'time_offset': Kind(1e-3, 1, 3e-3, True, 0.1),
-    'com': Kind(1e-3, 3, 3e-3, False, 0.05),
-    'length': Kind(1e-3, 1, 1e-3, False, 0.02),
-    'inertia': Kind(1e-2, 3, 0.1, False, 0.7),
-    'mass': Kind(1e-2, 1, 0.1, False, 0.7),
-    'gravity': Kind(1e-3, 2, 5e-3, False, 0.3),
-    'package_world': Kind(1e-3, 6, 5e-3, True, 0.2),
-    'package_marker': Kind(1e-3, 6, 5e-3, True, 0.1),
-    'tool_marker': Kind(1.0, 6, 5e-3, True, 0.1),
-    'world_drift': Kind(1e-5, 6, 1e-4, True, 1e-3),
-    'relaxation': Kind(1e-2, 2, 0.1, False, 1.0),
-    'drift': Kind(1e-2, 6, 0.1, False, 1.0),
-    'cubic': Kind(1e-2, 6, 0.1, False, 1.0),
-    'couplings': Kind(1e-2, 15, 0.1, False, 1.0),
-    'friction': Kind(1e-2, 6, 0.1, False, 1.0),
-    'slip': Kind(1e-3, 2, 3e-3, True, 0.05),
-}
-"""
-By their names in fit.free.
-
-By how much the tool's stamps are behind the package's, s; the centre of mass beside the given one
-in axes of the lip, m; the length beside the given one, m; logarithms of the factors of the moments
-of inertia and of the mass; by what angle the world is turned about x and y, so that gravity is
-turned back, rad; shift and turn of the package's world about the middle of the package's way, of B
-in its own axes against the measured pose, and of E likewise, m and rad; by how much that world
-moves and turns per second, m/s and rad/s; the strengths of relaxation beside those of the start;
-parts by which the diagonal of K changes from beginning to end, and up to displacements of the size
-`LARGE_DISPLACEMENT`; couplings of directions in the roots of their stiffnesses; friction in the
-largest forces; and by how much x and y of the centre of mass change at some moment as the package
-slips on the lip, m.
-"""
+    name: Kind(**numbers) for name, numbers in tomllib.loads(
+        Path(__file__).with_name('quantities.toml').read_text()).items()}
+"""By their names in fit.free."""
 
 OF_CUP = ('drift', 'cubic', 'couplings', 'friction')
 """Deviations of the cup itself."""
@@ -133,12 +91,7 @@ def poses_of(
 
 def of_fixed_frame(body: Trajectory, turn: Array, shift: Array) -> Trajectory:
     """Return the motion of a frame that is fixed in a body, turned (rad) and moved (m) there."""
-    R = lie.exp_so3(turn)
-    X = lie.adjoint(lie.inverse_transform(lie.transform(R, shift)))
-    return replace(
-        body, position=body.position + lie.apply(body.rotation, shift), rotation=body.rotation @ R,
-        twist=None if body.twist is None else lie.apply(X, body.twist),
-        acceleration=None if body.acceleration is None else lie.apply(X, body.acceleration))
+    return at_tip(body, lie.transform(lie.exp_so3(turn), shift))
 
 
 def middle_of(package: Trajectory) -> Array:

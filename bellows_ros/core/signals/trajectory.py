@@ -371,9 +371,10 @@ def at_tip(motion: Posed, tip: Array | None) -> Posed:
     """Return a motion with body twists of frames at poses (4, 4) or (N, 4, 4) in a moving one."""
     if tip is None:
         return motion
-    twist, changed = getattr(motion, 'twist', None), dict[str, Any]()
-    if twist is not None:
-        changed['twist'] = lie.apply(lie.adjoint(lie.inverse_transform(tip)), twist)
+    X, rates = lie.adjoint(lie.inverse_transform(tip)), ('twist', 'acceleration')
+    changed: dict[str, Any] = {
+        name: lie.apply(X, getattr(motion, name)) for name in rates
+        if getattr(motion, name, None) is not None}
     return replace(
         motion, position=motion.position + lie.apply(motion.rotation, tip[..., :3, 3]),
         rotation=motion.rotation @ tip[..., :3, :3], **changed)
