@@ -363,7 +363,8 @@ def _cluster_products(
         for rows, parts in _relaxing_rows(samples, cup_length, structure):
             rows = whitening @ rows
             clusters += [_square(rows[part]) for part in parts]
-        thinned, (draw,) = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES), sampling.draws(1)
+        thinned = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES)
+        (draw,) = np.random.default_rng(sampling.SEED).spawn(1)
         part = max(thinned.count, 1) / max(samples.count, 1)
         for block in thinned.blocks():
             for (clean, _), (noisy, _) in zip(*(

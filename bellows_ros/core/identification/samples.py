@@ -13,7 +13,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.identification.causes import finding_sentence, misread
-from bellows_ros.core.model.cup_package import Package, regressor
+from bellows_ros.core.model.cup_package import gravity_vector, Package, regressor
 from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
 from bellows_ros.core.recording.recording import FilterNoise, Recording
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
@@ -307,11 +307,9 @@ def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> A
     world, or the vector (3,) there, m/s^2.
     """
     assert motion.twist is not None and motion.acceleration is not None  # filtered
-    g = np.asarray(gravity, dtype=float)
-    g = np.array([0.0, 0.0, -float(g)]) if g.ndim == 0 else g
     v, w = motion.twist[:, :3], motion.twist[:, 3:]
     dv, dw = motion.acceleration[:, :3], motion.acceleration[:, 3:]
-    g_B = apply(np.swapaxes(motion.rotation, 1, 2), np.broadcast_to(g, dv.shape))
+    g_B = apply(np.swapaxes(motion.rotation, 1, 2), gravity_vector(gravity))
     force = package.mass * (dv + np.cross(w, v) - g_B)
     moment = dw @ package.inertia + np.cross(w, w @ package.inertia)
     return np.hstack([force, moment + np.cross(package.com, force)])
@@ -322,11 +320,6 @@ def sizes(displacement: Array) -> Array:
     x, y, z, rx, ry, rz = displacement.T
     radial, bent = np.hypot(x, y), np.hypot(rx, ry)
     return np.asarray(np.abs(np.column_stack([radial, radial, z, bent, bent, rz])))
-
-
-def draws(count: int) -> list[np.random.Generator]:
-    """Return random generators for noise draws, the first ones always the same."""
-    return np.random.default_rng(SEED).spawn(count)
 
 
 def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) -> Samples:

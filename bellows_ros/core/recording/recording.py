@@ -18,7 +18,7 @@ from bellows_ros.core.recording.alignment import Alignment, rest_of, world_rotat
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.resampling import ArrivalStamps, cubic, MAD_TO_STD, resample, Timing
-from bellows_ros.core.signals.savgol import correlated, savgol, weights, whole_windows
+from bellows_ros.core.signals.savgol import savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, short, UndeterminedError
 import numpy as np
@@ -170,10 +170,6 @@ class AR1Noise(NamedTuple):
 
     size: float
     correlation: float
-
-    def drawn(self, count: int, draw: np.random.Generator) -> Array:
-        """Return samples of this noise in three axes (N, 3)."""
-        return correlated(self.size * draw.standard_normal((count, 3)), self.correlation)
 
 
 def ar1_noise_of(

@@ -283,13 +283,8 @@ class Whiteness:
         """'white', 'nearly white' or 'coloured' for each channel."""
         small = self.largest < NEGLIGIBLE_CORRELATION
         return tuple(
-            'white' if white else 'nearly white' if little else 'coloured'
-            for white, little in zip(self.white.tolist(), small.tolist(), strict=True))
-
-    @property
-    def white(self) -> Mask:
-        """Which channels pass the test of whiteness (C,)."""
-        return ~(self.p_value < WHITENESS_P_VALUE)
+            'white' if not p < WHITENESS_P_VALUE else 'nearly white' if little else 'coloured'
+            for p, little in zip(self.p_value.tolist(), small.tolist(), strict=True))
 
     @property
     def largest(self) -> Array:
