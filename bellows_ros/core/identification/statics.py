@@ -375,38 +375,6 @@ MAX_CHI2 = 4.0
 """Chi^2 per degree of freedom above which standstills contradict the motions or each other."""
 
 
-def static_equations(
-    standstills: Sequence[Standstill], cup_length: float, structure: Structure, gravity: float,
-    stiffness: Array,
-) -> tuple[Array, Array, Array]:
-    """
-    Return A (6 H, n), b (6 H,) and g (6 H,) of b = A k + g dl, in errors of the mean poses.
-
-    But for errors of unit variance; dl is by how much the cup length is off, m.
-
-    Parameters
-    ----------
-    standstills : sequence of Standstill
-        H of them.
-    cup_length : float
-        Cup length l0, m.
-    structure : Structure
-        Of K; k are its n free entries.
-    gravity : float
-        m/s^2 along -z of the world.
-    stiffness : ndarray (6, 6)
-        A guess of K, by which errors of poses become errors of wrenches.
-
-    """
-    rows = np.concatenate([
-        _equations(still, cup_length, structure, gravity, stiffness) /
-        np.repeat(np.maximum(still.error, MIN_POSE_STD), 3)[:, None] for still in standstills])
-    A, b, by_length = rows[:, :-2], rows[:, -2], rows[:, -1]
-    large = structure.sizes(stiffness, stiffness)[:structure.size]
-    A[:, np.linalg.norm(A, axis=0) * large < NO_EFFECT] = 0.0
-    return A, b, by_length
-
-
 class Length(NamedTuple):
     """
     An uncertain cup length, and its effect on a fit of motions.
@@ -457,8 +425,12 @@ def joined_with_standstills(
     weight, z, covariance = 1.0, start, fit.covariance
     for _ in range(ROUNDS):
         guess = _guess(structure, z[:-1], covariance, typical)
-        of_K, b, by_length = static_equations(standstills, length.value, structure, gravity, guess)
-        A = np.hstack([of_K, np.zeros_like(of_K), length.std * by_length[:, None]])
+        rows = np.concatenate([_equations(still, length.value, structure, gravity, guess)
+                               for still in standstills])
+        of_K, b = rows[:, :-2], rows[:, -2]
+        large = structure.sizes(guess, guess)[:structure.size]
+        of_K[:, np.linalg.norm(of_K, axis=0) * large < NO_EFFECT] = 0.0
+        A = np.hstack([of_K, np.zeros_like(of_K), length.std * rows[:, -1:]])
         joint = result.covariance_of(prior + weight * A.T @ A)
         finite = np.where(np.isfinite(joint), joint, 0.0)  # other entries stay as they are
         z = start + finite @ (weight * A.T @ (b - A @ start))
@@ -486,7 +458,12 @@ def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) ->
 def _equations(
     still: Standstill, cup_length: float, structure: Structure, gravity: float, stiffness: Array
 ) -> Array:
-    """Return [A, b, g] (6, n + 2) in coordinates of the lip, g being the effect of the length."""
+    """
+    Return [A, b, g] (6, n + 2) of b = A k + g dl, in standard errors of the mean pose.
+
+    In coordinates of the lip; k are the n free entries of K, dl (m) is by how much the length is
+    off. By a guess of K (6, 6) errors of poses become errors of wrenches.
+    """
     x = structure.parameters(stiffness, stiffness)
     cup = gripper_of(Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)
     model = model_tuple(cup, still.payload, gravity)
@@ -507,4 +484,5 @@ def _equations(
     changes = np.vstack([R.T @ R_rest @ of_lip[:3], lie.dexp_inverse(-turn) @ of_lip[3:]])
     A = changes[:, :21] @ structure.upper[:21, :structure.size]
     b = A @ x[:structure.size] - np.concatenate([R.T @ shift, turn])
-    return np.column_stack([A, b, changes[:, 42]])
+    errors = np.repeat(np.maximum(still.error, MIN_POSE_STD), 3)
+    return np.asarray(np.column_stack([A, b, changes[:, 42]]) / errors[:, None])
