@@ -14,7 +14,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, log_so3, quaternion_to_rotation, transform
 from bellows_ros.core.identification import result
-from bellows_ros.core.identification.result import Fit, information_of
+from bellows_ros.core.identification.result import Fit, information_of, NOTES
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.model.kernels import ORIGIN
@@ -436,24 +436,20 @@ def _verdict(
     parts: Sequence[float],
 ) -> str:
     """Return the outcome in words."""
+    both = ' and '.join(names)
     if np.isnan(p):
-        return ('No parameter is identifiable from two of the recordings, so the cups cannot be '
-                'compared.')
+        return NOTES['not_comparable']
     if p >= DIFFERENCE_P_VALUE:
-        return ('The fits are consistent with one cup: K and P are the same for '
-                f'{" and ".join(names)} (probability of larger differences by chance: {p:.2g}).')
+        return NOTES['one_cup'].format(names=both, chance=p)
     row, column = divmod(int(np.argmax(np.abs(deviations))), deviations.shape[1])
     size = float(relative[row, column])
     differ = [name for name, p_value in zip('KP', parts, strict=True)
               if p_value < DIFFERENCE_P_VALUE]
-    which = f'{differ[0]} is' if len(differ) == 1 else 'K and P are'
     significant = relative[np.abs(deviations) > SIGNIFICANT_ERRORS]
     is_material = np.any(np.abs(significant) > MATERIAL_DIFFERENCE)
-    return (
-        f'The fits are not of one cup (chance {p:.1g}): {which} not the same for '
-        f'{" and ".join(names)}; {labels[column]} of {names[row]} is '
-        f'{abs(size) * 100:.2g} % {"above" if size > 0 else "below"} the common value, '
-        f'{abs(deviations[row, column]):.1f} standard errors. ' + (
-            'The model of stiffness and damping may not hold over this range.' if is_material else
-            f'The significant differences are below {MATERIAL_DIFFERENCE * 100:g} %, which hardly '
-            'matters.'))
+    return NOTES['other_cups'].format(
+        chance=p, which=f'{differ[0]} is' if len(differ) == 1 else 'K and P are', names=both,
+        label=labels[column], name=names[row], part=abs(size) * 100,
+        side='above' if size > 0 else 'below', errors=abs(deviations[row, column]),
+        meaning=NOTES['material' if is_material else 'immaterial'].format(
+            part=MATERIAL_DIFFERENCE * 100))

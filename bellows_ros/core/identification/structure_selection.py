@@ -14,6 +14,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.causes import Diagnosis, DOUBTED
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
+from bellows_ros.core.identification.result import NOTES
 from bellows_ros.core.identification.samples import Samples, SEED
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate, state_row, tool_rows
@@ -242,23 +243,17 @@ def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
     """Return the structure to take, and why."""
     eligible = [each for each in candidates if each.usable and np.isfinite(each.held_out)]
     sentences = [
-        f'{each.structure} cannot be fitted: {each.refused}' if each.refused else
-        f'{each.structure} gives no usable cup: K or P is not definite.' if not each.usable else
-        f'{each.structure} gives a cup whose simulation diverges on held-out parts.'
+        NOTES['no_fit' if each.refused else 'diverging' if each.usable else 'no_cup'].format(
+            structure=each.structure, refused=each.refused)
         for each in candidates if each not in eligible]
     if not eligible:
-        return candidates[0].structure, (
-            *sentences,
-            'No structure gives a cup that can be simulated. Check frames, alignment, '
-            'package.mass and package.com, and record a richer motion.')
+        return candidates[0].structure, (*sentences, NOTES['no_structure'])
     best = min(eligible, key=lambda candidate: candidate.held_out)
     advised = next(each for each in eligible if each is best or _is_as_good(each, best))
     errors = ', '.join(f'{each.structure} {each.held_out:.2%}' for each in eligible)
-    why = ('It has the smallest held-out error' if advised is best else
-           f'It is the simplest with a held-out error as small as that of {best.structure}')
-    sentences.insert(0, f'Use fit.structure: {advised.structure}. {why} (error over motion: '
-                        f'{errors}).')
-    return advised.structure, tuple(sentences)
+    why = NOTES['best' if advised is best else 'as_good'].format(best=best.structure)
+    advice = NOTES['advised'].format(structure=advised.structure, why=why, errors=errors)
+    return advised.structure, (advice, *sentences)
 
 
 def _is_as_good(candidate: Candidate, best: Candidate) -> bool:
