@@ -17,6 +17,7 @@ from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.recording.recording import BodyNoise, LOW_RATE_HZ, Recording
 from bellows_ros.core.signals.resampling import subdivided
+from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.savgol import bridged, savgol
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -193,7 +194,7 @@ class Segment:
         self.path = savgol(Trajectory(
             tool.stamps_ns, tool.position + lie.apply(tool.rotation, shift[:, :3]),
             tool.rotation @ lie.exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
-        self.deviation = _deviation(self.path, tool.select(self.inner))
+        self.deviation = relative_coordinates(self.path, tool.select(self.inner))
 
     def nodes(self, delay: float) -> Nodes:
         """Return the nodes, with the tool's stamps late by so many seconds."""
@@ -274,7 +275,7 @@ def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajecto
         return poses, noise
     smooth = bridged(poses)
     path = savgol(smooth, n, PATH_ORDER).select(slice(start - n, start - n + groups * count))
-    mean = _deviation(path, smooth.select(inner)).reshape(groups, count, 6).mean(axis=1)
+    mean = relative_coordinates(path, smooth.select(inner)).reshape(groups, count, 6).mean(axis=1)
     path = path.select(slice(half, None, count))
     lags = np.arange(1, count)
     variance = (1.0 + 2.0 * np.sum((1.0 - lags / count) * correlation**lags)) / count
@@ -288,15 +289,8 @@ def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajecto
 def _removed(tool: Trajectory, half_window: int, correlation: float) -> tuple[Array, float]:
     """Return the innovations (N, 6) of what a window removes, and the part of noise it leaves."""
     path = savgol(tool, half_window, PATH_ORDER)
-    removed = _deviation(path, tool.select(slice(half_window, len(tool) - half_window)))
+    removed = relative_coordinates(path, tool.select(slice(half_window, len(tool) - half_window)))
     return _innovations(removed, correlation)[1:], float(path.weights[0, half_window])
-
-
-def _deviation(path: Trajectory, poses: Trajectory) -> Array:
-    """Return shifts and turns (N, 6) from a path to poses, in axes of the path."""
-    back = np.swapaxes(path.rotation, 1, 2)
-    return np.hstack([
-        lie.apply(back, poses.position - path.position), lie.log_so3(back @ poses.rotation)])
 
 
 def _innovations(noise: Array, correlation: float) -> Array:

@@ -10,11 +10,10 @@ from collections.abc import Callable
 from math import pi
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.signals.resampling import filled
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 import scipy  # whose parts are loaded as they are used
 
@@ -207,27 +206,6 @@ def _fit(
 def _turn(ahead: Array, behind: Array) -> Array:
     """Return log(R_ahead R_behind^T) of quaternions, as in (4.45)."""
     return lie.log_quaternion(lie.quaternion_product(ahead, lie.quaternion_conjugate(behind)))
-
-
-def filtered(values: Array, weights: Array, index: Stamps) -> Array:
-    """
-    Return filtered values and, with all weights, their two derivatives (D, M, C) at some samples.
-
-    Parameters
-    ----------
-    values : ndarray (N, C)
-        Noise, for instance, at a uniform rate.
-    weights : ndarray (D, 2n+1)
-        Of the filter.
-    index : int ndarray (M,)
-        Of those samples, from n to N - n - 1.
-
-    """
-    windows = sliding_window_view(values, weights.shape[1], axis=0)
-    first = index - weights.shape[1] // 2
-    return np.concatenate([
-        np.einsum('mcj,dj->dmc', windows[first[k:k + BLOCK]], weights)
-        for k in range(0, len(index), BLOCK)], axis=1)
 
 
 def with_filtered_noise(

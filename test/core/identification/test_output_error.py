@@ -9,12 +9,13 @@ from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.search import Search
-from bellows_ros.core.identification.segments import _deviation, MeasuredSegment, Segment
+from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -218,7 +219,8 @@ def test_means_of_the_tool_are_where_it_is_and_as_noisy_as_said(correlation):
     noise = BodyNoise(np.repeat(CAPTURE, 3), correlation)
     for tool, most in ((true, 2e-7), (seen, np.inf)):
         own = Segment(replace(measured(5), tool=tool, tool_noise=noise))
-        off = _deviation(true.select(np.isin(true.stamps_ns, own.tool.stamps_ns)), own.tool)
+        off = relative_coordinates(
+            true.select(np.isin(true.stamps_ns, own.tool.stamps_ns)), own.tool)
         assert len(own.tool) < 0.2 * len(true) and np.abs(off).max() < most
     assert_allclose(off.std(axis=0), own.measured.tool_noise.std, rtol=0.15)
 
