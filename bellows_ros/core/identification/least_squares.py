@@ -18,7 +18,7 @@ from bellows_ros.core.identification import result
 from bellows_ros.core.identification import samples as sampling
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import Fit, IN_NULL_SPACE, MAX_RELATIVE_ERROR, NOTES
-from bellows_ros.core.identification.samples import joined, Moments, SampleEquations, Samples
+from bellows_ros.core.identification.samples import Equations, joined, Moments, Samples
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Relaxation
 from bellows_ros.errors import UndeterminedError
@@ -177,15 +177,15 @@ def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None
     structure = parts[0].structure
     whitening = whitening_of(joined(part.moments for part in parts).covariance(structure))
     noises = [part.noise for part in parts if part.noise is not None]
-    rows = (equations.stacked for equations in _rows(parts, whitening))
-    R = r_factor(rows, 2 * structure.size + 1)
+    size = 2 * structure.size + 1
+    R = r_factor((rows.reshape(-1, size) for rows, _ in _rows(parts, whitening)), size)
     return (whitening, solution(R, structure),
             np.sum(noises, axis=0) if len(noises) == len(parts) else None)
 
 
-def _rows(parts: Sequence[Statistics], whitening: Array) -> Iterator[SampleEquations]:
+def _rows(parts: Sequence[Statistics], whitening: Array) -> Iterator[Equations]:
     """Return the whitened rows of all parts."""
-    return (equations.whitened(whitening) for part in parts for equations in part.rows())
+    return ((whitening @ rows, clusters) for part in parts for rows, clusters in part.rows())
 
 
 def _uncertainty(
@@ -208,7 +208,8 @@ def _uncertainty(
     """
     size, colour, scores = len(x), np.linalg.inv(whitening), []
     squares, whitened, products = np.zeros(6), np.zeros(6), np.zeros((6, size, size))
-    for A, b, clusters in _rows(parts, whitening):
+    for rows, clusters in _rows(parts, whitening):
+        A, b = rows[..., :-1], rows[..., -1]
         Z, r = A @ inverse, b - A @ x
         squares += np.sum((r @ colour.T) ** 2, axis=0)
         whitened += np.sum(r**2, axis=0)
@@ -336,14 +337,14 @@ def relaxation_of(
 
 def _relaxing_rows(
     samples: Samples, cup_length: float, structure: Structure
-) -> Iterator[tuple[Array, list[slice]]]:
+) -> Iterator[Equations]:
     """Yield rows [L, L1, L2, c] (N, 6, q), L_b by r_b K, and the clusters, block by block."""
     n = structure.size
-    for static, *others in zip(*(
+    for (static, clusters), *others in zip(*(
             samples.relaxing(r).lip.equations(cup_length, structure)
             for r in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))), strict=True):
-        of_branches = [other.A[..., :n] - static.A[..., :n] for other in others]
-        yield np.dstack([static.A, *of_branches, static.b]), static.clusters
+        of_branches = [other[..., :n] - static[..., :n] for other, _ in others]
+        yield np.dstack([static[..., :-1], *of_branches, static[..., -1]]), clusters
 
 
 def _cluster_products(

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import samples as sampling
-from bellows_ros.core.identification.samples import LipMotion, Moments, SampleEquations, Samples
+from bellows_ros.core.identification.samples import Equations, LipMotion, Moments, Samples
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.model.validity_range import Envelope
@@ -70,9 +70,10 @@ def noise_products(
     draw = np.random.default_rng(seed)
     thinned = recording.thinned(NOISE_SAMPLES)
     rows = thinned.lip.equations(cup_length, structure)
-    for block, clean in zip(thinned.blocks(), rows, strict=False):
-        noisy = sampling.with_noise(block, noise, draw).lip.equations(cup_length, structure)
-        added = (next(noisy).stacked - clean.stacked).reshape(-1, 6 * size)
+    for block, (clean, _) in zip(thinned.blocks(), rows, strict=False):
+        noisy, _ = next(sampling.with_noise(block, noise, draw).lip.equations(
+            cup_length, structure))
+        added = (noisy - clean).reshape(-1, 6 * size)
         products += added.T @ added
     part = max(thinned.count, 1) / max(recording.count, 1)
     return products.reshape(6, size, 6, size) / part
@@ -111,7 +112,7 @@ class Statistics(NamedTuple):
     lip: LipMotion | None
     noise: Array | None
 
-    def rows(self) -> Iterator[SampleEquations]:
+    def rows(self) -> Iterator[Equations]:
         """Yield rows [L c], or others with the same inner products, cluster by cluster."""
         if self.lip is not None:
             yield from self.lip.equations(self.cup_length, self.structure)
@@ -119,7 +120,7 @@ class Statistics(NamedTuple):
             count, _, size, _ = self.r_factors.shape
             rows = self.r_factors.transpose(0, 2, 1, 3).reshape(count * size, 6, size)
             clusters = [slice(k * size, (k + 1) * size) for k in range(count)]
-            yield SampleEquations(rows[..., :-1], rows[..., -1], clusters)
+            yield rows, clusters
 
 
 def statistics(
@@ -143,9 +144,8 @@ def statistics(
     size = 2 * structure.size + 1
     r_factors = [np.empty((0, 6, size, size))]
     if not structure.couples:
-        for L, c, clusters in samples.lip.equations(cup_length, structure):
-            rows = np.dstack([L, c]).swapaxes(0, 1)
-            r_factors += [_component_r_factors(rows[:, part])[None] for part in clusters]
+        for rows, clusters in samples.lip.equations(cup_length, structure):
+            r_factors += [_component_r_factors(rows[part])[None] for part in clusters]
     return Statistics(
         structure, cup_length, samples.count, len(samples.tool) - samples.count,
         Moments.of(samples.lip.wrench), np.concatenate(r_factors),
@@ -154,10 +154,9 @@ def statistics(
 
 
 def _component_r_factors(rows: Array) -> Array:
-    """Return the R factors (6, q, q) of the rows [L c] (6, N, q) of a cluster."""
-    size = rows.shape[2]
-    few = np.zeros((6, max(size - rows.shape[1], 0), size))
-    return np.asarray(np.linalg.qr(np.concatenate([rows, few], axis=1), mode='r'))
+    """Return the R factors (6, q, q) of the rows [L c] (N, 6, q) of a cluster."""
+    few = np.zeros((max(rows.shape[2] - len(rows), 0), *rows.shape[1:]))
+    return np.asarray(np.linalg.qr(np.concatenate([rows, few]).swapaxes(0, 1), mode='r'))
 
 
 def envelope(samples: Samples, cup_length: float) -> Envelope:

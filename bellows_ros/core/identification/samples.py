@@ -8,7 +8,6 @@ being the parameters of K and P (4.66-4.68); and the same with noise once more.
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
@@ -41,21 +40,8 @@ MIN_RELATIVE_VARIANCE, ADDED_VARIANCE = 1e-10, 1e-8
 NO_HISTORY: Array = np.empty((0, 2, 9))
 
 
-class SampleEquations(NamedTuple):
-    """Equations A x = b of N samples: A (N, 6, p), b (N, 6), and which of the N are a cluster."""
-
-    A: Array
-    b: Array
-    clusters: list[slice]
-
-    @property
-    def stacked(self) -> Array:
-        """Rows [A b] (6 N, p + 1)."""
-        return np.dstack([self.A, self.b]).reshape(-1, self.A.shape[2] + 1)
-
-    def whitened(self, whitening: Array) -> 'SampleEquations':
-        """Return the same equations with their errors whitened."""
-        return SampleEquations(whitening @ self.A, self.b @ whitening.T, self.clusters)
+Equations = tuple[Array, list[slice]]
+"""Rows [A b] (N, 6, p + 1) of A x = b of N samples, and which of the N are a cluster."""
 
 
 def strain_history(position: Array, rotation: Array, rate_hz: float) -> Array:
@@ -128,9 +114,9 @@ class LipMotion:
         """Return how the lip is displaced from nominal (N, 6): E_o_S + l0 z (m), and rotation."""
         return np.hstack([self.position + [0.0, 0.0, cup_length], log_so3(self.rotation)])
 
-    def equations(self, cup_length: float, structure: Structure) -> Iterator[SampleEquations]:
+    def equations(self, cup_length: float, structure: Structure) -> Iterator[Equations]:
         """
-        Yield L and c of (4.67), (4.68), block by block.
+        Yield [L c] of (4.67), (4.68), block by block.
 
         Parameters
         ----------
@@ -148,7 +134,7 @@ class LipMotion:
             L = regressor(
                 cup_length, structure.model_basis, self.position[block], self.rotation[block],
                 self.twist[block], self.relaxation, strains)
-            yield SampleEquations(L, self.wrench[block], self._clusters(self.stamps_ns[block]))
+            yield np.dstack([L, self.wrench[block]]), self._clusters(self.stamps_ns[block])
 
     def _clusters(self, stamps_ns: Stamps) -> list[slice]:
         """Return samples cut into clusters that are several windows long."""

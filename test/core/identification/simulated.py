@@ -117,5 +117,5 @@ def wrench_covariance(samples, structure):
 
 def whitened_rows(samples, cup_length, structure, whitening):
     """Return the whitened rows [A b] of samples."""
-    return np.vstack([rows.whitened(whitening).stacked
-                      for rows in samples.lip.equations(cup_length, structure)])
+    return np.vstack([(whitening @ rows).reshape(-1, rows.shape[2])
+                      for rows, _ in samples.lip.equations(cup_length, structure)])
