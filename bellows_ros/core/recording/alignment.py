@@ -146,8 +146,6 @@ def world_rotation(world: str, gravity_direction: ArrayLike = DOWN) -> Array:
 
 def in_world(poses: Trajectory, R_world_recorded: Array) -> Trajectory:
     """Return recorded poses of any body in the world, by its `world_rotation`."""
-    if np.array_equal(R_world_recorded, np.eye(3)):
-        return poses
     return replace(poses, position=frozen(lie.apply(R_world_recorded, poses.position)),
                    rotation=frozen(R_world_recorded @ poses.rotation))
 
@@ -220,18 +218,17 @@ def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -
     """
     poses = poses.between(start_ns, start_ns + int(duration_s * NS_PER_S))
     rest = poses.select(poses.valid)
+    wrong = ''
     if len(rest) < max(MIN_SAMPLES_AT_REST, MIN_PART_AT_REST * len(poses)):
+        wrong = (f'only {len(rest)} of the {len(poses)} poses there are usable; expected at least '
+                 f'{MIN_SAMPLES_AT_REST} and half of them')
+    elif (still_s := _beginning(rest)[1]) < rest.seconds[-1]:
+        wrong = f'it stands still only for the first {still_s:.1f} s or so'
+    if wrong:
         raise BellowsError(
-            f'Alignment needs the {body} at rest in the first {duration_s:g} s, but only '
-            f'{len(rest)} of the {len(poses)} poses there are usable; expected at '
-            f'least {MIN_SAMPLES_AT_REST} and half of them. Set recording.rest_duration to the '
-            'actual standstill, or recording.align_at_rest to false.')
-    still_s = _beginning(rest)[1]
-    if still_s < rest.seconds[-1]:
-        raise BellowsError(
-            f'Alignment needs the {body} at rest in the first {duration_s:g} s, but it stands '
-            f'still only for the first {still_s:.1f} s or so. Set recording.rest_duration below '
-            'that, record a longer standstill, or set recording.align_at_rest to false.')
+            f'Alignment needs the {body} at rest in the first {duration_s:g} s, but {wrong}. Set '
+            'recording.rest_duration to the actual standstill, record a longer one, or set '
+            'recording.align_at_rest to false.')
     reference = _median_rotation(rest.rotation)
     near = _near(rest.position - np.median(rest.position, axis=0)) & _near(
         lie.log_so3(reference.T @ rest.rotation))
