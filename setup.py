@@ -86,7 +86,7 @@ setup(
     package_data={PACKAGE: [
         'py.typed', 'cli/commands.toml', 'core/identification/causes.toml',
         'core/identification/notes.toml', 'core/identification/quantities.toml',
-        'core/live/messages.toml', 'core/parameters/table.toml',
+        'core/live/messages.toml', 'core/observer/alarms.toml', 'core/parameters/table.toml',
         'core/recording/warnings.toml',
         'core/signals/refusals.toml', 'files/bellows_cup.h', 'files/cup.mjcf', 'files/cup.sdf',
         'files/exports.toml', 'files/motion.script', 'files/units.toml',

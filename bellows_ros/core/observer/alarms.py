@@ -20,8 +20,11 @@ are after those of the others, and its signature goes through a transition witho
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
+from pathlib import Path
 import re
+import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
@@ -34,32 +37,26 @@ from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
 from bellows_ros.core.observer.measurement import observed, OUTSIDE, Seen, updated, USED
 import numpy as np
 
-FORCE_LOSS = -ekf.FALLEN
-"""The row of the part of the force of the cup that is gone: the first of what falls."""
-
 LOG = 0.0
 """Stands for the unit of a component that is a logarithm, which is shown in percent."""
 
+SAID = tomllib.loads(Path(__file__).with_name('alarms.toml').read_text())
+"""Causes, and what is said of them."""
+
 
 class Cause(NamedTuple):
-    """A kind of fault."""
+    """A kind of fault, as the file has it."""
 
     name: str
     steps: tuple[tuple[int, ...], ...]
-    """The rows of the error that step, for each component of the fault."""
-    usual: tuple[float, ...]
-    """Prior standard deviations of the fault's components."""
-    ends: tuple[int, ...]
-    """How many of the components, from the first on, a fault of this kind has."""
+    """The rows of the error that step, for each component."""
+    usual: Sequence[float]
+    ends: Sequence[int]
     share: float
-    """Prior share among all faults."""
     at_start: bool
     sets_in: bool
-    """Whether it may be present from the start, and whether it may have an onset."""
     message: str
-    """The finding, by the sizes of its parts, and what to do; [] holds what it may lack."""
-    parts: tuple[tuple[int, int, float], ...] = ((0, 1, 1e3),)
-    """Components from first to before last make a size, shown in this unit."""
+    parts: Sequence[tuple[int, int, float]]
     every: int = 1
     """One in so many of the onsets is tested, and counts for all of them."""
     after_ns: int = 0
@@ -77,55 +74,21 @@ class Cause(NamedTuple):
     confused with another one, or the pose of a tag flip, for some frames. Neither falls."""
 
 
-CAUSES = (
-    Cause('slip', ((ekf.COM, ekf.SHIFT), (ekf.COM + 1, ekf.SHIFT + 1),
-                   *((ekf.MARKER + 3 + i,) for i in range(3))),
-          (3e-3, 3e-3, 0.1, 0.1, 0.1), (2, 5), 0.3, False, True,
-          'The grip has slipped by {} mm[ and turned by {} degrees]: move slower, or raise '
-          'the vacuum.', ((0, 2, 1e3), (2, 5, 180.0 / math.pi))),
-    Cause('leak', ((ekf.LENGTHENING,), tuple(range(ekf.STIFFNESS, ekf.STIFFNESS + 6))),
-          (15e-3, 0.2), (1, 2), 0.1, False, True,
-          'The cup yields by {} mm/s[ and its stiffness has changed by {} %], as with a leak: '
-          'check its lip and the vacuum.', ((0, 1, 1e3), (1, 2, LOG)), 2, 200_000_000),
-    Cause('wear', tuple(tuple(range(ekf.STIFFNESS + i, ekf.STIFFNESS + i + 3)) for i in (0, 3)),
-          (0.2, 0.2), (2,), 0.1, True, False,
-          'The stiffness of the cup is off by {} % in translation and {} % in rotation: '
-          "it is worn, or another cup is mounted. Identify it with 'bellows identify'.",
-          ((0, 1, LOG), (1, 2, LOG))),
-    Cause('payload', tuple((row,) for row in range(ekf.MASS, ekf.MASS + 4)),
-          (0.2, 0.01, 0.01, 0.01), (1, 4), 0.2, True, False,
-          'The mass is off by {} %[ and the centre of mass by {} mm]: correct package.*, or '
-          'state how uncertain they are (package.mass_std, package.com_std).',
-          ((0, 1, LOG), (1, 4, 1e3))),
-    Cause('lost', ((FORCE_LOSS,),), (0.3,), (1,), 0.1, False, True,
-          'The package is lost: stop the arm.', ((0, 1, 1.0),), 2, mean=1.0, least=0.3,
-          confirmed=1, confirmed_ns=0),
-    Cause('camera', tuple((row,) for row in range(ekf.CAMERA, ekf.CAMERA + 6)), (6e-3,) * 6,
-          (3, 6), 0.2, True, True,
-          'The camera sees the package shifted by {} mm[ and turned by {} degrees]: calibrate it.',
-          ((0, 3, 1e3), (3, 6, 180.0 / math.pi))),
-    Cause('latency', ((ekf.LATENCY,),), (0.05,), (1,), 0.1, True, False,
-          'The stamps of the camera are late by {} ms: stamp the exposure, or set '
-          'measured.latency_std.', least=0.015),
-    Cause('cup', ((),), (0.15,), (1,), 0.1, False, True,
-          'Cup {:.0f} of cup.layout, at x {:.0f} mm, y {:.0f} mm, holds no more ({}): check its '
-          'lip and its vacuum, and add it to cup.open.', ((0, 1, 100.0),), mean=1.0),
-)
+NAMED = {
+    name: Cause(name, **{**entry, 'steps': tuple(
+        tuple(getattr(ekf, row) + place for row, place in step) for step in entry['steps'])})
+    for name, entry in SAID['causes'].items()}
+CAUSES = tuple(NAMED.values())
 """
 The faults that are tested. The last is the loss of one cup of several: each cup that holds has
 its own columns, after all others.
 """
-NAMED = {cause.name: cause for cause in CAUSES}
 
 OUT_OF_REACH_ODDS = 100.0
 """Factor on the odds of a lost package by two poses where no cup can hold it."""
 
 VACUUM_ODDS = 1000.0
 """Factor by a vacuum that breaks down; one that holds divides by it."""
-
-SEES_ANOTHER = (
-    'The vacuum stays, but the camera sees the package where the cup cannot hold it: check the '
-    'camera, and the marker on the package.')
 
 START = tuple(cause for cause in CAUSES if cause.at_start)
 HYPOTHESES = START + tuple(cause for cause in CAUSES if cause.sets_in)
@@ -210,12 +173,7 @@ MIN_CLEAR_ODDS = 100.0
 ALIKE = frozenset(('wear', 'payload'))
 """Causes told apart by damping only: the message has both, whatever the odds."""
 
-DECIDES = {
-    ALIKE: ' Weigh the package to decide between them.',
-    frozenset(('slip', 'camera')): ' If the camera has moved, what stands still is shifted, too.',
-}
-"""What tells causes apart; of the first mass with inertia is K and P the other way round."""
-
+DECIDES = {frozenset(each['pair']): each['message'] for each in SAID['decides']}
 
 Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int]
 NO_FAULT = -math.inf, 0.0, (0, 0, 0), 0, (0, 0, 0), 1
@@ -400,7 +358,7 @@ class Alarms:
             odds *= VACUUM_ODDS ** (1 - 2 * is_held)
         if odds < 1.0:
             return Alarm(stamp_ns, second.name, reach, 0.0, lost.name, 1.0 / odds,
-                         SEES_ANOTHER + _runner_up(lost.name, 1.0 / odds))
+                         SAID['sees_another'] + _runner_up(lost.name, 1.0 / odds))
         return Alarm(stamp_ns, lost.name, 1.0, 0.0, second.name, odds,
                      lost.message + _runner_up(second.name, odds))
 

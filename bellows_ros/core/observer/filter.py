@@ -61,6 +61,9 @@ ONSETS = 12
 FALLEN = 7
 """Rows of what falls, after those of the error: see `alarms`."""
 
+FORCE_LOSS = -FALLEN
+"""The row of the part of the force of the cup that is gone: the first of what falls."""
+
 COVARIANCE_STEPS = 12
 """The covariance is propagated in steps up to this many times longer than the state's."""
 
