@@ -399,14 +399,6 @@ def accumulate(
     last[SECONDS] += h
 
 
-@array_kernel
-def averaged(A: Array, B: Array) -> Array:
-    """Write the mean of two arrays into the first, and return it."""
-    A += B
-    A *= 0.5
-    return A
-
-
 @kernel
 def identity_plus(factor: float, A: Array, out: Array) -> Array:
     """Write I + factor A, and return it."""
@@ -545,8 +537,8 @@ def propagated(
     k = first_after(stamps, now_ns, count)
     bias, follows, is_reset, h, squares = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
     nominal, model, max_step = model, with_theta(model, theta), stable_step(max_step, theta)
-    A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
-    A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
+    A0, B0 = np.zeros(Q.shape), np.zeros((6, T.shape[1]))
+    A1, B1 = np.zeros(Q.shape), np.zeros((6, T.shape[1]))
     losses0, losses1 = np.zeros((len(without_cup), 6, 13)), np.zeros((len(without_cup), 6, 13))
     while True:
         if follows and (is_reset or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
@@ -555,8 +547,8 @@ def propagated(
             write_losses(nominal, theta, cups[:len(without_cup)], tool, body, losses1)
             if not is_reset:
                 accumulate(
-                    averaged(A0, A1), averaged(B0, B1), h, 0.5 * squares * drive, T, Q,
-                    t3.scale(-1.0 / model[1][0], force), averaged(losses0, losses1), without_cup)
+                    0.5 * (A0 + A1), 0.5 * (B0 + B1), h, 0.5 * squares * drive, T, Q,
+                    t3.scale(-1.0 / model[1][0], force), 0.5 * (losses0 + losses1), without_cup)
             A0, B0, losses0, A1, B1, losses1 = A1, B1, losses1, A0, B0, losses0
             is_reset, h, squares = False, 0.0, 0.0
         if now_ns == until_ns:
@@ -660,27 +652,18 @@ def followed(
     stamp_ns: int, start: State, end: State, max_step: float, reach: float,
 ) -> tuple[State, Wrench, bool]:
     """Keep another sample of the tool; return the package there, and `checked_wrench`."""
-    model, max_step = model_with(row, branches, theta), stable_step(max_step, theta)
     stamps, starts, ends, bodies, k = samples
     stamps[k] = stamp_ns
     write_row(starts[k], start)
     write_row(ends[k], end)
-    seconds, tool = (stamp_ns - stamps[k - 1]) * 1e-9, start
-    parts = substeps_for(seconds, COVARIANCE_STEPS * max_step)
-    part = seconds / parts
-    for i in range(parts):
-        tool_end = end
-        if i < parts - 1:
-            tool_end = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / parts)
-        body = advanced_with_wrench(
-            model, wrench_bias(theta), body, tool, tool_end, part, substeps_for(part, max_step))
-        tool = tool_end
-    write_row(bodies[k], body)
-    wrench, is_sound = kernels.checked_wrench(model, end, body, reach)
+    body = body_at_end(
+        row, branches, (stamps[k - 1], start, body, theta), (stamps, starts, ends, bodies, k + 1),
+        stamp_ns, max_step)
+    wrench, is_sound = kernels.checked_wrench(model_with(row, branches, theta), end, body, reach)
     return body, wrench, is_sound
 
 
-@kernel
+@array_kernel
 def body_at_end(
     row: Any, branches: tuple[Branch, ...], beginning: Moving, samples: Samples, until_ns: int,
     max_step: float,
