@@ -79,7 +79,7 @@ class Pipeline:
     load : Load
         Safety factor of the grip, and distance from the validity range.
     pose_in, twist_in : SensorInput
-    compute : Window
+    compute : deque
         Computing times of messages, s.
     reported : Counter
         Counts up to the last report of the diagnostics.
@@ -90,7 +90,7 @@ class Pipeline:
         """Prepare the model, compile all it needs, and only then make the topics."""
         self.node, self.latest = node, None
         self.values: Values = with_chosen_cup(node.values)
-        self.compute, self.reported = health.Window(), Counter[str]()
+        self.compute, self.reported = health.window(), Counter[str]()
         self._twists_exist = False
         self._ticked_ns = 0
         self._was_late = self._is_compiling = False
@@ -162,7 +162,7 @@ class Pipeline:
             return
         arrival_ns = self.pose_in.note(stamp_ns)
         self.publish(self.live.on_pose, stamp_ns, frame_id, position, orientation, arrival_ns)
-        self.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
+        self.compute.append((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _on_twist(self, message: TwistStamped) -> None:
         """Predict with a twist of the tool."""
@@ -172,7 +172,7 @@ class Pipeline:
         arrival_ns = self.twist_in.note(stamp_ns)
         self.publish(self.live.on_twist, stamp_ns, vector(twist.linear), vector(twist.angular),
                      message.header.frame_id)
-        self.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
+        self.compute.append((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def advance(self, step: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a step of the live prediction does; start afresh where it raises."""
@@ -371,7 +371,7 @@ class SensorInput:
         simulated, which is looked up once a report.
         """
         arrival_ns = time.monotonic_ns()
-        if self.arrivals.is_empty:
+        if not self.arrivals.count:
             self._clock = self._node.get_clock()
             self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
         now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
@@ -467,7 +467,7 @@ class TransformInput(SensorInput):
 
     def _mismatch(self, publishers: int) -> str:
         """Return why there is no pose although there is a publisher."""
-        missing = self._chain.missing if publishers and self.arrivals.is_empty else ''
+        missing = self._chain.missing if publishers and not self.arrivals.count else ''
         return self._sentence('frames', missing) if missing else super()._mismatch(publishers)
 
 

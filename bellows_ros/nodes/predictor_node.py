@@ -304,18 +304,19 @@ class Diagnostics:
         pipeline: Pipeline | None = self._node.pipeline
         if pipeline is None:
             self._due.clear()
-            return [health.prediction_status('prediction', health.PredictionReport(
-                state, 'none', 'none', np.empty(0), {}, {}, 'unknown'))]
+            return [health.prediction_status(
+                'prediction', state, 'none', 'none', np.empty(0), {}, {}, 'unknown', True, False)]
         live = pipeline.live
         now = Counter({**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
         new, pipeline.reported = now - pipeline.reported, now
         restarts = {reason: new[reason] for reason in live.restarts}
         above = pipeline.is_above
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
-        lines = [health.prediction_status('prediction', health.PredictionReport(
-            state, live.phase(time.monotonic_ns()), pipeline.values['cup.name'] or 'cup.*',
-            pipeline.compute.reset(), {**live.counts, **failures}, restarts,
-            live.tool.verdict, pipeline.outputs.uncertainty.available, above))]
+        lines = [health.prediction_status(
+            'prediction', state, live.phase(time.monotonic_ns()),
+            pipeline.values['cup.name'] or 'cup.*', health.taken(pipeline.compute),
+            {**live.counts, **failures}, restarts, live.tool.verdict,
+            pipeline.outputs.uncertainty.available, above)]
         if state != 'active':
             return lines
         started = tuple(reason for reason, count in restarts.items() if count)

@@ -82,7 +82,7 @@ def signatures():
     return kernels
 
 def held():
-    partner.wait(lambda: predictor.pipeline.compute.count == 0)
+    partner.wait(lambda: not predictor.pipeline.compute)
     for got in (*heard, *answered):  # no message that came counts
         got[:] = [None] * len(got)
     gc.collect()

@@ -6,7 +6,7 @@ Rates, jitter, age and computing times of messages are kept in constant memory.
 OK: works as intended. WARN: works, but needs attention. ERROR: does not work.
 """
 
-from array import array
+from collections import deque
 from collections.abc import Mapping
 from enum import IntEnum
 from functools import partial
@@ -23,24 +23,16 @@ import numpy as np
 WINDOW_LENGTH = 2048
 
 
-class Window:
-    """The newest numbers since the last reset, at most `WINDOW_LENGTH`."""
+def window() -> deque[float]:
+    """Return a queue of the newest numbers, at most `WINDOW_LENGTH`."""
+    return deque(maxlen=WINDOW_LENGTH)
 
-    def __init__(self) -> None:
-        """Reserve the memory."""
-        self._values = array('d', bytes(8 * WINDOW_LENGTH))  # adding a number allocates nothing
-        self.count = 0
 
-    def add(self, value: float) -> None:
-        """Append a number."""
-        self._values[self.count % WINDOW_LENGTH] = value
-        self.count += 1
-
-    def reset(self) -> Array:
-        """Return the numbers since the last call, and begin again."""
-        values = np.array(self._values[:self.count])
-        self.count = 0
-        return values
+def taken(numbers: deque[float]) -> Array:
+    """Return the numbers of a queue, and begin again."""
+    values = np.array(numbers, np.float64)
+    numbers.clear()
+    return values
 
 
 def quantiles(values: Array) -> dict[str, float]:
@@ -57,25 +49,23 @@ class Arrivals:
     ----------
     last_ns : int
         When the newest came, -1 before the first.
+    count : int
+        How many came.
 
     """
 
     def __init__(self) -> None:
         """Start without arrivals."""
-        self.last_ns = -1
-        self._ages, self._intervals = Window(), Window()
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing has arrived since the last reset."""
-        return self._ages.count == 0
+        self.last_ns, self.count = -1, 0
+        self._ages, self._intervals = window(), window()
 
     def add(self, arrival_ns: int, age: float) -> None:
         """Record a message and its age (s)."""
         if self.last_ns >= 0:
-            self._intervals.add((arrival_ns - self.last_ns) * 1e-9)
+            self._intervals.append((arrival_ns - self.last_ns) * 1e-9)
         self.last_ns = arrival_ns
-        self._ages.add(age)
+        self.count += 1
+        self._ages.append(age)
 
     def reset(self) -> tuple[int, float, float, dict[str, float]]:
         """
@@ -83,10 +73,10 @@ class Arrivals:
 
         Number, rate (Hz), jitter and age (s) as in `InputReport`; NaN where too few did.
         """
-        count, intervals = self._ages.count, self._intervals.reset()
+        count, self.count, intervals = self.count, 0, taken(self._intervals)
         mean = float(intervals.mean()) if len(intervals) else math.nan
         return (count, 1.0 / mean if mean > 0.0 else math.nan,
-                float(intervals.std()) if len(intervals) else 0.0, quantiles(self._ages.reset()))
+                float(intervals.std()) if len(intervals) else 0.0, quantiles(taken(self._ages)))
 
 
 MAX_AGE = 1.0
@@ -139,11 +129,6 @@ def number(value: float) -> str:
     return f'{value:.4g}' if math.isfinite(value) else 'none'
 
 
-def input_status(name: str, report: InputReport, optional: bool = False) -> Status:
-    """Return the status of an input; one that is optional may be absent."""
-    return Status(name, *_judge_input(report, optional), _values(report))
-
-
 def _values(report: InputReport) -> dict[str, str]:
     """Return the numbers of an input."""
     numbers = {
@@ -174,26 +159,25 @@ def _first(*cases: tuple[object, Level, str]) -> tuple[Level, str]:
     return next((level, message) for applies, level, message in cases if applies)
 
 
-def _judge_input(report: InputReport, optional: bool) -> tuple[Level, str]:
-    """Return level and message of an input."""
+def input_status(name: str, report: InputReport, optional: bool = False) -> Status:
+    """Return the status of an input; one that is optional may be absent."""
     topic, rate, age, silent = report.topic, report.rate_hz, report.age['p50'], report.silent
     worst = Level.WARN if optional else Level.ERROR
     refused = sum(report.refused.values())
     since = f'for {silent:.1f} s' if math.isfinite(silent) else 'so far'
-    if report.messages == 0:
-        return _first(
-            (report.mismatch, worst, report.mismatch),
-            (report.publishers, worst, INPUTS['silent'].format(topic=topic, since=since)),
-            (optional, Level.OK, INPUTS['estimated'].format(topic=topic)),
-            (True, worst, INPUTS['absent'].format(topic=topic)))
-    return _first(
+    level, message = _first(
         (refused >= report.messages, worst, f'{_refusals(report)}.'),
         (refused, Level.WARN, f'{_refusals(report)}.'),
         (report.mismatch, Level.WARN, report.mismatch),
         (age > MAX_AGE, Level.WARN, INPUTS['behind'].format(seconds=age)),
         (age < -MAX_AGE, Level.WARN, INPUTS['ahead'].format(seconds=-age)),
         (math.isfinite(rate), Level.OK, f'{rate:.4g} Hz.'),
-        (True, Level.OK, 'A single message.'))
+        (True, Level.OK, 'A single message.')) if report.messages else _first(
+        (report.mismatch, worst, report.mismatch),
+        (report.publishers, worst, INPUTS['silent'].format(topic=topic, since=since)),
+        (optional, Level.OK, INPUTS['estimated'].format(topic=topic)),
+        (True, worst, INPUTS['absent'].format(topic=topic)))
+    return Status(name, level, message, _values(report))
 
 
 def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> Status:
@@ -212,15 +196,9 @@ def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> 
 
     A latched one is sent when it changes, and may be silent after its first message.
     """
-    values = _values(report) | {'held': str(held).lower()}
-    return Status(name, *_judge_vacuum(report, held, latched), values)
-
-
-def _judge_vacuum(report: InputReport, held: bool, latched: bool) -> tuple[Level, str]:
-    """Return level and message of the vacuum signal."""
     worst = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
     state, topic = f'the package counts as {"" if held else "not "}held', report.topic
-    return _first(
+    level, message = _first(
         (report.mismatch, worst, report.mismatch),
         (not report.publishers, worst, INPUTS['no_vacuum'].format(topic=topic, state=state)),
         (any(report.refused.values()), worst,
@@ -229,55 +207,52 @@ def _judge_vacuum(report: InputReport, held: bool, latched: bool) -> tuple[Level
         (not (report.messages or latched), worst,
          f'{topic} has been silent for {report.silent:.1f} s: {state}.'),
         (True, Level.OK, 'Held.' if held else 'Not held.'))
+    return Status(name, level, message, _values(report) | {'held': str(held).lower()})
 
 
-class PredictionReport(NamedTuple):
-    """The prediction since the last report."""
+def prediction_status(
+    name: str, state: str, phase: str, cup: str, compute: Array, counts: Mapping[str, int],
+    restarts: Mapping[str, int], twist_verdict: str, has_covariance: bool, above: bool,
+) -> Status:
+    """
+    Return the status of the prediction since the last report.
 
-    state: str
-    """Of the lifecycle: 'active' or another."""
-    phase: str
-    cup: str
-    compute: Array
-    """Seconds from each message's arrival until its predictions were published."""
-    counts: Mapping[str, int]
-    """Since the start."""
-    restarts: Mapping[str, int]
-    """Since the last report."""
-    twist_verdict: str
-    has_covariance: bool = True
-    """Whether the odometry's covariance is one."""
-    above: bool = False
-    """Whether z of the tool points down, so that the package is above it."""
+    Parameters
+    ----------
+    name : str
+        Of the line.
+    state : str
+        Of the lifecycle: 'active' or another.
+    phase, cup, twist_verdict : str
+        As of `LivePredictor.phase`, the cup in use, and as of `ToolMotion.verdict`.
+    compute : array
+        Seconds from each message's arrival until its predictions were published.
+    counts, restarts : mapping of str to int
+        Since the start, and since the last report.
+    has_covariance, above : bool
+        Whether the odometry's covariance is one; whether z of the tool points down, so that the
+        package is above it.
 
-
-def prediction_status(name: str, report: PredictionReport) -> Status:
-    """Return the status of the prediction."""
-    return Status(name, *_judge_prediction(report), {
-        'lifecycle': report.state, 'phase': report.phase, 'cup': report.cup,
-        **{f'compute time {which} (us)': number(1e6 * seconds)
-           for which, seconds in quantiles(report.compute).items()},
-        'twists against poses': report.twist_verdict,
-        **{name: str(count) for name, count in report.counts.items()}})
-
-
-def _judge_prediction(report: PredictionReport) -> tuple[Level, str]:
-    """Return level and message of the prediction."""
-    restarts, phase, verdict = report.restarts, report.phase, report.twist_verdict
+    """
     failures, reasons = restarts.get('failure'), _listed(restarts)
-    return _first(
-        (report.state != 'active', Level.OK,
-         f'{report.state.capitalize()}: nothing is published.'),
+    level, message = _first(
+        (state != 'active', Level.OK, f'{state.capitalize()}: nothing is published.'),
         (restarts.get('no_equilibrium'), Level.ERROR, FAULTS['no_equilibrium']),
         (failures, Level.ERROR,
          f'{failures} callbacks failed, a fault of this node. Report its log.'),
         (phase == 'lost', Level.ERROR, PHASES['lost']),
-        (report.above, Level.ERROR, FAULTS['above']),
+        (above, Level.ERROR, FAULTS['above']),
         (reasons, Level.WARN, f'Started again from static equilibrium: {reasons}.'),
         (phase in ('coasting', 'settling'), Level.WARN, PHASES.get(phase, '')),
-        (verdict in TWISTS, Level.WARN, TWISTS.get(verdict, '')),
-        (not report.has_covariance, Level.WARN, FAULTS['no_covariance']),
+        (twist_verdict in TWISTS, Level.WARN, TWISTS.get(twist_verdict, '')),
+        (not has_covariance, Level.WARN, FAULTS['no_covariance']),
         (True, Level.OK, PHASES.get(phase, 'Predicting.')))
+    return Status(name, level, message, {
+        'lifecycle': state, 'phase': phase, 'cup': cup,
+        **{f'compute time {which} (us)': number(1e6 * seconds)
+           for which, seconds in quantiles(compute).items()},
+        'twists against poses': twist_verdict,
+        **{name: str(count) for name, count in counts.items()}})
 
 
 def load_status(

@@ -23,13 +23,13 @@ REPORT = InputReport('/topic', 1, '', 500, 500.0, 1e-5, {'p50': 2e-3}, 3.0, {}, 
 
 
 def test_window_keeps_the_newest_and_begins_again():
-    window = health.Window()
+    window = health.window()
     for value in range(health.WINDOW_LENGTH + 1000):
-        window.add(float(value))
-    p50, p99, largest = quantiles(window.reset()).values()
+        window.append(float(value))
+    p50, p99, largest = quantiles(health.taken(window)).values()
     assert largest == health.WINDOW_LENGTH + 999
     assert_allclose((p50, p99), 1000 + np.multiply((0.5, 0.99), health.WINDOW_LENGTH), rtol=1e-3)
-    assert all(map(math.isnan, quantiles(window.reset()).values()))
+    assert all(map(math.isnan, quantiles(health.taken(window)).values()))
 
 
 def test_rate_jitter_and_age():
@@ -138,9 +138,10 @@ def of_vacuum(held, latched, **changes):
 
 
 def of_prediction(**changes):
-    return health.prediction_status('x', health.PredictionReport(
-        'active', 'predicting', 'cup.*', np.full(9, 1e-4), {}, {'gap': 0}, 'fits',
-    )._replace(**changes))
+    return health.prediction_status('x', **{
+        'state': 'active', 'phase': 'predicting', 'cup': 'cup.*', 'compute': np.full(9, 1e-4),
+        'counts': {}, 'restarts': {'gap': 0}, 'twist_verdict': 'fits', 'has_covariance': True,
+        'above': False, **changes})
 
 
 def of_load(factor, bending):
