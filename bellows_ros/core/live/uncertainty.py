@@ -185,19 +185,15 @@ class Uncertainty:
         if prediction.coasting:
             seconds = (prediction.stamp_ns - self._measured_ns) * 1e-9
             parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING_STD)
-        if prediction.unsettled is not None:
-            parts.append(self._settling_error(prediction.unsettled, prediction.stamp_ns))
+        if start := prediction.unsettled:  # what remains of earlier errors, one column each
+            if start.since_ns != self._transient_since_ns:
+                seconds = max(0.0, (prediction.stamp_ns - start.since_ns) * 1e-9)
+                self._transient = expm(self._A * seconds)[:, :12]
+                self._transient_since_ns = start.since_ns
+            parts.append(self._transient[:12] * np.repeat(start[1:], 3))
         turn = np.eye(12)  # a twist's error follows the error phi of its axes: v x phi
         turn[6:9, 3:6], turn[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
         return np.asarray(turn @ np.hstack(parts))
-
-    def _settling_error(self, start: Unsettled, stamp_ns: int) -> Array:
-        """Return what remains (12, 12) of earlier errors of a state, one column each."""
-        if start.since_ns != self._transient_since_ns:
-            seconds = max(0.0, (stamp_ns - start.since_ns) * 1e-9)
-            self._transient = expm(self._A * seconds)[:, :12]
-            self._transient_since_ns = start.since_ns
-        return np.asarray(self._transient[:12] * np.repeat(start[1:], 3))
 
     def _linearise(self, tool: State) -> None:
         """Prepare the small motions about the package's rest under a tool."""
