@@ -119,15 +119,7 @@ SLOTS = (1,) * AT_START + tuple(ONSETS // every for every in EVERY[AT_START:])
 """Onsets of each hypothesis, ..."""
 COLUMNS = tuple(np.cumsum([0, *(
     slots * len(cause.steps) for cause, slots in zip(HYPOTHESES, SLOTS, strict=True))]).tolist())
-"""... where its signatures begin: for each component, one for each onset, ..."""
-STATISTICS = tuple((1 + ONSETS + np.cumsum([0, *(
-    slots * len(cause.steps) * (len(cause.steps) + 3) // 2
-    for cause, slots in zip(HYPOTHESES, SLOTS, strict=True))])).tolist())
-"""
-... and its scores, ordered alike, in the statistics of `Evidence`, which begin with the squared
-distances since each onset. After its scores is the lower triangle of its information, row by row,
-each entry for all onsets.
-"""
+"""... and where its signatures begin: for each component, one for each onset."""
 MAX_COMPONENTS = max(len(cause.steps) for cause in HYPOTHESES)
 
 MARGIN, GRIPPER_MARGIN = -2.0, -1.0
@@ -249,11 +241,12 @@ class Alarms:
 
         Faults from the start begin at a stamp.
         """
+        columns = COLUMNS[CUP] + cups * ONSETS
         none = Evidence(
-            np.zeros((len(self.steps), COLUMNS[CUP] + cups * ONSETS), np.float32),
-            np.zeros(STATISTICS[CUP] + 2 * cups * ONSETS),
+            np.zeros((len(self.steps), columns), np.float32),
+            np.zeros((1 + MAX_COMPONENTS, columns)), np.zeros(1 + ONSETS),
             np.repeat([[0], [-1]], 1 + ONSETS, axis=1), (), from_start)
-        _add_onset(*none[:3], self.steps, stamp_ns, place, 1)
+        _add_onset(*none[:4], self.steps, stamp_ns, place, 1)
         return none
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:
@@ -311,21 +304,20 @@ class Alarms:
         of two relative ones.
         """
         onset, number, components = fault
-        h, column, block = _layout(number)
+        h, column = _layout(number)
         cause = HYPOTHESES[h] if number < CUP else self._cup(
             holding[number - CUP], 'lost: {} % of its wrench')
         slots, slot = SLOTS[h], max(onset - 1, 0) // EVERY[h]
         usual, mean = np.array(cause.usual[:components]), np.full(components, cause.mean)
-        of_slot = evidence.statistics[block + slot::slots]
-        J, n = np.zeros((components, components)), len(cause.steps)
-        J[np.tril_indices(components)] = of_slot[n:n + components * (components + 1) // 2]
-        J += np.tril(J, -1).T
+        columns = column + slot + slots * np.arange(components)
+        d, *products = evidence.statistics[:1 + components, columns]
+        J = products + np.triu(products, 1).T
         for _ in range(1 if cause.mean else SIZE_ROUNDS):  # a large fault has larger parts
             P = np.asarray(np.linalg.inv(J + np.diag(usual ** -2.0)), np.float64)
-            size = mean + P @ (of_slot[:components] - J @ mean)
+            size = mean + P @ (d - J @ mean)
             if not cause.mean:
                 usual = usual * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / usual**2)))
-        E: Array = evidence.signatures[:-ekf.FALLEN, column + slot::slots][:, :components]
+        E: Array = evidence.signatures[:-ekf.FALLEN, columns]
         made = size if number < CUP else mean  # the model goes on without the whole of a cup
         parts = [part for part in cause.parts if part[2] == cause.parts[0][2] == LOG] or (
             cause.parts[:1])
@@ -393,7 +385,7 @@ def _length(size: Array, P: Array, first: int, end: int, unit: float) -> tuple[f
 def filter_step(
     row: Any, branches: tuple[Branch, ...], estimate: ekf.EstimateTuple, samples: ekf.Samples,
     is_recorded: bool, until_ns: int, max_step: float, noise: tuple[Array, Array],
-    faults: tuple[Any, Array, Stamps, bool, Array], cups: Array, seen: Seen,
+    faults: tuple[Any, Array, Array, Stamps, bool, Array], cups: Array, seen: Seen,
 ) -> Any:
     """
     Propagate an estimate to a later stamp, correct it with a measurement there, assess faults.
@@ -405,7 +397,7 @@ def filter_step(
     and what `_assessed` returns.
     """
     model, seconds = model_of(row, branches), (until_ns - estimate[0]) * 1e-9
-    E, statistics, onsets, from_start, steps = faults
+    E, statistics, distances, onsets, from_start, steps = faults
     verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
     after, E = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
@@ -413,26 +405,28 @@ def filter_step(
     if seen[5] > 0.0:
         verdict, innovation, body, theta, learned = updated(model, after, seconds, seen)
         if len(E) > 0 and verdict <= OUTSIDE:
-            statistics, onsets = statistics.copy(), onsets.copy()
+            statistics, distances = statistics.copy(), distances.copy()
+            onsets = onsets.copy()
             likeliest = _assessed(
-                E, statistics, onsets, steps, until_ns, body[0], innovation, seen[3][2],
-                verdict == USED, from_start)
+                E, statistics, distances, onsets, steps, until_ns, body[0], innovation,
+                seen[3][2], verdict == USED, from_start)
         if likeliest[0] < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
-    return (verdict, (until_ns, tool, body, theta, P, memory), (E, statistics, onsets), likeliest)
+    return (verdict, (until_ns, tool, body, theta, P, memory),
+            (E, statistics, distances, onsets), likeliest)
 
 
 @kernel
-def _layout(number: int) -> tuple[int, int, int]:
-    """Return of a fault its hypothesis, and where its signatures and its statistics begin."""
+def _layout(number: int) -> tuple[int, int]:
+    """Return of a fault its hypothesis, and where its signatures begin."""
     h = min(number, CUP)
-    return h, COLUMNS[h] + (number - h) * ONSETS, STATISTICS[h] + (number - h) * 2 * ONSETS
+    return h, COLUMNS[h] + (number - h) * ONSETS
 
 
 @array_kernel
 def _assessed(
-    E: Any, statistics: Array, onsets: Stamps, steps: Array, stamp_ns: int, place: Vector,
-    innovation: tuple[Array, Array, Array, float, Array], of_lip: bool, used: bool,
+    E: Any, statistics: Array, distances: Array, onsets: Stamps, steps: Array, stamp_ns: int,
+    place: Vector, innovation: tuple[Array, Array, Array, float, Array], of_lip: bool, used: bool,
     from_start: bool,
 ) -> Likeliest:
     """
@@ -462,20 +456,22 @@ def _assessed(
         root.astype(np.float32), response, np.empty((6, E.shape[1]), np.float32))
     counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
     if counts[0] >= MAX_COUNT:
-        counts[0], statistics[0] = MIN_NOISE_COUNT, 6.0 * MIN_NOISE_COUNT
-        statistics[STATISTICS[0]:STATISTICS[AT_START]] = 0.0
+        counts[0], distances[0] = MIN_NOISE_COUNT, 6.0 * MIN_NOISE_COUNT
+        statistics[:, :COLUMNS[AT_START]] = 0.0
     for k in range(1 + ONSETS):
         if onsets[1, k] >= 0:
-            statistics[k] += (z * z).sum() if is_settled else 0.0
+            distances[k] += (z * z).sum() if is_settled else 0.0
             counts[k] += 1
     faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
-    for number in range(faults if counts[0] > SETTLING else 0):
-        _add_statistics(change, z, number, statistics)
+    if counts[0] > SETTLING:
+        t3.add_product(z.reshape((1, 6)), change, statistics[:1])
+        for number in range(faults):
+            _add_products(change, number, statistics)
     if used:
         t3.subtract_product(whitened.astype(np.float32), change, E)
-    likeliest = _likeliest_fault(statistics, onsets, from_start, faults)
+    likeliest = _likeliest_fault(statistics, distances, onsets, from_start, faults)
     if counts[0] >= SETTLING and stamp_ns - onsets[1].max() >= ONSET_NS:
-        _add_onset(E, statistics, onsets, steps, stamp_ns, place, likeliest[5])
+        _add_onset(E, statistics, distances, onsets, steps, stamp_ns, place, likeliest[5])
     return likeliest
 
 
@@ -509,8 +505,8 @@ def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
 
 @kernel
 def _add_onset(
-    E: Any, statistics: Array, onsets: Stamps, steps: Array, stamp_ns: int, place: Vector,
-    pinned: int,
+    E: Any, statistics: Array, distances: Array, onsets: Stamps, steps: Array, stamp_ns: int,
+    place: Vector, pinned: int,
 ) -> None:
     """
     Write the error that each fault causes with an onset now, into a slot of `_free_slot`.
@@ -518,65 +514,57 @@ def _add_onset(
     A camera that turns, turns about the place (m, world) of the package.
     """
     k = _free_slot(onsets[1], stamp_ns, pinned)
-    statistics[k], onsets[0, k], onsets[1, k] = 0.0, 0, stamp_ns
+    distances[k], onsets[0, k], onsets[1, k] = 0.0, 0, stamp_ns
     faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
     for number in range(0 if k == 0 else AT_START, AT_START if k == 0 else faults):
-        h, column, block = _layout(number)
+        h, column = _layout(number)
         if (k - 1) % EVERY[h] > 0 and k > 0:
             continue
         first, slots, slot = FIRSTS[h], SLOTS[h], max(k - 1, 0) // EVERY[h]
-        n = FIRSTS[h + 1] - first
-        for a in range(n):
+        for a in range(FIRSTS[h + 1] - first):
             signature = E[:, column + a * slots + slot]
+            statistics[:, column + a * slots + slot] = 0.0
             signature[:] = steps[:, first + a]
             x, y, z = signature[ekf.CAMERA + 3:ekf.CAMERA + 6]
             shift = t3.cross(place, (x, y, z))
             for i in range(3):
                 signature[ekf.CAMERA + i] += shift[i]
-        statistics[block + slot:block + slots * n * (n + 3) // 2:slots] = 0.0
 
 
 @kernel
-def _add_statistics(change: Array, z: Array, number: int, statistics: Array) -> None:
-    """Add what a measurement, which a fault changes, says of the fault's sizes."""
-    h, column, block = _layout(number)
-    n, m, row = FIRSTS[h + 1] - FIRSTS[h], SLOTS[h], 0
-    J = statistics[block + n * m:]
-    for a in range(n):
+def _add_products(change: Array, number: int, statistics: Array) -> None:
+    """Add what a measurement, which a fault changes, says of how sure the fault's sizes are."""
+    h, column = _layout(number)
+    m = SLOTS[h]
+    for a in range(FIRSTS[h + 1] - FIRSTS[h]):
         i = column + a * m
-        d = statistics[block + a * m:block + (a + 1) * m]
-        for k in range(m):
-            d[k] += (
-                change[0, i + k] * z[0] + change[1, i + k] * z[1] + change[2, i + k] * z[2]
-                + change[3, i + k] * z[3] + change[4, i + k] * z[4] + change[5, i + k] * z[5])
         for b in range(a + 1):
-            j = column + b * m
+            j, J = column + b * m, statistics[1 + b, i:]
             for k in range(m):
-                J[row + k] += (
+                J[k] += (
                     change[0, i + k] * change[0, j + k] + change[1, i + k] * change[1, j + k]
                     + change[2, i + k] * change[2, j + k] + change[3, i + k] * change[3, j + k]
                     + change[4, i + k] * change[4, j + k] + change[5, i + k] * change[5, j + k])
-            row += m
 
 
 @array_kernel
 def _likeliest_fault(
-    statistics: Array, onsets: Stamps, from_start: bool, faults: int
+    statistics: Array, distances: Array, onsets: Stamps, from_start: bool, faults: int
 ) -> Likeliest:
     """Return what `_assessed` does."""
     causes = OF_CAUSE[CUP] + faults - CUP
     top, sums, best = np.full(causes, -math.inf), np.zeros(causes), np.zeros((causes, 3), np.int64)
     A, z = np.empty((MAX_COMPONENTS, MAX_COMPONENTS, ONSETS)), np.empty((MAX_COMPONENTS, ONSETS))
     explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
-    unusual = np.where(onsets[0] > 0, statistics[:1 + ONSETS] - 6.0 * onsets[0] - 4.0 * np.sqrt(
-        12.0 * onsets[0]), math.inf)
+    unusual = np.where(
+        onsets[0] > 0, distances - 6.0 * onsets[0] - 4.0 * np.sqrt(12.0 * onsets[0]), math.inf)
     for number in range(0 if from_start else AT_START, faults):
-        h, _, block = _layout(number)
+        h, column = _layout(number)
         first, later = FIRSTS[h], h >= AT_START
         weight = math.log(EVERY[h] if later else START_WEIGHT)
         explained[:], determinant[:] = 0.0, 1.0
         for i in range(FIRSTS[h + 1] - first):
-            _explain(statistics[block:], h, i, A, z, explained, determinant)
+            _explain(statistics[:, column:], h, i, A, z, explained, determinant)
             if IS_END[first + i]:
                 c = OF_CAUSE[h] + number - h
                 slot, top[c], sums[c] = _sum_over_onsets(
@@ -644,18 +632,17 @@ def _explain(
     A (6, 6, n) and z (6, n) hold the factors of the components before.
     """
     first, m = FIRSTS[h], SLOTS[h]
-    n, usual = FIRSTS[h + 1] - first, USUAL[first + i]
-    d, J = statistics[i * m:], statistics[(n + i * (i + 1) // 2) * m:]
+    usual, d, J = USUAL[first + i], statistics[0, i * m:], statistics[1:, i * m:]
     for k in range(m):
         z[i, k] = usual * d[k]
     if MEANS[h] != 0.0:
         for k in range(m):
-            explained[k] = 2.0 * d[k] - J[k]
-            z[i, k] -= usual * J[k]
+            explained[k] = 2.0 * d[k] - J[0, k]
+            z[i, k] -= usual * J[0, k]
     for j in range(i + 1):
         both, one = usual * USUAL[first + j], 1.0 if i == j else 0.0
         for k in range(m):
-            A[i, j, k] = both * J[j * m + k] + one
+            A[i, j, k] = both * J[j, k] + one
     _eliminate(A, z, i, m)
     for k in range(m):
         explained[k] += z[i, k] ** 2 / A[i, i, k]

@@ -282,17 +282,17 @@ class Correction:
         evidence, theta = before.evidence, before.theta.copy()
         late = (measurement.stamp_ns - stamp_ns) * 1e-9 if gate > 0.0 else 0.0
         theta[ekf.LATENCY - STATE] -= late  # the pose is read so much earlier
-        verdict, numbers, (E, statistics, onsets), likeliest = alarms.filter_step(
+        verdict, numbers, (E, statistics, distances, onsets), likeliest = alarms.filter_step(
             self.row(before.lost_cups), self.branches, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
-            (self._drive, self._walk), (*evidence[:3], evidence.from_start, self._steps),
+            (self._drive, self._walk), (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
             (*measurement[1:], self._marker, self.holding_reach, gate))
         _, tool, body, theta, P, memory = numbers
         theta[ekf.LATENCY - STATE] += late
         return verdict, Estimate(
             stamp_ns, tool, body, theta, P, memory,
-            Evidence(E, statistics, onsets, *evidence[3:]), *before[7:]), likeliest
+            Evidence(E, statistics, distances, onsets, *evidence[4:]), *before[7:]), likeliest
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp; the package has been there before."""
@@ -365,9 +365,9 @@ class Correction:
         P[rows, rows] += np.square(self.prior[rows])
         restarted = estimate._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
         _, after, _ = self._step(restarted, track, stamp_ns, True, measurement, math.inf)
-        _, _, onsets, _, from_start = estimate.evidence
+        from_start = estimate.evidence.from_start
         # a fault found so early has been there since the beginning
-        from_start &= bool(onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
+        from_start &= bool(estimate.evidence.onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
         return after._replace(
             memory=memory, gated_ns=(), away_ns=0,
             evidence=self._evidence(stamp_ns, after.body, estimate.lost_cups, from_start))

@@ -83,7 +83,9 @@ class Evidence(NamedTuple):
     signatures: Any
     """(n + 7, columns), of single precision: they are the larger part of the work."""
     statistics: Array
-    """Squared distances since each onset, scores and information, see `alarms.STATISTICS`."""
+    """Score of each signature, and its products with those of the components up to its own."""
+    distances: Array
+    """Squared, the sum since each onset."""
     onsets: Stamps
     """Measurements since each onset, and its stamp (ns): (2, onsets)."""
     suspect_ns: tuple[int, ...] = ()
@@ -93,7 +95,7 @@ class Evidence(NamedTuple):
 
 
 NO_EVIDENCE = Evidence(
-    np.zeros((0, 0), np.float32), np.zeros(0), np.zeros((2, 0), np.int64))
+    np.zeros((0, 0), np.float32), np.zeros((0, 0)), np.zeros(0), np.zeros((2, 0), np.int64))
 """Where no faults are looked for."""
 
 

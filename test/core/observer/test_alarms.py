@@ -280,24 +280,23 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 def test_likeliest_onsets_keep_their_slots():
     """Put a new onset elsewhere than the likeliest ones, from whose slots an alarm has sizes."""
     made = Alarms(1.0, 49, False, SINGLE)
-    E, statistics, onsets, *_ = made.start(1, ZERO, 0)
+    E, statistics, distances, onsets, *_ = made.start(1, ZERO, 0)
 
     def add(k, pinned):
         alarms._add_onset(
-            E, statistics, onsets, made.steps, 1_000_000_000 + k * alarms.ONSET_NS, ZERO, pinned)
+            E, statistics, distances, onsets, made.steps,
+            1_000_000_000 + k * alarms.ONSET_NS, ZERO, pinned)
 
     for k in range(ekf.ONSETS):
         add(k, 1)
-    statistics[:] = np.random.default_rng(1).normal(size=len(statistics))
+    statistics[:] = np.random.default_rng(1).normal(size=statistics.shape)
     now_ns = 1_000_000_000 + ekf.ONSETS * alarms.ONSET_NS
     taken = alarms._free_slot(onsets[1], now_ns, 1)
     before, stamp_ns = statistics.copy(), onsets[1, taken]
     E[:] = 7.0
     add(ekf.ONSETS, 1 | 1 << taken)
-    changed = statistics != before
-    changed[:1 + ekf.ONSETS] = False
     slip = alarms.HYPOTHESES.index(alarms.NAMED['slip'])
-    scores = changed[alarms.STATISTICS[slip]:][:ekf.ONSETS]
+    scores = (statistics != before)[0, alarms.COLUMNS[slip]:][:ekf.ONSETS]
     assert scores.sum() == 1 and not scores[taken - 1]
     column = alarms.COLUMNS[slip] + taken - 1
     assert (E[:, column] == 7.0).all() and onsets[1, taken] == stamp_ns
