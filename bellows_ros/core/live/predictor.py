@@ -34,7 +34,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .tool_screening import REFUSALS, Screen, ToolArrivals, TwistSample, TwistScreen
+from .tool_screening import Frame, REFUSALS, Screen, ToolArrivals, TwistSample, why_no_twist
 
 COAST_LIMIT_NS = 100_000_000
 """Default time (ns) for which the tool is extrapolated."""
@@ -107,7 +107,7 @@ class LivePredictor:
         require_stiffness(cup.stiffness)
         if twist_frame not in ('world', 'tool'):
             raise BellowsError(f"twist_frame is '{twist_frame}'; expected 'world' or 'tool'.")
-        self._screen, self._twist_screen = Screen(), TwistScreen()
+        self._screen, self._twist_frame = Screen(), Frame()
         self.pairing, self.arrivals = Pairing(), ToolArrivals()
         self.tool = ToolMotion(twist_frame == 'world')
         self.package = LivePayload(cup, package, gravity)
@@ -130,7 +130,7 @@ class LivePredictor:
     @property
     def frame_id(self) -> str:
         """Frame of the accepted poses, '' before the first."""
-        return self._screen.frame_id
+        return self._screen.frame.name or ''
 
     @property
     def newest_ns(self) -> int:
@@ -216,7 +216,7 @@ class LivePredictor:
         self.package.forget(is_another=False)
         self.pairing.clear()
         self.tool.clear()
-        self._twist_screen.clear()
+        self._twist_frame = Frame()
         self.arrivals.clear()
 
     # ------------------------------------------------------------------ input
@@ -268,9 +268,9 @@ class LivePredictor:
         another one than the first are refused until nothing else has come for a while.
         """
         self.twists_in += 1
-        refused = self._twist_screen.why_refused(stamp_ns, linear, angular, frame_id)
-        if refused:
-            self._counts[refused] += 1
+        refused = why_no_twist(linear, angular)
+        if refused or not self._twist_frame.accepts(frame_id, stamp_ns):
+            self._counts[refused or 'twist_frame_id'] += 1
             return []
         self.pairing.add_twist(TwistSample(stamp_ns, linear, angular))
         return self._release()

@@ -182,52 +182,42 @@ class ToolArrivals:
         return silent_ns if silent_ns > usual_ns else 0
 
 
-class FrameChange:
-    """Decides when a new frame_id is accepted: when it persists."""
+class Frame:
+    """
+    The frame of messages: the first, or another one that alone has come for long enough.
+
+    Attributes
+    ----------
+    name : str or None
+        None before the first.
+
+    """
 
     def __init__(self) -> None:
-        """Know of no other frame."""
-        self._frame_id: str | None = None
+        """Take whatever frame comes next."""
+        self.name: str | None = None
+        self._other: str | None = None
         self._first_ns = self._last_ns = -1
 
-    def clear(self) -> None:
-        """Note that the frame is unchanged."""
-        self._first_ns = -1
+    def accepts(self, name: str | None, stamp_ns: int) -> bool:
+        """Return whether a message is in this frame, which is another one from then on."""
+        if self.name is not None and name != self.name:
+            if self._first_ns < 0 or name != self._other or stamp_ns <= self._last_ns:
+                self._other, self._first_ns = name, stamp_ns
+            self._last_ns = stamp_ns
+            if stamp_ns - self._first_ns < FRAME_RUN_NS:
+                return False
+        self.name, self._first_ns = name, -1
+        return True
 
-    def is_believed(self, frame_id: str | None, stamp_ns: int) -> bool:
-        """Return whether only this new frame has come for long enough."""
-        if self._first_ns < 0 or frame_id != self._frame_id or stamp_ns <= self._last_ns:
-            self._frame_id, self._first_ns = frame_id, stamp_ns
-        self._last_ns = stamp_ns
-        return stamp_ns - self._first_ns >= FRAME_RUN_NS
 
-
-class TwistScreen:
-    """Judge the tool's twists one after the other: their size, and the frame they name."""
-
-    def __init__(self) -> None:
-        """Start without a frame."""
-        self._change = FrameChange()
-        self.clear()
-
-    def clear(self) -> None:
-        """Take whatever frame comes next."""
-        self._frame_id: str | None = None
-
-    def why_refused(
-        self, stamp_ns: int, linear: Vector, angular: Vector, frame_id: str | None
-    ) -> str:
-        """Return why a twist (m/s, rad/s) cannot be used, or ''; a frame that lasts is taken."""
-        speed, rate = math.hypot(*linear), math.hypot(*angular)
-        if not (speed <= screening.MAX_TOOL_SPEED and rate <= screening.MAX_TOOL_RATE):  # nor NaN
-            finite = all(map(math.isfinite, (*linear, *angular)))
-            return 'twist_too_fast' if finite else 'twist_nan'
-        if frame_id != self._frame_id is not None and (
-                not self._change.is_believed(frame_id, stamp_ns)):
-            return 'twist_frame_id'
-        self._frame_id = frame_id
-        self._change.clear()
+def why_no_twist(linear: Vector, angular: Vector) -> str:
+    """Return why a twist (m/s, rad/s) cannot be used, or ''."""
+    speed, rate = math.hypot(*linear), math.hypot(*angular)
+    if speed <= screening.MAX_TOOL_SPEED and rate <= screening.MAX_TOOL_RATE:  # not NaN
         return ''
+    finite = all(map(math.isfinite, (*linear, *angular)))
+    return 'twist_too_fast' if finite else 'twist_nan'
 
 
 class Screen(StampScreen):
@@ -236,8 +226,8 @@ class Screen(StampScreen):
 
     Attributes
     ----------
-    frame_id : str
-        Frame of the accepted poses; '' before the first.
+    frame : Frame
+        That of the accepted poses; none without a name.
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
     suspect : (float, float) or None
@@ -251,8 +241,7 @@ class Screen(StampScreen):
 
     def reset(self) -> None:
         """Take whatever stamp and frame come next."""
-        self.frame_id = ''
-        self._change = FrameChange()
+        self.frame = Frame()
         self.forget_motion()
 
     def forget_motion(self) -> None:
@@ -294,8 +283,7 @@ class Screen(StampScreen):
             self.accept_stamp(stamp_ns, arrival_ns, reason)
             self._last = moved or Reference(
                 stamp_ns, position, quaternion_xyzw, self.period_ns * 1e-9, self._step)
-            self.frame_id, self._elsewhere = frame_id, None
-            self._change.clear()
+            self._elsewhere = None
         return reason
 
     def _judge(
@@ -306,10 +294,11 @@ class Screen(StampScreen):
             return reason
         if stamp_ns <= 0:
             return 'zero_stamp'
-        if self.frame_id and frame_id != self.frame_id:
-            is_believed = self._change.is_believed(frame_id, stamp_ns)
-            return 'frame_changed' if is_believed else 'frame_id'
-        self._change.clear()
+        before = self.frame.name
+        if not self.frame.accepts(frame_id or None, stamp_ns):
+            return 'frame_id'
+        if before and before != frame_id:
+            return 'frame_changed'
         return self.judge_stamp(stamp_ns, arrival_ns) or self._judge_place(stamp_ns, o, q)
 
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> str:

@@ -121,7 +121,7 @@ def test_new_frame_or_place_is_believed_when_nothing_else_comes(period_ns, count
     verdicts = driver.send(count, **now)
     assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
     assert [v for v in verdicts if v in RESTARTS] == [restart]
-    assert driver.screen.frame_id == now.get('frame', 'base')
+    assert driver.screen.frame.name == now.get('frame', 'base')
 
 
 def test_two_drivers_in_two_frames_never_mix():
