@@ -254,23 +254,27 @@ def slopes(
     J = np.empty((6, jac.PARAMETERS))
     jac.write_slope(model, tool, body, A)
     jac.parameter_jacobian(model, tool, body, 0, 42 if is_damped else 21, J)
-    jac.parameter_jacobian(model, tool, body, 42, jac.PARAMETERS, J[:, 42:])
+    jac.parameter_jacobian(model, tool, body, 53, jac.PARAMETERS, J[:, 53:])
     f, m = kernels.lip_wrench(model, tool, body)
+    dv, dw = jac.by_length(model, tool, body, f)
+    jac.write_column(B, LENGTH, dv, dw)
     dv, dw = jac.acceleration_at(package, com, f, m)
     jac.write_column(B, MASS, t3.scale(-1.0, dv), t3.scale(-1.0, dw))
     for i in range(6):
-        B[i, LENGTH] = J[i, 42]
         for j in range(9):  # by the centre of mass (m), then by the push
             B[i, COM + j] = J[i, 53 + j] if j < 3 else mass_ratio * J[i, 53 + j]
-        for j in range(STIFFNESS, B.shape[1]):
-            B[i, j] = mass_ratio * J[i, j + 43 - MARKER - 6] if j >= MARKER + 6 else 0.0
     for i in range(3):  # which has another arm, too
         by_push = t3.apply(package[3], t3.cross(t3.unit(i, 1.0), bias[0]))
         for j in range(3):
             B[3 + j, COM + i] -= by_push[j]
+    B[:, STIFFNESS:] = 0.0
     _by_axes(model[0][2], J, B[:, STIFFNESS:])
     if is_damped:
         _by_axes(model[0][3], J[:, 21:], B[:, MARKER:])
+        jac.parameter_jacobian(model, tool, body, 43, 46, J)
+        for i in range(6):
+            for j in range(3):
+                B[i, MARKER + 6 + j] = mass_ratio * J[i, j]
     return t3.apply(t3.rotation_matrix(body[1]), f)
 
 
@@ -508,8 +512,8 @@ def propagated(
     k = first_after(stamps, now_ns, count)
     bias, follows, is_reset, h, squares = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
     nominal, model, max_step = model, with_theta(model, theta), stable_step(max_step, theta)
-    A0, B0 = np.zeros(Q.shape), np.zeros((6, T.shape[1]))
-    A1, B1 = np.zeros(Q.shape), np.zeros((6, T.shape[1]))
+    A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
+    A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     losses0, losses1 = np.zeros((len(without_cup), 6, 13)), np.zeros((len(without_cup), 6, 13))
     while True:
         if follows and (is_reset or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
@@ -625,14 +629,23 @@ def followed(
     stamp_ns: int, start: State, end: State, max_step: float, reach: float,
 ) -> tuple[State, Wrench, bool]:
     """Keep another sample of the tool; return the package there, and `checked_wrench`."""
+    model, max_step = model_with(row, branches, theta), stable_step(max_step, theta)
     stamps, starts, ends, bodies, k = samples
     stamps[k] = stamp_ns
     write_row(starts[k], start)
     write_row(ends[k], end)
-    body = body_at_end(
-        row, branches, (stamps[k - 1], start, body, theta), (stamps, starts, ends, bodies, k + 1),
-        stamp_ns, max_step)
-    wrench, is_sound = kernels.checked_wrench(model_with(row, branches, theta), end, body, reach)
+    seconds, tool = (stamp_ns - stamps[k - 1]) * 1e-9, start
+    parts = substeps_for(seconds, COVARIANCE_STEPS * max_step)
+    part = seconds / parts
+    for i in range(parts):
+        tool_end = end
+        if i < parts - 1:
+            tool_end = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / parts)
+        body = advanced_with_wrench(
+            model, wrench_bias(theta), body, tool, tool_end, part, substeps_for(part, max_step))
+        tool = tool_end
+    write_row(bodies[k], body)
+    wrench, is_sound = kernels.checked_wrench(model, end, body, reach)
     return body, wrench, is_sound
 
 
