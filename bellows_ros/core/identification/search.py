@@ -115,6 +115,9 @@ MAX_DAMPING, MAX_STIFFENING = 10.0, 100.0
 SLIDING = 0.2
 """Part of the largest displacement of the lip from which on friction slides."""
 
+DIVERGED = 1e3
+"""Standard deviations by which a pose counts as off to which a simulation diverges."""
+
 CHANCE = 3.0
 """Standard deviations by which noise at rest may be smaller by chance."""
 
@@ -450,9 +453,10 @@ class Search(Parametrization):
         """
         parts, H, g = system or self.system(theta, forgetting)
         if not np.all(np.isfinite(g)):
-            finite = [part._replace(**{name: np.nan_to_num(getattr(part, name), posinf=0.0)
-                                       for name in ('innovations', 'jacobian', 'variance')})
-                      for part in parts]
+            finite = [part._replace(
+                innovations=np.nan_to_num(part.innovations, nan=DIVERGED), **{
+                    name: np.nan_to_num(getattr(part, name), posinf=0.0)
+                    for name in ('jacobian', 'variance')}) for part in parts]
             return Minimum(theta, finite, np.eye(len(theta)), False, self.noise)
         min_damping, tolerance, max_steps = (
             (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
