@@ -1,6 +1,5 @@
 """What is said about a recording: roles, axes, rates and flaws, against recordings made for it."""
 
-
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -14,8 +13,9 @@ RATE_HZ, SECONDS, REST = 200.0, 6.0, 1.0
 START_NS = 1_700_000_000_000_000_000
 
 
-def motion(hanging=0.08):
-    """Return a tool that rests and then moves and turns, and a package that swings below it."""
+@pytest.fixture(scope='module')
+def m():
+    """Give a tool that rests and then moves and turns, and a package that swings below it."""
     t = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
     s = np.maximum(t - REST, 0.0)[:, None]
     way = np.array([0.1, 0.08, 0.05])
@@ -23,7 +23,7 @@ def motion(hanging=0.08):
     velocity = way * 3.0 * np.sin(3.0 * s) * (s > 0)
     rotation = exp_so3(np.array([0.2, 0.1, 1.2]) * (1.0 - np.cos(2.0 * s)))
     swing = rotation @ exp_so3(0.1 * np.sin(9.0 * s) * np.array([1.0, 0.5, 0.0]))
-    package = position + apply(swing, np.array([0.0, 0.0, -hanging]))
+    package = position + apply(swing, np.array([0.0, 0.0, -0.08]))
     return {'t': t, 'o': position, 'v': velocity, 'R': rotation, 'R_p': swing, 'o_p': package}
 
 
@@ -41,13 +41,17 @@ def twists(topic, t, linear, angular=None):
         linear, np.zeros_like(linear) if angular is None else angular]))
 
 
-def test_names_say_nothing_but_poses_do(tmp_path):
+def described(folder, *recorded):
+    """Record topics, and return what is said of the recording."""
+    write_bag(folder / 'bag', recorded, replace=True)
+    return info(folder / 'bag')
+
+
+def test_names_say_nothing_but_poses_do(m, tmp_path):
     """Find what hangs below, even where names have been chosen to mislead."""
-    m = motion()
-    write_bag(tmp_path / 'bag', [poses('/a', m['t'], m['o_p'], m['R_p']),
-                                 poses('/b', m['t'], m['o'], m['R']),
-                                 poses('/c', m['t'], 0.0 * m['o'] + 5.0, m['R'])])
-    found = info(tmp_path / 'bag')
+    found = described(
+        tmp_path, poses('/a', m['t'], m['o_p'], m['R_p']), poses('/b', m['t'], m['o'], m['R']),
+        poses('/c', m['t'], 0.0 * m['o'] + 5.0, m['R']))
     assert found.tool and found.tool.topic == '/b'
     assert found.package and found.package.topic == '/a'
     assert found.settings['recording.world'] == 'z_up'
@@ -55,53 +59,47 @@ def test_names_say_nothing_but_poses_do(tmp_path):
     assert found.rest_s == pytest.approx(REST, abs=0.2)
 
 
-def test_places_in_two_frames_say_nothing_on_roles(tmp_path):
+def test_places_in_two_frames_say_nothing_on_roles(m, tmp_path):
     """Although the robot's poses happen to lie straight below those of the camera."""
-    m = motion()
-    write_bag(tmp_path / 'bag', [
-        poses('/camera/marker', m['t'][::6], m['o_p'][::6] + [0, 0, 0.5], m['R_p'][::6], 'camera'),
-        poses('/ur/pose', m['t'], m['o'], m['R'], 'base')])
-    found = info(tmp_path / 'bag')
+    found = described(
+        tmp_path, poses('/ur/pose', m['t'], m['o'], m['R'], 'base'),
+        poses('/camera/marker', m['t'][::6], m['o_p'][::6] + [0, 0, 0.5], m['R_p'][::6], 'camera'))
     assert (found.tool.topic, found.package.topic) == ('/ur/pose', '/camera/marker')
 
 
-def test_places_of_two_clocks_say_nothing_on_roles(tmp_path):
+def test_places_of_two_clocks_say_nothing_on_roles(m, tmp_path):
     """Although the tool, which sinks, seems to start below a package that is stamped late."""
-    m = motion()
     sinking = -0.3 * np.minimum(m['t'], 2.0)[:, None] * [0.0, 0.0, 1.0]
-    write_bag(tmp_path / 'bag', [
-        poses('/box/pose', m['t'] + 1.5, m['o_p'] + sinking, m['R_p']),
-        poses('/gripper/pose', m['t'], m['o'] + sinking, m['R'])])
-    found = info(tmp_path / 'bag')
+    found = described(
+        tmp_path, poses('/box/pose', m['t'] + 1.5, m['o_p'] + sinking, m['R_p']),
+        poses('/gripper/pose', m['t'], m['o'] + sinking, m['R']))
     assert (found.tool.topic, found.package.topic) == ('/gripper/pose', '/box/pose')
 
 
 @pytest.mark.parametrize('frame', ['world', 'tool'])
-def test_axes_of_the_twist_are_found(frame, tmp_path):
+def test_axes_of_the_twist_are_found(m, frame, tmp_path):
     """Tell world from tool axes by integrating the twist."""
-    m = motion()
     inside = apply(np.swapaxes(m['R'], 1, 2), m['v'])
     linear = m['v'] if frame == 'world' else inside
-    write_bag(tmp_path / 'bag', [
-        poses('/tcp/pose', m['t'], m['o'], m['R']), poses('/box/pose', m['t'], m['o_p'], m['R_p']),
-        twists('/other', m['t'], -linear[::-1]), twists('/tcp/twist', m['t'], linear)])
-    found = info(tmp_path / 'bag')
+    found = described(
+        tmp_path, poses('/tcp/pose', m['t'], m['o'], m['R']),
+        poses('/box/pose', m['t'], m['o_p'], m['R_p']),
+        twists('/other', m['t'], -linear[::-1]), twists('/tcp/twist', m['t'], linear))
     assert found.twist is not None
     assert (found.twist.topic, found.twist.frame) == ('/tcp/twist', frame)
     assert found.settings['tool_twist.frame'] == frame
 
 
 @pytest.mark.parametrize('unit', ['degrees', 'radians'])
-def test_twists_in_degrees_are_said_first_and_left_out(tmp_path, unit):
+def test_twists_in_degrees_are_said_first_and_left_out(m, tmp_path, unit):
     """Whatever else is remarked; noise of the poses is no turn."""
-    m, rng = motion(), np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     turn = np.array([0.2, 0.1, 1.2]) * 2.0 * np.sin(2.0 * np.maximum(m['t'] - REST, 0.0))[:, None]
     angular = apply(m['R'], turn)
-    write_bag(tmp_path / 'bag', [
-        poses('/p', m['t'], m['o_p'], m['R_p']),
+    found = described(
+        tmp_path, poses('/p', m['t'], m['o_p'], m['R_p']),
         poses('/e', m['t'], m['o'], m['R'] @ exp_so3(1e-3 * rng.standard_normal(m['o'].shape))),
-        twists('/v', m['t'], m['v'], np.degrees(angular) if unit == 'degrees' else angular)])
-    found = info(tmp_path / 'bag')
+        twists('/v', m['t'], m['v'], np.degrees(angular) if unit == 'degrees' else angular))
     if unit == 'radians':
         assert found.settings['topics.tool_twist'] == '/v'
         assert not any('degrees per second' in note for note in found.notes)
@@ -112,78 +110,68 @@ def test_twists_in_degrees_are_said_first_and_left_out(tmp_path, unit):
 
 
 @pytest.mark.parametrize('every', [1, 2])
-def test_bursts_are_said_first_and_are_no_jitter(tmp_path, every, many=50):
+def test_bursts_are_said_first_and_are_no_jitter(m, tmp_path, every, many=50):
     """Beside a tool that is stamped when it is measured."""
-    m = motion()
     t, o, R = (m[name][::every] for name in ('t', 'o_p', 'R_p'))
     number = np.arange(len(t))
     last = np.minimum(number // many * many + many - 1, len(number) - 1)
-    write_bag(tmp_path / 'bag', [poses('/p', t[last] + 2e-4 * (number % many), o, R),
-                                 poses('/e', m['t'], m['o'], m['R'])])
-    notes = info(tmp_path / 'bag').notes
+    notes = described(
+        tmp_path, poses('/p', t[last] + 2e-4 * (number % many), o, R),
+        poses('/e', m['t'], m['o'], m['R'])).notes
     assert "'/p' come in bursts, as if stamped on arrival" in notes[0]
     assert not any('jitter' in note for note in notes)
 
 
-def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path):
+def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(m, tmp_path):
     """Say that the axes are not known then."""
-    m = {name: np.repeat(x[:1], 400, axis=0) for name, x in motion().items()}
+    still = {name: np.repeat(x[:1], 400, axis=0) for name, x in m.items()}
     t = np.arange(400) / RATE_HZ
-    write_bag(tmp_path / 'bag', [
-        poses('/tcp', t, m['o'], m['R']), poses('/box', t, m['o_p'], m['R_p']),
-        twists('/speed', t, 0.0 * m['v'])])
-    found = info(tmp_path / 'bag')
+    found = described(
+        tmp_path, poses('/tcp', t, still['o'], still['R']),
+        poses('/box', t, still['o_p'], still['R_p']), twists('/speed', t, 0.0 * still['v']))
     assert found.twist and found.twist.topic == '/speed' and 'too little' in found.twist.why[0]
 
 
-def test_what_moves_at_once_does_not_stand_still(tmp_path):
+def test_what_moves_at_once_does_not_stand_still(m, tmp_path):
     """Measure a rest by the noise, which a motion from the first pose on is not."""
-    m = motion()
     later = {name: values[round(1.3 * REST * RATE_HZ):] for name, values in m.items()}
-    for name, parts, least, most in (('rest', m, 0.9, 1.2), ('moving', later, 0.0, 0.15)):
-        write_bag(tmp_path / name, [
-            poses('/tool', parts['t'], parts['o'], parts['R']),
-            poses('/box', parts['t'], parts['o_p'], parts['R_p'])])
-        rest = info(tmp_path / name).rest_s
+    for parts, least, most in ((m, 0.9, 1.2), (later, 0.0, 0.15)):
+        rest = described(
+            tmp_path, poses('/tool', parts['t'], parts['o'], parts['R']),
+            poses('/box', parts['t'], parts['o_p'], parts['R_p'])).rest_s
         assert rest is not None and least <= rest <= most
 
 
-def test_y_up_and_turned_markers_are_noticed(tmp_path):
+def test_y_up_and_turned_markers_are_noticed(m, tmp_path):
     """Propose Motive's world and the alignment, with a rest that the recording has."""
-    m = motion()
     turn, up = exp_so3(np.array([0.0, 0.1, 0.8])), R_WORLD_MOTIVE.T
-    write_bag(tmp_path / 'bag', [
-        poses('/arm', m['t'], apply(up, m['o']), up @ m['R']),
-        poses('/plate', m['t'], apply(up, m['o_p']), up @ m['R_p'] @ turn)])
-    found = info(tmp_path / 'bag')
+    found = described(
+        tmp_path, poses('/arm', m['t'], apply(up, m['o']), up @ m['R']),
+        poses('/plate', m['t'], apply(up, m['o_p']), up @ m['R_p'] @ turn))
     assert found.settings['recording.world'] == 'motive_y_up'
     assert found.settings['recording.align_at_rest'] is True
     assert 0.6 <= found.settings['recording.rest_duration'] <= REST
     assert any('align_at_rest' in note for note in found.notes)
 
 
-def test_a_package_that_hangs_aside_is_not_aligned(tmp_path):
+def test_a_package_that_hangs_aside_is_not_aligned(m, tmp_path):
     """As its weight may bend the cup by 3 degrees, where the tool is upright."""
-    m = motion()
-    write_bag(tmp_path / 'bag', [
-        poses('/arm', m['t'], m['o'], m['R']),
-        poses('/plate', m['t'], m['o_p'], m['R_p'] @ exp_so3(np.array([0.05, 0.0, 0.0])))])
-    found = info(tmp_path / 'bag')
+    found = described(
+        tmp_path, poses('/arm', m['t'], m['o'], m['R']),
+        poses('/plate', m['t'], m['o_p'], m['R_p'] @ exp_so3(np.array([0.05, 0.0, 0.0]))))
     assert found.settings['recording.align_at_rest'] is False
     assert any('2.9 degrees' in note and 'by its weight' in note for note in found.notes)
 
 
-def test_gaps_jitter_and_repeats_are_counted(tmp_path):
+def test_gaps_jitter_and_repeats_are_counted(m, tmp_path):
     """Report per topic what would be left out."""
-    m = motion()
     rng = np.random.default_rng(3)
     jitter = m['t'] + rng.uniform(-1e-3, 1e-3, len(m['t']))
     kept = (m['t'] < 3.0) | (m['t'] > 3.1)
     again = np.sort(np.append(np.flatnonzero(kept), 30))
-    write_bag(tmp_path / 'bag', [
-        poses('/tcp', jitter, m['o'], m['R']),
-        poses('/box', m['t'][again], m['o_p'][again], m['R_p'][again])])
-    found = {topic.name: topic for topic in info(tmp_path / 'bag').topics}
+    found = {topic.name: topic for topic in described(
+        tmp_path, poses('/tcp', jitter, m['o'], m['R']),
+        poses('/box', m['t'][again], m['o_p'][again], m['R_p'][again])).topics}
     assert found['/tcp'].jitter_s == pytest.approx(8.5e-4, rel=0.3)  # of the steps
     ((start, length),) = found['/box'].gaps
     assert (start, length) == (pytest.approx(2.995, abs=0.006), pytest.approx(0.105, abs=0.006))
@@ -191,11 +179,9 @@ def test_gaps_jitter_and_repeats_are_counted(tmp_path):
     assert found['/box'].rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
 
 
-def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path):
+def test_one_body_alone_is_named_and_said_to_be_too_little(m, tmp_path):
     """Use the name where there is nothing to compare with."""
-    m = motion()
-    write_bag(tmp_path / 'bag', [poses('/ur/tcp_pose', m['t'], m['o'], m['R'])])
-    found = info(tmp_path / 'bag')
+    found = described(tmp_path, poses('/ur/tcp_pose', m['t'], m['o'], m['R']))
     assert found.tool and found.tool.topic == '/ur/tcp_pose'
     assert found.package is None
     assert any('needs the poses of tool and package' in note for note in found.notes)
@@ -215,15 +201,13 @@ def test_a_stamp_years_away_takes_no_memory():
 @pytest.mark.parametrize(('frame', 'late_s', 'aside', 'reason'), [
     ('camera', 0.0, 0.0, "in frame 'base', the package in 'camera'"),
     ('base', 100.0, 0.0, 'do not overlap'), ('base', 0.0, 1.0, 'no cup'), ('base', 0.0, 0.0, '')])
-def test_two_worlds_or_clocks_are_all_set_free(tmp_path, frame, late_s, aside, reason):
+def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside, reason):
     """Free world, clock and marker where frames, stamps or distances are not of one world."""
-    m = motion()
     R_world = exp_so3(np.array([0.4, 1.0, -0.7]) * aside)
-    write_bag(tmp_path / 'bag', [
-        poses('/tcp', m['t'], m['o'], m['R'], 'base'),
+    found = described(
+        tmp_path, poses('/tcp', m['t'], m['o'], m['R'], 'base'),
         poses('/gripper_load', m['t'] + late_s, apply(R_world, m['o_p'] + aside),
-              R_world @ m['R_p'], frame)])
-    found = info(tmp_path / 'bag')
+              R_world @ m['R_p'], frame))
     free = {name: found.settings.get(name) for name in (
         'recording.package_world', 'fit.time_offset', 'fit.free', 'fit.method')}
     assert any(reason in note for note in found.notes) if reason else not free['fit.free']
