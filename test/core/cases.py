@@ -7,6 +7,10 @@ from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
+START = 1_760_000_000_000_000_000
+MS = 1_000_000
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
 K_THESIS = np.array([  # (3.45)
     [200, 10, 30, 3.2, 2, 1.3],
     [10, 180, 20, 0.7, 4.3, 2.5],

@@ -11,14 +11,11 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import PLATE
+from ..cases import MS, PLATE, START, UPRIGHT
 
-START = 1_760_000_000_000_000_000
-MS = 1_000_000
 PERIOD = 2 * MS
 HEAVY = Package(25.0, np.diag([1.0, 1.0, 1.0]), (0.02, 0.0, -0.2))
 SOFT = Cup(0.1 * Cup.thesis().stiffness, 0.1 * Cup.thesis().damping, 0.0481)
-UPRIGHT, ZERO = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 STANDING, STANDING_PERIOD = 150, 25 * MS  # ten times as long as the swing takes to fade
 LENGTH = 150  # of a sequence, a third of them no messages
 

@@ -12,28 +12,26 @@ import numpy as np
 import pytest
 
 from .. import cases
-from ..cases import PLATE
+from ..cases import PLATE, START, UPRIGHT
 
-START = 1_760_000_000_000_000_000
 PERIOD = 2_777_778
-IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 
 class Messages:
     """A tool motion as messages: stamps, poses and twists in world axes."""
 
-    def __init__(self, duration=1.0, rate_hz=360, seed=4):
-        self.tool = cases.ShakenTool(np.random.default_rng(seed)).trajectory(duration, rate_hz)
+    def __init__(self):
+        self.tool = cases.ShakenTool(np.random.default_rng(4)).trajectory(1.0, 360)
         self.stamps, self.positions, self.quaternions, self.linear, self.angular = cases.messages(
             self.tool, START, in_world=True)
 
     def __len__(self):
         return len(self.stamps)
 
-    def pose(self, predictor, k, frame='base', stamp=None):
+    def pose(self, predictor, k):
         """Send one pose."""
-        stamp = self.stamps[k] if stamp is None else stamp
-        return predictor.on_pose(stamp, frame, self.positions[k], self.quaternions[k])
+        return predictor.on_pose(
+            self.stamps[k], 'base', self.positions[k], self.quaternions[k])
 
     def twist(self, predictor, k):
         """Send one twist."""
@@ -174,7 +172,7 @@ def test_pauses_between_bursts_are_nothing_to_be_said():
         arrival = k * period // burst * burst + burst
         if k and k * period // burst > (k - 1) * period // burst:
             said.append(live.phase(arrival - 1))
-        live.on_pose(START + k * period, 'base', (0.0, 0.0, 0.0), IDENTITY, arrival)
+        live.on_pose(START + k * period, 'base', (0.0, 0.0, 0.0), UPRIGHT, arrival)
     assert len(said) > 50 and set(said[5:]) == {'predicting'}
     last = live.arrivals.newest_ns
     assert live.phase(last + 60_000_000) == 'coasting'  # longer than they usually are
@@ -182,7 +180,7 @@ def test_pauses_between_bursts_are_nothing_to_be_said():
 
 def test_nothing_is_bridged_without_leave(messages):
     live = LivePredictor(Cup.thesis(), PLATE, 9.81, coast_limit_ns=0)
-    live.on_pose(START, 'base', (0.0, 0.0, 0.0), IDENTITY, 0)
+    live.on_pose(START, 'base', (0.0, 0.0, 0.0), UPRIGHT, 0)
     assert [p for ms in range(300) for p in live.coast(ms * 1_000_000)] == []
     assert live.phase(50_000_000) == 'lost'
 

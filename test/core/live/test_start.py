@@ -2,6 +2,7 @@
 
 import math
 
+from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.model.cup_package import Cup
@@ -9,11 +10,8 @@ from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 import pytest
 
-from ..cases import PLATE
+from ..cases import MS, PLATE, START, UPRIGHT
 
-START = 1_760_000_000_000_000_000
-MS = 1_000_000
-UPRIGHT, ZERO = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 EXACT = resolve({'tool_noise.position': 1e-4, 'tool_noise.rotation': 5e-4})
 NOISE = 1e-4
 SOON_NS = 60 * MS

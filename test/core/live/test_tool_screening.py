@@ -9,10 +9,9 @@ from bellows_ros.core.signals.screening import BACKWARD_RUN
 import numpy as np
 import pytest
 
-START = 1_760_000_000_000_000_000
-MS = 1_000_000
+from ..cases import MS, START, UPRIGHT
+
 PERIOD = 2 * MS
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 RECOVERED_WITHIN_NS = 200 * MS
 
 

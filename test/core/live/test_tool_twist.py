@@ -5,6 +5,7 @@ The estimate is exact on quadratics, and of second order on smooth motions.
 """
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live.tool_screening import TwistSample
 from bellows_ros.core.live.tool_twist import MAX_QUEUE, Pairing, ToolMotion
 from bellows_ros.core.signals.screening import PoseSample
@@ -12,15 +13,11 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import ShakenTool
-
-MS = 1_000_000
-START = 1_760_000_000_000_000_000
-ZERO = (0.0, 0.0, 0.0)
+from ..cases import MS, ShakenTool, START, UPRIGHT
 
 
 def pose(stamp_ns):
-    return PoseSample(START + stamp_ns, ZERO, (0.0, 0.0, 0.0, 1.0))
+    return PoseSample(START + stamp_ns, ZERO, UPRIGHT)
 
 
 def twist(stamp_ns):
