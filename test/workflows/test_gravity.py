@@ -7,10 +7,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-PACKAGE = {
-    'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
-    'package.com': [0.0, 0.0, -0.03], 'cup.length': 0.0481, 'recording.package_frame': 'com',
-}
+from .test_identify import CLEAN
+
 MARKERS = {'noise': {'position': 1e-5, 'rotation': 1e-5}}
 MOTION = {
     'kind': 'multi_sine', 'duration': 6.0, 'rest_duration': 1.5, 'ramp_duration': 0.5,
@@ -32,14 +30,11 @@ def fitted(tmp_path_factory):
     """Give a function that simulates, identifies and replays a recording of one world."""
     def run(direction, world='z_up'):
         bag = tmp_path_factory.mktemp('world') / 'bag'
-        values = {**PACKAGE, 'gravity.direction': direction}
+        values = {**CLEAN, 'topics.tool_twist': '', 'gravity.direction': direction}
         simulate_recording(values, {**MOTION, 'world': world}, bag)
         settings = {
-            **values, 'bags': [str(bag)], 'topics.tool_pose': '/tool_arm/pose',
-            'topics.package_pose': '/package/pose', 'recording.world': world,
-            'recording.align_at_rest': True, 'recording.rest_duration': 1.2,
-            'fit.method': 'least_squares',
-        }
+            **values, 'bags': [str(bag)], 'recording.world': world,
+            'recording.align_at_rest': True, 'recording.rest_duration': 1.2}
         result = identify(settings)
         return result.fit, replay(bag, {**settings, **result.parameters()})
 
