@@ -11,7 +11,6 @@ import pkgutil
 import sys
 
 import bellows_ros
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.identify import identify
 import pytest
@@ -24,7 +23,7 @@ EXPENSIVE = {
 }
 
 
-def test_nothing_is_computed_twice(root, tmp_path, monkeypatch):
+def test_nothing_is_computed_twice(root, known, tmp_path, monkeypatch):
     """Identify with all that can be asked for and its page: no argument comes a second time."""
     joblib = pytest.importorskip('joblib', reason='extra parallel')
     for module in pkgutil.walk_packages(bellows_ros.__path__, 'bellows_ros.'):
@@ -48,7 +47,7 @@ def test_nothing_is_computed_twice(root, tmp_path, monkeypatch):
 
     page = tmp_path / 'page.html'
     found = identify({
-        **read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/identification')],
+        **known, 'bags': [str(root / 'bags/identification')],
         'validation.bags': [str(root / 'bags/validation')], 'fit.method': 'least_squares',
         'fit.compare_structures': True, 'output.report': str(page), 'recording.end': 8.0})
     write_page(found, page)

@@ -3,7 +3,6 @@
 import json
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows.identify import identify, resolved
 import numpy as np
@@ -11,9 +10,9 @@ import pytest
 
 
 @pytest.fixture(scope='module')
-def settings(root):
+def settings(root, known):
     """Return the parameters of a short recording."""
-    return {**read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/validation')]}
+    return {**known, 'bags': [str(root / 'bags/validation')]}
 
 
 def test_a_wrong_length_and_centre_are_found_and_used(settings):

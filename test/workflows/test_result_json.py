@@ -3,7 +3,6 @@
 import json
 
 from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows.identify import identify
 import pytest
@@ -36,11 +35,11 @@ def numbers(value, path):
 
 
 @pytest.fixture(scope='module')
-def settings(root):
+def settings(root, known):
     """Return all that can be asked of recordings."""
     bags = root / 'bags'
     return {
-        **read_parameters(bags / 'package.yaml'), 'bags': [str(bags / 'identification')],
+        **known, 'bags': [str(bags / 'identification')],
         'static.bags': [str(bags / 'static')], 'validation.bags': [str(bags / 'validation')],
         'fit.time_offset': True, 'recording.end': 8.0}
 

@@ -8,7 +8,6 @@ import shutil
 import signal
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows import workers
 from bellows_ros.workflows.identify import identify, read_part
@@ -17,24 +16,16 @@ from numpy.testing import assert_allclose
 import pytest
 import yaml
 
-NAMES = ('identification', 'validation')
-
-
-def simulated(root, folder, **changes):
-    """Return two recordings of the motion of bags/identification, changed."""
-    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
-    cup = read_parameters(root / 'bags/cup.yaml')
-    bags = [str(folder / name) for name in NAMES]
-    for seed, bag in enumerate(bags, 1):
-        simulate_recording(cup, {**motion, 'seed': seed, 'duration': 8.0, **changes}, bag)
-    return bags
-
 
 @pytest.fixture(scope='module')
-def settings(root, tmp_path_factory):
-    """Return the parameters of two short recordings."""
-    return {**read_parameters(root / 'bags/package.yaml'), 'fit.method': 'least_squares',
-            'bags': simulated(root, tmp_path_factory.mktemp('settings'))}
+def settings(root, known, true_cup, tmp_path_factory):
+    """Return the parameters of two short recordings of the motion of bags/identification."""
+    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
+    folder = tmp_path_factory.mktemp('settings')
+    bags = [str(folder / name) for name in ('first', 'second')]
+    for seed, bag in enumerate(bags, 1):
+        simulate_recording(true_cup, {**motion, 'seed': seed, 'duration': 8.0}, bag)
+    return {**known, 'fit.method': 'least_squares', 'bags': bags}
 
 
 @pytest.fixture(scope='module')
