@@ -209,13 +209,6 @@ def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     assert passed - 1.0 / 120.0 <= warned_from <= passed
 
 
-def test_a_recording_is_replaced_where_that_is_allowed(tmp_path):
-    for seed in (1, 2):
-        changed = motion(seed=seed, storage='mcap' if seed == 1 else 'sqlite3')
-        simulate_recording(PARAMETERS, changed, tmp_path / 'bag', replace=True)
-    assert {p.name for p in (tmp_path / 'bag').iterdir()} == {'bag.db3', 'metadata.yaml'}
-
-
 # ---- Tosses. ----
 
 THROW = {
