@@ -1,6 +1,7 @@
 """The command, and small recordings of a known cup for it."""
 
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from functools import partial
 import io
 import os
 import subprocess
@@ -70,7 +71,24 @@ def bellows(user_environment):
 
 
 @pytest.fixture(scope='session')
-def workshop(tmp_path_factory, bellows):
+def succeed(bellows):
+    """Give a function that runs `bellows`, and has it succeed; if quiet, without a warning."""
+    def run(*arguments, quiet=False, **options):
+        done = bellows(*arguments, **options)
+        assert done.returncode == 0 and not (quiet and done.stderr), done.stderr
+        return done
+
+    return run
+
+
+@pytest.fixture(scope='session')
+def quietly(succeed):
+    """Give a function that runs `bellows`, and has it succeed without a warning."""
+    return partial(succeed, quiet=True)
+
+
+@pytest.fixture(scope='session')
+def workshop(tmp_path_factory, succeed):
     """
     Give a folder with what a user has, which tests only read.
 
@@ -81,11 +99,9 @@ def workshop(tmp_path_factory, bellows):
     write_yaml(folder / 'cup.yaml', TRUTH)
     write_yaml(folder / 'package.yaml', {**KNOWN, 'fit.method': 'least_squares'})
     write_yaml(folder / 'motion.yaml', MOTION)
-    done = bellows(
+    succeed(
         'simulate', '--params', 'cup.yaml', '--motion', 'motion.yaml', '--out', 'recording',
-        cwd=folder,
-    )
-    assert done.returncode == 0, done.stderr
+        cwd=folder)
     return folder
 
 
@@ -96,11 +112,10 @@ def transport(tmp_path_factory):
 
 
 @pytest.fixture(scope='session')
-def identified(bellows, workshop, tmp_path_factory):
+def identified(quietly, workshop, tmp_path_factory):
     """Identify once; give a folder with cup.yaml and fit.json, which tests only read."""
     folder = tmp_path_factory.mktemp('identified')
-    done = bellows(
+    quietly(
         'identify', 'recording', '--params', 'package.yaml', '--out', folder / 'cup.yaml',
         '--json', folder / 'fit.json', cwd=workshop)
-    assert (done.returncode, done.stderr) == (0, '')
     return folder

@@ -169,11 +169,12 @@ def test_what_cannot_be_done_is_refused(bellows, cell, line, named):
     ('export cup.yaml --to c', '--out', 'x.h'), ('IDENTIFY', '--out', 'x.yaml'),
     ('info recording', '--write-params', 'x.yaml'),
     ('simulate CUP --motion motion.yaml --out x --force', '--json', 'x.json')])
-def test_text_goes_to_stdout_where_its_name_is_a_dash(bellows, cell, tmp_path, line, option, name):
+def test_text_goes_to_stdout_where_its_name_is_a_dash(
+        succeed, cell, tmp_path, line, option, name):
     """Write the very text of the file and nothing else there, and no file of this name."""
     here = {'x': tmp_path / 'x', **{path.name: path for path in cell.iterdir()}}
     line = [str(here.get(word, word)) for word in words_of(line)]
-    assert bellows(*line, option, name, cwd=tmp_path).returncode == 0
-    done = bellows(*line, option, '-', cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (0, (tmp_path / name).read_text())
+    succeed(*line, option, name, cwd=tmp_path)
+    done = succeed(*line, option, '-', cwd=tmp_path)
+    assert done.stdout == (tmp_path / name).read_text()
     assert 'Wrote -' not in done.stderr and not (tmp_path / '-').exists()
