@@ -14,6 +14,12 @@ CUP = Cup(
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.0, 0.0, -0.03))
 GRIP = (60e3 * np.pi * 0.02 ** 2, 0.02, 0.5)
 GRAVITY = np.array([0.0, 0.0, -9.81])
+VALUES = {
+    'cup.stiffness': CUP.stiffness.ravel().tolist(), 'cup.damping': CUP.damping.ravel().tolist(),
+    'cup.length': CUP.length, 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
+    'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
+}
+"""Cup and package as parameters."""
 
 
 class Move:
@@ -38,13 +44,16 @@ class Move:
         w = np.einsum('...ij,...j->...i', lie.dexp(-phi), rate * self.turn)
         return step * self.way, R, np.concatenate([v, w], axis=-1)
 
-    def plan(self, rate_hz=1000, with_twists=True):
-        """Return the plan sampled."""
+    def points(self, rate_hz):
+        """Return times, poses (N, 7) and body twists at a rate."""
         count = round(float(self.duration) * rate_hz)
         stamps = np.round(np.linspace(0.0, float(self.duration), count + 1) * 1e9).astype(np.int64)
         o, R, v = self.at(stamps * 1e-9)
-        poses, twist = np.hstack([o, lie.rotation_to_quaternion(R)]), v if with_twists else None
-        return plan_of(stamps, poses, twist, twist_frame='tool').trajectory()
+        return stamps, np.hstack([o, lie.rotation_to_quaternion(R)]), v
+
+    def plan(self, rate_hz=1000):
+        """Return the plan sampled."""
+        return plan_of(*self.points(rate_hz), twist_frame='tool').trajectory()
 
 
 def random_case(rng):

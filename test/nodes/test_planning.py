@@ -1,5 +1,6 @@
 """Plans over DDS: answered before they are driven, followed while they are, refused when bad."""
 
+from dataclasses import replace
 import time
 
 from bellows_ros.core.geometry import lie
@@ -18,29 +19,19 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from .conftest import MS, overrides_of, pose_at, stamp_ns, START
+from ..core import plans
 from ..core.planning.test_steering import Smooth
 from ..core.plans import CUP, GRIP, Move, PACKAGE
 
-VALUES = {
-    'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
-    'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
-    'cup.stiffness': CUP.stiffness.ravel().tolist(), 'cup.damping': CUP.damping.ravel().tolist(),
-    'cup.length': CUP.length, 'cup.lip_radius': 0.02, 'vacuum.holding': 60e3,
-    'tool_twist.frame': 'tool', 'coast.limit': 0.0,
-}
+VALUES = {**plans.VALUES, 'cup.lip_radius': 0.02, 'vacuum.holding': 60e3,
+          'tool_twist.frame': 'tool', 'coast.limit': 0.0}
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 MOVE = Move([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
 
 
-def message(move=MOVE, rate_hz=500, **changes):
+def message(move=MOVE, **changes):
     """Return a move as a message."""
-    times = np.round(np.arange(round(float(move.duration) * rate_hz) + 1) / rate_hz * 1e9).astype(
-        np.int64)
-    o, R, v = move.at(times * 1e-9)
-    parts = {
-        'stamp_ns': 0, 'frame_id': 'world', 'names': ('tool',), 'times_ns': times,
-        'poses': np.hstack([o, lie.rotation_to_quaternion(R)]), 'twists': v}
-    return PlanMessage(**{**parts, **changes})
+    return replace(PlanMessage(0, 'world', ('tool',), *move.points(500)), **changes)
 
 
 def swing_left(times_ns, poses, twists=None):

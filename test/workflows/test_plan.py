@@ -3,7 +3,7 @@
 from dataclasses import replace
 import math
 
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
@@ -25,28 +25,23 @@ from numpy.testing import assert_allclose
 import pytest
 import yaml
 
+from ..core import plans
 from ..core.planning.test_arm import URDF
 from ..core.plans import CUP, Move
 from ..files.recordings import header, POSE, serialized, TWIST
 from ..files.yaml_plans import cartesian, plan_messages
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
-VALUES = {
-    'cup.stiffness': CUP.stiffness.ravel(), 'cup.damping': CUP.damping.ravel(),
-    'cup.length': CUP.length, 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
-    'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
-    'cup.lip_radius': 0.025, 'vacuum.holding': 6e4, 'package.mass_std': 0.01,
-}
+VALUES = {**plans.VALUES, 'cup.lip_radius': 0.025, 'vacuum.holding': 6e4, 'package.mass_std': 0.01}
 T0 = 1_700_000_000_000_000_000
 FIGURES = ('smallest_safety_factor', 'peak_bending', 'peak_force', 'peak_moment', 'swing_left')
 
 
 def samples(rate_hz=250):
     """Return times, poses (N, 7), and twists (N, 6) in world axes of the move."""
-    times = np.round(np.arange(round(0.6 * rate_hz) + 1) / rate_hz * 1e9).astype(np.int64)
-    o, R, v = MOVE.at(times * 1e-9)
-    world = np.hstack([np.einsum('nij,nj->ni', R, part) for part in (v[:, :3], v[:, 3:])])
-    return times, np.hstack([o, rotation_to_quaternion(R)]), world
+    times, poses, v = MOVE.points(rate_hz)
+    R = quaternion_to_rotation(poses[:, 3:])
+    return times, poses, np.hstack([apply(R, v[:, :3]), apply(R, v[:, 3:])])
 
 
 def message(**changes):

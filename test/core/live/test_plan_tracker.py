@@ -16,12 +16,11 @@ from numpy.testing import assert_allclose
 import pytest
 
 from ..cases import messages, state_of
-from ..plans import CUP, Move, PACKAGE
+from ..plans import CUP, Move, PACKAGE, VALUES
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 T0 = 1_700_000_000_000_000_000
-TOSSED = {'package.size': [0.1, 0.1, 0.1], 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
-          'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0], 'landing.height': -9.0}
+TOSSED = {**VALUES, 'package.size': [0.1, 0.1, 0.1], 'landing.height': -9.0}
 MOVE = Move([0.5, -0.2, 0.1], [0.2, 0.0, 0.6], 0.8)
 
 

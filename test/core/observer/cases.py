@@ -14,10 +14,9 @@ from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 
+from ..plans import CUP, PACKAGE
+
 PERIOD_NS = 4_000_000
-CUP = Cup(np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35]),
-          np.diag([55.0, 55.0, 24.0, 0.06, 0.06, 0.1]), 0.046)
-PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), np.array([0.0, 0.0, -0.03]))
 NOISE = np.repeat([2e-3, 1e-2], 3)
 SETTINGS = {
     'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],

@@ -17,15 +17,13 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from .. import plans
 from ..plans import CUP, GRIP, Move, PACKAGE
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 VALUES = {
-    'cup.stiffness': CUP.stiffness.ravel(), 'cup.damping': CUP.damping.ravel(),
-    'cup.stiffness_std': 0.01 * CUP.stiffness.ravel(),
+    **plans.VALUES, 'cup.stiffness_std': 0.01 * CUP.stiffness.ravel(),
     'cup.damping_std': 0.05 * CUP.damping.ravel(),
-    'package.mass': 1.8, 'package.com': PACKAGE.com,
-    'package.inertia': (0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0),
     'package.mass_std': 0.01, 'package.com_std': (0.001, 0.001, 0.001),
     'package.inertia_std': (1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0),
 }

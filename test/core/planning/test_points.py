@@ -1,6 +1,6 @@
 """From points to a plan: splines against known motions, and what no arm does refused."""
 
-from bellows_ros.core.geometry.lie import log_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.planning.points import MAX_POINTS, plan_of
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -10,14 +10,7 @@ import pytest
 from ..plans import Move
 
 MOVE = Move([0.5, -0.3, 0.2], [0.4, -0.6, 0.9], 0.8)
-
-
-def points(rate_hz=250, move=MOVE):
-    """Return stamps, poses and body twists of a move."""
-    count = round(float(move.duration) * rate_hz)
-    stamps = np.round(np.linspace(0, float(move.duration), count + 1) * 1e9).astype(np.int64)
-    o, R, v = move.at(stamps * 1e-9)
-    return stamps, np.hstack([o, rotation_to_quaternion(R)]), v
+POINTS = MOVE.points(250)
 
 
 def in_world(R, v):
@@ -32,7 +25,7 @@ def rates(function, t, h=1e-4):
 
 
 def test_twists_of_a_path_are_those_of_a_spline_from_rest_to_rest():
-    stamps, poses, v = points(100)
+    stamps, poses, v = MOVE.points(100)
     poses[::2, 3:] *= -1.0  # either sign
     plan = plan_of(stamps, poses).trajectory()
     assert_allclose(plan.twist, v, atol=2e-3)  # m/s, rad/s; h^3 of the spline
@@ -43,7 +36,7 @@ def test_twists_of_a_path_are_those_of_a_spline_from_rest_to_rest():
 
 @pytest.mark.parametrize('rate_hz', [10, 20])
 def test_sparse_points_are_joined_by_quintics_where_accelerations_are_given(rate_hz):
-    stamps, poses, v = points(rate_hz)
+    stamps, poses, v = MOVE.points(rate_hz)
     t = stamps * 1e-9
     body = rates(lambda at: MOVE.at(at)[2], np.clip(t, 3e-4, 0.8 - 3e-4))
     world = rates(lambda at: in_world(*MOVE.at(at)[1:]), np.clip(t, 3e-4, 0.8 - 3e-4))
@@ -63,14 +56,14 @@ def test_sparse_points_are_joined_by_quintics_where_accelerations_are_given(rate
 
 def changed(index, where, value):
     """Return the points with one number changed."""
-    parts = [part.astype(part.dtype).copy() for part in points()]
+    parts = [part.astype(part.dtype).copy() for part in POINTS]
     parts[index][where] = value
     return parts
 
 
 @pytest.mark.parametrize(('parts', 'figures'), [
-    ([part[:1] for part in points()], r'\b1 point\b.* 2 to 100000'),
-    ([np.repeat(part[:1], MAX_POINTS + 1, axis=0) for part in points()],
+    ([part[:1] for part in POINTS], r'\b1 point\b.* 2 to 100000'),
+    ([np.repeat(part[:1], MAX_POINTS + 1, axis=0) for part in POINTS],
      '100001 points.* 2 to 100000'),
     (changed(1, (7, 0), np.nan), r'point 7\b.* 1 of 201\b'),
     (changed(1, (9, slice(3, 7)), [0.0, 0.0, 0.0, 2.0]), r'point 9\b.* 1 of 201\b'),
@@ -86,8 +79,7 @@ def test_what_no_arm_does_is_refused(parts, figures):
 
 
 def test_velocities_in_the_wrong_axes_are_noticed():
-    turned = Move([0.5, 0.0, 0.0], [0.0, 0.0, 3.0], 0.8)
-    stamps, poses, v = points(250, turned)
+    stamps, poses, v = Move([0.5, 0.0, 0.0], [0.0, 0.0, 3.0], 0.8).points(250)
     with pytest.raises(BellowsError, match=r'tool_twist\.frame'):
         plan_of(stamps, poses, v, twist_frame='world')
     with pytest.raises(BellowsError):
