@@ -7,6 +7,7 @@ The ROS wheels re-execute the interpreter at its very start, to set library path
 processes inherit its outcome. See `missing_library_paths` for the one case where it goes wrong.
 """
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 import importlib.util
 import os
@@ -206,14 +207,14 @@ class Ros:
         return True
 
 
-@pytest.fixture
-def ros():
+@contextmanager
+def private_ros(*args):
     """Give a private ROS context with a single-threaded executor, and close both cleanly."""
-    rclpy = pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    import rclpy
     from rclpy.executors import SingleThreadedExecutor
 
     context = rclpy.context.Context()
-    rclpy.init(args=[], context=context)
+    rclpy.init(args=[*args], context=context)
     executor = SingleThreadedExecutor(context=context)
     try:
         yield Ros(context, executor)
@@ -223,3 +224,11 @@ def ros():
             node.destroy_node()
         executor.shutdown()
         context.try_shutdown()
+
+
+@pytest.fixture
+def ros():
+    """Give a private ROS context with a single-threaded executor."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    with private_ros() as own:
+        yield own

@@ -9,14 +9,12 @@ from bellows_ros.nodes.predictor_node import PredictorNode
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 import numpy as np
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from .frame import CLEAN, COUNTED, Failed
 from .readers import ATTEMPTS
-from ..conftest import Ros
+from ..conftest import private_ros
 from ..nodes.conftest import MS, overrides_of, PACKAGE, Partner, pose_at, stamp_ns, START, UPRIGHT
 
 BURST = 100  # messages of an attempt
@@ -91,19 +89,11 @@ def require_good(partner, heard):
 @contextmanager
 def connected(given):
     """Give a predictor of its own, and what sends messages to it."""
-    context = rclpy.context.Context()
-    rclpy.init(args=['--ros-args', '--log-level', 'fatal'], context=context)
-    ros = Ros(context, SingleThreadedExecutor(context=context))
-    try:
+    with private_ros('--ros-args', '--log-level', 'fatal') as ros:
         predictor = PredictorNode(
-            context=context, parameter_overrides=overrides_of({**given, **RELIABLE}))
+            context=ros.context, parameter_overrides=overrides_of({**given, **RELIABLE}))
         ros.executor.add_node(predictor)
         yield Partner(ros, predictor)
-    finally:
-        for node in ros.executor.get_nodes():
-            node.destroy_node()
-        ros.executor.shutdown()
-        context.try_shutdown()
 
 
 def messages(rng, folder):
