@@ -19,6 +19,9 @@ else:
     from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
     from rclpy.node import Node
     from rclpy.parameter import Parameter
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 PACKAGE = {
     'package.mass': 2.17,

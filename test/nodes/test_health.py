@@ -13,13 +13,13 @@ import numpy as np
 from numpy.testing import assert_allclose
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool, String
 from visualization_msgs.msg import MarkerArray
 
-from .conftest import ERROR, MS, OK, PACKAGE, stamp_ns, START, topics_of, WARN
+from .conftest import ERROR, LATCHED, MS, OK, PACKAGE, stamp_ns, START, topics_of, WARN
 
 BURSTS = 50  # at most, until this machine has not paused for longer than is bridged
 
@@ -249,8 +249,7 @@ def test_ok_is_true_only_while_the_package_is_held_within_limits(make_partner):
         **PACKAGE, 'coast.limit': 0.0, 'cup.lip_radius': 0.02, 'vacuum.holding': 5e4,
         'safety.least': 1.0})
     heard = partner.hears(
-        Bool, 'package/ok', QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-        decode=lambda message: message.data)
+        Bool, 'package/ok', LATCHED, decode=lambda message: message.data)
     partner.wait(lambda: heard == [False])
     step = 2 * MS
     for k in range(5):

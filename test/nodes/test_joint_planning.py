@@ -9,11 +9,10 @@ from bellows_ros.files.plan_messages import decode_multi_dof
 from builtin_interfaces.msg import Duration
 import numpy as np
 import pytest
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
-from .conftest import ORIGIN
+from .conftest import LATCHED, ORIGIN
 from .test_planning import in_frame, MODEL, swing_left, VALUES
 from ..core.planning.arms import UR5E, UR5E_START
 
@@ -36,8 +35,7 @@ class JointPlanner:
         self.plan_out, self.steer_out = (
             partner.writes(JointTrajectory, f'tool_arm/{name}_joints')
             for name in ('plan', 'steer'))
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        partner.writes(String, 'robot_description', latched).publish(String(data=urdf))
+        partner.writes(String, 'robot_description', LATCHED).publish(String(data=urdf))
         partner.connect()
         planning = partner.predictor.pipeline.planning
         self.wait(lambda: planning.reader._urdf and planning._plan_out.subscribed)

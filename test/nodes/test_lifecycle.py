@@ -10,13 +10,12 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 import pytest
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from .conftest import MS, PACKAGE, Peer, pose_at, set_on, START
+from .conftest import LATCHED, MS, PACKAGE, Peer, pose_at, set_on, START
 
 ALL = {'package/pose': PoseStamped, 'package/twist': TwistStamped, 'package/odometry': Odometry,
        'cup/wrench': WrenchStamped, 'cup/deflection': PoseStamped, 'package/markers': MarkerArray}
@@ -165,8 +164,7 @@ def test_vacuum_attaches_and_detaches(signal, make_predictor, manager):
 
 def test_vacuum_that_came_before_the_node_was_active_counts(make_predictor, manager):
     """Take a switch that speaks only when it changes at its last word, by an override."""
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    manager.writes(Bool, 'vacuum/held', latched).publish(Bool(data=True))
+    manager.writes(Bool, 'vacuum/held', LATCHED).publish(Bool(data=True))
     of_switch = 'qos_overrides./vacuum/held.subscription'
     node = make_predictor({
         **PACKAGE, 'vacuum.signal': 'bool', 'autostart': False,

@@ -17,12 +17,11 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from .conftest import MS, overrides_of, PACKAGE, Partner, stamp_ns, START
+from .conftest import LATCHED, MS, overrides_of, PACKAGE, Partner, stamp_ns, START
 
 without_events = pytest.mark.skipif(
     find_spec('rclpy.experimental') is None,
@@ -64,9 +63,8 @@ class Cell(Partner):
             {**PACKAGE, 'coast.limit': 0.4}))
         self.thread = spun(predictor)
         super().__init__(ros, predictor)
-        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.odometry = self.hears(Odometry, 'package/odometry', decode=stamp_ns)
-        self.states = self.hears(String, 'package/state', latched, lambda message: message.data)
+        self.states = self.hears(String, 'package/state', LATCHED, lambda message: message.data)
         self.diagnostics = self.hears(DiagnosticArray, '/diagnostics')
         self.connect()
         outputs, live = self.predictor.pipeline.outputs, self.predictor.pipeline.live

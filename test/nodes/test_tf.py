@@ -9,10 +9,9 @@ from bellows_ros.nodes.conversions import vector
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.testing import assert_allclose
 import pytest
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from . import tf2_interface
-from .conftest import ERROR, MS, PACKAGE, stamped, START
+from .conftest import ERROR, LATCHED, MS, PACKAGE, stamped, START
 
 pytestmark = pytest.mark.timeout(600)  # tf2_msgs may have to be built
 
@@ -72,8 +71,7 @@ def send(writer, kind, stamp_ns, *links):
 
 def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, listener):
     """Predict along static and moving links, and say what is missing before."""
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    send(listener.writes(tf2_msgs.TFMessage, '/tf_static', latched), tf2_msgs.TFMessage, 0,
+    send(listener.writes(tf2_msgs.TFMessage, '/tf_static', LATCHED), tf2_msgs.TFMessage, 0,
          ('map', 'base', 2.0), ('flange', 'cup', -0.1))
     predictor = make_predictor({
         **PACKAGE, 'tool_pose.type': 'tf', 'frames.world': 'map', 'frames.tool': 'cup'})
