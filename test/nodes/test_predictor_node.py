@@ -68,13 +68,6 @@ def test_the_pose_may_come_in_each_type_that_drivers_send(kind, make_predictor, 
         numbers(answers), [[1.0, 2.0, 3.0 - stretched - DEPTH, 0.0, 0.0, 0.6, 0.8]], atol=1e-12)
 
 
-def test_pose_does_not_wait_long_for_a_lost_twist(make_partner):
-    """Predict with an estimated twist when no twist comes and no other pose either."""
-    partner = make_partner()
-    partner.predict(START)
-    assert partner.predictor.pipeline.live.twists_estimated == 1
-
-
 def test_vanished_twist_publisher_is_not_waited_for(make_partner):
     """Notice that nobody sends twists any more."""
     partner = make_partner()

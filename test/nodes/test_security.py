@@ -64,7 +64,6 @@ def test_policy_of_the_identifier_is_enough(root, ros):
 def test_what_is_to_be_secured_and_cannot_be_does_not_start(
         name, enclave, root, tmp_path, user_environment):
     """End with 2 and the reason, rather than run in the clear: where DDS has no security too."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     folder = tmp_path / 'enclaves' / 'bellows_ros' / name
     if enclave:
         folder.mkdir(parents=True)
