@@ -14,7 +14,6 @@ import pytest
 from .conftest import contents, MOTION, write_yaml
 
 WITHIN = 60.0  # s, for what must come at once on a machine that is not busy
-Process = subprocess.Popen[str]
 
 
 def start(environment, *arguments, cwd):

@@ -9,7 +9,6 @@ new content, and anything else.
 """
 
 from collections import Counter
-from collections.abc import Callable
 import json
 import os
 from pathlib import Path
@@ -28,10 +27,6 @@ HIDDEN = '.bellows-'
 POSE = 'geometry_msgs/msg/PoseStamped'
 STAMPS = 10**18 + 10**7 * np.arange(400)
 VALUES = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (len(STAMPS), 1))
-
-Content = dict[str, bytes] | None
-Write = Callable[[Path, int], None]
-"""Writes the old content, 0, or the new, 1, to a path."""
 
 
 def result(path, number):
