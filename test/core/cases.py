@@ -2,7 +2,7 @@
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import dexp, exp_so3, nearest_rotation, transform
-from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
+from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
@@ -37,16 +37,6 @@ T_WORLD_TOOL = np.array([  # (3.49)
 def orthonormal(T):
     """Return a pose printed with four digits with the nearest rotation in it."""
     return transform(nearest_rotation(T[:3, :3]), T[:3, 3])
-
-
-def thesis_cup():
-    """Return the cup of (3.45) with l0 = 0.0482 m, undamped."""
-    return Cup(K_THESIS, np.zeros((6, 6)), 0.0482)
-
-
-def thesis_package():
-    """Return the 0.2 m box of 2 kg (3.47), its centre 0.1 m below the lip."""
-    return Package(2.0, box_inertia(2.0, 0.2, 0.2, 0.2), (0.0, 0.0, -0.1))
 
 
 def state_of(o, R, twist=(0.0,) * 6):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from . import oracle
-from .plans import CUP, GRAVITY, Move
+from .plans import CUP, GRAVITY, Move, VALUES
 
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.004, -0.003, -0.03))
 HALF, CENTRE = np.array([0.11, 0.09, 0.06]), np.array([-0.004, 0.003, -0.03])
@@ -32,13 +32,10 @@ def values():
     """Give parameters of the case, with standard deviations as an identification leaves them."""
     K, P = np.diag(CUP.stiffness), np.diag(CUP.damping)
     return {
-        'cup.stiffness': tuple(CUP.stiffness.ravel()), 'cup.damping': tuple(CUP.damping.ravel()),
-        'cup.length': CUP.length,
+        **VALUES, 'package.com': tuple(PACKAGE.com),
         'cup.stiffness_std': tuple(np.diag(0.004 * K).ravel()),
         'cup.damping_std': tuple(np.diag(0.02 * P).ravel()),
         'cup.lip_radius': GRIP[1], 'cup.suction_area': 1e-3, 'vacuum.holding': GRIP[0] / 1e-3,
-        'package.mass': PACKAGE.mass, 'package.com': tuple(PACKAGE.com),
-        'package.inertia': (*np.diag(PACKAGE.inertia), 0.0, 0.0, 0.0),
         'package.size': tuple(2 * HALF), 'package.size_center': tuple(CENTRE),
         'release.delay': 0.012, 'release.delay_std': 5e-4,
         'release.tau': 0.02, 'release.tau_std': 5e-4,
