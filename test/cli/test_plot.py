@@ -7,16 +7,12 @@ import pytest
 pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
 
 
-@pytest.mark.parametrize(
-    ('what', 'name', 'start'),
-    [('motion', 'a.png', b'\x89PNG'), ('prediction', 'a.svg', b'<?xml')],
-)
-def test_pictures_are_written(what, name, start, quietly, workshop, tmp_path):
+def test_a_picture_is_written(quietly, workshop, tmp_path):
     """Write one file, and say so."""
-    done = quietly('plot', what, 'recording', '--params', 'cup.yaml', '--out', tmp_path / name,
-                   cwd=workshop)
-    assert done.stdout == f'Wrote {tmp_path / name}.\n'
-    assert (tmp_path / name).read_bytes().startswith(start)
+    out = tmp_path / 'a.svg'
+    done = quietly(
+        'plot', 'prediction', 'recording', '--params', 'cup.yaml', '--out', out, cwd=workshop)
+    assert done.stdout == f'Wrote {out}.\n' and out.read_bytes().startswith(b'<?xml')
 
 
 @pytest.mark.parametrize('what', ['motion', 'spectra'])
