@@ -68,10 +68,7 @@ def test_it_writes_the_pictures(outcome):
 @pytest.mark.parametrize('missing', ['validation', 'package.yaml'])
 def test_a_missing_recording_is_said(missing, root, tmp_path, capsys):
     """End with 2 and say what is not there, before anything is made."""
-    def leave_out(folder, names):
-        return [missing]
-
-    bags = shutil.copytree(root / 'bags', tmp_path / 'bags', ignore=leave_out)
+    bags = shutil.copytree(root / 'bags', tmp_path / 'bags', ignore=lambda *_: [missing])
     assert main(['--bags', str(bags), '--out', str(tmp_path / 'out')]) == 2
     out, err = capsys.readouterr()
     assert out == '' and str(bags / missing) in err

@@ -151,21 +151,16 @@ def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
         figures(other, values=values, urdf=str(tmp_path / 'arm.urdf'))
 
 
-def tf_recording(folder):
-    """Write a recording that has only transforms: a mount, an arm, and the tool on it."""
+def test_transforms_and_joint_states_become_tool_poses(tmp_path):
+    """Of a mount, an arm, and the tool on it, in transforms alone; and of an arm by its joints."""
     times, poses, _ = samples()
     fixed = [[(header(0, 'flange'), 'tool', ([0, 0, 0.1], [0, 0, 0, 1]))]]
     moving = [[[(header(T0 + at, 'base'), 'flange', (p[:3], p[3:]))]]
               for at, p in zip(times, poses, strict=True)]
-    write_bag(folder, [
+    write_bag(tmp_path / 'tf', [
         Encoded('/tf_static', TF, np.array([T0]), [serialized(TF, fixed)]),
         Encoded('/tf', TF, T0 + times, [serialized(TF, each) for each in moving])])
-    return folder
-
-
-def test_transforms_and_joint_states_become_tool_poses(tmp_path):
-    times, poses, _ = samples()
-    done = to_bag(tool_of_joints(tf_recording(tmp_path / 'tf'), 'tool'), tmp_path / 'poses')
+    done = to_bag(tool_of_joints(tmp_path / 'tf', 'tool'), tmp_path / 'poses')
     assert [(body.topic, body.poses) for body in done.bodies] == [('/tool_arm/pose', len(times))]
     source = read_plan(tmp_path / 'poses', resolve(VALUES))
     assert source.frame_id == 'base'

@@ -28,18 +28,13 @@ MEMORY, NO_LOSSES = first_memory(0.03 / np.log(2.0)), np.zeros((0, 12, 13))
 pytestmark = pytest.mark.xdist_group('kernels called from Python')  # compiled by one worker alone
 
 
-def theta_of(rng):
-    """Give numbers that are off."""
-    return rng.normal(size=ekf.ALL_ROWS - 12) * SIZES[12:] * 0.5
-
-
 @pytest.mark.parametrize('is_off', [False, True])
 def test_transition_is_that_by_differences(is_off):
     """Carry an error for 1 ms as the difference of two packages goes on, and its covariance."""
     rng = np.random.default_rng(1)
     stamps, tool = tool_motion(rng, 0.3, period_ns=1_000_000)
     model, h = model_tuple(CUP, PACKAGE, 9.81), 1e-3
-    theta = theta_of(rng) * is_off
+    theta = rng.normal(size=ekf.ALL_ROWS - 12) * SIZES[12:] * 0.5 * is_off
     theta[ekf.LENGTHENING - 12] = 0.0
     start, end = tool[250:252]
     body = moved_by(static_equilibrium(model, start), rng.normal(size=12) * 0.01)

@@ -30,7 +30,6 @@ from ..plans import Batch, CUP, Move, PACKAGE
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)
-SOFTER = Cup(0.95 * CUP.stiffness, CUP.damping, CUP.length)
 
 
 class Smooth(Move):
@@ -109,7 +108,7 @@ def test_four_continuous_derivatives_are_distinguished_from_fewer(order, smooth)
 def test_shaping_is_as_in_the_table():
     """0.6 m in 0.5 s: time added, largest tilt and swing left of quintic, ZV, ZVD, inverse."""
     plan = SLIDE.plan()
-    softer = model_tuple(SOFTER, PACKAGE, 9.81)
+    softer = model_tuple(Cup(0.95 * CUP.stiffness, CUP.damping, CUP.length), PACKAGE, 9.81)
 
     def row(tool, wanted):
         run = PlanSimulation(MODEL, None, tool)
