@@ -138,9 +138,6 @@ class Cell:
             HEAVY, gripper_of(CUP), **{**OF_GRIPPER, **given})
         self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))
 
-    def _sign(self):
-        return self.rng.choice([-1.0, 1.0])
-
     def _across(self, length):
         angle = self.rng.uniform(0.0, 2.0 * np.pi)
         return length * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -157,7 +154,7 @@ class Cell:
 
     def _true(self):
         """Give package and cup as they are."""
-        off = {name: self._sign() * self.wrong.get(name, 0.0)
+        off = {name: self.rng.choice([-1.0, 1.0]) * self.wrong.get(name, 0.0)
                for name in ('mass', 'inertia', 'stiffness', 'damping')}
         com = self._direction(self.wrong.get('com', 0.0))
         if self.fault == 'payload':
