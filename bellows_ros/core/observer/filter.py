@@ -19,10 +19,11 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import linearise, substeps_for
+from bellows_ros.core.model.jacobians import Square
 from bellows_ros.core.model.kernels import Blocks, Branch, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
 import numpy as np
@@ -250,46 +251,73 @@ def slopes(
         That of the twist's error by the other rows; m as in `identity_transition`.
 
     """
-    package, com, is_damped = model[1], model[1][1], B.shape[1] > MARKER
-    J = np.empty((6, jac.PARAMETERS))
+    package, com, turning = model[1], model[1][1], body[3]
     jac.write_slope(model, tool, body, A)
-    jac.parameter_jacobian(model, tool, body, 0, 42 if is_damped else 21, J)
-    jac.parameter_jacobian(model, tool, body, 53, jac.PARAMETERS, J[:, 53:])
     f, m = kernels.lip_wrench(model, tool, body)
+    c, o, R, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
+    B[:, STIFFNESS:] = 0.0
+    h = kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:])
+    J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
+    _by_axes(-0.125, model[0][2], jac.accelerations(package, jac.shift_left(
+        c, (t3.transposed(J_oo), jac.NOTHING, t3.transposed(J_oR), t3.transposed(J_RR)))),
+        h[0], h[1], B[:, STIFFNESS:])
+    if B.shape[1] > MARKER:
+        far, R_back = t3.apply(R, w), t3.transposed(R)
+        at_S1 = jac.IDENTITY, jac.NOTHING, jac.NOTHING, jac.IDENTITY
+        at_S2 = R_back, jac.NOTHING, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
+        _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S1)),
+                 v, w, B[:, MARKER:])
+        _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),
+                 t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, MARKER:])
+        by_inertia = B[:, MARKER + INERTIA - DAMPING:]
+        jac.parameter_jacobian(model, tool, body, 43, 46, by_inertia)
+        for i in range(6):
+            for j in range(3):
+                by_inertia[i, j] *= mass_ratio
     dv, dw = jac.by_length(model, tool, body, f)
     jac.write_column(B, LENGTH, dv, dw)
     dv, dw = jac.acceleration_at(package, com, f, m)
     jac.write_column(B, MASS, t3.scale(-1.0, dv), t3.scale(-1.0, dw))
-    for i in range(6):
-        for j in range(9):  # by the centre of mass (m), then by the push
-            B[i, COM + j] = J[i, 53 + j] if j < 3 else mass_ratio * J[i, 53 + j]
-    for i in range(3):  # which has another arm, too
-        by_push = t3.apply(package[3], t3.cross(t3.unit(i, 1.0), bias[0]))
-        for j in range(3):
-            B[3 + j, COM + i] -= by_push[j]
-    B[:, STIFFNESS:] = 0.0
-    _by_axes(model[0][2], J, B[:, STIFFNESS:])
-    if is_damped:
-        _by_axes(model[0][3], J[:, 21:], B[:, MARKER:])
-        jac.parameter_jacobian(model, tool, body, 43, 46, J)
-        for i in range(6):
-            for j in range(3):
-                B[i, MARKER + 6 + j] = mass_ratio * J[i, j]
+    slopes_S1 = jac.wrench_jacobians(model, tool, body)
+    for i in range(3):  # by the centre of mass (m), the push has another arm, too
+        along = t3.unit(i, 1.0)
+        dv, dw = jac.by_com(package, c, slopes_S1[0], slopes_S1[1], turning, f, along)
+        by_push = t3.apply(package[3], t3.cross(along, bias[0]))
+        jac.write_column(B, COM + i, dv, t3.subtract(dw, by_push))
+        dv, dw = jac.acceleration_at(package, com, t3.unit(i, mass_ratio), ZERO)
+        jac.write_column(B, WRENCH + i, dv, dw)
+        jac.write_column(B, WRENCH + 3 + i, ZERO, t3.apply(package[3], t3.unit(i, mass_ratio)))
     return t3.apply(t3.rotation_matrix(body[1]), f)
 
 
 @kernel
-def _by_axes(M: Blocks, by_entries: Array, out: Array) -> None:
-    """Add slopes (6, 6) by logarithms along the axes of M, as of `_scaled`, by its entries."""
-    for i in range(6):
-        number = 0
-        for j in range(6):
-            for k in range(j, 6):
-                entry = M[(j > 2) + (k > 2)][3 * (j % 3) + k % 3]
-                slope = 0.5 * entry * by_entries[i, number]
-                out[i, j] += slope
-                out[i, k] += slope
-                number += 1
+def _by_axes(
+    factor: float, M: Blocks, S: Square, x: Vector, y: Vector, out: Array
+) -> None:
+    """
+    Add slopes (6, 6) by logarithms along the axes of M, as of `_scaled`, of what M makes.
+
+    Entry jk of M makes 2 factor (s_j x_k + s_k x_j), with columns s of S and (x, y) for x.
+    """
+    a, b = kernels.multiply_blocks(M, x, y)
+    left = (
+        t3.add_scaled_matrix(t3.multiply(S[0], M[0]), 1.0, t3.multiply(S[1], t3.transposed(M[1]))),
+        t3.add_scaled_matrix(t3.multiply(S[0], M[1]), 1.0, t3.multiply(S[1], M[2])),
+        t3.add_scaled_matrix(t3.multiply(S[2], M[0]), 1.0, t3.multiply(S[3], t3.transposed(M[1]))),
+        t3.add_scaled_matrix(t3.multiply(S[2], M[1]), 1.0, t3.multiply(S[3], M[2])))
+    _add_block(out, 0, 0, factor, S[0], left[0], x, a)
+    _add_block(out, 0, 3, factor, S[1], left[1], y, b)
+    _add_block(out, 3, 0, factor, S[2], left[2], x, a)
+    _add_block(out, 3, 3, factor, S[3], left[3], y, b)
+
+
+@kernel
+def _add_block(
+    out: Array, row: int, column: int, factor: float, S: Matrix, SM: Matrix, x: Vector, Mx: Vector
+) -> None:
+    for i in range(3):
+        for j in range(3):
+            out[row + i, column + j] += factor * (S[3 * i + j] * Mx[j] + SM[3 * i + j] * x[j])
 
 
 @array_kernel
