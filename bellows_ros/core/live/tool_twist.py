@@ -76,6 +76,7 @@ class Pairing:
         self._pose_period_ns = self._twist_period_ns = 0.0
         self._newest_twist_ns = -1
         self._run = 0  # of poses with a twist, or below zero without
+        self._last_paired = False
         self._without_twist: deque[int] = deque(maxlen=16)  # stamps that went on alone
 
     @property
@@ -106,12 +107,18 @@ class Pairing:
             self._newest_twist_ns, stamp_ns)
         if 0 <= newest_ns < stamp_ns:
             self._twist_period_ns = smoothed(self._twist_period_ns, stamp_ns - newest_ns)
-        if stamp_ns > self._last_emitted_ns + PAIRING_TOLERANCE_NS:
-            self._twists.append(twist)
-            return
-        self._note_late(stamp_ns)
-        if self._before is None or stamp_ns > self._before.stamp_ns:
+        if abs(stamp_ns - self._last_emitted_ns) <= PAIRING_TOLERANCE_NS:
+            if not self._last_paired:  # it came after its pose had gone on without it
+                self._last_paired = True
+                self._pairs += 1
+                self._count(True)
             self._before = twist
+        elif stamp_ns < self._last_emitted_ns:
+            self._note_late(stamp_ns)
+            if self._before is None or stamp_ns > self._before.stamp_ns:
+                self._before = twist
+        else:
+            self._twists.append(twist)
 
     def _drop_leaps(self, stamp_ns: int) -> None:
         """Drop twists whose stamps lay in the future, where one with an earlier stamp follows."""
@@ -140,7 +147,7 @@ class Pairing:
                 self._count(False)
                 self.expect = self.expect and not overdue
             self._poses.popleft()
-            self._last_emitted_ns = pose.stamp_ns
+            self._last_emitted_ns, self._last_paired = pose.stamp_ns, twist is not None
             if twist is None:
                 self._without_twist.append(pose.stamp_ns)
             else:
@@ -175,11 +182,8 @@ class Pairing:
 
     def _note_late(self, stamp_ns: int) -> None:
         """Wait for twists again when those of poses that went on alone come, only later."""
-        alone = [other for other in self._without_twist
-                 if abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS]
-        if alone and self._newest_ns - stamp_ns <= MAX_WAIT_NS:
-            self._without_twist.remove(alone[0])
-            self._pairs += 1
+        if self._newest_ns - stamp_ns <= MAX_WAIT_NS and any(
+                abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist):
             self._count(True)
 
     def _count(self, is_found: bool) -> None:
