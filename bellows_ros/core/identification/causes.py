@@ -295,9 +295,16 @@ def _misread(recording: Recording) -> Finding | None:
         return _fact('package_world', apart)
     if away > conventions.MAX_DISTANCE:
         raise BellowsError(MISREAD['apart'].format(**names, away=away))
+    # mostly below the tool, it may have fallen since
+    return _above_the_tool(recording, centre, in_world, 1e3 * above) if above > 0.0 else None
+
+
+def _above_the_tool(
+    recording: Recording, centre: Array, in_world: Array, above: float
+) -> Finding:
+    """Return why a lip is above the tool (mm), by positions (N, 3) from there as `_misread`."""
     below, upward, other = (1e3 * float(np.median(offset[:, 2])) for offset in (
         -centre, in_world, apply(alignment.R_WORLD_MOTIVE, in_world)))  # its own inverse
-    above *= 1e3
     if recording.settings.package_frame == 'com' and below > 0.0:
         return _fact('recording.package_frame', MISREAD['lip'].format(below=below, above=above))
     if upward > 0.0 or other > -upward:

@@ -149,6 +149,18 @@ def test_clocks_that_are_apart_are_no_exchanged_topics():
     assert found.name == 'time_offset' and abs(found.theta[0] + 2.0) < 0.1
 
 
+def test_a_package_that_has_fallen_hung_below_the_tool():
+    """It is tracked until it lies on the floor: frames and centre of mass are right."""
+    recording = record(shake(duration=12.0))
+    package = recording.package_pose
+    position = package.position.copy()
+    since = (package.stamps_ns - package.stamps_ns[0]) * 1e-9 - 7.5
+    position[:, 2] -= np.minimum(4.9 * np.maximum(since, 0.0) ** 2, 5.0)
+    fallen = prepare(
+        recording.tool_pose, replace(package, position=position), recording.settings)
+    assert misread(fallen) is None
+
+
 def test_a_replay_names_clocks_that_are_apart():
     laboratory = Laboratory(4, seconds=8.0)
     recording = laboratory.recording()
