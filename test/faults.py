@@ -59,7 +59,9 @@ def outcome(laboratory, cause, other=''):
                 'wrong and certain' if 'certain' in named[0] else 'wrong, not certain'), said
     word, said = unnamed(laboratory, verdict, found, said)
     first = next(iter(verdict.found), '')  # with K and P, so that nothing is refused
-    return 'right' if word == 'silent' and cause in first else word, f'{first} {said}'
+    if cause in first:
+        word = {'silent': 'right', 'silent and wrong': 'said, and wrong'}.get(word, word)
+    return word, f'{first} {said}'
 
 
 def of_two(named, cause, other):

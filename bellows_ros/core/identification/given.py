@@ -34,6 +34,7 @@ from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.causes import DISTINCT, Finding, SIGNIFICANT
 from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.search import (
+    deviance,
     MAX_NOISE_CHI2,
     Minimum,
     MISFIT_CHI2,
@@ -648,10 +649,7 @@ def _gain(
         given = 0.0 if of_poses else float(search.weights @ minimum.theta**2)
         if not is_slow:
             return minimum.squares + given
-        logs = sum(float(np.sum(np.log(part.variance))) for part in minimum.parts)
-        count = minimum.residual_count
-        mean = float(np.log(minimum.squares / count)) + logs / count
-        return after[1].residual_count * mean + given
+        return deviance(minimum.parts) * after[1].residual_count / minimum.residual_count + given
 
     return left(*before) - left(*after)
 

@@ -14,8 +14,9 @@ noise would move anywhere: with an unknown acceleration of the package the diffe
 lies further back than a moment.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 import math
 import os
@@ -130,6 +131,9 @@ Squared length of a step, in standard deviations, that ends the approach, and th
 
 And the largest of the last step allowed: numbers that are barely identifiable keep oscillating.
 """
+
+SHORTER = 0.25
+"""Part of a step that is tried where the squares rise with the whole."""
 
 MAX_RISE = 1.2
 """Factor by which the sum of squares, in noise as it is estimated now, may rise in a step: their
@@ -449,7 +453,8 @@ class Search(Parametrization):
         """
         Return the root in some directions.
 
-        With an unknown acceleration that forgets at a rate (1/s), where the squares were lowest.
+        With an unknown acceleration that forgets at a rate (1/s), or where it does not converge,
+        where the poses were likeliest.
         """
         parts, H, g = system or self.system(theta, forgetting)
         if not np.all(np.isfinite(g)):
@@ -462,23 +467,26 @@ class Search(Parametrization):
             (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
             (0.0, TOLERANCE, MAX_STEPS))
         damping, settled, is_fresh = min_damping, True, True
+        badness = squares if forgetting else deviance
         history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
         expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
         largest = MAX_RISE * max(squares(parts), expected)
-        best, lowest, best_number = Minimum(theta, parts, H, False, self.noise), math.inf, 0
+        best, lowest = Minimum(theta, parts, H, False, self.noise), (True, math.inf)
+        best_number = 0
         for number in range(max_steps):
             is_misfit = number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected
             if is_misfit or best.converged and number > best_number + MAX_WANDERING_STEPS:
                 break
             step = self._damped_step(theta, H, g, damping, directions)
-            moved = self.moved(theta, _anderson_step(step, H, history))
             length = self.squared_length(step, H)
-            cost = squares(parts) if forgetting else length
-            if settled and cost < lowest:
-                is_near = forgetting == 0.0 and length < LOOSE_TOLERANCE
+            is_near = not forgetting and settled and (
+                length < LOOSE_TOLERANCE and damping <= MAX_FINAL_DAMPING)
+            cost = not is_near, length if is_near else badness(parts)
+            if cost < lowest:
                 best, lowest, best_number = (
                     Minimum(theta, parts, H, is_near, self.noise), cost, number)
-            new = self._system_below(moved, forgetting, largest)
+            steps = _anderson_step(step, H, history), SHORTER * step
+            moved, new = self._moved_below(theta, steps, forgetting, largest)
             if new is None:
                 history = []
                 if is_fresh:
@@ -505,20 +513,24 @@ class Search(Parametrization):
             report(self.cup(theta), squares(parts) / expected)
             if length < tolerance and settled:
                 break
-        is_near = length < LOOSE_TOLERANCE and settled
-        if squares(parts) > lowest if forgetting else best.converged and not is_near:
+        is_near = not forgetting and settled and length < LOOSE_TOLERANCE
+        if not is_near and lowest < (True, badness(parts)):
             self.restore(best)
             return best
         self.update_noise(parts)
         return Minimum(theta, parts, H, is_near, self.noise)
 
-    def _system_below(self, theta: Array, forgetting: float, largest: float) -> System | None:
-        """Return the system at unknowns, none where its squares are not below the largest."""
-        try:
-            system = self.system(theta, forgetting)
-        except BellowsError:  # no cup is that short or fast, no clock that far off
-            return None
-        return system if squares(system[0]) < largest else None  # or nan
+    def _moved_below(
+        self, theta: Array, steps: Iterable[Array], forgetting: float, largest: float
+    ) -> tuple[Array, System | None]:
+        """Return where squares are below the largest after the first step, if any, and there."""
+        for step in steps:
+            theta_moved = self.moved(theta, step)
+            with suppress(BellowsError):  # no cup is that short or fast, no clock that far off
+                system = self.system(theta_moved, forgetting)
+                if squares(system[0]) < largest:  # nor nan
+                    return theta_moved, system
+        return theta, None
 
     def _damped_step(
         self, theta: Array, H: Array, g: Array, damping: float, directions: Array
@@ -739,6 +751,13 @@ def _not_below(strengths: ArrayLike) -> tuple[float, float]:
 def squares(parts: Sequence[WhitenedSegment]) -> float:
     """Return the sum of squares."""
     return float(sum(part.innovations @ part.innovations for part in parts))
+
+
+def deviance(parts: Sequence[WhitenedSegment]) -> float:
+    """Return -2 times the logarithm of the likelihood, at the best scale of all variances."""
+    count = sum(len(part.innovations) for part in parts)
+    logs = sum(float(np.sum(np.log(part.variance))) for part in parts)
+    return float(count * np.log(squares(parts) / count)) + logs
 
 
 def _anderson_step(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Array:

@@ -32,6 +32,7 @@ pytestmark = pytest.mark.skipif(
     not COMPILED, reason='numba is not installed: this takes minutes interpreted')
 
 Laboratory = partial(laboratory.Laboratory, rate_hz=240.0)
+QUICK = {'rate_hz': 480.0, 'seconds': 6.0}
 
 
 def faulty(faults, seed, **options):
@@ -76,6 +77,8 @@ def named(laboratory, cause):
     ('structure', 4, {}, 'structure'),
     # A yaw that noise nearly hides, and poses of the lip that put it above or at the tool.
     ('yaw', 902, {'rate_hz': 480.0, 'seconds': 12.0}, 'yaw'),
+    # With which the search does not converge.
+    ('friction', 4101, QUICK, 'friction'),
     *(('package frame', seed, {}, 'recording.package_frame: lip') for seed in (20271, 901))])
 def test_one_fault_is_named(fault, seed, options, cause):
     laboratory = faulty(fault, seed, **options)
@@ -101,6 +104,14 @@ def test_a_turned_marker_of_the_tool_is_found_as_such():
     turn = exp_so3(first.theta[3:]) @ laboratory.turn['tool']
     assert (first.name, first.value, others) == ('package_marker', 'tool', [])
     assert np.linalg.norm(log_so3(turn)) < 0.05 * np.linalg.norm(first.theta[3:])
+
+
+def test_what_an_inertia_shares_with_the_centre_of_mass_is_its_own():
+    """At the end of a curved valley, in which a short step is no convergence."""
+    laboratory = faulty('inertia', 4000, **QUICK)
+    found, = diagnosed(laboratory)
+    factor = laboratory.package.inertia[0, 0] / laboratory.said.inertia[0, 0]
+    assert found.name == 'inertia' and abs(found.theta[0] - np.log(factor)) < 0.03
 
 
 @pytest.mark.parametrize(('first', 'second', 'seed'), [
