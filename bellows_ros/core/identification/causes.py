@@ -645,7 +645,7 @@ def setting_of(finding: Finding) -> str:
 
 
 def finding_sentence(finding: Finding, given: Given) -> str:
-    """Return what the finding is, its size, by how much residuals fall if so, and a remedy."""
+    """Return what the finding is, its size, by how much the misfit falls if so, and a remedy."""
     if finding.sentence:
         return finding.sentence
     name, fields = _name_of(finding), {'value': finding.value}
@@ -655,6 +655,6 @@ def finding_sentence(finding: Finding, given: Given) -> str:
                    f'{100.0 * std:.1g}', 'side': cause.get('sides', ('', ''))[int(number > 0.0)]}
     if name in FIELDS:
         fields |= FIELDS[name](finding, given)
-    falls = f' With that, the residuals fall to {100.0 * finding.left:.2g} %.'
+    falls = f' With that, the misfit falls to {100.0 * finding.left:.2g} %.'
     return (f'{cause["what"].format(**fields)}.{falls if 0.0 < finding.left < 0.95 else ""} '
             f'{cause["remedy"].format(**fields)}')

@@ -24,14 +24,14 @@ first, then with it as it was given.
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification import quantities
-from bellows_ros.core.identification.causes import DISTINCT, Finding, SIGNIFICANT
+from bellows_ros.core.identification.causes import DISTINCT, Finding, MATERIAL, SIGNIFICANT
 from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.search import (
     deviance,
@@ -257,13 +257,13 @@ def causes(
     """
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
-    is_off = largest_pull(search, minimum, given)[1] > 1.0  # few numbers before many
+    off = is_off(search, minimum, given)  # few numbers before many
     falls = scores(search, minimum, [*_candidates(search, stated(given)), *['couplings'] * (
-        not search.structure.couples and not search.structure.places and not is_off)])
+        not search.structure.couples and not search.structure.places and not off)])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in search.places and (
             not minimum.converged or max(falls.values(), default=0.0) > SIGNIFICANT**2
-            or is_off):  # a slip moves the com, too
+            or off):  # a slip moves the com, too
         search, falls['slip'] = _with_likeliest_slip(search, minimum)
     if max(falls.values(), default=0.0) < SIGNIFICANT**2:
         return ()
@@ -271,6 +271,8 @@ def causes(
     best = max(tried, key=lambda freed: _priced((freed.name, freed.gain)))
     if best.gain < SIGNIFICANT**2:
         return ()
+    if off and (reasons := outlying(search, minimum, given, count, best.gain)):
+        return reasons
     theta, std = _estimate(best)
     shifts = [freed.search.estimate(freed.minimum, freed.name)[0]
               for freed in tried if freed.name in OF_LIP] + [
@@ -297,16 +299,18 @@ def causes(
     unexplained = best.minimum.squares - best.minimum.residual_count
     is_all = count > 1 and (  # so that what a rival leaves is its own
         not others or unexplained < DISTINCT**2 * (best.gain - rival))
-    pulls = [largest_pull(*end, given)[1]
-             for end in ((search, minimum), (best.search, best.minimum))]
     is_material = best.name == 'slip' or moved > MIN_SHIFT or left < DISTINCT or (
-        pulls[0] > 1.0 > pulls[1])
-    is_expected = best.name in given and bool(np.all(np.abs(theta) <= 3.0 * given[best.name]))
+        off and not is_off(best.search, best.minimum, given))
+    usual = given.get('package_marker' if best.name in MARKERS else best.name)
+    is_expected = usual is not None and bool(np.all(np.abs(theta) <= 3.0 * usual))
     certain = is_material and best.minimum.converged and not is_expected and (
         rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
         # what this one does not explain may be of another
         best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count
         or any(other.certain for other in others))
+    excess = minimum.squares - minimum.residual_count
+    if excess > MATERIAL * minimum.residual_count:
+        left = min(left, float(np.sqrt(max(unexplained, 0.0) / excess)))
     return (_finding(best, theta, std)._replace(
         left=left, moved=moved, certain=certain, instead=instead),
         # a frame that is turned looks like couplings, and like another that is turned
@@ -321,10 +325,13 @@ def _priced(fall: tuple[str, float]) -> float:
 
 
 def _candidates(search: Search, without: Sequence[str] = ()) -> list[str]:
-    """Return what may be wrong and is not free; one marker is free for both."""
+    """Return what may be wrong and is not free; once a marker may be anywhere, no other is."""
     taken = {*search.places, *without}
-    return [name for name in CANDIDATES if name not in taken and not (
-        name in MARKERS and taken.intersection(MARKERS))]
+    for name in search.places.keys() & set(MARKERS):
+        kind = quantities.KINDS[name]
+        if np.all(search.weights[search.places[name]] * (kind.prior_std / kind.unit) ** 2 < 2.0):
+            taken.update(MARKERS)
+    return [name for name in CANDIDATES if name not in taken]
 
 
 def _tried(search: Search, minimum: Minimum, falls: Mapping[str, float]) -> list['_Freed']:
@@ -355,9 +362,10 @@ def _tried(search: Search, minimum: Minimum, falls: Mapping[str, float]) -> list
 
 def is_explained(search: Search, minimum: Minimum, given: Free) -> bool:
     """Return whether a minimum leaves no cause to look for, with what was given free."""
-    return search.fits(minimum) and (
-        max(scores(search, minimum, _candidates(search)).values()) < SIGNIFICANT**2) and (
-            largest_pull(search, minimum, given)[1] < 1.0)
+    names = [name for name in _candidates(search) if not (  # a little off, it is as one of both
+        name in MARKERS and search.places.keys() & set(MARKERS))]
+    return search.fits(minimum) and not is_off(search, minimum, given) and (
+        max(scores(search, minimum, names).values()) < SIGNIFICANT**2)
 
 
 def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ...]:
@@ -421,13 +429,18 @@ def _is_as_far_as_com(search: Search, shift: Array) -> bool:
     return bool(np.linalg.norm(shift) > MIN_EXCHANGE_SHIFT * np.linalg.norm(com))
 
 
-def largest_pull(search: Search, minimum: Minimum, given: Free) -> tuple[str, float]:
+def is_off(search: Search, minimum: Minimum, given: Free) -> bool:
+    """Return whether something given is off by more than is allowed."""
+    return max(pulls(search, minimum, given).values(), default=0.0) > 1.0
+
+
+def pulls(search: Search, minimum: Minimum, given: Free) -> dict[str, float]:
     """
-    Return what was given and is off by most, and by how much, in what is allowed: `MAX_PULL`.
+    Return by how much what was given is off, by name, in what is allowed: `MAX_PULL`.
 
     Of mass and inertia only the ratio is known.
     """
-    pulls = {'': 0.0}
+    found = dict[str, float]()
     covariance = np.linalg.inv(minimum.information - search.fixing)
 
     def pull(by: Array) -> float:
@@ -437,31 +450,37 @@ def largest_pull(search: Search, minimum: Minimum, given: Free) -> tuple[str, fl
         return abs(float(by @ minimum.theta)) / float(np.sqrt(prior * known))
 
     for name in search.places.keys() & given.keys() - {'mass', 'inertia'}:
-        pulls[name] = max(map(pull, np.eye(len(search.units))[search.places[name].ravel()]))
+        found[name] = max(map(pull, np.eye(len(search.units))[search.places[name].ravel()]))
     if {'mass', 'inertia'} <= search.places.keys() & given.keys():
         ratio = np.zeros(len(search.units))
         for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
             place = search.places[name].ravel()
             ratio[place] = part * search.units[place]
-        pulls['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(ratio)
-    name, largest = max(pulls.items(), key=itemgetter(1))
-    return name, largest / MAX_PULL
+        found['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(ratio)
+    return {name: size / MAX_PULL for name, size in found.items()}
 
 
 def outlying(
-    search: Search, minimum: Minimum, given: Free, count: int = MAX_CAUSES
+    search: Search, minimum: Minimum, given: Free, count: int = MAX_CAUSES, least: float = -np.inf,
 ) -> tuple[Finding, ...]:
     """
     Return what is off by most of its standard deviations, from `MAX_PULL` on, up to so many.
 
+    None if squares fall by less than some with the first of them free.
     With all of it free, a fit may explain the poses by numbers that are not those given.
     """
     explains = minimum.converged and minimum.robust_chi2 < MISFIT_CHI2
-    name, pull = largest_pull(search, minimum, given)
-    if not explains or pull < 1.0:
+    sizes = pulls(search, minimum, given)
+    off = [name for name in sorted(sizes, key=sizes.__getitem__, reverse=True)[:MAX_TRIED]
+           if sizes[name] > 1.0]
+    if not explains or not off:
         return ()
-    freed = max((_freed(search, minimum, each) for each in (name, SIMILAR.get(name, ''))
-                 if each in search.places), key=attrgetter('gain'))
+    tried = dict.fromkeys([*off, *(SIMILAR.get(name, '') for name in off)])
+    freed = max((_freed(search, minimum, name) for name in tried if name in search.places),
+                key=attrgetter('gain'))
+    if freed.gain < least:
+        search.restore(minimum)
+        return ()
     name = freed.name
     if not freed.minimum.converged:
         freed, count = freed._replace(search=search, minimum=minimum), 1
@@ -503,7 +522,7 @@ def _coupled(search: Search, minimum: Minimum, given: Free) -> Finding | None:
         return None
     freed = _freed(search, minimum, 'couplings', True, structure)
     if not freed.search.fits(freed.minimum) or (
-            largest_pull(freed.search, freed.minimum, given)[1] > 1.0):
+            is_off(freed.search, freed.minimum, given)):
         return None
     return Finding('structure', freed.search.structure.name, datum=False)
 

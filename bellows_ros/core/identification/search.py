@@ -642,7 +642,8 @@ class Search(Parametrization):
             for body in (segment.expected_start, segment.start))
         start = _start_near_rest(model, path.rows[0], start, segment.std)
         mean, poses = _difference(start, expected), self._poses(segment, nodes, free, lengths)
-        tool_noise = segment.tool_noise(nodes, free.get('tool_marker', np.zeros(6)))
+        marker = free.get('tool_marker', np.zeros(6))
+        tool_noise = segment.tool_noise(nodes, marker)
         initial_std = INITIAL_STD[:len(mean)]
         scales, extra, reach = self._cup_deviations(
             theta, segment, nodes.stamps, model, start, path)
@@ -663,7 +664,7 @@ class Search(Parametrization):
         return WhitenedSegment(
             innovations.ravel(), slopes.reshape(innovations.size, -1), variance,
             (1.0 - segment.measured.package_noise.correlation**2) * segment.std**2,
-            first_order(change, segment.measured.tool_noise.correlation),
+            first_order(change, segment.measured.tool_noise.correlation) + marker,
             whitening.with_mean(start, correction[:, None]), reach)
 
     def _integration_step(self, model: ModelTuple, factor: float) -> float:
