@@ -6,6 +6,7 @@ import math
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.alignment import MIN_REST
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files.atomic import write_text
 from bellows_ros.report import many
 from bellows_ros.workflows.info import Info, info, TopicInfo
@@ -63,7 +64,7 @@ def _topic_rows(result: Info) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
     for topic in result.topics:
-        begin = (topic.start_ns - first_ns) * 1e-9
+        begin = (topic.start_ns - first_ns) / NS_PER_S
         timing = [  # a single message has no rate
             form.format(value) if topic.kind and math.isfinite(value) else ''
             for form, value in (

@@ -396,7 +396,7 @@ def _start_ns(about: Mapping[str, str]) -> int:
     for form in START_FORMS:
         with suppress(ValueError):
             start = datetime.strptime(text, form).replace(tzinfo=UTC)
-            return int(start.timestamp()) * 10**9 + 1000 * start.microsecond
+            return int(start.timestamp()) * NS_PER_S + 1000 * start.microsecond
     return int(NS_PER_S)
 
 

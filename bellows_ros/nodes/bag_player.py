@@ -317,7 +317,7 @@ def converse(
     return Exchange(
         Counter(names[message.topic.name] for message in messages), Trajectory(
             np.array(stamps_ns), np.array(position), quaternion_to_rotation(np.array(xyzw))),
-        1e-9 * np.subtract(arrived_ns, poses_ns))
+        np.subtract(arrived_ns, poses_ns) / NS_PER_S)
 
 
 def _connect(

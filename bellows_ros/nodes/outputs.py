@@ -27,6 +27,7 @@ from ..core.geometry.arrays import Array
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import flight, load, Prediction, uncertainty
 from ..core.model import cup_package, kernels, structure
+from ..core.signals.trajectory import NS_PER_S
 from ..core.toss.landing import ellipse
 from ..core.toss.release import flight_path
 
@@ -386,7 +387,7 @@ class Tossing:
         after = self.flight.time_to_target(model, prediction)
         if after is not None and not self._worker.stop[0]:
             message = Header(frame_id=frame_id)
-            conversions.write_stamp(message.stamp, prediction.stamp_ns + round(after * 1e9))
+            conversions.write_stamp(message.stamp, prediction.stamp_ns + round(after * NS_PER_S))
             self._at.publish(message)
 
 

@@ -40,7 +40,7 @@ from ..core.model.kernels import ModelTuple
 from ..core.observer.alarms import Alarm
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
 from ..core.signals.screening import PoseSample
-from ..core.signals.trajectory import tip_of
+from ..core.signals.trajectory import NS_PER_S, tip_of
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, short
 
@@ -162,7 +162,7 @@ class Pipeline:
             return
         arrival_ns = self.pose_in.note(stamp_ns)
         self.publish(self.live.on_pose, stamp_ns, frame_id, position, orientation, arrival_ns)
-        self.compute.append((time.monotonic_ns() - arrival_ns) * 1e-9)
+        self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
 
     def _on_twist(self, message: TwistStamped) -> None:
         """Predict with a twist of the tool."""
@@ -172,7 +172,7 @@ class Pipeline:
         arrival_ns = self.twist_in.note(stamp_ns)
         self.publish(self.live.on_twist, stamp_ns, vector(twist.linear), vector(twist.angular),
                      message.header.frame_id)
-        self.compute.append((time.monotonic_ns() - arrival_ns) * 1e-9)
+        self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
 
     def advance(self, step: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a step of the live prediction does; start afresh where it raises."""
@@ -315,7 +315,7 @@ class Pipeline:
         live, values = self.live, self.values
         self.attachment.vacuum.values = values
         self.load = load.Load(values, self.load.pressure)
-        live.coast_limit_ns = round(values['coast.limit'] * 1e9)
+        live.coast_limit_ns = round(values['coast.limit'] * NS_PER_S)
         self.observing.use_values()
         self.outputs.use_values()
         self.planning.use_values()
@@ -375,7 +375,8 @@ class SensorInput:
             self._clock = self._node.get_clock()
             self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
         now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
-        self.arrivals.add(arrival_ns, math.nan if stamp_ns is None else (now_ns - stamp_ns) * 1e-9)
+        age = math.nan if stamp_ns is None else (now_ns - stamp_ns) / NS_PER_S
+        self.arrivals.add(arrival_ns, age)
         return arrival_ns
 
     def report(self, refused: Mapping[str, int]) -> health.InputReport:
@@ -384,7 +385,7 @@ class SensorInput:
         if any(count < before.get(reason, 0) for reason, count in refused.items()):
             before = {}  # what counts has been replaced
         last_ns = self.arrivals.last_ns
-        silent = (time.monotonic_ns() - last_ns) * 1e-9 if last_ns >= 0 else float('inf')
+        silent = (time.monotonic_ns() - last_ns) / NS_PER_S if last_ns >= 0 else float('inf')
         publishers = self._node.count_publishers(self.topic)
         return health.InputReport(
             self.topic, publishers, self._mismatch(publishers), *self.arrivals.reset(), silent,

@@ -14,6 +14,7 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.model.grip import MODES
 from bellows_ros.core.signals.residuals import AXES, Comparison, Spectrum, Whiteness
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
 from bellows_ros.workflows import excite, plan, replay, steer, toss
@@ -268,7 +269,7 @@ def errors_figure(estimates: Mapping[str, Comparison], note: str, theme: str = '
     start_ns = min(estimate.stamps_ns[0] for estimate in estimates.values())
     styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
     return style.six_lines('Predicted minus measured', note, theme, [
-        style.Line(name, *drawn, (estimate.stamps_ns - start_ns) * 1e-9,
+        style.Line(name, *drawn, (estimate.stamps_ns - start_ns) / NS_PER_S,
                    style.SHOWN * estimate.error)
         for (name, estimate), drawn in zip(estimates.items(), styles, strict=False)],
         'time (s)')

@@ -565,7 +565,7 @@ def observed(
         topic, {'prediction alone': prediction,
                 'camera alone': residuals.compare(camera, tool, package),
                 'both': residuals.compare_recorded(corrected, tool, package)}, counts,
-        tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm)
+        tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
         observer.payload, observer.calibration, {
             **_calibrated(observer.calibration, pose, R_model_tool),

@@ -13,6 +13,7 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import Grip, grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.toss import release
 from bellows_ros.core.toss.free_flight import COARSE_ROTATION_PER_STEP, flight, upward
 from bellows_ros.core.toss.landing import aim, factor_columns
@@ -55,10 +56,10 @@ def _after_now(tool: ToolRows | None) -> tuple[Array, Array]:
 def at_constant_velocity(now: Prediction, tool: ToolRows | None, duration: float) -> ToolRows:
     """Return the tool for a time (s) at least: as planned, then at a constant twist."""
     tool = tool or ToolRows(np.zeros(1, np.int64), np.array([np.concatenate(now.tool)]))
-    left_ns = round(duration * 1e9) - int(tool.stamps_ns[-1])
+    left_ns = round(duration * NS_PER_S) - int(tool.stamps_ns[-1])
     if left_ns <= 0:
         return tool
-    last = np.concatenate(extrapolated(row_state(tool.rows[-1]), left_ns * 1e-9))
+    last = np.concatenate(extrapolated(row_state(tool.rows[-1]), left_ns / NS_PER_S))
     return ToolRows(
         np.append(tool.stamps_ns, tool.stamps_ns[-1] + left_ns), np.vstack([tool.rows, last]))
 
@@ -149,17 +150,17 @@ class Flight:
         before, self._before = self._before, now
         if self.state != 'released' or before is None:
             return now
-        duration = (now.stamp_ns - before.stamp_ns) * 1e-9
+        duration = (now.stamp_ns - before.stamp_ns) / NS_PER_S
         if not 0.0 < duration < 1.0:
             return now
         tool = ToolRows(np.array([0, now.stamp_ns - before.stamp_ns]), np.array([
             np.concatenate(each.tool) for each in (before, now)]))
         released, body, landed, _ = self._toss(
-            model, before, tool, (self._switched_ns - before.stamp_ns) * 1e-9, duration)
+            model, before, tool, (self._switched_ns - before.stamp_ns) / NS_PER_S, duration)
         if released < 0.0 and self._values['release.opening'] == 0.0:
             return now
         if released < 0.0:
-            since_valve = (now.stamp_ns - self._switched_ns) * 1e-9
+            since_valve = (now.stamp_ns - self._switched_ns) / NS_PER_S
             opened = release.opened_by(model, self._release.law, since_valve, now.tool, body)
             force, moment = lip_wrench(opened, now.tool, body)
             self._before = now._replace(
@@ -167,8 +168,8 @@ class Flight:
                 force=force, moment=moment, strains=body[4:])
             return self._before
         self._body = body
-        self._stamp_ns = before.stamp_ns + round(released * 1e9)
-        self._landing_ns = None if landed < 0.0 else before.stamp_ns + round(landed * 1e9)
+        self._stamp_ns = before.stamp_ns + round(released * NS_PER_S)
+        self._landing_ns = None if landed < 0.0 else before.stamp_ns + round(landed * NS_PER_S)
         self.state = 'flying'
         return self.fly(model, now.stamp_ns, now.tool) or now
 
@@ -179,7 +180,7 @@ class Flight:
         if self._landing_ns is not None and stamp_ns > self._landing_ns:
             self.state = 'landed'
             return None
-        duration = (stamp_ns - self._stamp_ns) * 1e-9
+        duration = (stamp_ns - self._stamp_ns) / NS_PER_S
         self._body = flight(model[1], model[2], self._body, duration, COARSE_ROTATION_PER_STEP)
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
         return Prediction(stamp_ns, *self._body[:4], ZERO, ZERO, tool, flies=True)
@@ -197,7 +198,7 @@ class Flight:
         released, body, landed = 0.0, now.body, math.inf
         if not now.flies:
             require_steps(seconds / self._longest_step(model), MAX_STEPS)
-            switched = (self._switched_ns - now.stamp_ns) * 1e-9 if self.state else math.inf
+            switched = (self._switched_ns - now.stamp_ns) / NS_PER_S if self.state else math.inf
             try:
                 released, body, landed, _ = self._toss(
                     model, now, self._future(now), switched, seconds)
@@ -208,7 +209,7 @@ class Flight:
             if released < 0.0:
                 return body
         elif self._landing_ns is not None:
-            landed = (self._landing_ns - now.stamp_ns) * 1e-9
+            landed = (self._landing_ns - now.stamp_ns) / NS_PER_S
         if self.state == 'landed' or 0.0 <= landed < seconds:
             raise BellowsError(
                 'The package has landed by then, and its later motion is unknown; expected a '

@@ -18,6 +18,7 @@ from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Load, Safety
 from bellows_ros.core.live.predictor import LivePredictor, MESSAGES, RESTARTS
 from bellows_ros.core.live.tool_screening import REFUSALS
 from bellows_ros.core.model.validity_range import Distance
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 WINDOW_LENGTH = 2048
@@ -62,7 +63,7 @@ class Arrivals:
     def add(self, arrival_ns: int, age: float) -> None:
         """Record a message and its age (s)."""
         if self.last_ns >= 0:
-            self._intervals.append((arrival_ns - self.last_ns) * 1e-9)
+            self._intervals.append((arrival_ns - self.last_ns) / NS_PER_S)
         self.last_ns = arrival_ns
         self.count += 1
         self._ages.append(age)

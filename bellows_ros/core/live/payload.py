@@ -13,6 +13,7 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import Branch, ModelTuple, State, Wrench
 from bellows_ros.core.observer.measurement import Measurement
 from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -184,7 +185,7 @@ class LivePayload:
         if last is None:
             return self._start(stamp_ns, now)
         result = self._advanced(
-            last.body, before or last.tool, now, (stamp_ns - last.stamp_ns) * 1e-9, stamp_ns)
+            last.body, before or last.tool, now, (stamp_ns - last.stamp_ns) / NS_PER_S, stamp_ns)
         if result is None:
             self.outcome = 'diverged'
             if self.observer is not None:
@@ -206,7 +207,7 @@ class LivePayload:
         base = self.sample
         if base is None or stamp_ns <= base.stamp_ns:
             return None
-        duration = (stamp_ns - base.stamp_ns) * 1e-9
+        duration = (stamp_ns - base.stamp_ns) / NS_PER_S
         tool = kernels.extrapolated(base.tool, duration)
         result = self._advanced(base.body, base.tool, tool, duration)
         if result is None:

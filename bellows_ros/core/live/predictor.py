@@ -29,7 +29,7 @@ from bellows_ros.core.model.simulation import trajectory_of
 from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import PoseSample
-from bellows_ros.core.signals.trajectory import frozen, Trajectory
+from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,7 +44,7 @@ MOVING_SPEED, MOVING_RATE = 0.02, 0.1
 
 MESSAGES = tomllib.loads(Path(__file__).with_name('messages.toml').read_text())
 RESTARTS: Mapping[str, str] = {
-    reason: text.format(gap=screening.LONGEST_GAP_NS * 1e-9)
+    reason: text.format(gap=screening.LONGEST_GAP_NS / NS_PER_S)
     for reason, text in MESSAGES['restarts'].items()}
 """Why the prediction starts again, in words."""
 
@@ -357,7 +357,7 @@ class LivePredictor:
         last = self.package.sample
         if twist is not None:
             start, seconds = (ORIGIN, 0.0) if last is None else (
-                last.tool, (pose.stamp_ns - last.stamp_ns) * 1e-9)
+                last.tool, (pose.stamp_ns - last.stamp_ns) / NS_PER_S)
             now, excess, suspicion, jump = self.tool.measured(pose, twist, start, seconds)
             if last is None or excess <= 1.0:
                 if last is not None and suspicion > 1.0:

@@ -17,6 +17,7 @@ from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen
+from bellows_ros.core.signals.trajectory import NS_PER_S
 
 REFUSALS: Mapping[str, str] = {**screening.REFUSALS['both'], **screening.REFUSALS['live']}
 """Why messages are refused, in words."""
@@ -102,7 +103,7 @@ class Reference(NamedTuple):
         """Return the step to a later pose."""
         return PoseStep(*_pose_step(
             self.position, self.quaternion_xyzw, self.step.velocity, self.step.rate, self.period,
-            o, q, (stamp_ns - self.stamp_ns) * 1e-9))
+            o, q, (stamp_ns - self.stamp_ns) / NS_PER_S))
 
 
 @kernel
@@ -282,7 +283,7 @@ class Screen(StampScreen):
                 self.forget_motion()
             self.accept_stamp(stamp_ns, arrival_ns, reason)
             self._last = moved or Reference(
-                stamp_ns, position, quaternion_xyzw, self.period_ns * 1e-9, self._step)
+                stamp_ns, position, quaternion_xyzw, self.period_ns / NS_PER_S, self._step)
             self._elsewhere = None
         return reason
 
@@ -311,7 +312,7 @@ class Screen(StampScreen):
             return 'repeated_pose' if _cannot_stop(last) else ''
         is_doubted = self._elsewhere is not None
         if is_doubted:  # then the time since the last one tells of no burst
-            last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
+            last = last._replace(period=(stamp_ns - last.stamp_ns) / NS_PER_S)
         self._step = step = last.step_to(stamp_ns, o, q)
         if step.excess <= 1.0 and not (is_doubted and self._is_elsewhere(stamp_ns, o, q)):
             limit = SUSPICION_AFTER_JUMPS if is_doubted else 1.0
@@ -335,7 +336,7 @@ class Screen(StampScreen):
         if before is not None and stamp_ns > before.stamp_ns:
             step = before.step_to(stamp_ns, o, q)
             if step.excess <= 1.0:
-                seconds = (stamp_ns - before.stamp_ns) * 1e-9
+                seconds = (stamp_ns - before.stamp_ns) / NS_PER_S
                 self._elsewhere = self._elsewhere._replace(period=seconds, step=step)
                 self._elsewhere_run += 1
                 return

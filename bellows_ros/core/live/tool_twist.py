@@ -20,6 +20,7 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.live.tool_screening import TwistSample
 from bellows_ros.core.model.kernels import State
 from bellows_ros.core.signals.screening import PoseSample
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 PAIRING_TOLERANCE_NS = 100_000
@@ -401,7 +402,7 @@ class ToolMotion:
         """Record the next pose of E, and drop the oldest when full."""
         if self._count == 0:
             self._origin_ns = pose.stamp_ns
-        seconds = (pose.stamp_ns - self._origin_ns) * 1e-9
+        seconds = (pose.stamp_ns - self._origin_ns) / NS_PER_S
         self._count = append_row(self._rows, self._count, seconds, *pose[1:])
 
     def state(self, back: int = 0) -> State:

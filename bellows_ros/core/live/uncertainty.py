@@ -39,6 +39,7 @@ from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Strains
 from bellows_ros.core.model.structure import composition, places_of
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -181,13 +182,13 @@ class Uncertainty:
     def _root(self, prediction: Prediction) -> Array:
         """Return the factor of all parts, whether its numbers are finite or not."""
         parts = [self._sensitivity_at(prediction)[:12]]
-        parts.append(self._noise_root(self._period_ns * 1e-9)[:12])
+        parts.append(self._noise_root(self._period_ns / NS_PER_S)[:12])
         if prediction.coasting:
-            seconds = (prediction.stamp_ns - self._measured_ns) * 1e-9
+            seconds = (prediction.stamp_ns - self._measured_ns) / NS_PER_S
             parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING_STD)
         if start := prediction.unsettled:  # what remains of earlier errors, one column each
             if start.since_ns != self._transient_since_ns:
-                seconds = max(0.0, (prediction.stamp_ns - start.since_ns) * 1e-9)
+                seconds = max(0.0, (prediction.stamp_ns - start.since_ns) / NS_PER_S)
                 self._transient = expm(self._A * seconds)[:, :12]
                 self._transient_since_ns = start.since_ns
             parts.append(self._transient[:12] * np.repeat(start[1:], 3))
@@ -366,7 +367,7 @@ class Settling:
                 middle_ns, middle = self._samples[1]
                 self._samples = []
                 self.now = self._error_at_rest(start_ns, *motion_through(
-                    start, middle, tool, (middle_ns - start_ns) * 1e-9, since_ns * 1e-9))
+                    start, middle, tool, (middle_ns - start_ns) / NS_PER_S, since_ns / NS_PER_S))
                 self._until_ns = start_ns + self._duration_ns(self.now)
         elif self.now is not None and stamp_ns >= self._until_ns:
             self.now = None
@@ -385,7 +386,7 @@ class Settling:
         swing = 1.0 / self.modes.frequency
         ratio = max(1.0, (error.shift + swing * error.speed) / NEGLIGIBLE_SHIFT,
                     (error.turn + swing * error.rate) / NEGLIGIBLE_ANGLE)
-        return round(1e9 * math.log(ratio) / self.modes.decay)
+        return round(NS_PER_S * math.log(ratio) / self.modes.decay)
 
 
 @kernel

@@ -198,7 +198,7 @@ def simulate(
     """
     model = model_tuple(cup, package, gravity)
     rows = tool_rows(tool)
-    durations = np.diff(tool.stamps_ns) * 1e-9
+    durations = np.diff(tool.stamps_ns) / NS_PER_S
     steps = (np.full(len(durations), substeps, dtype=np.int64) if substeps
              else equilibrium.substeps_of(durations, equilibrium.largest_step(model)))
     try:

@@ -35,6 +35,7 @@ from bellows_ros.core.model.kernels import Branch, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
 from bellows_ros.core.observer.measurement import observed, OUTSIDE, Seen, updated, USED
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 LOG = 0.0
@@ -224,7 +225,7 @@ class Alarms:
     def __init__(self, false_per_hour: float, rows: int, of_lip: bool, places: Array) -> None:
         """Set the threshold, and the signatures at the onset."""
         self._places = places
-        self._threshold = math.log(3.6e12 / ONSET_NS / false_per_hour) + (
+        self._threshold = math.log(3600 * NS_PER_S / ONSET_NS / false_per_hour) + (
             MARGIN if len(places) == 1 else GRIPPER_MARGIN)
         self.steps: Array = np.zeros((rows + ekf.FALLEN, len(STEPS)))
         for component, step in enumerate(STEPS):
@@ -396,7 +397,7 @@ def filter_step(
     tuples of many numbers take long from Python. Returns a verdict, the estimate, the evidence,
     and what `_assessed` returns.
     """
-    model, seconds = model_of(row, branches), (until_ns - estimate[0]) * 1e-9
+    model, seconds = model_of(row, branches), (until_ns - estimate[0]) / NS_PER_S
     E, statistics, distances, onsets, from_start, steps = faults
     verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
     after, E = predicted(

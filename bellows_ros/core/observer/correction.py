@@ -23,6 +23,7 @@ from bellows_ros.core.observer.measurement import (
     OUT_OF_REACH,
     OUTSIDE,
 )
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 GATE = 27.86
@@ -152,8 +153,8 @@ def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
     It stays behind the one before, by at least half of the time between their stamps. A short
     latency is left to `measurement.at_exposure`.
     """
-    late_ns, last_ns = int(1e9 * before.theta[ekf.LATENCY - STATE]), before.late_ns
-    if late_ns < 1e9 * NONLINEAR_LATENCY:
+    late_ns, last_ns = int(NS_PER_S * before.theta[ekf.LATENCY - STATE]), before.late_ns
+    if late_ns < NS_PER_S * NONLINEAR_LATENCY:
         return stamp_ns
     most_ns = last_ns + (stamp_ns - before.stamp_ns - last_ns) // 2
     return max(stamp_ns - max(min(late_ns, most_ns), 0), before.stamp_ns)
@@ -280,7 +281,7 @@ class Correction:
     ) -> tuple[int, Estimate, alarms.Likeliest]:
         """Return verdict, estimate and faults by `filter_step`; only propagate with gate 0."""
         evidence, theta = before.evidence, before.theta.copy()
-        late = (measurement.stamp_ns - stamp_ns) * 1e-9 if gate > 0.0 else 0.0
+        late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         theta[ekf.LATENCY - STATE] -= late  # the pose is read so much earlier
         verdict, numbers, (E, statistics, distances, onsets), likeliest = alarms.filter_step(
             self.row(before.lost_cups), self.branches, (*before[:3], theta, *before[4:6]),

@@ -26,6 +26,7 @@ from bellows_ros.core.model.equilibrium import linearise, substeps_for
 from bellows_ros.core.model.jacobians import Square
 from bellows_ros.core.model.kernels import Blocks, Branch, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
@@ -497,14 +498,14 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
 @kernel
 def ends_step(stamp_ns: int, next_ns: int, max_step: float) -> bool:
     """Return whether a covariance step ends at a sample, regardless of where it began."""
-    length_ns = int(1e9 * min(COVARIANCE_STEPS * max_step, 1.0))
+    length_ns = int(NS_PER_S * min(COVARIANCE_STEPS * max_step, 1.0))
     return stamp_ns // length_ns != next_ns // length_ns
 
 
 @kernel
 def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool:
     """Return whether a covariance step goes on after the whole of sample k."""
-    seconds = (stamps[k] - stamps[k - 1]) * 1e-9
+    seconds = (stamps[k] - stamps[k - 1]) / NS_PER_S
     return stamps[k] < until_ns and seconds <= COVARIANCE_STEPS * max_step and (
         not ends_step(stamps[k], stamps[k + 1], max_step))
 
@@ -561,7 +562,7 @@ def propagated(
         first = k
         while is_recorded and now_ns == stamps[k - 1] and _is_inside_step(
                 stamps, k, until_ns, max_step):
-            part = (stamps[k] - now_ns) * 1e-9
+            part = (stamps[k] - now_ns) / NS_PER_S
             h, squares, now_ns, k = h + part, squares + part * part, stamps[k], k + 1
         if k > first:
             body = body_row(bodies[k - 1], body)
@@ -569,17 +570,18 @@ def propagated(
         if now_ns == stamps[k - 1]:
             tool = row_state(starts[k])
         later_ns = min(stamps[k], until_ns)
-        parts = substeps_for((later_ns - now_ns) * 1e-9, COVARIANCE_STEPS * max_step)
+        parts = substeps_for((later_ns - now_ns) / NS_PER_S, COVARIANCE_STEPS * max_step)
         later_ns = now_ns + (later_ns - now_ns) // parts
         tool_end = row_state(ends[k])
         if later_ns < stamps[k]:
-            segment = kernels.tool_segment(row_state(starts[k]), tool_end, whole_ns * 1e-9)
+            segment = kernels.tool_segment(row_state(starts[k]), tool_end, whole_ns / NS_PER_S)
             tool_end = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
-        part = (later_ns - now_ns) * 1e-9
+        part = (later_ns - now_ns) / NS_PER_S
         body = _followed(
             model, bias, body, tool, tool_end, part, max_step, bodies[k], is_recorded,
             later_ns == stamps[k])
-        tool, now_ns, h, squares = tool_end, later_ns, h + part, squares + part * whole_ns * 1e-9
+        h, squares = h + part, squares + part * whole_ns / NS_PER_S
+        tool, now_ns = tool_end, later_ns
         if now_ns == stamps[k]:
             k += 1
 
@@ -662,7 +664,7 @@ def followed(
     stamps[k] = stamp_ns
     write_row(starts[k], start)
     write_row(ends[k], end)
-    seconds, tool = (stamp_ns - stamps[k - 1]) * 1e-9, start
+    seconds, tool = (stamp_ns - stamps[k - 1]) / NS_PER_S, start
     parts = substeps_for(seconds, COVARIANCE_STEPS * max_step)
     part = seconds / parts
     for i in range(parts):

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.signals.screening import PoseSample
+from bellows_ros.core.signals.trajectory import NS_PER_S
 
 QUEUE_LENGTH = 500
 """Transforms stored for each moving link."""
@@ -103,7 +104,7 @@ class Chain:
         if silent or not self._waiting:
             return f"no transform of '{silent[0]}' has come" if silent else ''
         slow = min(self._moving, key=lambda link: self._moving[link][-1].stamp_ns)
-        behind = (self._waiting[-1] - self._moving[slow][-1].stamp_ns) * 1e-9
+        behind = (self._waiting[-1] - self._moving[slow][-1].stamp_ns) / NS_PER_S
         return f"the transforms of '{slow}' are {behind:.3g} s behind those of '{self._first}'"
 
     def due(self) -> Iterator[PoseSample]:
