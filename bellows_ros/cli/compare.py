@@ -63,9 +63,9 @@ def verdict(result: ResultComparison) -> Iterator[str]:
     if marked := [f'{change.name} ({change.percent:+.2g} %)'
                   for change in fits.parameters if change.significant]:
         yield f'* Significant difference: {listed(marked)}.'
-    shift, turn = 1e3 * fits.shake_rms[:3].max(), math.degrees(fits.shake_rms[3:].max())
+    shift, angle = 1e3 * fits.shake_rms[:3].max(), math.degrees(fits.shake_rms[3:].max())
     yield (f'In a shake of 3 Hz (5 mm, 2.9 degrees) the predicted motions differ by {shift:.2g} '
-           f'mm and {turn:.2g} degrees RMS.')
+           f'mm and {angle:.2g} degrees RMS.')
     if large := [e.name for e in fits.effects if e.matters and e.significant]:
         yield f'Large enough to matter: {listed(large)}.'
     if unsure := [e.name for e in fits.open_effects]:

@@ -70,7 +70,7 @@ def _standstill_rows(result: StaticResult) -> list[tuple[str, ...]]:
         'x': _column(MILLIMETRES, x, stills), 'y': _column(MILLIMETRES, y, stills),
         'length': _column(MILLIMETRES, [-value for value in z], stills),
         'bending': _column(DEGREES, map(math.hypot, rx, ry), stills),
-        'turn': _column(DEGREES, rz, stills)}
+        'torsion': _column(DEGREES, rz, stills)}
     return [tuple(columns), *zip(*columns.values(), strict=True)]
 
 

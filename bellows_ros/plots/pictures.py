@@ -443,7 +443,7 @@ def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:
     with style.picture(title, f'{motion.duration:g} s', theme) as (figure, colours):
         grid = figure.add_gridspec(3, 2, **style.BELOW_HEAD, hspace=0.6, wspace=0.2)
         for line, (kind, factor, unit) in enumerate(
-                (('shift', style.MILLI, 'mm'), ('turn', style.DEGREES, 'degrees'))):
+                (('shift', style.MILLI, 'mm'), ('rotation', style.DEGREES, 'degrees'))):
             of_time, of_frequency = (figure.add_subplot(grid[line, i]) for i in (0, 1))
             axes = slice(3 * line, 3 * line + 3)
             style.draw_series(of_time, t, factor * u[:, axes], colours.three, width=0.7)

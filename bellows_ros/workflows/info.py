@@ -52,13 +52,13 @@ PACKAGE_WORDS = frozenset(
 
 MAX_DISTANCE = 1.0  # m, between tool and package
 MAX_RELATIVE_CHANGE = 0.25  # of the distance, between its quartiles, of a package that is held
-MAX_UPRIGHT_TILT, MAX_HANGING_TURN = np.deg2rad([1.0, 10.0])
-"""Tilt (rad) of a tool that is upright, and the turn of a package that its weight explains."""
+MAX_UPRIGHT_TILT, MAX_HANGING_ROTATION = np.deg2rad([1.0, 10.0])
+"""Tilt (rad) of a tool that is upright, and the rotation of a package that its weight explains."""
 
 HANGING_ANGLE = np.deg2rad(40.0)  # from straight down, of what hangs below
 SAMPLES = 2000  # at which two streams are compared
 TWIST_WINDOW = 0.05  # s, over which a twist is compared with the change of the poses
-MIN_SHIFT, MIN_TURN = 2e-3, 5e-3  # m and rad in that time: a smaller motion is not compared
+MIN_SHIFT, MIN_ROTATION = 2e-3, 5e-3  # m and rad in that time: a smaller motion is not compared
 TWIST_TOLERANCE = 0.3  # relative difference between the two, at most, to belong together
 
 
@@ -374,7 +374,7 @@ def _initial_rest(
     rest = alignment.rest_of(tool, package)
     # A package that hangs aside is turned, too, and a fit finds its marker.
     aligned = rest.is_turned and not separate and bool(
-        rest.tilts[0] > MAX_UPRIGHT_TILT or rest.turned > MAX_HANGING_TURN)
+        rest.tilts[0] > MAX_UPRIGHT_TILT or rest.turned > MAX_HANGING_ROTATION)
     notes = [text for text, applies in (
         (f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
          'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
@@ -397,9 +397,9 @@ def longest_hold(tool: Trajectory) -> float:
     steps = (tool.stamps_ns - tool.stamps_ns[0]) // round(HOLD_STEP * NS_PER_S)
     some = tool.select(np.unique(steps, return_index=True)[1])  # stamps may be years apart
     up = some.rotation[:, 2]
-    turn = log_so3(np.swapaxes(some.rotation[:-1], 1, 2) @ some.rotation[1:])
+    rotation = log_so3(np.swapaxes(some.rotation[:-1], 1, 2) @ some.rotation[1:])
     still = np.arccos(np.clip(up[1:] @ up[0], -1.0, 1.0)) > MIN_TILT
-    for step, speed in zip((np.diff(some.position, axis=0), turn), STILL_SPEED, strict=True):
+    for step, speed in zip((np.diff(some.position, axis=0), rotation), STILL_SPEED, strict=True):
         still &= np.linalg.norm(step, axis=1) < HOLD_STEP * speed
     edges = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
     return float(HOLD_STEP * np.max(edges[:, 1] - edges[:, 0], initial=0))
@@ -504,8 +504,9 @@ def _twist_match(tool: PoseStream, twist: TwistStream) -> tuple[float, str, bool
 
     linear, angular = twist.linear[inside], np.radians(twist.angular[inside])
     shift = body.position[window:] - body.position[:-window]
-    turn = _rms(log_so3(np.swapaxes(body.rotation[:-window], 1, 2) @ body.rotation[window:]))
-    in_degrees = turn > MIN_TURN and abs(_rms(integrated(angular)) / turn - 1.0) < TWIST_TOLERANCE
+    angle = _rms(log_so3(np.swapaxes(body.rotation[:-window], 1, 2) @ body.rotation[window:]))
+    in_degrees = (
+        angle > MIN_ROTATION and abs(_rms(integrated(angular)) / angle - 1.0) < TWIST_TOLERANCE)
     if _rms(shift) <= MIN_SHIFT:
         return np.nan, '', in_degrees
     in_world, in_tool = (_rms(integrated(rates) - shift) / _rms(shift)

@@ -63,12 +63,12 @@ class StaticResult(NamedTuple):
         creeps = np.array([still.creep for still in self.standstills if still.creep.any()])
         if not len(creeps):
             return ''
-        shift, turn = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(creeps, 2))
+        shift, angle = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(creeps, 2))
         step = (f'; by cup.relaxation, that of a step is {self.instant:.2f} times it'
                 if self.instant > 1.0 else '')
         return (
             f'The rubber creeps in {len(creeps)} of {len(self.standstills)} standstills, by up to '
-            f'{1e3 * shift:.2f} mm and {math.degrees(turn):.2f} degrees. Each counts with the '
+            f'{1e3 * shift:.2f} mm and {math.degrees(angle):.2f} degrees. Each counts with the '
             'pose in which it comes to rest, which the static stiffness gives. Right after a move '
             f'the stiffness is at least {self.after_moves:.2f} times the static one{step}.')
 

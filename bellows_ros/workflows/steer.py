@@ -46,8 +46,8 @@ class SteeredMotion(NamedTuple):
     def tilt(self) -> Array:
         """Turn of the package (N,) from its reference, rad."""
         R = quaternion_to_rotation(self.states[:, 3:7])
-        turn = log_so3(np.swapaxes(self.reference.rotation, -1, -2) @ R)
-        return np.asarray(np.linalg.norm(turn, axis=1))
+        rotation = log_so3(np.swapaxes(self.reference.rotation, -1, -2) @ R)
+        return np.asarray(np.linalg.norm(rotation, axis=1))
 
     def figures(self) -> dict[str, float]:
         """Return the numbers of a summary, SI units."""

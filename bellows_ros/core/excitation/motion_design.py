@@ -115,7 +115,7 @@ class ArmLimits(NamedTuple):
         Of E, at rest and amid the motion.
     lower, upper : array (3,)
         Corners of the workspace in the world, m.
-    turn : array (3,)
+    rotation : array (3,)
         Largest components of the rotation vector from the start, rad.
     rates : mapping of str to float
         Largest speed, acceleration and jerk, and the angular ones, as in `planning.limits.RATES`.
@@ -135,7 +135,7 @@ class ArmLimits(NamedTuple):
     start: Pose
     lower: Array
     upper: Array
-    turn: Array
+    rotation: Array
     rates: Mapping[str, float]
     bending: float
     torsion: float
@@ -155,7 +155,7 @@ class ArmLimits(NamedTuple):
         """Return the limits on the tool, those of joints for small motions."""
         eye, start = np.eye(6), self.start.position
         headroom = np.concatenate(
-            [np.minimum(self.upper - start, start - self.lower), self.turn]).tolist()
+            [np.minimum(self.upper - start, start - self.lower), self.rotation]).tolist()
         bounds = [Bound('workspace' if i < 3 else 'rotation', 0, eye[i:i + 1], headroom[i])
                   for i in range(6)]
         for i, (name, limit) in enumerate(self.rates.items()):
@@ -175,11 +175,11 @@ class ArmLimits(NamedTuple):
         """Return the largest part of each limit that a motion takes, at `CHECK_RATE`."""
         tool = motion.at_rate(CHECK_RATE)
         o, R = tool.position, tool.rotation
-        shift, turn = o - self.start.position, lie.log_so3(self.start.rotation.T @ R)
+        shift, rotation = o - self.start.position, lie.log_so3(self.start.rotation.T @ R)
         headroom = np.where(shift > 0.0, self.upper - self.start.position,
                             self.start.position - self.lower)
         ratios = {'workspace': np.abs(shift / headroom).max(),
-                  'rotation': np.abs(turn / self.turn).max()}
+                  'rotation': np.abs(rotation / self.rotation).max()}
         for name, peak in largest_rates(R, np.asarray(tool.twist), 1.0 / CHECK_RATE).items():
             ratios[name.replace('_', ' ')] = peak / self.rates[name]
         if self.arm is not None:
@@ -230,17 +230,17 @@ def limits_from(
         T = arm.tool(joints[None])[0][0]
         start = Pose(T[:3, 3], T[:3, :3])
     space = settings.block('workspace')
-    turn, box = space.vector('rotation', 3, unit='rad'), settings.block('excitation')
+    rotation, box = space.vector('rotation', 3, unit='rad'), settings.block('excitation')
     lower, upper = (
         box.vector(name, 3, tuple(space.vector(name, 3, unit='m')), 'm')
         for name in ('lower', 'upper'))
-    if not ((lower < start.position) & (start.position < upper)).all() or turn.min() <= 0.0:
+    if not ((lower < start.position) & (start.position < upper)).all() or rotation.min() <= 0.0:
         raise settings.error(
             'workspace', f"The start {start.position.tolist()} m is not inside of 'workspace' or "
             f"'excitation' ({lower.tolist()} to {upper.tolist()} m), or 'workspace.rotation' is "
             'not above 0. Move the start or widen the box.')
     limits = ArmLimits(
-        start, lower, upper, turn, read_rates(settings),
+        start, lower, upper, rotation, read_rates(settings),
         settings.number('bending', BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('torsion', TORSION, 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('safety_factor', safety, minimum=0.0),
@@ -406,7 +406,7 @@ class FourierMotion(moving.Vibration):
     tilt : array (3,)
         Rotation vector of the hold after them, rad, in the tool's axes at the start.
     move, hold : float
-        Durations of the turn to the tilt (and back), and of the hold, s.
+        Durations of the rotation to the tilt (and back), and of the hold, s.
 
     """
 
@@ -684,7 +684,7 @@ def _held(checks: Checks, period: float, hold: float) -> FourierMotion:
     """Return a hold alone, tilted about x and y by as much as the limits permit, or none."""
     limits = checks.limits
     still = FourierMotion(limits.start, period, np.zeros((1, 6)))
-    tilt = TILT_SHARE * np.array([*limits.turn[:2], 0.0])
+    tilt = TILT_SHARE * np.array([*limits.rotation[:2], 0.0])
     for _ in range(MAX_TILT_TRIALS if hold and tilt.any() else 0):
         angle, angular_limits = float(np.linalg.norm(tilt)), list(limits.rates.values())[3:]
         move = max(
@@ -717,9 +717,9 @@ def load_rows(
     turned = mass * np.vstack([-g, -c @ g])
     wrench = -omega[:, None, None]**2 * (inert @ response.package)  # at S, beyond that at rest
     wrench += turned @ response.package[:, 3:]
-    turn = (response.package - np.eye(6))[:, 3:]
+    tilt = (response.package - np.eye(6))[:, 3:]
     rows = np.zeros((4 if grip else 2, len(omega), 4, 6), dtype=complex)
-    rows[0, :, :2], rows[1, :, 0] = turn[:, :2] / limits.bending, turn[:, 2] / limits.torsion
+    rows[0, :, :2], rows[1, :, 0] = tilt[:, :2] / limits.bending, tilt[:, 2] / limits.torsion
     if grip is None:
         return rows
     suction, radius, friction = grip[:3]  # of one cup; all are judged when it is scaled
@@ -757,7 +757,7 @@ SLOWING_FACTOR, MAX_SLOWINGS = 1.15, 30
 def standstills(checks: Checks) -> Waypoints:
     """Return standstills upright and tilted to both sides, within the limits with any model."""
     limits = checks.limits
-    tilts = WORKSPACE_SHARE * limits.turn * np.array(
+    tilts = WORKSPACE_SHARE * limits.rotation * np.array(
         [(0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 0)])
 
     def slowed(factor: float) -> Waypoints:
@@ -775,7 +775,7 @@ def everyday(checks: Checks, duration: float, seed: int) -> Waypoints:
     middle = 0.5 * (limits.lower + limits.upper)
     reach = 0.5 * (limits.upper - limits.lower)
     poses = [Pose(middle + WORKSPACE_SHARE * reach * draw[:3], limits.start.rotation @ lie.exp_so3(
-        WORKSPACE_SHARE * limits.turn * draw[3:])) for draw in draws]
+        WORKSPACE_SHARE * limits.rotation * draw[3:])) for draw in draws]
 
     def slowed(factor: float) -> Waypoints:
         whole = _through(poses, limits, factor, itertools.cycle(STOP_DURATIONS))

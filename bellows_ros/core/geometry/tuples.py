@@ -228,7 +228,7 @@ def log_quaternion(q: Quaternion) -> Vector:
 
 
 @kernel
-def turn_between(p: Quaternion, q: Quaternion) -> Vector:
+def rotation_between(p: Quaternion, q: Quaternion) -> Vector:
     """Return the rotation vector (rad) from one orientation to another, in axes of the first."""
     return log_quaternion(quaternion_product(quaternion_conjugate(p), q))
 

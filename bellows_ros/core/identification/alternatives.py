@@ -21,7 +21,7 @@ from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-TURNS = (90, 180, -90)
+ROTATIONS = (90, 180, -90)
 """Angles (degrees) about z by which a frame may be turned."""
 
 Setting = tuple[Finding, list[MeasuredSegment]]
@@ -33,13 +33,14 @@ def settings_of(measured: Sequence[MeasuredSegment]) -> Iterator[Setting]:
     for value, R in _worlds(measured[0].world):
         yield Finding('recording.world', value), [
             replace(each, gravity=R.T @ gravity_vector(each.gravity)) for each in measured]
-    for degrees in TURNS:
-        turn = np.array([0.0, 0.0, -np.radians(degrees)])
+    for degrees in ROTATIONS:
+        rotation = np.array([0.0, 0.0, -np.radians(degrees)])
         yield Finding('yaw', f'tool {degrees}'), [
-            replace(each, tool=of_fixed_frame(each.tool, turn, np.zeros(3))) for each in measured]
+            replace(each, tool=of_fixed_frame(each.tool, rotation, np.zeros(3)))
+            for each in measured]
         yield Finding('yaw', f'package {degrees}'), [  # turned about its lip
             replace(each, package=of_fixed_frame(
-                each.package, turn, exp_so3(turn) @ each.payload.com - each.payload.com))
+                each.package, rotation, exp_so3(rotation) @ each.payload.com - each.payload.com))
             for each in measured]
     packages = list({each.payload.mass: each.payload for each in measured}.values())
     if len(packages) == 2:

@@ -414,7 +414,7 @@ def _clocks(recording: Recording) -> Finding | None:
     offset are those of a motion that nearly repeats.
     """
     bodies = recording.aligned_tool, recording.aligned_package
-    lags, correlation = alignment.turn_correlation(*bodies)
+    lags, correlation = alignment.rotation_correlation(*bodies)
     if not len(lags):
         return None
     best, near = int(np.argmax(correlation)), (lags >= MIN_SWING) & (lags <= MAX_SWING)
@@ -422,7 +422,7 @@ def _clocks(recording: Recording) -> Finding | None:
     limit = alignment.MIN_CORRELATION * (1.0 if small < DISTINCT * largest else 2.0)
     if largest < limit or near[best] or _correlation_gap(small, largest) < MIN_CORRELATION_GAP:
         return None
-    in_axes = alignment.turn_correlation(*bodies, one_world=True)[1]
+    in_axes = alignment.rotation_correlation(*bodies, one_world=True)[1]
     near_in_axes = np.max(in_axes[near], initial=0.0)
     if near_in_axes > alignment.MIN_CORRELATION and (
             _correlation_gap(near_in_axes, np.max(in_axes)) < MIN_CORRELATION_GAP):
@@ -452,8 +452,8 @@ def _twists(recording: Recording) -> Finding | None:
         return None
     R, markers = recording.settings.R_world_recorded, recording.alignment.R_tool_markers_tool
     is_of_tool = recording.settings.tool_twist_frame == 'tool'
-    turn = (np.swapaxes(measured.rotation, 1, 2) @ R @ markers if is_of_tool else
-            markers.T @ R.T @ measured.rotation)  # from the other axes
+    rotation = (np.swapaxes(measured.rotation, 1, 2) @ R @ markers if is_of_tool else
+                markers.T @ R.T @ measured.rotation)  # from the other axes
 
     def misfit(twist: Array) -> float:
         """Return how far twists (N, 2, 3) are off the poses' own, in squares of their size."""
@@ -465,7 +465,7 @@ def _twists(recording: Recording) -> Finding | None:
         return None
     for finding, twist in (
             (Finding('tool_twist.frame', 'world' if is_of_tool else 'tool'),
-             given @ np.swapaxes(turn, 1, 2)),
+             given @ np.swapaxes(rotation, 1, 2)),
             (IN_DEGREES, given * [[1.0], [np.pi / 180.0]])):
         if misfit(twist) < DISTINCT**4 * before:
             return finding._replace(left=float(np.sqrt(misfit(twist) / before)))
@@ -539,10 +539,10 @@ def _com_fields(finding: Finding, given: Given) -> Fields:
 
 def _marker_fields(finding: Finding, given: Given) -> Fields:
     """Return by how much a marker frame is moved and turned, and what corrects it."""
-    shift, turn = map(np.linalg.norm, np.split(finding.theta, [len(finding.theta) - 3]))
+    shift, angle = map(np.linalg.norm, np.split(finding.theta, [len(finding.theta) - 3]))
     alignment = '' if given.get('recording.align_at_rest') else (
         ", or recording.align_at_rest: true if it is the tool's and the recording begins at rest")
-    return {'mm': 1e3 * shift, 'degrees': np.rad2deg(turn),
+    return {'mm': 1e3 * shift, 'degrees': np.rad2deg(angle),
             'setting': f'fit.free: [package_marker]{alignment}'}
 
 
@@ -637,7 +637,7 @@ def _name_of(finding: Finding) -> str:
 def setting_of(finding: Finding) -> str:
     """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
     if finding.name == 'yaw':
-        bodies = [turn.split()[0] for turn in (finding.value, finding.instead) if turn]
+        bodies = [text.split()[0] for text in (finding.value, finding.instead) if text]
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
     if finding.instead:
         return ' or '.join(CAUSES[name]['setting'] for name in (finding.name, finding.instead))

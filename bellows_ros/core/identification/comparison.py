@@ -161,8 +161,8 @@ class FitComparison(NamedTuple):
     @property
     def shake_matters(self) -> bool:
         """Whether the predicted motion differs by more than motion capture sees."""
-        shift, turn = self.shake_rms[:3].max(), self.shake_rms[3:].max()
-        return bool(shift > MATERIAL_CHANGE['m'] or turn > MATERIAL_CHANGE['rad'])
+        shift, angle = self.shake_rms[:3].max(), self.shake_rms[3:].max()
+        return bool(shift > MATERIAL_CHANGE['m'] or angle > MATERIAL_CHANGE['rad'])
 
     @property
     def matters(self) -> bool:

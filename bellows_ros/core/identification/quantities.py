@@ -84,14 +84,14 @@ def poses_of(
             package, position=middle[:3] + time * free[name][:3] + lie.apply(
                 R, package.position - middle[:3]), rotation=R @ package.rotation)
     if 'package_marker' in free:
-        shift, turn = np.split(free['package_marker'], 2)
-        package = of_fixed_frame(package, turn, shift)
+        shift, rotation = np.split(free['package_marker'], 2)
+        package = of_fixed_frame(package, rotation, shift)
     return package
 
 
-def of_fixed_frame(body: Trajectory, turn: Array, shift: Array) -> Trajectory:
+def of_fixed_frame(body: Trajectory, rotation: Array, shift: Array) -> Trajectory:
     """Return the motion of a frame that is fixed in a body, turned (rad) and moved (m) there."""
-    return at_tip(body, lie.transform(lie.exp_so3(turn), shift))
+    return at_tip(body, lie.transform(lie.exp_so3(rotation), shift))
 
 
 def middle_of(package: Trajectory) -> Array:

@@ -180,8 +180,8 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
         raise BellowsError('The recording has no valid samples, hence no validity range.')
     deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
     strain = samples.spectrum_of(deflection)
-    shift_and_turn = np.column_stack([strain.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
-    bands = np.column_stack(Spectrum(strain.frequency, shift_and_turn).band(ENVELOPE_BAND))
+    shift_and_rotation = np.column_stack([strain.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
+    bands = np.column_stack(Spectrum(strain.frequency, shift_and_rotation).band(ENVELOPE_BAND))
     return Envelope(
         deflection.min(axis=0), deflection.max(axis=0), np.abs(samples.lip.twist).max(axis=0),
         np.nan_to_num(bands), np.array([mass, mass]))

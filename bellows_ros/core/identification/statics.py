@@ -478,11 +478,11 @@ def _equations(
     of_body = np.linalg.solve(linearise(model, tool, body).body_pose, -changes)
     of_lip = lie.adjoint(lie.transform(np.eye(3), still.payload.com)) @ of_body
     R, R_rest = still.package.rotation[0], lie.quaternion_to_rotation(np.array(body[1]))
-    turn = lie.log_so3(R.T @ R_rest)
+    rotation = lie.log_so3(R.T @ R_rest)
     shift = (body[0] - R_rest @ still.payload.com
              - still.package.position[0] + R @ still.payload.com)
-    changes = np.vstack([R.T @ R_rest @ of_lip[:3], lie.dexp_inverse(-turn) @ of_lip[3:]])
+    changes = np.vstack([R.T @ R_rest @ of_lip[:3], lie.dexp_inverse(-rotation) @ of_lip[3:]])
     A = changes[:, :21] @ structure.upper[:21, :structure.size]
-    b = A @ x[:structure.size] - np.concatenate([R.T @ shift, turn])
+    b = A @ x[:structure.size] - np.concatenate([R.T @ shift, rotation])
     errors = np.repeat(np.maximum(still.error, MIN_POSE_STD), 3)
     return np.asarray(np.column_stack([A, b, changes[:, 42]]) / errors[:, None])

@@ -66,7 +66,7 @@ def _strain_derivatives(
     _, o, R, _, _, o_E_S1, _, _ = jac.ends_of_spring(model, tool, body)
     J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
     by_tool = jac.shift_right(
-        jac.turn_right((J_oo, J_oR, jac.NOTHING, J_RR), R), t3.scale(-1.0, o_E_S1))
+        jac.rotate_right((J_oo, J_oR, jac.NOTHING, J_RR), R), t3.scale(-1.0, o_E_S1))
     jac.relaxation_jacobian(model, tool, body, C[6:], jac.PARAMETERS)
     branches, by_length = model[0][4:], (0.5 * R[6], 0.5 * R[7], 0.5 * R[8] + 0.5)
     for b in range(2):
@@ -92,7 +92,7 @@ class Path(NamedTuple):
 
 class ToolNoise(NamedTuple):
     """
-    Noise of the tool's poses at the nodes: its shift and turn from the path, m and rad.
+    Noise of the tool's poses at the nodes: its shift and rotation from the path, m and rad.
 
     Innovations (M, 6), each from the node on from which its sample is the nearest, with their
     variances (M, 6), and the correlation (M,) with the noise at the node before.
@@ -198,11 +198,11 @@ def whiten(
         i = place[k]
         if i >= 0:
             pose = measured[i]
-            shift, turn = pose_error(
+            shift, rotation = pose_error(
                 body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
             for j in range(3):
                 twist[j], twist[3 + j] = body[2][j], body[3][j]
-                out[i, j], out[i, 3 + j] = shift[j], turn[j]
+                out[i, j], out[i, 3 + j] = shift[j], rotation[j]
             out[i] -= pose[7] * twist
             if delay >= 0:
                 by_unknowns[i, :, delay] *= twist

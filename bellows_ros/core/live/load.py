@@ -140,9 +140,9 @@ class Load:
         self._bending = max(self._bending, math.acos(min(1.0, max(-1.0, R[8]))))
         if self._envelope is None:
             return
-        turn = t3.turn_between(prediction.tool[1], prediction.quaternion_xyzw)
+        rotation = t3.rotation_between(prediction.tool[1], prediction.quaternion_xyzw)
         now = distance(
-            self._envelope, (*shift, *turn), (*linear, *angular),
+            self._envelope, (*shift, *rotation), (*linear, *angular),
             self._values['package.mass'])
         if self._distance is None or now.value > self._distance.value:
             self._distance = now

@@ -94,8 +94,8 @@ def locate(
     if speed <= slow * slow:
         return nearest, seconds[index], math.inf
     R = t3.rotation_matrix(point[1])
-    turn = t3.turn_between(point[1], q)
-    step = along(t3.apply_transposed(R, t3.subtract(o, point[0])), turn, point[2], point[3])
+    rotation = t3.rotation_between(point[1], q)
+    step = along(t3.apply_transposed(R, t3.subtract(o, point[0])), rotation, point[2], point[3])
     return (
         nearest, min(max(seconds[index] + step / speed, 0.0), seconds[last]),
         along(v, w, point[2], point[3]) / speed)

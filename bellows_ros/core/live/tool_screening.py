@@ -28,7 +28,7 @@ FRAME_RUN_NS = 150_000_000
 JUMP_RUN = 5
 """Consecutive poses, close together but far from the last accepted one, that make a new place."""
 
-SHIFT_TOLERANCE, TURN_TOLERANCE = 0.05, 0.3
+SHIFT_TOLERANCE, ROTATION_TOLERANCE = 0.05, 0.3
 """Tolerance (m, rad) of a pose about where an arm could be."""
 
 MAX_ACCELERATION, JUMP_TOLERANCE = (100.0, 1000.0), (0.02, 0.2)
@@ -124,27 +124,27 @@ def _pose_step(
     so that neither bursts nor stamps with jitter make jumps of it.
     """
     shift = t3.subtract(other_o, o)
-    turn = t3.turn_between(q, other_q)
-    v, w = t3.scale(1.0 / seconds, shift), t3.scale(1.0 / seconds, turn)
+    rotation = t3.rotation_between(q, other_q)
+    v, w = t3.scale(1.0 / seconds, shift), t3.scale(1.0 / seconds, rotation)
     velocity_change, speed = change(velocity, v)
-    rate_change, turn_speed = change(rate, w)
+    rate_change, angular_speed = change(rate, w)
     shorter = min(seconds, period) if period > 0.0 else seconds
-    jump, turn_jump = velocity_change * shorter, rate_change * shorter
-    jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
+    jump, angle_jump = velocity_change * shorter, rate_change * shorter
+    jitter, angle_jitter = JITTER * speed, JITTER * angular_speed
     squared = 0.5 * (seconds + shorter) * shorter
     excess = max(
         t3.norm(shift) / (SHIFT_TOLERANCE + screening.MAX_TOOL_SPEED * seconds),
-        t3.norm(turn) / (TURN_TOLERANCE + screening.MAX_TOOL_RATE * seconds))
+        t3.norm(rotation) / (ROTATION_TOLERANCE + screening.MAX_TOOL_RATE * seconds))
     suspicion = 0.0
     if period != UNKNOWN_PERIOD:
         excess = max(
             excess, jump / (JUMP_TOLERANCE[0] + jitter + MAX_ACCELERATION[0] * squared),
-            turn_jump / (JUMP_TOLERANCE[1] + turn_jitter + MAX_ACCELERATION[1] * squared))
+            angle_jump / (JUMP_TOLERANCE[1] + angle_jitter + MAX_ACCELERATION[1] * squared))
     if period > 0.0:
         suspicion = max(
             jump / (SUSPECT_TOLERANCE[0] + jitter + SUSPECT_ACCELERATION[0] * squared),
-            turn_jump / (SUSPECT_TOLERANCE[1] + turn_jitter + SUSPECT_ACCELERATION[1] * squared))
-    return excess, suspicion, (jump, turn_jump), (speed, turn_speed), v, w
+            angle_jump / (SUSPECT_TOLERANCE[1] + angle_jitter + SUSPECT_ACCELERATION[1] * squared))
+    return excess, suspicion, (jump, angle_jump), (speed, angular_speed), v, w
 
 
 class ToolArrivals:

@@ -238,7 +238,7 @@ def pose_with_slope(rows: Any, count: int, at: int) -> State:
         s = (rows[i][0] - rows[at][0]) / span
         d = t3.subtract((rows[i][1], rows[i][2], rows[i][3]), o)
         qi = (rows[i][4], rows[i][5], rows[i][6], rows[i][7])
-        p = t3.turn_between(q, qi)
+        p = t3.rotation_between(q, qi)
         s1, s2, s3, s4 = s1 + s, s2 + s * s, s3 + s * s * s, s4 + s * s * s * s
         d0, d1, d2 = t3.add(d0, d), t3.add_scaled(d1, s, d), t3.add_scaled(d2, s * s, d)
         p0, p1, p2 = t3.add(p0, p), t3.add_scaled(p1, s, p), t3.add_scaled(p2, s * s, p)
@@ -341,8 +341,8 @@ def with_measured_twist(
         v, w = t3.apply_transposed(R, linear), t3.apply_transposed(R, angular)
     mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R, v)))
     shift = t3.norm(t3.subtract(t3.subtract(o, before[0]), t3.scale(seconds, mean)))
-    turn = t3.turn_between(before[1], q)
-    angle = t3.norm(t3.subtract(turn, t3.scale(0.5 * seconds, t3.add(before[3], w))))
+    rotation = t3.rotation_between(before[1], q)
+    angle = t3.norm(t3.subtract(rotation, t3.scale(0.5 * seconds, t3.add(before[3], w))))
     cubed = seconds * seconds * seconds / 12.0
     excess = max(
         shift / (SHIFT_TOLERANCE + MAX_JERK * cubed),
@@ -447,10 +447,10 @@ class ToolMotion:
 
 
 def _at_tip(
-    twist: TwistSample, lever: Vector, turn: Quaternion, q: Quaternion, in_world: bool
+    twist: TwistSample, lever: Vector, rotation: Quaternion, q: Quaternion, in_world: bool
 ) -> TwistSample:
     """Return the twist of E, in axes as before, from that of a frame with E at lever and turn."""
-    R_tip, v, w = t3.rotation_matrix(turn), twist.linear, twist.angular
+    R_tip, v, w = t3.rotation_matrix(rotation), twist.linear, twist.angular
     if in_world:
         lever = t3.apply(t3.rotation_matrix(q), t3.apply_transposed(R_tip, lever))
         return TwistSample(twist.stamp_ns, t3.add(v, t3.cross(w, lever)), w)

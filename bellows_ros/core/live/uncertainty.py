@@ -68,7 +68,7 @@ class Unsettled(NamedTuple):
     since_ns: int
     shift: float
     """m."""
-    turn: float
+    rotation: float
     """rad."""
     speed: float
     """m/s."""
@@ -192,9 +192,9 @@ class Uncertainty:
                 self._transient = expm(self._A * seconds)[:, :12]
                 self._transient_since_ns = start.since_ns
             parts.append(self._transient[:12] * np.repeat(start[1:], 3))
-        turn = np.eye(12)  # a twist's error follows the error phi of its axes: v x phi
-        turn[6:9, 3:6], turn[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
-        return np.asarray(turn @ np.hstack(parts))
+        transform = np.eye(12)  # a twist's error follows the error phi of its axes: v x phi
+        transform[6:9, 3:6], transform[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
+        return np.asarray(transform @ np.hstack(parts))
 
     def _linearise(self, tool: State) -> None:
         """Prepare the small motions about the package's rest under a tool."""
@@ -305,17 +305,18 @@ class Modes(NamedTuple):
     frequency: float
     """Of the slowest mode, rad/s."""
     compliance: tuple[float, float, float]
-    """Shift (m) and turn (rad) by 1 m/s^2 of the tool, and turn by 1 rad/s^2 of it."""
+    """Shift (m) and rotation (rad) by 1 m/s^2 of the tool, and rotation by 1 rad/s^2 of it."""
 
 
 def modes_of(system: Array) -> Modes:
     """Return the modes of the small motions with a system matrix (12, 12), without relaxation."""
     eigenvalues = np.linalg.eigvals(system)
     compliance = np.linalg.inv(system[6:, :6])
-    shift, turn, turn_by_turn = (float(np.linalg.norm(part, 2)) for part in (
+    shift, rotation, by_angular = (float(np.linalg.norm(part, 2)) for part in (
         compliance[:3, :3], compliance[3:, :3], compliance[3:, 3:]))
-    return Modes(max(MIN_DECAY_RATE, -float(eigenvalues.real.max())),
-                 max(MIN_FREQUENCY, float(np.abs(eigenvalues).min())), (shift, turn, turn_by_turn))
+    return Modes(
+        max(MIN_DECAY_RATE, -float(eigenvalues.real.max())),
+        max(MIN_FREQUENCY, float(np.abs(eigenvalues).min())), (shift, rotation, by_angular))
 
 
 class Settling:
@@ -347,11 +348,12 @@ class Settling:
         self._samples = [(stamp_ns, tool)]
         self.now = self._error_at_rest(stamp_ns, *UNOBSERVED_MOTION)
 
-    def inflate(self, stamp_ns: int, shift: float, turn: float) -> None:
+    def inflate(self, stamp_ns: int, shift: float, rotation: float) -> None:
         """Add that the tool was shifted (m) and turned (rad) as no arm moves."""
         before = self.now or Unsettled(stamp_ns, 0.0, 0.0, 0.0, 0.0)
         self.now = before._replace(
-            since_ns=stamp_ns, shift=max(shift, before.shift), turn=max(turn, before.turn))
+            since_ns=stamp_ns, shift=max(shift, before.shift),
+            rotation=max(rotation, before.rotation))
         self._samples = []
         self._until_ns = stamp_ns + self._duration_ns(self.now)
 
@@ -377,15 +379,15 @@ class Settling:
         self, stamp_ns: int, speed: float, rate: float, acceleration: float, turning: float
     ) -> Unsettled:
         """Return the error of assuming rest below a moving tool."""
-        by_shift, by_turn, turn_by_turn = self.modes.compliance
-        turn = by_turn * acceleration + turn_by_turn * turning
-        return Unsettled(stamp_ns, by_shift * acceleration, turn, speed, rate)
+        shift, rotation, by_angular = self.modes.compliance
+        rotation = rotation * acceleration + by_angular * turning
+        return Unsettled(stamp_ns, shift * acceleration, rotation, speed, rate)
 
     def _duration_ns(self, error: Unsettled) -> int:
         """Return the time (ns) until an error is negligible."""
         swing = 1.0 / self.modes.frequency
         ratio = max(1.0, (error.shift + swing * error.speed) / NEGLIGIBLE_SHIFT,
-                    (error.turn + swing * error.rate) / NEGLIGIBLE_ANGLE)
+                    (error.rotation + swing * error.rate) / NEGLIGIBLE_ANGLE)
         return round(NS_PER_S * math.log(ratio) / self.modes.decay)
 
 
@@ -401,7 +403,7 @@ def motion_through(
     v, a = quadratic(
         t3.subtract(middle[0], start[0]), t3.subtract(end[0], start[0]), s, t)
     w, b = quadratic(
-        t3.turn_between(start[1], middle[1]), t3.turn_between(start[1], end[1]), s, t)
+        t3.rotation_between(start[1], middle[1]), t3.rotation_between(start[1], end[1]), s, t)
     return t3.norm(v), t3.norm(w), t3.norm(a), t3.norm(b)
 
 

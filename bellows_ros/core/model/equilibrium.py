@@ -48,9 +48,9 @@ def displaced(body: State, delta: Vector, phi: Vector) -> State:
 
 
 @kernel
-def moved(body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector) -> State:
+def moved(body: State, shift: Vector, rotation: Vector, linear: Vector, angular: Vector) -> State:
     """Return a state displaced in body axes, with its twist changed."""
-    perturbed = displaced(body, shift, turn)
+    perturbed = displaced(body, shift, rotation)
     perturbed = kernels.with_rotation(perturbed, t3.normalised(perturbed[1]))
     return kernels.with_twist(
         perturbed, t3.add(perturbed[2], linear), t3.add(perturbed[3], angular))
@@ -65,10 +65,10 @@ def moved_by(body: State, e: Any) -> State:
 
 @kernel
 def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
-    """Return shift and turn that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
+    """Return shift and rotation that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
     return (
         t3.apply_transposed(t3.rotation_matrix(body[1]), t3.subtract(position, body[0])),
-        t3.turn_between(body[1], q))
+        t3.rotation_between(body[1], q))
 
 
 class Jacobian(NamedTuple):
@@ -195,8 +195,8 @@ def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = Non
     start, loads = resting_on_tool(model, ORIGIN), _LOADS
     if guess is not None:
         shift = t3.apply_transposed(t3.rotation_matrix(tool[1]), t3.subtract(guess[0], tool[0]))
-        turn = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), guess[1])
-        start, loads = (shift, turn, ZERO, ZERO), 1
+        rotation = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), guess[1])
+        start, loads = (shift, rotation, ZERO, ZERO), 1
     body, is_stable = _loaded(model, tool, start[:4], loads, np.zeros((6, 6)), np.zeros(6))
     if not is_stable:
         raise UnstableError(
@@ -218,8 +218,8 @@ def _loaded(
         size = math.inf
         for _ in range(_ITERATIONS):  # Newton's
             for j in range(6):
-                turn, back = t3.unit(j - 3, _DIFFERENCE), t3.unit(j - 3, -_DIFFERENCE)
-                up = _unbalance(now, displaced(body, t3.unit(j, _DIFFERENCE), turn))
+                rotation, back = t3.unit(j - 3, _DIFFERENCE), t3.unit(j - 3, -_DIFFERENCE)
+                up = _unbalance(now, displaced(body, t3.unit(j, _DIFFERENCE), rotation))
                 down = _unbalance(now, displaced(body, t3.unit(j, -_DIFFERENCE), back))
                 for i in range(6):
                     A[i, j] = (down[i] - up[i]) / (2.0 * _DIFFERENCE)

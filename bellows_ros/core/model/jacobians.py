@@ -2,10 +2,11 @@
 Analytic derivatives of the model: of the cup's wrench and of the package's acceleration.
 
 A small change of a state is in the axes of the body itself (of the tool, of the package): shift
-(m), turn (rad), linear and angular twist (m/s, rad/s). Shift and turn are those of `displaced`:
-o + R shift, R exp(turn). A 6x6 matrix is the tuple of its 3x3 blocks, linear first.
+(m), rotation (rad), linear and angular twist (m/s, rad/s). Shift and rotation are those of
+`displaced`: o + R shift, R exp(rotation). A 6x6 matrix is the tuple of its 3x3 blocks, linear
+first.
 
-All is worked out at S1, the package's end of the spring: a shift and turn xi of B there are
+All is worked out at S1, the package's end of the spring: a shift and rotation xi of B there are
 X(S1_H_B) xi, as a twist is, and the twist relative to the tool changes with xi by -ad(v_tool) xi.
 """
 
@@ -68,7 +69,7 @@ def shift_right(A: Square, c: Vector) -> Square:
 
 
 @kernel
-def turn_right(A: Square, R: Matrix) -> Square:
+def rotate_right(A: Square, R: Matrix) -> Square:
     """Return A diag(R^T, R^T)."""
     T = t3.transposed(R)
     return t3.multiply(A[0], T), t3.multiply(A[1], T), t3.multiply(A[2], T), t3.multiply(A[3], T)
@@ -103,7 +104,7 @@ def spring_jacobian(
     o: Vector, R: Matrix, K: Blocks, branches: tuple[kernels.Branch, ...], strains: kernels.Strains
 ) -> Square:
     """
-    Return the derivative of `spring_wrench` by shift and turn of S1.
+    Return the derivative of `spring_wrench` by shift and rotation of S1.
 
     -1/4 J^T K J, and what the change of J makes of s = K h: with q = R^T o
     -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]].
@@ -133,14 +134,14 @@ def damper_jacobians(
     o: Vector, R: Matrix, v: Vector, w: Vector, P: Blocks
 ) -> tuple[Square, Square]:
     """
-    Return the derivatives of `damper_wrench` by shift and turn of S1, and by its twist.
+    Return the derivatives of `damper_wrench` by shift and rotation of S1, and by its twist.
 
-    By twist it is -D1 = -1/2 (P + G), G = X^T P X; by shift and turn, with F = G v1,
+    By twist it is -D1 = -1/2 (P + G), G = X^T P X; by shift and rotation, with F = G v1,
     -1/2 ([[0, F_o^], [F_o^, F_R^]] - G ad(v1)).
     """
     full = P[0], P[1], t3.transposed(P[1]), P[2]
     back = t3.transposed(R)
-    at_S2 = turn_right(shift_left(o, shift_right(full, o)), back)
+    at_S2 = rotate_right(shift_left(o, shift_right(full, o)), back)
     G = (t3.multiply(back, at_S2[0]), t3.multiply(back, at_S2[1]),
          t3.multiply(back, at_S2[2]), t3.multiply(back, at_S2[3]))
     force = t3.hat(t3.add(t3.apply(G[0], v), t3.apply(G[1], w)))
@@ -183,7 +184,7 @@ def ends_of_spring(
 
 @kernel
 def wrench_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
-    """Return the derivatives of the cup's wrench at S1 by shift and turn, and twist, of S1."""
+    """Return the derivatives of the cup's wrench at S1 by shift and rotation, and twist, of S1."""
     _, o, R, v, w, _, v_tool, w_tool = ends_of_spring(model, tool, body)
     damper, by_twist = damper_jacobians(o, R, v, w, model[0][3])
     spring = spring_jacobian(o, R, model[0][2], model[0][4:], body[4:])
@@ -211,7 +212,7 @@ def cup_accelerations(model: ModelTuple, tool: State, body: State) -> tuple[Squa
 
 @kernel
 def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
-    """Return the derivatives of `body_acceleration` by shift and turn, and twist, of the body."""
+    """Return the derivatives of `body_acceleration` by pose and twist of the body."""
     _, package, gravity = model
     pose, twist = cup_accelerations(model, tool, body)
     g = t3.hat(t3.apply_transposed(t3.rotation_matrix(body[1]), gravity))
@@ -231,7 +232,7 @@ def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Squar
     """
     Return how internal strains couple: the acceleration by r_b z_b, and h by the body's pose.
 
-    A wrench 1/4 J^T K r_b z_b acts at S1, and h changes by J times shift and turn of S1.
+    A wrench 1/4 J^T K r_b z_b acts at S1, and h changes by J times shift and rotation of S1.
     """
     c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
@@ -264,12 +265,12 @@ def relaxation_jacobian(
 
 @kernel
 def tool_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
-    """Return the derivatives of `body_acceleration` by shift and turn, and twist, of the tool."""
+    """Return the derivatives of `body_acceleration` by pose and twist of the tool."""
     c, _, R, _, _, o_E_S1, _, _ = ends_of_spring(model, tool, body)
     by_pose, by_twist = wrench_jacobians(model, tool, body)
     arm = t3.scale(-1.0, o_E_S1)
-    pose = accelerations(model[1], shift_left(c, shift_right(turn_right(by_pose, R), arm)))
-    twist = accelerations(model[1], shift_left(c, shift_right(turn_right(by_twist, R), arm)))
+    pose = accelerations(model[1], shift_left(c, shift_right(rotate_right(by_pose, R), arm)))
+    twist = accelerations(model[1], shift_left(c, shift_right(rotate_right(by_twist, R), arm)))
     return scale_square(-1.0, pose), scale_square(-1.0, twist)
 
 

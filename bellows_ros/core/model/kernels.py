@@ -303,7 +303,7 @@ def tool_segment(start: State, end: State, duration: float) -> ToolSegment:
     a1 = t3.scale(duration, t3.apply(t3.rotation_matrix(start[1]), start[2]))
     a1_end = t3.scale(duration, t3.apply(t3.rotation_matrix(end[1]), end[2]))
     step = t3.subtract(end[0], start[0])
-    phi = t3.turn_between(start[1], end[1])
+    phi = t3.rotation_between(start[1], end[1])
     c1 = t3.scale(duration, start[3])
     c1_end = t3.scale(duration, t3.rotation_vector_rate(phi, end[3]))
     return duration, start[0], *hermite(step, a1, a1_end), start[1], *hermite(phi, c1, c1_end)

@@ -75,9 +75,9 @@ class PoseSensor:
         """Set the measured frame, and the noise for messages without covariance."""
         self.noise = np.diag(np.repeat(np.square(values['measured.noise']), 3))
         of_lip = values['measured.frame'] == 'lip'
-        x, y, z, *turn = values['measured.offset']
+        x, y, z, *rotation = values['measured.offset']
         self.marker: Marker = (
-            (x, y, z), t3.exp_quaternion((turn[0], turn[1], turn[2])), of_lip,
+            (x, y, z), t3.exp_quaternion((rotation[0], rotation[1], rotation[2])), of_lip,
             float(values['measured.jitter']))
         world = values['recording.package_world'] or '0 0 0 0 0 0 1'
         self.has_own_world = bool(values['recording.package_world'])
@@ -109,8 +109,8 @@ class PoseSensor:
             R = t3.rotation_matrix(self._world)
             position = t3.add(self._origin, t3.apply(R, position))
             q = t3.quaternion_product(self._world, q)
-            turn = np.kron(np.eye(2), np.reshape(R, (3, 3)))
-            noise = turn @ noise @ turn.T
+            rotation = np.kron(np.eye(2), np.reshape(R, (3, 3)))
+            noise = rotation @ noise @ rotation.T
         return Measurement(stamp_ns, position, q, noise)
 
 
@@ -123,9 +123,9 @@ def at_com(
 
     With B at com (m) from the lip; the rest are those of a `Measurement` and of `PoseSensor`.
     """
-    offset, turn, of_lip, _ = marker
+    offset, rotation, of_lip, _ = marker
     arm = t3.subtract(com if of_lip else ZERO, offset)
-    q = t3.quaternion_product(quaternion_xyzw, t3.quaternion_conjugate(turn))
+    q = t3.quaternion_product(quaternion_xyzw, t3.quaternion_conjugate(rotation))
     R = t3.rotation_matrix(q)
     across = t3.multiply(t3.hat(arm), t3.transposed(R))
     T = np.zeros((6, 6))
@@ -175,8 +175,8 @@ def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> St
 
 Innovation = tuple[Array, Array, Array, float, Array]
 """
-The difference of a measured pose from an estimate, shift (m) and turn (rad) in B axes, times its
-whitener (6,); the derivative H of the difference by the error (6, n); the triangular whitener
+The difference of a measured pose from an estimate, shift (m) and rotation (rad) in B axes, times
+its whitener (6,); the derivative H of the difference by the error (6, n); the triangular whitener
 (6, 6), which makes its covariance the identity; its squared Mahalanobis distance, before the
 covariance of an outlier is enlarged; and the whitener
 times H P (6, n), whose square is what a measurement takes from P.
@@ -255,8 +255,8 @@ def innovation_of(
 ) -> Innovation:
     """Return an `Innovation`; noise is in B axes."""
     n, of_lip, jitter = len(P), marker[2], marker[3]**2
-    shift, turn = pose_error(body, position, q)
-    y = np.array((shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]))
+    shift, rotation = pose_error(body, position, q)
+    y = np.array((shift[0], shift[1], shift[2], rotation[0], rotation[1], rotation[2]))
     H = observation(body, noise, of_lip, n)
     for i in range(6):
         for j in range(i + 1):

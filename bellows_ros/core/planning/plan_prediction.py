@@ -301,7 +301,7 @@ def record_sample(
     wrench[0], wrench[1], wrench[2] = f
     wrench[3], wrench[4], wrench[5] = m
     shift = (o[0], o[1], o[2] + cup[1])
-    turn = t3.turn_between(tool[1], body[1])
+    phi = t3.rotation_between(tool[1], body[1])
     values = (loads[0], loads[1], math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]),
               t3.norm(shift), t3.norm(f), t3.norm(m))
     for i in range(6):
@@ -309,7 +309,7 @@ def record_sample(
             peaks[i, 2] = (peeling, slipping)[i]
     for i in range(3):
         lip[i, 0], lip[i, 1] = min(lip[i, 0], shift[i]), max(lip[i, 1], shift[i])
-        lip[i + 3, 0], lip[i + 3, 1] = min(lip[i + 3, 0], turn[i]), max(lip[i + 3, 1], turn[i])
+        lip[i + 3, 0], lip[i + 3, 1] = min(lip[i + 3, 0], phi[i]), max(lip[i + 3, 1], phi[i])
         lip[i, 2], lip[i + 3, 2] = max(lip[i, 2], abs(v[i])), max(lip[i + 3, 2], abs(w[i]))
     return float(max(loads[0], loads[1]))
 
@@ -375,20 +375,20 @@ def _simulate_decay(
     (h, count), (extremes, ceiling, stop) = steps, watch
     wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
-    settled, turn = 0.0, t3.norm(t3.turn_between(hanging, body[1]))
-    update_peak(extremes, 7, t, turn)
+    settled, angle = 0.0, t3.norm(t3.rotation_between(hanging, body[1]))
+    update_peak(extremes, 7, t, angle)
     for i in range(count):
-        before, since = turn, (i + 1.0) * h
+        before, since = angle, (i + 1.0) * h
         body = kernels.step(model, body, tool, tool, tool, h)
         load = record_sample(model, grip, tool, body, t + since, wrench, loads, extremes)
-        turn = t3.norm(t3.turn_between(hanging, body[1]))
-        update_peak(extremes, 7, t + since, turn)
-        if load > ceiling or turn > OVERTURN_ANGLE or stop[0]:
+        angle = t3.norm(t3.rotation_between(hanging, body[1]))
+        update_peak(extremes, 7, t + since, angle)
+        if load > ceiling or angle > OVERTURN_ANGLE or stop[0]:
             return math.inf
-        if turn > SETTLED_ANGLE:
+        if angle > SETTLED_ANGLE:
             settled = math.inf
         elif before > SETTLED_ANGLE:
-            settled = since - h * (SETTLED_ANGLE - turn) / (before - turn)
+            settled = since - h * (SETTLED_ANGLE - angle) / (before - angle)
         elif since > settled + SETTLING_TIME:
             break
-    return settled if turn <= SETTLED_ANGLE else math.inf
+    return settled if angle <= SETTLED_ANGLE else math.inf

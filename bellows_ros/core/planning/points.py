@@ -77,8 +77,8 @@ def plan_of(
             for rate in np.hsplit(np.zeros((len(poses), 6)) if twist is None else twist, 2))
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
     step = np.diff(poses[:, :3], axis=0)
-    turn = lie.log_quaternion(lie.quaternion_product(lie.quaternion_conjugate(q[:-1]), q[1:]))
-    _require_reachable(np.diff(t), step, turn, v, w, name)
+    rotation = lie.log_quaternion(lie.quaternion_product(lie.quaternion_conjugate(q[:-1]), q[1:]))
+    _require_reachable(np.diff(t), step, rotation, v, w, name)
     if twist is None:
         q_near = _near_quaternions(R)
         curve = scipy.interpolate.CubicSpline(
@@ -88,7 +88,7 @@ def plan_of(
         body = np.hstack([v, w])
         if len(poses) >= MIN_FITTED_POINTS:
             _require_fitting(np.diff(t), step, lie.apply(R, v), name, 'velocities')
-            _require_fitting(np.diff(t), turn, w, name, 'angular velocities')
+            _require_fitting(np.diff(t), rotation, w, name, 'angular velocities')
     plan = ToolRows(stamps_ns, np.hstack([poses[:, :3], q, body]))
     fine_ns = _without_gaps(stamps_ns)
     if len(fine_ns) == len(stamps_ns):
@@ -264,10 +264,10 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
 
 
 def _require_reachable(
-    durations: Array, step: Array, turn: Array, v: Array, w: Array, name: str
+    durations: Array, step: Array, rotation: Array, v: Array, w: Array, name: str
 ) -> None:
     """Refuse steps (m, rad) between points, and velocities, that no arm can follow."""
-    moved, turned, speed, rate = (np.linalg.norm(each, axis=1) for each in (step, turn, v, w))
+    moved, turned, speed, rate = (np.linalg.norm(each, axis=1) for each in (step, rotation, v, w))
     jump = (moved > JUMP_TOLERANCE[0] + MAX_TOOL_SPEED * durations) | (
         turned > JUMP_TOLERANCE[1] + MAX_TOOL_RATE * durations)
     if jump.any():

@@ -374,8 +374,8 @@ def modes_left(model: ModelTuple, prediction: planning.PlanPrediction) -> list[S
     R = lie.quaternion_to_rotation(np.array(hanging[1]))
     end = prediction.states[-1]
     shift = R.T @ (end[:3] - hanging[0])
-    turn = lie.log_so3(R.T @ lie.quaternion_to_rotation(end[3:7]))
-    state = np.concatenate([shift, turn, end[7:], np.zeros(len(values) - 12)])  # relaxed
+    rotation = lie.log_so3(R.T @ lie.quaternion_to_rotation(end[3:7]))
+    state = np.concatenate([shift, rotation, end[7:], np.zeros(len(values) - 12)])  # relaxed
     sizes = np.linalg.solve(vectors, state)
     tilts = 2.0 * np.abs(sizes) * np.linalg.norm(vectors[3:6], axis=0)
     return sorted(SwingMode(abs(s) / (2.0 * math.pi), -s.real / abs(s), float(tilt))

@@ -55,7 +55,7 @@ MIN_REST = 0.5
 BEGINNING_SECONDS = 20.0
 # Marker frames are turned against each other if by more than this (rad), and by more than this
 # part of the tool's tilt, with which a package bends the cup.
-MIN_FRAME_TURN, MIN_TURN_TO_TILT = np.deg2rad(1.5), 0.5
+MIN_FRAME_ROTATION, MIN_ROTATION_TO_TILT = np.deg2rad(1.5), 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +237,7 @@ def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -
 
 class Rest(NamedTuple):
     """
-    How both bodies begin: how long they stand still (s), their tilts and relative turn (rad).
+    How both bodies begin: how long they stand still (s), their tilts and relative rotation (rad).
 
     The tilts are of tool and package, from the vertical.
     """
@@ -250,7 +250,8 @@ class Rest(NamedTuple):
     def is_turned(self) -> bool:
         """Whether marker frames are turned against each other, by more than a cup bends."""
         return (self.seconds >= MIN_REST
-                and bool(self.turned > max(MIN_FRAME_TURN, MIN_TURN_TO_TILT * self.tilts[0])))
+                and bool(self.turned > max(
+                    MIN_FRAME_ROTATION, MIN_ROTATION_TO_TILT * self.tilts[0])))
 
     @property
     def turned_sentence(self) -> tuple[str, ...]:
@@ -294,8 +295,8 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
 def _median_rotation(rotation: Array) -> Array:
     """Return the rotation (3, 3) that is the median, axis by axis, of rotations (N, 3, 3)."""
     reference = rotation[len(rotation) // 2]
-    turn = np.median(lie.log_so3(reference.T @ rotation), axis=0)
-    return np.asarray(reference @ lie.exp_so3(turn))
+    from_reference = np.median(lie.log_so3(reference.T @ rotation), axis=0)
+    return np.asarray(reference @ lie.exp_so3(from_reference))
 
 
 def _near(deviation: Array) -> Mask:
@@ -320,7 +321,7 @@ def levelling(direction: ArrayLike) -> Array:
     return np.asarray(lie.exp_so3(axis / sine * np.arctan2(sine, cosine)))
 
 
-TURN_RATE_HZ, TURN_SAMPLES = 50.0, 15
+ROTATION_RATE_HZ, ROTATION_SAMPLES = 50.0, 15
 """Rate at which rotations of the bodies are compared, and over how many samples each goes."""
 
 MIN_CORRELATION = 0.3
@@ -329,38 +330,38 @@ MIN_CORRELATION = 0.3
 MIN_PEAK_RATIO, MAX_LAGS = 0.9, 3
 """Part of the largest correlation at which another lag may be the true one, and how many may."""
 
-MIN_TURN_STD = 0.01
+MIN_ROTATION_STD = 0.01
 """Standard deviation of these rotations (rad) below which bodies hardly turn."""
 
 
-def turn_correlation(
+def rotation_correlation(
     tool: Trajectory, package: Trajectory, one_world: bool = False
 ) -> tuple[Array, Array]:
     """
-    Return lags (K,), s, of the tool's stamps behind the package's, and how alike turns are (K,).
+    Return lags (K,), s, of the tool's stamps behind the package's, and the rotations' correlation.
 
-    Their sizes are compared, or turns in axes of the world, where it is one for both. Empty where
-    a body hardly turns, or is recorded too shortly.
+    Their sizes are compared, or their world axes, where the world is one for both. Empty where a
+    body hardly turns, or is recorded too shortly.
     """
-    turns = []
+    rotations = []
     for body in (tool, package):
-        count = int((body.stamps_ns[-1] - body.stamps_ns[0]) / NS_PER_S * TURN_RATE_HZ)
+        count = int((body.stamps_ns[-1] - body.stamps_ns[0]) / NS_PER_S * ROTATION_RATE_HZ)
         stamps = body.stamps_ns[0] + np.rint(
-            np.arange(count) * (NS_PER_S / TURN_RATE_HZ)).astype(np.int64)
-        if count <= TURN_SAMPLES:
+            np.arange(count) * (NS_PER_S / ROTATION_RATE_HZ)).astype(np.int64)
+        if count <= ROTATION_SAMPLES:
             return np.empty(0), np.empty(0)
         R = resample(body, stamps).rotation
-        turn = lie.log_so3(R[TURN_SAMPLES:] @ np.swapaxes(R[:-TURN_SAMPLES], 1, 2))
-        turn = turn if one_world else np.linalg.norm(turn, axis=1, keepdims=True)
-        turn -= turn.mean(axis=0)
-        size = float(np.linalg.norm(turn))
-        if size < MIN_TURN_STD * np.sqrt(len(turn)):
+        rotation = lie.log_so3(R[ROTATION_SAMPLES:] @ np.swapaxes(R[:-ROTATION_SAMPLES], 1, 2))
+        rotation = rotation if one_world else np.linalg.norm(rotation, axis=1, keepdims=True)
+        rotation -= rotation.mean(axis=0)
+        size = float(np.linalg.norm(rotation))
+        if size < MIN_ROTATION_STD * np.sqrt(len(rotation)):
             return np.empty(0), np.empty(0)
-        turns.append(turn / size)
-    count, before = sum(map(len, turns)) - 1, len(turns[1]) - 1
-    of_tool, of_package = (np.fft.rfft(turn, count, axis=0) for turn in turns)
+        rotations.append(rotation / size)
+    count, before = sum(map(len, rotations)) - 1, len(rotations[1]) - 1
+    of_tool, of_package = (np.fft.rfft(rotation, count, axis=0) for rotation in rotations)
     correlation = np.fft.irfft(np.sum(of_tool * np.conj(of_package), axis=1), count)
-    lags = (np.arange(count) - before) / TURN_RATE_HZ
+    lags = (np.arange(count) - before) / ROTATION_RATE_HZ
     return (lags + float(tool.stamps_ns[0] - package.stamps_ns[0]) / NS_PER_S,
             np.roll(correlation, before))
 
@@ -378,7 +379,7 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
         If they do not turn alike at any offset; where they hardly turn they must overlap.
 
     """
-    lags, correlation = turn_correlation(tool, package)
+    lags, correlation = rotation_correlation(tool, package)
     largest = float(np.max(correlation, initial=0.0))
     if largest >= MIN_CORRELATION:
         is_peak = correlation >= np.maximum(np.roll(correlation, 1), np.roll(correlation, -1))
@@ -397,7 +398,7 @@ START_RATE_HZ, SLOW_PART = 50.0, 0.5
 """Poses per second for the start value, and the part used: the slowest, of which the cup yields
 least."""
 
-MIN_TURN = 0.02
+MIN_ROTATION = 0.02
 """Smallest rotation (rad) between two poses that determines the rotation between the worlds."""
 
 
@@ -469,7 +470,7 @@ def hand_eye(
 
     """
     hand, eye = slow_poses(tool, package)
-    R = turn_of(hand.rotation, eye.rotation)
+    R = rotation_of(hand.rotation, eye.rotation)
     R_marker_lip = lie.mean_rotation(np.swapaxes(eye.rotation, 1, 2) @ R.T @ hand.rotation)
     # o + R o_M + R_E c = o_E + R_E (below + com)
     A = np.concatenate([np.tile(np.eye(3), (len(hand), 1, 1)), hand.rotation], axis=2)
@@ -522,21 +523,21 @@ def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Traje
             'recording.package_world. Record longer, or give its seven numbers.')
     stamps = first + np.linspace(0, last - first, count).astype(np.int64)  # exact to the ns
     hand, eye = (resample(body, stamps) for body in (tool, package))
-    turn = np.zeros((count, 3))
-    turn[1:] = lie.log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:])
+    rotation = np.zeros((count, 3))
+    rotation[1:] = lie.log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:])
     sizes = [np.linalg.norm(change, axis=1)
-             for change in (np.gradient(hand.position, axis=0), turn)]
+             for change in (np.gradient(hand.position, axis=0), rotation)]
     speed = sum(size / max(float(np.median(size)), 1e-9) for size in sizes)
     slow = (speed <= np.quantile(speed, SLOW_PART)) & hand.valid & eye.valid
     return hand.select(slow), eye.select(slow)
 
 
-def turn_of(R_tool: Array, R_package: Array) -> Array:
+def rotation_of(R_tool: Array, R_package: Array) -> Array:
     """Return the rotation between the worlds that makes both bodies rotate alike."""
     step = len(R_tool) // 15 + 1
     a, b = (np.concatenate([lie.log_so3(R[first::step] @ R[first].T)
                             for first in range(0, len(R), step)]) for R in (R_tool, R_package))
-    if np.quantile(np.linalg.norm(a, axis=1), 0.9) < MIN_TURN:
+    if np.quantile(np.linalg.norm(a, axis=1), 0.9) < MIN_ROTATION:
         raise BellowsError(
             'recording.package_world cannot be estimated: the tool hardly turns in this '
             'recording. Tilt and turn it, best with standstills in between, or give the seven '

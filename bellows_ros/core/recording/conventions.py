@@ -131,14 +131,14 @@ def _motion(bodies: list[Trajectory], given: tuple[Convention, Convention]) -> t
     """
     Return how the package moves in the tool, and how far it is from hanging along its z axis.
 
-    The first is a turn (rad) and a way in parts of the distance, the second of two cosines.
+    The first is a rotation (rad) and a way in parts of the distance, the second of two cosines.
     """
     tool, package = map(converted, bodies, given)
     back = np.swapaxes(tool.rotation, 1, 2)
     offset, turned = lie.apply(back, package.position - tool.position), back @ package.rotation
     offset = offset / np.median(np.linalg.norm(offset, axis=1))
-    turn = lie.log_so3(turned[len(turned) // 2].T @ turned)
-    return (spread(offset) + spread(turn),
+    rotation = lie.log_so3(turned[len(turned) // 2].T @ turned)
+    return (spread(offset) + spread(rotation),
             2.0 + float(np.mean(offset[:, 2]) - np.mean(turned[:, 2, 2])))
 
 

@@ -241,7 +241,7 @@ def stream_warnings(report: StreamReport) -> list[str]:
 
     lasting = lasting_steps(report)
     steps = [
-        said('step', shift=1e3 * step.position, turn=np.degrees(step.rotation),
+        said('step', shift=1e3 * step.position, rotation=np.degrees(step.rotation),
              at=(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S)
         for step in lasting]
     if len(lasting) > MAX_STEPS:

@@ -140,7 +140,7 @@ def _correlation(moved: Array, lag: int) -> float:
 
 
 def _at_rest(poses: Trajectory) -> Array:
-    """Return shifts and turns (N, 6) of a body at rest from its mean pose."""
+    """Return shifts and rotations (N, 6) of a body at rest from its mean pose."""
     back = poses.rotation[0].T
     moved = np.hstack([apply(back, poses.position - poses.position[0]),
                        log_so3(back @ poses.rotation)])

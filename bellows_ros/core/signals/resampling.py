@@ -342,12 +342,12 @@ def _interpolated(
     R_start, R_end = trajectory.rotation[before], trajectory.rotation[after]
     origin = trajectory.position[before]
     step = trajectory.position[after] - origin
-    turn = lie.log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
+    phi = lie.log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
     if trajectory.twist is None:
-        return origin + s * step, R_start @ lie.exp_so3(s * turn), None
+        return origin + s * step, R_start @ lie.exp_so3(s * phi), None
     start, end = (trajectory.twist[index] * interval_s for index in (before, after))
     o, o_rate = cubic(s, lie.apply(R_start, start[:, :3]), step, lie.apply(R_end, end[:, :3]))
-    c, c_rate = cubic(s, start[:, 3:], turn, lie.apply(lie.dexp_inverse(-turn), end[:, 3:]))
+    c, c_rate = cubic(s, start[:, 3:], phi, lie.apply(lie.dexp_inverse(-phi), end[:, 3:]))
     rotation = R_start @ lie.exp_so3(c)
     linear = lie.apply(np.swapaxes(rotation, -1, -2), o_rate)
     angular = lie.apply(lie.dexp(-c), c_rate)

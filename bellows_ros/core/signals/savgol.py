@@ -23,7 +23,7 @@ from .trajectory import any_within, Filtered, frozen, Trajectory, uniform_rate_h
 MIN_ORDER = 2
 # rad. Beyond pi the logarithm jumps to the opposite side; a window in which the body turns as far
 # as this from the centre is not trusted.
-MAX_TURN = 0.75 * pi
+MAX_ROTATION = 0.75 * pi
 # Samples filtered at a time: the working arrays stay in the processor's cache, and memory is
 # bounded.
 BLOCK = 4096
@@ -101,7 +101,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     -------
     Filtered
         The N - 2n samples with a full window, the first and last such included. A sample is valid
-        if its whole window is, and if the body turns by less than `MAX_TURN` between the
+        if its whole window is, and if the body turns by less than `MAX_ROTATION` between the
         centre and every sample in it.
 
     Raises
@@ -173,7 +173,7 @@ def _filter_block(
     v, w = lie.apply(R_inverse, o_rate), lie.apply(R_inverse, spatial_rate)
     dv = lie.apply(R_inverse, o_rate2) - np.cross(w, v)
     dw = lie.apply(R_inverse, spatial_rate2)
-    return position[centre] + o, R, np.hstack([v, w]), np.hstack([dv, dw]), largest < MAX_TURN
+    return position[centre] + o, R, np.hstack([v, w]), np.hstack([dv, dw]), largest < MAX_ROTATION
 
 
 def _fit(

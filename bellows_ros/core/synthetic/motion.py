@@ -2,8 +2,8 @@
 Smooth motions of the tool tip E, with pose and velocity at any time.
 
 A motion begins with a rest and has continuous accelerations (C2). Times are seconds since its
-beginning. Displacements are in world axes; turns are ``R_world_tool = R_start exp(phi)``, with the
-rotation vector phi in the tool's axes at the start.
+beginning. Displacements are in world axes; rotations are ``R_world_tool = R_start exp(phi)``, with
+the rotation vector phi in the tool's axes at the start.
 """
 
 from abc import ABC, abstractmethod
@@ -254,9 +254,9 @@ class Waypoints(Motion):
             step, slope = smooth_step((t[now] - begin) / segment.move)[:, :, None]
             slope = slope / segment.move
             shift = segment.goal.position - start.position
-            turn = lie.log_so3(start.rotation.T @ segment.goal.rotation)
+            phi = lie.log_so3(start.rotation.T @ segment.goal.rotation)
             position[now], velocity[now] = start.position + step * shift, slope * shift
-            rotation[now], body_rate[now] = start.rotation @ lie.exp_so3(step * turn), slope * turn
+            rotation[now], body_rate[now] = start.rotation @ lie.exp_so3(step * phi), slope * phi
             begin, start = begin + segment.move + segment.hold, segment.goal
         return position, velocity, rotation, body_rate
 

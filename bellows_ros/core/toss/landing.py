@@ -262,10 +262,10 @@ def aim(
             thrown = toss(held, release, switched)
         except (NoLandingError, UnstableError):
             return np.full(5, np.nan)
-        turn = np.zeros(3)
+        error = np.zeros(3)
         if rotation is not None:
-            turn = log_so3(rotation.T @ quaternion_to_rotation(np.array(thrown.landing[1])))
-        return np.concatenate([np.subtract(thrown.landing[0][:2], target), reach * turn])
+            error = log_so3(rotation.T @ quaternion_to_rotation(np.array(thrown.landing[1])))
+        return np.concatenate([np.subtract(thrown.landing[0][:2], target), reach * error])
 
     def cost(switched: float) -> float:
         return float(np.nan_to_num(np.linalg.norm(miss(switched)), nan=1e6, posinf=1e6))
@@ -291,5 +291,5 @@ def aim(
         raise NoReleaseError(
             'No release during the plan leads to a landing. Check landing.height, release.*, and '
             'whether the plan throws the package.')
-    shift, turn = (float(np.linalg.norm(part)) for part in np.split(miss(switched), [2]))
-    return Aim(switched, shift, turn / reach, target)
+    shift, angle = (float(np.linalg.norm(part)) for part in np.split(miss(switched), [2]))
+    return Aim(switched, shift, angle / reach, target)

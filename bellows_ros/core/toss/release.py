@@ -45,7 +45,7 @@ RELEASE_NAMES = tuple(f'release.{name}' for name in (
 
 LAW_STEP = 0.1
 DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(RELEASE_NAMES)
-"""Steps of differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s), and by
+"""Steps of differences by shift (m), rotation (rad), linear and angular twist (m/s, rad/s), and by
 the numbers of the law of release (standard deviations)."""
 
 OPENING_STEP = 1e-3
@@ -316,8 +316,8 @@ def landing_error(landed: State, nominal: State, gravity: Vector) -> tuple[Vecto
     out.
     """
     up, moved = free_flight.upward(gravity), t3.subtract(landed[0], nominal[0])
-    turn = t3.quaternion_product(landed[1], t3.quaternion_conjugate(nominal[1]))
-    return t3.add_scaled(moved, -t3.dot(up, moved), up), t3.log_quaternion(turn)
+    rotation = t3.quaternion_product(landed[1], t3.quaternion_conjugate(nominal[1]))
+    return t3.add_scaled(moved, -t3.dot(up, moved), up), t3.log_quaternion(rotation)
 
 
 @kernel
@@ -338,8 +338,8 @@ def toss_with_derivatives(
     """
     Write derivatives of a landing; return whether all of them land, and `toss_along` from 0.
 
-    They are derivatives (6, 20) of the `landing_error` by the package's shift, turn and twist, in
-    body axes, and by the law of release, changed by each column of the factor of its covariance.
+    They are derivatives (6, 20) of the `landing_error` by the package's pose and twist, in body
+    axes, and by the law of release, changed by each column of the factor of its covariance.
     Those from one number to before another are renewed.
     """
     (model, grip, release, switched), (first, last) = switching, renewed
@@ -361,9 +361,9 @@ def toss_with_derivatives(
         if j < 0:
             nominal = toss_changed
         else:
-            shift, turn = landing_error(toss_changed[3], nominal[3], model[2])
+            shift, rotation = landing_error(toss_changed[3], nominal[3], model[2])
             for k in range(3):
-                by[k, j], by[k + 3, j] = shift[k] / size, turn[k] / size
+                by[k, j], by[k + 3, j] = shift[k] / size, rotation[k] / size
     return True, nominal
 
 

@@ -172,9 +172,9 @@ class Drop:
     def errors(self, states: Array) -> Array:
         """Return measured less predicted position (m), velocity (m/s), rotation (rad), (9, N)."""
         position, (*_, orientation, slopes) = self.package.position - states[:, :3], self._inputs
-        turn = lie.log_quaternion(lie.quaternion_product(
+        rotation = lie.log_quaternion(lie.quaternion_product(
             lie.quaternion_conjugate(states[:, 3:7]), orientation))
-        return np.hstack([position, slopes @ position, turn]).T
+        return np.hstack([position, slopes @ position, rotation]).T
 
 
 class Explained(NamedTuple):
@@ -688,7 +688,7 @@ def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
 
 def _stands(poses: Trajectory, times: float = 1.0) -> bool:
     """Return whether poses stay where they are, within so many times `REST_TOLERANCE`."""
-    turn = lie.log_so3(np.swapaxes(poses.rotation[:1], -1, -2) @ poses.rotation)
+    rotation = lie.log_so3(np.swapaxes(poses.rotation[:1], -1, -2) @ poses.rotation)
     shift = poses.position - poses.position.mean(axis=0)
     return bool(np.abs(shift).max() < times * REST_TOLERANCE[0]
-                and np.abs(turn).max() < times * REST_TOLERANCE[1])
+                and np.abs(rotation).max() < times * REST_TOLERANCE[1])

@@ -178,7 +178,7 @@ def test_short_motions_of_a_tilted_tool_hold_the_grip(monkeypatch, seeds):
         rng = np.random.default_rng(seed)
         start = Pose(LIMITS.start.position, rpy_rotation(np.array([0.2, -0.1, 1.0])))
         limits = ArmLimits(
-            start, LIMITS.lower, LIMITS.upper, LIMITS.turn,
+            start, LIMITS.lower, LIMITS.upper, LIMITS.rotation,
             LIMITS.rates | {
                 name: most * rng.uniform(0.2, 1.0)
                 for name, most in LIMITS.rates.items() if 'angular' not in name},

@@ -148,7 +148,7 @@ def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_d
 def test_clocks_are_apart_where_turns_are_alike_beyond_chance(near, best, apart, monkeypatch):
     """Of a weak correlation the same difference is less than of a strong one."""
     lags = np.array([-0.47, 0.0])
-    monkeypatch.setattr(causes.alignment, 'turn_correlation', lambda *_, one_world=False: (
+    monkeypatch.setattr(causes.alignment, 'rotation_correlation', lambda *_, one_world=False: (
         lags, np.array([best, near]) - 0.1 * one_world))
     found = implausible_inputs(Laboratory(4, seconds=4.0).recording())
     assert [finding.name for finding in found] == ['time_offset'] * apart

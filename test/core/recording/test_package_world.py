@@ -40,7 +40,7 @@ def test_the_closed_form_is_exact_for_a_rigid_cup():
 def test_nothing_that_turns_tells_no_turn_between_the_worlds():
     _, package = rigid()
     with pytest.raises(BellowsError):
-        alignment.turn_of(np.tile(np.eye(3), (len(package), 1, 1)), package.rotation)
+        alignment.rotation_of(np.tile(np.eye(3), (len(package), 1, 1)), package.rotation)
 
 
 def test_a_small_motion_of_the_world_moves_what_is_seen_in_it():
