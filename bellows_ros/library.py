@@ -400,7 +400,7 @@ def steer(
     Examples
     --------
     >>> result = bellows_ros.steer('bags/transport.yaml', 'bags/tossing.yaml')
-    >>> bool(result.motions['inverse'].figures()['swing_left'] < 0.01)
+    >>> bool(result.motions['inverse'].summary()['swing_left'] < 0.01)
     True
 
     """

@@ -169,7 +169,7 @@ def test_a_motion_in_arrays_is_planned_as_its_file(root):
     parameters = bellows_ros.read_parameters(root / TOSSING)
     of_file = bellows_ros.plan(root / 'bags/transport.yaml', parameters)
     of_arrays = bellows_ros.plan(of_file.source.tool, parameters)
-    expected, found = (each.prediction.figures() for each in (of_file, of_arrays))
+    expected, found = (each.prediction.summary() for each in (of_file, of_arrays))
     assert found == pytest.approx(expected, rel=1e-9)
 
 

@@ -42,7 +42,7 @@ def print_result(report: PlanReport, console: Console) -> None:
 def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
     """Return rows to print: name, value with its standard deviation, and a remark."""
     prediction, degrees = report.prediction, (math.degrees(1.0), 'degrees')
-    figures = prediction.figures()
+    figures = prediction.summary()
 
     def value(name: str, factor: float, unit: str) -> str:
         return with_error(factor * figures[name], factor * report.std[name], unit)

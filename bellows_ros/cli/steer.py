@@ -38,7 +38,7 @@ def print_result(report: steer.SteerReport, console: Console) -> None:
     rows: list[tuple[str, ...]] = [
         ('motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled', 'safety')]
     for name, motion in report.motions.items():
-        figures = motion.figures()
+        figures = motion.summary()
         expected = figures['expected_swing'] if report.uncertain else math.nan
         rows.append((
             name, f'{figures["duration"]:.3f} s', f'{1e3 * figures["added_time"]:.0f} ms',
@@ -47,7 +47,7 @@ def print_result(report: steer.SteerReport, console: Console) -> None:
             formatted(figures['settled_after'], '.2f', 's'),
             formatted(figures['smallest_safety_factor'], '.2f')))
     console.table(rows, right=True)
-    figures = report.motions[report.method].figures()
+    figures = report.motions[report.method].summary()
     console.paragraph(
         f'The tool moves at up to {figures["speed"]:.3g} m/s, {figures["acceleration"]:.3g} '
         f'm/s^2, {figures["angular_speed"]:.3g} rad/s and {figures["angular_acceleration"]:.3g} '

@@ -104,7 +104,7 @@ def decode(
         ('values', 'f8', (part.stop - part.start,))])
     decoded['arrival'] = np.maximum(log_times_ns, 0)
     decoded['frame'] = -1
-    for (size, head, strings), (names, members) in _alike(messages, layout.strings).items():
+    for (size, head, strings), (names, members) in same_layout(messages, layout.strings).items():
         doubles_at = _doubles_at(_STRINGS_AT + len(strings))
         padding = size - doubles_at - 8 * layout.doubles
         if size > MAX_MESSAGE_BYTES or not 0 <= padding <= _MAX_PADDING:
@@ -119,7 +119,7 @@ def decode(
     return decoded
 
 
-def _alike(
+def same_layout(
     messages: Sequence[bytes], strings: int
 ) -> dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]]:
     """

@@ -169,8 +169,8 @@ class Outputs:
         model, values = self._pipeline.live.model, self._pipeline.values
         self.uncertainty = uncertainty.Uncertainty(model, values)
         load.deflection_rotation(uncertainty.STILL)
-        Picture(values).of('', model, uncertainty.STILL)
-        self._picture = Picture(values)
+        Markers(values).fill('', model, uncertainty.STILL)
+        self._picture = Markers(values)
 
     def publish(self, prediction: Prediction) -> None:
         """
@@ -219,7 +219,7 @@ class Outputs:
                 conversions.write_pose, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX,
                 load.deflection(live.model, prediction)[0], load.deflection_rotation(prediction))
         if self._markers.subscribed and self._picture.is_due(stamp_ns):
-            self._markers.publish(self._picture.of(frame_id, live.model, prediction))
+            self._markers.publish(self._picture.fill(frame_id, live.model, prediction))
         if self._tf:
             self._tf.send(conversions.write_tf, frame_id, package, prediction)
 
@@ -260,7 +260,7 @@ FORCE = (0.9, 0.2, 0.1, 1.0)
 COASTING = (0.6, 0.6, 0.6, 0.5)
 
 
-class Picture:
+class Markers:
     """Markers that are filled in again for each picture."""
 
     def __init__(self, values: Mapping[str, Any]) -> None:
@@ -277,7 +277,9 @@ class Picture:
         """Return whether the next markers are due."""
         return not 0 <= stamp_ns - self._last_ns < MARKER_PERIOD_NS
 
-    def of(self, frame_id: str, model: kernels.ModelTuple, prediction: Prediction) -> MarkerArray:
+    def fill(
+        self, frame_id: str, model: kernels.ModelTuple, prediction: Prediction
+    ) -> MarkerArray:
         """Return the markers of a prediction; grey while the tool is extrapolated."""
         self._last_ns = prediction.stamp_ns
         lip = load.lip_position(model, prediction)

@@ -650,10 +650,10 @@ class Observing:
     def log_alarms(self) -> None:
         """Log the alarms since the last call, and go on without the cups that are lost."""
         alarms = self._observer.alarms if self._observer else []
-        fresh, self._reported = alarms[self._reported:], len(alarms)
-        for alarm in fresh:
+        new_alarms, self._reported = alarms[self._reported:], len(alarms)
+        for alarm in new_alarms:
             self._pipeline.node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
-        if lost := {alarm.cup for alarm in fresh if alarm.cup >= 0}:
+        if lost := {alarm.cup for alarm in new_alarms if alarm.cup >= 0}:
             self.lost_cups |= lost
             self._pipeline.use_values()
 

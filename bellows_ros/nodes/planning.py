@@ -266,7 +266,7 @@ class Planning:
         level = Level.ERROR if released else Level.WARN if message else Level.OK
         return Status('plan', level, message or 'The plan is within all given limits.', {
             'left (s)': number(float(outcome.tool.seconds[-1])),
-            **{name: number(value) for name, value in outcome.figures().items()}})
+            **{name: number(value) for name, value in outcome.summary().items()}})
 
     def _on_request(self, request: Header) -> None:
         """Answer a request for the package at a stamp, in a thread."""

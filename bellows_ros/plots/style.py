@@ -47,8 +47,8 @@ class Theme:
         return self.predicted, self.error, self.measured
 
 
-LOOK = tomllib.loads(Path(__file__).with_name('pictures.toml').read_text())
-THEMES = {name: Theme(**colours) for name, colours in LOOK['themes'].items()}
+PICTURE_STYLE = tomllib.loads(Path(__file__).with_name('pictures.toml').read_text())
+THEMES = {name: Theme(**colours) for name, colours in PICTURE_STYLE['themes'].items()}
 
 
 @contextmanager
@@ -67,8 +67,8 @@ def drawing(theme: Theme) -> Iterator[Any]:
     import matplotlib.figure
 
     colours = {name: getattr(theme, purpose)
-               for purpose, names in LOOK['colours'].items() for name in names}
-    with matplotlib.rc_context({**LOOK['style'], **colours}):
+               for purpose, names in PICTURE_STYLE['colours'].items() for name in names}
+    with matplotlib.rc_context({**PICTURE_STYLE['style'], **colours}):
         yield matplotlib.figure
 
 
@@ -121,8 +121,8 @@ def inline_svg(figure: Any) -> str:
 
 
 SIZE = (9.4, 6.9)  # inches
-LEFT = 0.095  # of the panels, in parts of the width
-BELOW_HEAD = {'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
+LEFT_EDGE = 0.095  # of the panels, in parts of the width
+BELOW_HEAD = {'left': LEFT_EDGE, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
 """Edges of the panels of a figure of `SIZE`."""
 
 TITLE, NOTE = 0.31, 0.52  # inches from the top
@@ -148,8 +148,8 @@ def picture(
     colours = THEMES[theme]
     with drawing(colours) as figures:
         figure = figures.Figure(figsize=size, dpi=dpi, label=title)
-        figure.text(LEFT, 1.0 - TITLE / size[1], title, fontsize=13.5, fontweight='bold')
-        figure.text(LEFT, 1.0 - NOTE / size[1], note, color=colours.quiet)
+        figure.text(LEFT_EDGE, 1.0 - TITLE / size[1], title, fontsize=13.5, fontweight='bold')
+        figure.text(LEFT_EDGE, 1.0 - NOTE / size[1], note, color=colours.quiet)
         yield figure, colours
 
 

@@ -40,7 +40,7 @@ Poses = Mapping[str, PoseStream]
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Fractions of the work at which the fit begins and ends, for the progress."""
 
-CAUSES = 'testing possible causes'
+CAUSE_TESTS = 'testing possible causes'
 """The work of a diagnosis, for the progress."""
 
 MAX_PAGE_RECORDINGS = 20
@@ -118,7 +118,7 @@ def _require_no_facts(
 ) -> None:
     """Refuse recordings that are wrong without any fit; say what else is wrong with them."""
     if causes.facts(recordings, values['cup.length']):
-        progress(CAUSES, FIT_BEGINS)
+        progress(CAUSE_TESTS, FIT_BEGINS)
         verdict = verdict_of(None, recordings, values['cup.length'], values)
         raise UnexplainedError(' '.join([*(verdict.cause if verdict else ()), NOT_FITTED]))
 
@@ -286,7 +286,7 @@ def _identify(
         found = {freed.name: np.array([freed.change]) for freed in fit.freed}
         parts = [as_found(part, found, n) for n, part in enumerate(whole_recordings(parts))]
     recordings = whole_recordings(parts)
-    progress(CAUSES, FIT_ENDS)
+    progress(CAUSE_TESTS, FIT_ENDS)
     verdict = verdict_of(
         fit, recordings, fit.standstills.length if fit.standstills else effective['cup.length'],
         effective)

@@ -219,7 +219,7 @@ class PlanReport(CommandResult):
         """Return the content of the JSON file; SI units, null for unknown values."""
         prediction, fastest = self.prediction, self.fastest
         return results.with_units({
-            'duration': self.source.duration, **prediction.figures(),
+            'duration': self.source.duration, **prediction.summary(),
             'smallest_safety_mode': prediction.smallest_safety[1] if prediction.grip else None,
             'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
             'outside_validity': list(self.outside),
@@ -264,13 +264,13 @@ def plan(
     prediction = run.predict()
 
     def figures(changed: ModelTuple) -> Array:
-        numbers = run.with_model(changed).predict().figures()
+        numbers = run.with_model(changed).predict().summary()
         numbers['settled_after'] = min(numbers['settled_after'], MAX_TAIL)  # it jumps there
         return np.array(list(numbers.values()))
 
     deviations = _deviations(values, model, figures).tolist()
     std = {name: deviation if math.isfinite(value) else math.nan for (name, value), deviation in
-           zip(prediction.figures().items(), deviations, strict=True)}
+           zip(prediction.summary().items(), deviations, strict=True)}
     shortest = None
     if seek_fastest:
         if grip is None:

@@ -496,7 +496,7 @@ def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum)
 
 
 def observed(
-    bag: File, recording: Recording, messages: Messages, alone: residuals.Comparison,
+    bag: File, recording: Recording, messages: Messages, uncorrected: residuals.Comparison,
     values: Values, topic: str, calibrate_alarms: bool = False,
 ) -> Observed:
     """
@@ -510,8 +510,8 @@ def observed(
         As it was prepared.
     messages : Messages
         Of the tool.
-    alone : Comparison
-        The live prediction from these alone.
+    uncorrected : Comparison
+        The live prediction from these, without a camera.
     values : mapping
         Parameters by name, measured.* among them.
     topic : str
@@ -550,7 +550,7 @@ def observed(
     corrected = run(observer)
     package = recording.measured_package
     camera = _last_measured(observer, measured, package, package_of(values).com)
-    prediction = alone.select(alone.stamps_ns >= camera.stamps_ns[0])
+    prediction = uncorrected.select(uncorrected.stamps_ns >= camera.stamps_ns[0])
     compared = np.isin(package.stamps_ns, prediction.stamps_ns)
     tool, package = recording.measured_tool.select(compared), package.select(compared)
     camera = camera.select(np.isin(camera.stamps_ns, package.stamps_ns))

@@ -49,14 +49,14 @@ class SteeredMotion(NamedTuple):
         rotation = log_so3(np.swapaxes(self.reference.rotation, -1, -2) @ R)
         return np.asarray(np.linalg.norm(rotation, axis=1))
 
-    def figures(self) -> dict[str, float]:
+    def summary(self) -> dict[str, float]:
         """Return the numbers of a summary, SI units."""
         off = np.linalg.norm(self.states[:, :3] - self.reference.position, axis=1)
         return {
             'duration': float(self.tool.seconds[-1]), 'added_time': self.added_time,
             'largest_tilt': float(self.tilt.max()), 'path_error': float(off.max()),
             'expected_swing': self.expected_swing,
-            **{name: size for name, size in self.prediction.figures().items()
+            **{name: size for name, size in self.prediction.summary().items()
                if name in ('swing_left', 'settled_after', 'smallest_safety_factor')},
             **demands(self.tool)}
 
@@ -135,8 +135,8 @@ class SteerReport(CommandResult):
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
         return results.with_units({
-            'method': self.method, **self.motions[self.method].figures(),
-            'beside': {name: motion.figures() for name, motion in self.motions.items()
+            'method': self.method, **self.motions[self.method].summary(),
+            'beside': {name: motion.summary() for name, motion in self.motions.items()
                        if name != self.method},
             'time_scale': self.time_scale, 'limit': self.limit,
             'smoothed': self.steered.smoothed,
@@ -253,7 +253,7 @@ def _effect(
     run, longer = PlanSimulation(model, source.grip, tool), extended(tool, TAIL)
     square = mean_square(
         source.values, model,
-        lambda changed: float(run.with_model(changed).predict().figures()['swing_left']))
+        lambda changed: float(run.with_model(changed).predict().summary()['swing_left']))
     return SteeredMotion(
         tool, run.predict(), arrival - source.duration, longer,
         PlanSimulation(model, None, longer, tail=0.0).states(), extended(reference, TAIL),

@@ -37,7 +37,7 @@ def message(move=MOVE, **changes):
 def swing_left(times_ns, poses, twists=None):
     """Return the swing (degrees) at rest after a motion of the tool, by the model alone."""
     tool = plan_of(times_ns, poses, twists, twist_frame='tool').trajectory()
-    return float(np.degrees(PlanSimulation(MODEL, None, tool).predict().figures()['swing_left']))
+    return float(np.degrees(PlanSimulation(MODEL, None, tool).predict().summary()['swing_left']))
 
 
 def in_frame(poses, T):

@@ -43,11 +43,11 @@ it is asked where a cause must explain nearly all."""
 DOUBTED = 1.0
 """Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
 
-WORDS = tomllib.loads(Path(__file__).with_name('causes.toml').read_text())
-CAUSES: Mapping[str, Any] = WORDS['causes']
+CAUSE_TEXTS = tomllib.loads(Path(__file__).with_name('causes.toml').read_text())
+CAUSES: Mapping[str, Any] = CAUSE_TEXTS['causes']
 """All causes by name. The numbers of those in fit.free are `quantities.KINDS`."""
 
-MISREAD: Mapping[str, str] = WORDS['misread']
+MISREAD: Mapping[str, str] = CAUSE_TEXTS['misread']
 
 NONE = np.empty(0)
 
@@ -515,21 +515,18 @@ def _noise_order(poses: Trajectory) -> float:
     return -float(np.polyfit(np.log(hz[inside]), np.log(density), 1)[0])
 
 
-Given = Mapping[str, Any]
-"""Parameters by name."""
-
 Fields = dict[str, Any]
 """What is filled into the words of a cause."""
 
 
-def _clock_fields(finding: Finding, given: Given) -> Fields:
+def _clock_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
     """Return the size of the offset of two clocks, rough where only turns tell it."""
     offset, std = finding.theta[0], finding.std[0]
     return {'offset': f'{_size(offset, std)} ms' if std < ROUGH_STD else
             f'about {abs(offset):.2f} s'}
 
 
-def _com_fields(finding: Finding, given: Given) -> Fields:
+def _com_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
     """Return what is significant of the way to another centre of mass, and where that is."""
     moved = np.where(np.abs(finding.theta) > 3.0 * finding.std, finding.theta, 0.0)
     return {'com': _listed(np.add(given['package.com'], moved)), 'shifts': ', '.join(
@@ -537,7 +534,7 @@ def _com_fields(finding: Finding, given: Given) -> Fields:
         for axis, x, s in zip('xyz', moved, finding.std, strict=True) if x)}
 
 
-def _marker_fields(finding: Finding, given: Given) -> Fields:
+def _marker_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
     """Return by how much a marker frame is moved and turned, and what corrects it."""
     shift, angle = map(np.linalg.norm, np.split(finding.theta, [len(finding.theta) - 3]))
     alignment = '' if given.get('recording.align_at_rest') else (
@@ -546,7 +543,7 @@ def _marker_fields(finding: Finding, given: Given) -> Fields:
             'setting': f'fit.free: [package_marker]{alignment}'}
 
 
-def _drift_fields(finding: Finding, given: Given) -> Fields:
+def _drift_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
     """Return what is significant of a camera, or its world, that moves slowly."""
     rates, stds = (np.split(each, 2) for each in (finding.theta, finding.std))
     return {'rates': ' and '.join(
@@ -555,19 +552,19 @@ def _drift_fields(finding: Finding, given: Given) -> Fields:
         if np.any(np.abs(rate) > SIGNIFICANT * std))}
 
 
-def _gravity_fields(finding: Finding, given: Given) -> Fields:
+def _gravity_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
     """Return by how much a world is not level, and where things fall in it."""
     down = lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN
     return {'degrees': np.rad2deg(np.hypot(*finding.theta)), 'down': _down(given, down)}
 
 
-def _down(given: Given, down: Array) -> str:
+def _down(given: Mapping[str, Any], down: Array) -> str:
     """Return where things fall in the world, by how they do where gravity.direction is level."""
     level = alignment.levelling(given.get('gravity.direction', alignment.DOWN))
     return _listed(level.T @ down)
 
 
-def _yaw_fields(finding: Finding, given: Given) -> Fields:
+def _yaw_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
     """Return the frames of which one is turned about z."""
     words = ', or '.join(
         f"the {body}'s frame is turned by {degrees} degrees about z"
@@ -586,7 +583,7 @@ def _size(value: float, std: float) -> str:
     return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
 
 
-FIELDS: Mapping[str, Callable[[Finding, Given], Fields]] = {
+FIELDS: Mapping[str, Callable[[Finding, Mapping[str, Any]], Fields]] = {
     'package_world': lambda finding, given: {
         'motion': alignment.motion_sentence(finding.theta, finding.std)},
     **dict.fromkeys(('mass', 'inertia'), lambda finding, given: {
@@ -644,7 +641,7 @@ def setting_of(finding: Finding) -> str:
     return str(CAUSES[_name_of(finding)]['setting'])
 
 
-def finding_sentence(finding: Finding, given: Given) -> str:
+def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
     """Return what the finding is, its size, by how much the misfit falls if so, and a remedy."""
     if finding.sentence:
         return finding.sentence

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import noise_bias, Solution, weighted
 from bellows_ros.core.identification.reduction import Movement, PassBand, ReducedRecording
-from bellows_ros.core.identification.result import NOTES, with_unidentifiable, WORDS
+from bellows_ros.core.identification.result import NOTE_TEXTS, NOTES, with_unidentifiable
 from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import AXES, Structure
 import numpy as np
@@ -23,7 +23,7 @@ MAX_SHARE, WEAK_SHARE = 0.5, 0.05
 MAX_LISTED = 3
 """Pairs or couplings named in a warning."""
 
-DIRECTIONS: Mapping[str, tuple[str, str]] = WORDS['directions']
+DIRECTIONS: Mapping[str, tuple[str, str]] = NOTE_TEXTS['directions']
 """The motion in each direction, and how to excite it."""
 
 

@@ -35,7 +35,7 @@ TYPICAL_STEPS = 12
 MIN_NOISE = Noise(1e-5, 5e-5)
 """Noise (m, rad) below which its bias is negligible."""
 
-MAX_DAMPING_STD, UNLOADED = 0.25, 'K rz'
+MAX_DAMPING_STD, UNLOADED_PARAMETER = 0.25, 'K rz'
 """
 Standard error of the most certain damping, in its size, with which a cup counts as moved.
 
@@ -110,11 +110,12 @@ def fit(
         parameter.label for parameter in excitation.parameters if parameter.identifiable
         and std[parameter.label] <= largest * abs(parameter.value)]
     if result.converged and explained and not any(label[0] == 'P' for label in certain) and (
-            UNLOADED not in certain or _stand_still(recordings)):
+            UNLOADED_PARAMETER not in certain or _stand_still(recordings)):
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
-            f'nor {UNLOADED}, which no weight loads. Move the tool in all directions at 1-3 Hz, '
-            "and along the cup at 4-6 Hz; standstills are for 'bellows static' and static.bags.")
+            f'nor {UNLOADED_PARAMETER}, which no weight loads. Move the tool in all directions at '
+            "1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
+            'static.bags.')
     if result.method == 'least_squares':
         result = _with_relaxation_of(
             replace(result, notes=(*result.notes, *_noise_warning(recordings))), recordings)

@@ -38,7 +38,7 @@ MAX_ATTENUATION = 0.013
 BAND_RESOLUTION = 0.05
 """Resolution (Hz) of the end of a pass band."""
 
-MAX_LOST_VELOCITY, MIN_POWER_TO_NOISE = 0.03, 5.0
+MAX_REMOVED_VELOCITY, MIN_POWER_TO_NOISE = 0.03, 5.0
 """
 A direction is too fast if the filter takes more than this part of its velocities.
 
@@ -239,7 +239,7 @@ class PassBand(NamedTuple):
         noise_part = (1.0 - part) @ noise_density / noise_density.sum(axis=0)
         removed = twist.frequency[1] * (1.0 - part) @ twist.density - noise_part * variance
         return cls(
-            removed, MAX_LOST_VELOCITY * np.maximum(moving, MIN_POWER_TO_NOISE * variance), end,
+            removed, MAX_REMOVED_VELOCITY * np.maximum(moving, MIN_POWER_TO_NOISE * variance), end,
             (noise.tool_half_window, noise.package_weights.shape[1] // 2))
 
 

@@ -16,8 +16,8 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.model.structure import ROUNDING, Structure, structure_named, STRUCTURES
 import numpy as np
 
-WORDS = tomllib.loads(Path(__file__).with_name('notes.toml').read_text())
-NOTES: Mapping[str, str] = WORDS['notes']
+NOTE_TEXTS = tomllib.loads(Path(__file__).with_name('notes.toml').read_text())
+NOTES: Mapping[str, str] = NOTE_TEXTS['notes']
 """What is said of fits, to be filled in."""
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}

@@ -235,7 +235,7 @@ class LivePayload:
                 body, wrench, sound = estimate
             else:
                 body = (self.observer.body if stored_ns
-                        else self.observer.drifted(body, start, end, duration))
+                        else self.observer.propagated_briefly(body, start, end, duration))
                 wrench, sound = kernels.checked_wrench(self.model, end, body, self._reach)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             return None

@@ -309,7 +309,7 @@ class LivePredictor:
 
     def flush(self) -> list[Prediction]:
         """Predict for all poses that still wait, without their twists."""
-        self.pairing.give_up_waiting()
+        self.pairing.release_waiting_poses()
         return self._release()
 
     def coast(self, arrival_ns: int) -> list[Prediction]:

@@ -38,7 +38,7 @@ MAX_BRACKET_NS = 30_000_000
 MAX_TWISTS = 32
 """Most twists that wait."""
 
-FOUND_RUN, LOST_RUN = 2, 3
+PAIRED_RUN, UNPAIRED_RUN = 2, 3
 """Consecutive poses with a twist, and without, after which poses wait, and no longer wait."""
 
 SMOOTHING = 0.1
@@ -129,7 +129,7 @@ class Pairing:
             self._twists.pop()
             self._newest_twist_ns = self._twists[-1].stamp_ns if self._twists else -1
 
-    def give_up_waiting(self) -> None:
+    def release_waiting_poses(self) -> None:
         """Let all poses go on that wait, without their twists."""
         if self._poses:
             self.expect, self._run = False, 0
@@ -190,7 +190,7 @@ class Pairing:
     def _count(self, is_found: bool) -> None:
         """Wait for twists, or no longer, after some poses in a row with one, or without."""
         self._run = max(self._run, 0) + 1 if is_found else min(self._run, 0) - 1
-        if not -LOST_RUN < self._run < FOUND_RUN:
+        if not -UNPAIRED_RUN < self._run < PAIRED_RUN:
             self.expect = is_found
 
 

@@ -37,7 +37,7 @@ False alarms are rare: where none is raised they are counted with so many times 
 as the likelihood ratios that noise alone makes are A or more one A-th as often.
 """
 
-Run = Callable[[Observer], object]
+Replayer = Callable[[Observer], object]
 """Lets an observer process a recording."""
 
 
@@ -173,7 +173,7 @@ class AlarmCalibration:
 
 
 def calibrated_alarms(
-    run: Run, values: Mapping[str, Any], seconds: float, with_covariance: bool
+    run: Replayer, values: Mapping[str, Any], seconds: float, with_covariance: bool
 ) -> AlarmCalibration:
     """
     Estimate what alarms must allow for, and count false alarms with and without it.
@@ -220,7 +220,7 @@ def calibrated_alarms(
         _rate(run, values, seconds), _rate(run, estimated, seconds))
 
 
-def _rate(run: Run, values: Mapping[str, Any], seconds: float) -> Rate:
+def _rate(run: Replayer, values: Mapping[str, Any], seconds: float) -> Rate:
     """Return the false alarms to expect in sound work like that of a recording."""
     allowed = values['alarm.false_per_hour']
     for more in (1.0, RATE_FACTOR):

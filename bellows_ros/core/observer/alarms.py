@@ -34,14 +34,14 @@ from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model.kernels import Branch, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
-from bellows_ros.core.observer.measurement import observed, OUTSIDE, Seen, updated, USED
+from bellows_ros.core.observer.measurement import MeasuredPose, observed, OUTSIDE, updated, USED
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 LOG = 0.0
 """Stands for the unit of a component that is a logarithm, which is shown in percent."""
 
-SAID = tomllib.loads(Path(__file__).with_name('alarms.toml').read_text())
+TEXTS = tomllib.loads(Path(__file__).with_name('alarms.toml').read_text())
 """Causes, and what is said of them."""
 
 
@@ -51,7 +51,7 @@ class Cause(NamedTuple):
     name: str
     steps: tuple[tuple[int, ...], ...]
     """The rows of the error that step, for each component."""
-    usual: Sequence[float]
+    prior_std: Sequence[float]
     ends: Sequence[int]
     share: float
     at_start: bool
@@ -78,8 +78,8 @@ class Cause(NamedTuple):
 NAMED = {
     name: Cause(name, **{**entry, 'steps': tuple(
         tuple(getattr(ekf, row) + place for row, place in step) for step in entry['steps'])})
-    for name, entry in SAID['causes'].items()}
-CAUSES = tuple(NAMED.values())
+    for name, entry in TEXTS['causes'].items()}
+ALARM_CAUSES = tuple(NAMED.values())
 """
 The faults that are tested. The last is the loss of one cup of several: each cup that holds has
 its own columns, after all others.
@@ -91,8 +91,8 @@ OUT_OF_REACH_ODDS = 100.0
 VACUUM_ODDS = 1000.0
 """Factor by a vacuum that breaks down; one that holds divides by it."""
 
-START = tuple(cause for cause in CAUSES if cause.at_start)
-HYPOTHESES = START + tuple(cause for cause in CAUSES if cause.sets_in)
+START = tuple(cause for cause in ALARM_CAUSES if cause.at_start)
+HYPOTHESES = START + tuple(cause for cause in ALARM_CAUSES if cause.sets_in)
 """First the faults present from the start, then those with an onset."""
 AT_START, CUP = len(START), len(HYPOTHESES) - 1
 """Numbers of the first hypothesis with an onset, and of the loss of the first cup."""
@@ -101,9 +101,9 @@ FIRSTS = tuple(np.cumsum([0, *(len(cause.steps) for cause in HYPOTHESES)]).tolis
 """First component of each hypothesis, and the end of the last one."""
 IS_END = tuple(n + 1 in cause.ends for cause in HYPOTHESES for n in range(len(cause.steps)))
 """Whether a fault may have the components up to this one."""
-OF_CAUSE = tuple(CAUSES.index(cause) for cause in HYPOTHESES)
-LOG_SHARES = tuple(math.log(cause.share / len(cause.ends)) for cause in CAUSES)
-USUAL = tuple(std for cause in HYPOTHESES for std in cause.usual)
+OF_CAUSE = tuple(ALARM_CAUSES.index(cause) for cause in HYPOTHESES)
+LOG_SHARES = tuple(math.log(cause.share / len(cause.ends)) for cause in ALARM_CAUSES)
+PRIOR_STD = tuple(std for cause in HYPOTHESES for std in cause.prior_std)
 MEANS = tuple(cause.mean for cause in HYPOTHESES)
 
 ONSET_NS = 30_000_000
@@ -166,7 +166,7 @@ MIN_CLEAR_ODDS = 100.0
 ALIKE = frozenset(('wear', 'payload'))
 """Causes told apart by damping only: the message has both, whatever the odds."""
 
-DECIDES = {frozenset(each['pair']): each['message'] for each in SAID['decides']}
+DECIDES = {frozenset(each['pair']): each['message'] for each in TEXTS['decides']}
 
 Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int]
 NO_FAULT = -math.inf, 0.0, (0, 0, 0), 0, (0, 0, 0), 1
@@ -274,7 +274,7 @@ class Alarms:
         cause, error, spread, sentence, size, std = self._fault(evidence, best, holding)
         if size < cause.least:
             return None
-        name = (CAUSES[second] if second < OF_CAUSE[CUP] else
+        name = (ALARM_CAUSES[second] if second < OF_CAUSE[CUP] else
                 self._cup(holding[second - OF_CAUSE[CUP]], '')).name
         message = sentence + _runner_up(name, odds)
         pair = frozenset((cause.name, name))
@@ -309,21 +309,21 @@ class Alarms:
         cause = HYPOTHESES[h] if number < CUP else self._cup(
             holding[number - CUP], 'lost: {} % of its wrench')
         slots, slot = SLOTS[h], max(onset - 1, 0) // EVERY[h]
-        usual, mean = np.array(cause.usual[:components]), np.full(components, cause.mean)
+        std, mean = np.array(cause.prior_std[:components]), np.full(components, cause.mean)
         columns = column + slot + slots * np.arange(components)
         d, *products = evidence.statistics[:1 + components, columns]
         J = products + np.triu(products, 1).T
         for _ in range(1 if cause.mean else SIZE_ROUNDS):  # a large fault has larger parts
-            P = np.asarray(np.linalg.inv(J + np.diag(usual ** -2.0)), np.float64)
+            P = np.asarray(np.linalg.inv(J + np.diag(std ** -2.0)), np.float64)
             size = mean + P @ (d - J @ mean)
             if not cause.mean:
-                usual = usual * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / usual**2)))
+                std = std * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / std**2)))
         E: Array = evidence.signatures[:-ekf.FALLEN, columns]
         made = size if number < CUP else mean  # the model goes on without the whole of a cup
         parts = [part for part in cause.parts if part[2] == cause.parts[0][2] == LOG] or (
             cause.parts[:1])
         lengths = (_length(size, P, *part) for part in parts)
-        return (cause, E @ made, E * usual, _sentence(cause, size, P),
+        return (cause, E @ made, E * std, _sentence(cause, size, P),
                 *max(lengths, key=lambda each: each[0] / each[1]))
 
     def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
@@ -351,7 +351,7 @@ class Alarms:
             odds *= VACUUM_ODDS ** (1 - 2 * is_held)
         if odds < 1.0:
             return Alarm(stamp_ns, second.name, reach, 0.0, lost.name, 1.0 / odds,
-                         SAID['sees_another'] + _runner_up(lost.name, 1.0 / odds))
+                         TEXTS['sees_another'] + _runner_up(lost.name, 1.0 / odds))
         return Alarm(stamp_ns, lost.name, 1.0, 0.0, second.name, odds,
                      lost.message + _runner_up(second.name, odds))
 
@@ -386,7 +386,7 @@ def _length(size: Array, P: Array, first: int, end: int, unit: float) -> tuple[f
 def filter_step(
     row: Any, branches: tuple[Branch, ...], estimate: ekf.EstimateTuple, samples: ekf.Samples,
     is_recorded: bool, until_ns: int, max_step: float, noise: tuple[Array, Array],
-    faults: tuple[Any, Array, Array, Stamps, bool, Array], cups: Array, seen: Seen,
+    faults: tuple[Any, Array, Array, Stamps, bool, Array], cups: Array, seen: MeasuredPose,
 ) -> Any:
     """
     Propagate an estimate to a later stamp, correct it with a measurement there, assess faults.
@@ -442,8 +442,8 @@ def _assessed(
     best : tuple of int
         Of the likeliest cause: slot of its onset, place in `HYPOTHESES`, number of components.
     second, runner_up : int, tuple of int
-        The next, its place in `CAUSES`, and as the likeliest; cups of a gripper are after all
-        others in both.
+        The next, its place in `ALARM_CAUSES`, and as the likeliest; cups of a gripper are after
+        all others in both.
     pinned : int
         Slots of the likeliest onset of each cause, as bits.
 
@@ -633,15 +633,15 @@ def _explain(
     A (6, 6, n) and z (6, n) hold the factors of the components before.
     """
     first, m = FIRSTS[h], SLOTS[h]
-    usual, d, J = USUAL[first + i], statistics[0, i * m:], statistics[1:, i * m:]
+    std, d, J = PRIOR_STD[first + i], statistics[0, i * m:], statistics[1:, i * m:]
     for k in range(m):
-        z[i, k] = usual * d[k]
+        z[i, k] = std * d[k]
     if MEANS[h] != 0.0:
         for k in range(m):
             explained[k] = 2.0 * d[k] - J[0, k]
-            z[i, k] -= usual * J[0, k]
+            z[i, k] -= std * J[0, k]
     for j in range(i + 1):
-        both, one = usual * USUAL[first + j], 1.0 if i == j else 0.0
+        both, one = std * PRIOR_STD[first + j], 1.0 if i == j else 0.0
         for k in range(m):
             A[i, j, k] = both * J[j, k] + one
     _eliminate(A, z, i, m)

@@ -192,7 +192,7 @@ class Track:
         """Return the number of the first sample after a stamp."""
         return int(first_after(self.rows[0], stamp_ns, self.count))
 
-    def make_room(self, since_ns: int) -> None:
+    def discard_before(self, since_ns: int) -> None:
         """Make room for another sample; discard those before a stamp."""
         if self.count < len(self.rows[0]):
             return

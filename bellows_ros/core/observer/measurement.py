@@ -24,7 +24,7 @@ Position (m) and orientation of what is measured, in axes of B; whether it is me
 lip and not from B; standard deviation (s) of the random part of the stamps' error.
 """
 
-Seen = tuple[Vector, Quaternion, Array, Marker, float, float]
+MeasuredPose = tuple[Vector, Quaternion, Array, Marker, float, float]
 """
 Position, orientation and noise of a `Measurement`, and of what; how far (m) a lip can be from
 where it is without load, beside what is not known of centre of mass and camera, and what late
@@ -357,7 +357,7 @@ def _is_fall(away: Vector, gravity: Vector, reach: float, seconds: float) -> boo
 
 @array_kernel
 def updated(
-    model: ModelTuple, estimate: ekf.EstimateTuple, seconds: float, seen: Seen,
+    model: ModelTuple, estimate: ekf.EstimateTuple, seconds: float, seen: MeasuredPose,
 ) -> tuple[int, Innovation, State, Array, Array]:
     """
     Update an estimate with a measurement.

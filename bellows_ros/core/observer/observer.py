@@ -210,7 +210,7 @@ class Observer:
         pose of that time has been waiting: it is corrected by then.
         """
         track, correction = self._track, self._correction
-        track.make_room(self._estimates[0].stamp_ns)
+        track.discard_before(self._estimates[0].stamp_ns)
         prediction: tuple[State, Wrench, bool] | None = ekf.followed(
             self._row, correction.branches, self._theta, self.body, (*track.rows, track.count),
             stamp_ns, start, end, correction.max_step, correction.reach)
@@ -243,7 +243,7 @@ class Observer:
                 break
             k -= 1
 
-    def drifted(self, body: State, start: State, end: State, seconds: float) -> State:
+    def propagated_briefly(self, body: State, start: State, end: State, seconds: float) -> State:
         """Return a package after a motion of the tool that is not kept."""
         return ekf.advanced_with_wrench(
             self.model, ekf.wrench_bias(self._theta), body, start, end, seconds,
@@ -387,6 +387,6 @@ def warm_up_observer(values: Mapping[str, Any], model: ModelTuple) -> None:
     observer.start(1, ORIGIN, resting_on_tool(model, ORIGIN))
     observer.update(Measurement(500_000, *observer.body[:2], np.eye(6)))
     observer.follow(1_000_000, ORIGIN, ORIGIN)
-    observer.drifted(observer.body, ORIGIN, ORIGIN, 1e-3)
+    observer.propagated_briefly(observer.body, ORIGIN, ORIGIN, 1e-3)
     estimate = observer._estimates[-1]
     changed_by(observer.body, estimate.theta, np.zeros(len(estimate.covariance)))

@@ -118,7 +118,7 @@ class PlanPrediction(NamedTuple):
         angle = float(self.peaks[PEAKS.index('bending'), 0])
         return flip_sentence(angle) if angle > PEAK_MOMENT_BENDING else ''
 
-    def figures(self) -> dict[str, float]:
+    def summary(self) -> dict[str, float]:
         """Return the figures of a summary, SI units; NaN for unknown ones."""
         peak = dict(zip(PEAKS, self.peaks[:, 0].tolist(), strict=True))
         factor, _, time = self.smallest_safety if self.grip else (math.nan, '', math.nan)

@@ -30,8 +30,8 @@ MAX_HANGING_TILT, MIN_OTHER_TILT = 0.2, 0.5
 `_motion`): poses of two worlds come near to hanging by chance."""
 
 
-MAX_WAY_RATIO, MAX_WAY = 100.0, 20.0
-"""Ratio of the ways of two bodies that move together, and a way (m) of a tool that is none."""
+MAX_PATH_RATIO, MAX_PATH_LENGTH = 100.0, 20.0
+"""Ratio of the paths of two bodies that move together, and a path (m) that no tool travels."""
 
 MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
 """How alike two bodies turn at least in another order of their quaternions, and which part of the
@@ -90,11 +90,12 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
 
 def _of_two_worlds(bodies: list[Trajectory]) -> tuple[Convention, Convention]:
     """Return the conventions with which two bodies move and turn alike, each in its world."""
-    ways = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
-            for body in bodies]
-    units = [Convention(way > MAX_WAY_RATIO * min(ways) or min(ways) > MAX_WAY) for way in ways]
+    lengths = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
+               for body in bodies]
+    units = [Convention(x > MAX_PATH_RATIO * min(lengths) or min(lengths) > MAX_PATH_LENGTH)
+             for x in lengths]
     turns = [[lie.log_so3(R[len(R) // 2].T @ R) for R in (body.rotation, reordered(body.rotation))]
-             for body in bodies]  # from the middle of the way
+             for body in bodies]  # from the middle of the path
     alike = {(a, b): _similarity(turns[0][a], turns[1][b])
              for a, b in ((0, 0), (1, 0), (0, 1))}
     a, b = max(alike, key=lambda order: alike[order])
@@ -131,7 +132,7 @@ def _motion(bodies: list[Trajectory], given: tuple[Convention, Convention]) -> t
     """
     Return how the package moves in the tool, and how far it is from hanging along its z axis.
 
-    The first is a rotation (rad) and a way in parts of the distance, the second of two cosines.
+    The first is a rotation (rad) and a path in parts of the distance, the second of two cosines.
     """
     tool, package = map(converted, bodies, given)
     back = np.swapaxes(tool.rotation, 1, 2)

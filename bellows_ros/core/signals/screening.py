@@ -180,7 +180,7 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps) -> dict[str, Mask]:
             before = accepted.pop()
             ahead = stamps_ns[before] >= stamps_ns[part[0]]
             behind = stamps_ns[part] <= stamps_ns[before[-1]]
-            if _is_rather_lost((ahead, before), (behind, part)):
+            if _first_is_smaller_loss((ahead, before), (behind, part)):
                 unusable['future_stamp'][before[ahead]] = True
                 before = before[~ahead]
             else:
@@ -206,7 +206,7 @@ def _in_place(stamps_ns: Stamps, unusable: dict[str, Mask]) -> Mask:
     return in_place
 
 
-def _is_rather_lost(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> bool:
+def _first_is_smaller_loss(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> bool:
     """
     Return whether what overlaps is rather taken from one part than from the other.
 

@@ -199,7 +199,7 @@ NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
 Switching = tuple[ModelTuple, Grip, Release, float]
 """Model and grip of the held package, its release, and when the valve is switched (s)."""
 
-Ahead = tuple[Any, Any, float, float]
+ToolContinuation = tuple[Any, Any, float, float]
 """
 How the tool goes on: along rows (N, 13) at seconds (N,), and steadily after them; until when a
 release is looked for (s), and the longest integration step (s).
@@ -208,7 +208,7 @@ release is looked for (s), and the longest integration step (s).
 
 @kernel
 def find_release(
-    switching: Switching, start: float, tool: State, body: State, ahead: Ahead
+    switching: Switching, start: float, tool: State, body: State, ahead: ToolContinuation
 ) -> tuple[float, State]:
     """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
     model, grip, release, switched = switching
@@ -233,10 +233,10 @@ def find_release(
             bracket, released = (low, last, above, 0.0, 0.0), body  # without a root yet
             s = low if above <= 0.0 and low < last else last
             while True:
-                tool_s, carried = _held_substep(
+                tool_s, check = _held_substep(
                     model, law, start - switched, segment, body, before, s)
                 margin = suction_margin(
-                    model, grip, law, start + s * duration - switched, tool_s, carried)
+                    model, grip, law, start + s * duration - switched, tool_s, check)
                 if bracket[4] != 0.0:
                     bracket = free_flight.narrowed(bracket, s, margin)
                 elif margin <= 0.0 and s >= low:
@@ -246,12 +246,12 @@ def find_release(
                     continue
                 else:
                     break
-                released = carried if margin <= 0.0 else released
+                released = check if margin <= 0.0 else released
                 if (bracket[1] - bracket[0]) * duration <= free_flight.INSTANT_TOLERANCE:
                     return start + bracket[1] * duration, released
                 s = free_flight.secant_root(
                     bracket, 0.5 * free_flight.INSTANT_TOLERANCE / duration)
-            above, body = margin if low <= last else -1.0, carried
+            above, body = margin if low <= last else -1.0, check
         tool, start = after, end
     return -1.0, body
 
@@ -286,7 +286,7 @@ def write_toss(
 
 @kernel
 def toss_along(
-    switching: Switching, start: float, tool: State, body: State, ahead: Ahead
+    switching: Switching, start: float, tool: State, body: State, ahead: ToolContinuation
 ) -> tuple[float, State, float, State]:
     """
     Return when it is let go (s), the state after that, when it lands (s), and the state then.
@@ -332,7 +332,7 @@ def changed_law(law: Law, k: float, by: Law) -> Law:
 
 @kernel
 def toss_with_derivatives(
-    switching: Switching, factor: Factor, tool: State, body: State, ahead: Ahead,
+    switching: Switching, factor: Factor, tool: State, body: State, ahead: ToolContinuation,
     renewed: tuple[int, int], by: Array,
 ) -> tuple[bool, tuple[float, State, float, State]]:
     """

@@ -531,20 +531,20 @@ class _DropFit:
         self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
         self._scatter = np.transpose(
             [PRIOR_SCATTER[k] * np.eye(8)[k] for k in free if k in PRIOR_SCATTER])
-        self._lead = self._scatter.shape[1]
-        self.nuisance = np.zeros(self._lead + (6 if drop.stands else 12))
+        self._scatter_count = self._scatter.shape[1]
+        self.nuisance = np.zeros(self._scatter_count + (6 if drop.stands else 12))
         self._count = 0
 
     @property
     def law_offset(self) -> Array:
         """By how much the law of the drop differs from that of all (8,)."""
-        return np.asarray(self._scatter @ self.nuisance[:self._lead])
+        return np.asarray(self._scatter @ self.nuisance[:self._scatter_count])
 
     def _predicted(self, law: Array, nuisance: Array) -> tuple[float, Array]:
         """Return what `Drop.predicted` does."""
         return self.drop.predicted(
-            as_law(law + self._scatter @ nuisance[:self._lead]),
-            None if self.drop.stands else nuisance[self._lead:])
+            as_law(law + self._scatter @ nuisance[:self._scatter_count]),
+            None if self.drop.stands else nuisance[self._scatter_count:])
 
     def residuals(self, law: Array, nuisance: Array) -> Array:
         """Return errors over their sizes, and the nuisance parameters, which are to be small."""
@@ -558,22 +558,22 @@ class _DropFit:
         """Return matrix and gradient of the free numbers, nuisance parameters eliminated."""
         residuals = self.residuals(law, self.nuisance)
         self.cost = float(residuals @ residuals)
-        n, m, lead = len(self.free), len(self.nuisance), self._lead
+        n, m, scatter_count = len(self.free), len(self.nuisance), self._scatter_count
         J = np.zeros((len(residuals), n + m))
         for i, k in enumerate(self.free):
             changed = law + 1e-3 * SCALES * np.eye(8)[k]
             J[:, i] = (self.residuals(changed, self.nuisance) - residuals) / 1e-3
-        J[:, n:n + lead] = J[:, :n] @ (self._scatter / SCALES[:, None])[list(self.free)]
+        J[:, n:n + scatter_count] = J[:, :n] @ (self._scatter / SCALES[:, None])[list(self.free)]
         if self._count % STATE_UPDATE_STEPS == 0:
             self._by_state = np.transpose([
                 (self.residuals(law, self.nuisance + change) - residuals) / 1e-3
-                for change in 1e-3 * np.eye(m)[lead:]])
+                for change in 1e-3 * np.eye(m)[scatter_count:]])
         self._count += 1
-        J[:, n + lead:] = self._by_state
+        J[:, n + scatter_count:] = self._by_state
         J[-m:, n:] = np.eye(m)
         A, B, C = J[:, :n].T @ J[:, :n], J[:, :n].T @ J[:, n:], J[:, n:].T @ J[:, n:]
         gradient = -J.T @ residuals
-        self.noise = self._scatter**2 @ np.diag(np.linalg.inv(C))[:lead]
+        self.noise = self._scatter**2 @ np.diag(np.linalg.inv(C))[:scatter_count]
         self._follows = np.linalg.solve(C, B.T)
         self._newton_step = np.linalg.solve(C, gradient[n:])
         return A - B @ self._follows, gradient[:n] - B @ self._newton_step

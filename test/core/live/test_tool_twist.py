@@ -107,7 +107,7 @@ def test_random_arrivals_lose_no_pose_and_keep_the_order():
             (pairing.add_twist(twist(int(stamp))) if is_twist else pairing.add_pose(
                 pose(int(stamp))))
             out += pairing.ready()
-        pairing.give_up_waiting()
+        pairing.release_waiting_poses()
         out += pairing.ready()
         check([(p, v, 0) for p, v in out], MS)
         assert len(out) == 199

@@ -234,7 +234,7 @@ def _dense_total(given, place):
     for each in known:
         cause, count = each['cause'], each['count']
         for m in cause.ends if count > 0 else ():
-            s, d, J = np.diag(cause.usual[:m]), each['d'][:m], each['J'][:m, :m]
+            s, d, J = np.diag(cause.prior_std[:m]), each['d'][:m], each['J'][:m, :m]
             mean = np.full(m, float(cause.name == 'lost'))
             A, z = np.eye(m) + s @ J @ s, s @ (d - J @ mean)
             explained = z @ np.linalg.solve(A, z) + mean @ (2.0 * d - J @ mean)

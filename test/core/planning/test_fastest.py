@@ -115,7 +115,7 @@ def test_standard_deviations_are_those_of_monte_carlo(count, within):
     run = PlanSimulation(MODEL, GRIP, plan, tail=0.5)
 
     def figures(model):
-        found = run.with_model(model).predict().figures()
+        found = run.with_model(model).predict().summary()
         return np.array([found[name] for name in names])
 
     _, parts = contributions(VALUES, MODEL, figures)

@@ -62,7 +62,7 @@ def loads(grips, wrench):
 def test_states_and_figures_are_those_of_an_independent_integrator():
     plan = TWIST.plan()
     found = PlanSimulation(MODEL, GRIP, plan).predict()
-    figures = found.figures()
+    figures = found.summary()
     batch = Batch(CUP, [TWIST], [PACKAGE])
     rows, turns, settled, T_world_package, wrenches = [], [], 0.0, [], []
     end = plan.stamps_ns[-1] * 1e-9
@@ -107,7 +107,7 @@ def top(values):
 
 def test_moment_of_the_rigid_load_is_that_of_the_move():
     """A slide of D in T has its largest acceleration 10/sqrt(3) D/T^2 (quintic)."""
-    figures = PlanSimulation(MODEL, None, SLIDE.plan()).predict().figures()
+    figures = PlanSimulation(MODEL, None, SLIDE.plan()).predict().summary()
     largest = 10 / math.sqrt(3) * 0.6 / 0.5 ** 2
     assert_allclose(figures['rigid_peak_moment'], 1.8 * 0.03 * largest, rtol=1e-3)
     assert math.isnan(figures['smallest_safety_factor'])
@@ -118,7 +118,7 @@ def test_moment_of_the_rigid_load_is_that_of_the_move():
 def test_a_plan_at_rest_moves_nothing():
     found = PlanSimulation(MODEL, GRIP, Move([0, 0, 0], [0, 0, 0], 0.3).plan(100)).predict()
     assert_allclose(found.states, np.tile(found.states[0], (31, 1)), atol=1e-9)
-    figures = found.figures()
+    figures = found.summary()
     assert figures['swing_left'] < 1e-7 and figures['settled_after'] == 0.0
     weight = 1.8 * 9.81
     assert_allclose(figures['smallest_safety_factor'], GRIP[0] / weight, rtol=1e-9)

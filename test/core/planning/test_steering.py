@@ -115,7 +115,7 @@ def test_shaping_is_as_in_the_table():
         found = run.predict()
         tilt = angle(quaternion_to_rotation(found.states[:, 3:7]), wanted.rotation).max()
         return (float(tool.seconds[-1]) - 0.5, tilt,
-                *(math.degrees(each.figures()['swing_left'])
+                *(math.degrees(each.summary()['swing_left'])
                   for each in (found, run.with_model(softer).predict())))
 
     assert_allclose(row(plan, steering.hanging(MODEL, plan))[1:3], (27.4, 14.4), atol=0.1)
@@ -211,7 +211,7 @@ def test_the_expected_swing_is_that_of_monte_carlo():
     run = PlanSimulation(MODEL, None, tool, tail=0.5)
 
     def swing(model):
-        return run.with_model(model).predict().figures()['swing_left']
+        return run.with_model(model).predict().summary()['swing_left']
 
     rng = np.random.default_rng(3)
     std = parameter_std(VALUES)
