@@ -107,11 +107,11 @@ def _points(reader: Reader, parts: tuple[int, ...], count: int) -> np.ndarray:
     return rows
 
 
-Fields = tuple[tuple[str, str], ...]
+FieldTypes = tuple[tuple[str, str], ...]
 """Names and formats."""
 
 
-def _point(order: str, parts: tuple[int, ...]) -> Fields:
+def _point(order: str, parts: tuple[int, ...]) -> FieldTypes:
     """Return the fields of a point; each part's name with an n is that of its number of items."""
     fields = [('sec', f'{order}i4'), ('nanosec', f'{order}u4')]
     for name, size, doubles in zip('cba', parts[::-1], (6, 6, 7), strict=True):
@@ -120,7 +120,7 @@ def _point(order: str, parts: tuple[int, ...]) -> Fields:
 
 
 @cache
-def _structure(fields: Fields, offset: int) -> np.dtype[np.void]:
+def _structure(fields: FieldTypes, offset: int) -> np.dtype[np.void]:
     """Return the memory layout of fields that begin so many bytes behind a multiple of 8."""
     offsets, end = [], offset
     for _, form in fields:
@@ -133,7 +133,7 @@ def _structure(fields: Fields, offset: int) -> np.dtype[np.void]:
         'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': end - offset})
 
 
-def _encode(head: bytes, fields: Fields, columns: Mapping[str, Any]) -> bytes:
+def _encode(head: bytes, fields: FieldTypes, columns: Mapping[str, Any]) -> bytes:
     """Return a message of a head and equal structures, whose fields are the columns."""
     message = head
     for part in (slice(0, 1), slice(1, None)):  # the first may be padded differently

@@ -40,7 +40,7 @@ MAX_FILE_BYTES = 2**31
 MAX_STAMP_NS = 9 * 10**18
 """Later stamps do not fit into 64 bits."""
 
-Lines = list[tuple[int, list[str]]]
+NumberedRows = list[tuple[int, list[str]]]
 """Numbers and cells of the lines of a file."""
 
 MAX_ROTATION_ERROR = 0.01
@@ -194,7 +194,7 @@ def write_urscript(
         moves='\n'.join(f'  to({pose})' for pose in poses)))
 
 
-def _lines(path: File, separator: str | None, fewest: int = 1, most: int = 10**6) -> Lines:
+def _lines(path: File, separator: str | None, fewest: int = 1, most: int = 10**6) -> NumberedRows:
     """Return the numbers and cells of the lines that are no comments."""
     lines = [
         (number, [cell.strip() for cell in line.split(separator)])
@@ -216,7 +216,7 @@ def _line_error(path: File, number: int, what: str) -> BellowsError:
         "a EuRoC line is 'time_ns, x, y, z, qw, qx, qy, qz, ...'.")
 
 
-def _stamps(path: File, lines: Lines, unit: str) -> Stamps:
+def _stamps(path: File, lines: NumberedRows, unit: str) -> Stamps:
     """Return the times at the beginning of lines, in s or ns; none goes through a float."""
     factor = {'s': NS_PER_S, 'ns': 1}[unit]
     stamps = []

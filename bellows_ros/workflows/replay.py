@@ -256,7 +256,7 @@ class Replay(CommandResult):
         """
         smallest, validation = self.margin, self.validation
         if smallest is None:
-            raise BellowsError(plan.NO_GRIP)
+            raise BellowsError(plan.UNKNOWN_GRIP)
         along = plan.curves(
             self.values, validation.model, grip_of(self.values), validation.tool,
             None if validation.start == 'equilibrium' else validation.state)

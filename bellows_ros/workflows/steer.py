@@ -11,7 +11,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.cup_package import mean_square, parameter_std
 from bellows_ros.core.parameters.checks import implausible, Settings
-from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
+from bellows_ros.core.planning.limits import demands, Limits, NO_LIMIT, read_rates, stretched
 from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.planning.steering import hanging, METHODS, steer, Steered, tool_above
@@ -19,7 +19,7 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, results, safe_yaml, Values
 from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.plan import extended, MotionSource, NO_GRIP, plan_with_cup, Source
+from bellows_ros.workflows.plan import extended, MotionSource, plan_with_cup, Source, UNKNOWN_GRIP
 import numpy as np
 
 TAIL = 2.0
@@ -204,12 +204,12 @@ def read_limits(content: object) -> Limits:
 
     """
     settings = Settings(content)
-    rates = read_rates(settings, NONE)
+    rates = read_rates(settings, NO_LIMIT)
     safety = settings.number('safety_factor', 0.0, minimum=0.0)
     box = settings.block('workspace')
     lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
-                    for name, size in (('lower', -NONE), ('upper', NONE)))
-    acceleration = settings.number('joint_acceleration', NONE, 'rad/s^2 or m/s^2', above=0.0)
+                    for name, size in (('lower', -NO_LIMIT), ('upper', NO_LIMIT)))
+    acceleration = settings.number('joint_acceleration', NO_LIMIT, 'rad/s^2 or m/s^2', above=0.0)
     settings.done(ignored=EXCITE_SETTINGS)
     if (lower >= upper).any():
         raise settings.error(
@@ -223,7 +223,7 @@ def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> 
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
         raise BellowsError(
-            f'The limit safety_factor cannot be met. {NO_GRIP} Or leave safety_factor out.')
+            f'The limit safety_factor cannot be met. {UNKNOWN_GRIP} Or leave safety_factor out.')
     low, high = source.tool.position.min(axis=0), source.tool.position.max(axis=0)
     for axis, least, most, lower, upper in zip(
             'xyz', low, high, limits.low, limits.high, strict=True):

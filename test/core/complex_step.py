@@ -38,7 +38,7 @@ def symmetric(entries):
 
 
 class Numbers:
-    """The model's 62 parameters, in the order of `jacobians.PARAMETERS`."""
+    """The model's 62 parameters, in the order of `jacobians.PARAMETER_COLUMNS`."""
 
     def __init__(self, p):
         """Take them."""

@@ -1,6 +1,6 @@
 """Limits of motions as a file gives them."""
 
-from bellows_ros.core.planning.limits import demands, NONE, RATES
+from bellows_ros.core.planning.limits import demands, NO_LIMIT, RATES
 from bellows_ros.core.planning.points import timed
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.errors import BellowsError
@@ -17,8 +17,8 @@ import pytest
 def test_bad_limits_are_refused(content, named):
     with pytest.raises(BellowsError, match=named):
         read_limits(content)
-    assert read_limits({}).rates == dict.fromkeys(RATES, NONE)
-    assert np.all(read_limits(None).high == NONE)
+    assert read_limits({}).rates == dict.fromkeys(RATES, NO_LIMIT)
+    assert np.all(read_limits(None).high == NO_LIMIT)
 
 
 def test_one_file_serves_excite_too(root):

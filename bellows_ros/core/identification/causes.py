@@ -22,7 +22,7 @@ from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, conventions
-from bellows_ros.core.recording.preparation import lasting_steps, MAX_STEPS, prepare
+from bellows_ros.core.recording.preparation import lasting_steps, MAX_POSE_STEPS, prepare
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, NOISE_SAMPLES, Recording
 from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.savgol import savgol
@@ -60,7 +60,7 @@ MAX_BODY_DISTANCE = 1e-3
 MAX_LIP_DEPTH = 0.3
 """No lip is further below a tool (m); it seems to be where tool and package are in two worlds."""
 
-MIN_LENGTH_ERROR = 0.02
+MIN_LENGTH_OFFSET = 0.02
 """Error (m) of cup.length beyond which it is seen without a fit, if the lip is also nearer by half
 of the length, or farther by all of it: no weight stretches a cup so far."""
 
@@ -264,7 +264,7 @@ def wrong_length(recording: Recording, length: float) -> Finding | None:
     offset, com = float(depth) - length, np.linalg.norm(recording.payload.com)
     if abs(abs(offset) - com) < 0.5 * com:  # poses of the lip or of the centre of mass
         return None
-    if abs(offset) < MIN_LENGTH_ERROR + length * (1.0 if offset > 0.0 else 0.5) or (
+    if abs(offset) < MIN_LENGTH_OFFSET + length * (1.0 if offset > 0.0 else 0.5) or (
             depth > MAX_LIP_DEPTH or np.hypot(x, y) + conventions.spread(below) > abs(offset)):
         return None
     return Finding('length', '', np.array([offset]), np.zeros(1), instead='com', is_fact=True)
@@ -476,7 +476,7 @@ def _jump(recording: Recording) -> Finding | None:
     """Return that package or marker jump and do not return, at the largest of a few jumps."""
     stream = recording.report.package
     steps = lasting_steps(stream)
-    if not 0 < len(steps) <= MAX_STEPS:
+    if not 0 < len(steps) <= MAX_POSE_STEPS:
         return None
     R, stamps_ns = stream.recorded.rotation, stream.recorded.stamps_ns
     before = np.array([step.before for step in steps])

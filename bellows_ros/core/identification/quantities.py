@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
-from bellows_ros.core.model.jacobians import COM, GRAVITY, INERTIA, LENGTH, MASS, WRENCH
 from bellows_ros.core.model.structure import UPPER
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 import numpy as np
@@ -44,10 +44,10 @@ DIAGONAL, COUPLINGS = (
 """Places of the two in the upper triangle of a matrix (6, 6), row by row."""
 
 COLUMNS: Mapping[str, slice | list[int]] = {
-    'length': LENGTH, 'com': COM, 'relaxation': slice(-2, None),
-    'slip': slice(COM.start, COM.start + 2), 'drift': DIAGONAL, 'cubic': DIAGONAL,
-    'couplings': COUPLINGS, 'friction': WRENCH}
-"""Derivatives of the model by quantities, among `jacobians.PARAMETERS`."""
+    'length': jac.BY_LENGTH, 'com': jac.BY_COM, 'relaxation': slice(-2, None),
+    'slip': slice(jac.BY_COM.start, jac.BY_COM.start + 2), 'drift': DIAGONAL, 'cubic': DIAGONAL,
+    'couplings': COUPLINGS, 'friction': jac.BY_WRENCH}
+"""Derivatives of the model by quantities, among `jacobians.PARAMETER_COLUMNS`."""
 
 
 Free = Mapping[str, Array]
@@ -120,16 +120,16 @@ def model_columns(
         after, before = (np.transpose([
             gravity_of(gravity, {name: free[name] + step}) for step in size * np.eye(2)])
             for size in (1e-4, -1e-4))
-        return np.asarray(parameters[:, GRAVITY] @ (after - before) / 2e-4)
+        return np.asarray(parameters[:, jac.BY_GRAVITY] @ (after - before) / 2e-4)
     if name in COLUMNS:
         return parameters[:, COLUMNS[name]]
     if name == 'mass':
-        return np.asarray(payload.mass * parameters[:, MASS])
+        return np.asarray(payload.mass * parameters[:, jac.BY_MASS])
     if name == 'inertia':
         rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
         sizes = payload.inertia[rows, columns]
         by_log = 0.5 * sizes[:, None] * (np.eye(3)[list(rows)] + np.eye(3)[list(columns)])
-        return np.asarray(parameters[:, INERTIA] @ by_log)
+        return np.asarray(parameters[:, jac.BY_INERTIA] @ by_log)
     return np.zeros((count, KINDS[name].size))
 
 

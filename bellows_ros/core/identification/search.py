@@ -33,7 +33,7 @@ from bellows_ros.core.identification.segments import MIN_POSE_STD, Nodes, Segmen
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
-from bellows_ros.core.model.jacobians import DAMPING, WRENCH
+from bellows_ros.core.model.jacobians import BY_DAMPING, BY_WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
@@ -701,13 +701,14 @@ class Search(Parametrization):
         places, payload = self.places_of(segment), quantities.payload_of(
             segment.measured.payload, free)
         columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units) + 1))
-        columns[:DAMPING.stop, :self.count] = self.structure.upper
+        columns[:BY_DAMPING.stop, :self.count] = self.structure.upper
         for name, place in places.items():
             columns[:, place] = quantities.model_columns(
                 name, payload, segment.measured.gravity, free, len(columns))
         columns[:, :-1] *= self.units
-        used = np.flatnonzero(np.any(columns[:WRENCH.stop], axis=1))[-1]
-        last = next(end for end in (DAMPING.stop, WRENCH.start, WRENCH.stop) if used < end)
+        used = np.flatnonzero(np.any(columns[:BY_WRENCH.stop], axis=1))[-1]
+        ends = BY_DAMPING.stop, BY_WRENCH.start, BY_WRENCH.stop
+        last = next(end for end in ends if used < end)
         return whitening.Unknowns(
             last, columns, scales, extra, *(
                 int(places.get(name, (-1,))[0]) for name in ('time_offset', 'tool_marker')))

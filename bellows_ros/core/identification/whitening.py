@@ -37,8 +37,8 @@ HUBER_STD = 3.0
 MAX_EXPONENTIAL_STEPS = 8
 """Largest number of the integrator's steps that one fourth-order exponential covers."""
 
-PARAMETER_COUNT = jac.PARAMETERS + 2
-"""Those of `jacobians.PARAMETERS`, then the two strengths of relaxation."""
+PARAMETER_COUNT = jac.PARAMETER_COLUMNS + 2
+"""Those of `jacobians.PARAMETER_COLUMNS`, then the two strengths of relaxation."""
 
 
 @array_kernel
@@ -66,8 +66,8 @@ def _strain_derivatives(
     _, o, R, _, _, o_E_S1, _, _ = jac.ends_of_spring(model, tool, body)
     J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
     by_tool = jac.shift_right(
-        jac.rotate_right((J_oo, J_oR, jac.NOTHING, J_RR), R), t3.scale(-1.0, o_E_S1))
-    jac.relaxation_jacobian(model, tool, body, C[6:], jac.PARAMETERS)
+        jac.rotate_right((J_oo, J_oR, jac.ZERO_MATRIX, J_RR), R), t3.scale(-1.0, o_E_S1))
+    jac.relaxation_jacobian(model, tool, body, C[6:], jac.PARAMETER_COLUMNS)
     branches, by_length = model[0][4:], (0.5 * R[6], 0.5 * R[7], 0.5 * R[8] + 0.5)
     for b in range(2):
         (strength, time), first = branches[b], 12 + 6 * b
@@ -75,9 +75,9 @@ def _strain_derivatives(
         jac.write_square(A, 6, first, jac.scale_square(strength, by_strain))
         jac.write_square(A, first, 0, jac.scale_square(rate, by_pose))
         jac.write_square(B, first, 0, jac.scale_square(-rate, by_tool))
-        jac.write_column(C[first:], jac.LENGTH.start,
+        jac.write_column(C[first:], jac.BY_LENGTH.start,
                          t3.scale(rate, t3.apply(J_oo, by_length)), t3.ZERO)
-        jac.write_block(C, first, jac.COM.start, t3.scale_matrix(-rate, J_oo))
+        jac.write_block(C, first, jac.BY_COM.start, t3.scale_matrix(-rate, J_oo))
         for i in range(6):
             A[first + i, first + i] = -rate
 
@@ -125,7 +125,7 @@ class Unknowns(NamedTuple):
     """
     What p unknowns do to the model.
 
-    How many of `jacobians.PARAMETERS` are used, and derivatives (64, p + 1) of the model's
+    How many of `jacobians.PARAMETER_COLUMNS` are used, and derivatives (64, p + 1) of the model's
     parameters; what these are multiplied by at the nodes (M, p), and the values (p,) of unknowns
     that the model is without, whose effect, as far as it is linear, is in the mean: empty where it
     has all; and the unknown by which the tool's stamps are late, and the first of those (6,) by

@@ -31,7 +31,7 @@ STEP_FACTOR = 2.0
 """Steps are so many times as long as elsewhere: the landing is within 0.02 mm, 0.2 mrad."""
 MAX_AIM_STEPS = 100_000
 """Most integration steps of that time; and of any other answer:"""
-MAX_STEPS = 2_000_000
+MAX_TOSS_STEPS = 2_000_000
 COVARIANCE_PERIOD = 10
 """The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
@@ -197,7 +197,7 @@ class Flight:
         """
         released, body, landed = 0.0, now.body, math.inf
         if not now.flies:
-            require_steps(seconds / self._longest_step(model), MAX_STEPS)
+            require_steps(seconds / self._longest_step(model), MAX_TOSS_STEPS)
             switched = (self._switched_ns - now.stamp_ns) / NS_PER_S if self.state else math.inf
             try:
                 released, body, landed, _ = self._toss(

@@ -21,10 +21,10 @@ from bellows_ros.core.model.kernels import Blocks, ModelTuple, PackageTuple, Sta
 Square = tuple[Matrix, Matrix, Matrix, Matrix]
 """A 6x6 matrix as its blocks oo, oR, Ro, RR."""
 
-STIFFNESS, DAMPING = slice(0, 21), slice(21, 42)
-LENGTH, INERTIA, GRAVITY = slice(42, 43), slice(43, 49), slice(49, 52)
-MASS, COM, WRENCH = slice(52, 53), slice(53, 56), slice(56, 62)
-PARAMETERS = 62
+BY_STIFFNESS, BY_DAMPING = slice(0, 21), slice(21, 42)
+BY_LENGTH, BY_INERTIA, BY_GRAVITY = slice(42, 43), slice(43, 49), slice(49, 52)
+BY_MASS, BY_COM, BY_WRENCH = slice(52, 53), slice(53, 56), slice(56, 62)
+PARAMETER_COLUMNS = 62
 """
 The parameters, one column each: the upper triangles of K and of P (row by row), the length l0, the
 inertia (xx, yy, zz, xy, xz, yz), the gravity vector in A, the mass, the centre of mass, and a
@@ -32,7 +32,7 @@ wrench on the package at the lip, in S axes, beside the cup's.
 """
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-NOTHING = (0.0,) * 9
+ZERO_MATRIX = (0.0,) * 9
 
 
 @kernel
@@ -146,7 +146,7 @@ def damper_jacobians(
          t3.multiply(back, at_S2[2]), t3.multiply(back, at_S2[3]))
     force = t3.hat(t3.add(t3.apply(G[0], v), t3.apply(G[1], w)))
     moment = t3.hat(t3.add(t3.apply(G[2], v), t3.apply(G[3], w)))
-    by_pose = add_scaled_square(times_twist(G, v, w), -1.0, (NOTHING, force, force, moment))
+    by_pose = add_scaled_square(times_twist(G, v, w), -1.0, (ZERO_MATRIX, force, force, moment))
     return scale_square(0.5, by_pose), scale_square(-0.5, add_scaled_square(full, 1.0, G))
 
 
@@ -240,7 +240,7 @@ def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Squar
     quarter = scale_square(kernels.ENERGY_FACTOR, (
         t3.transposed(Z_oo), t3.transposed(Z_Ro), t3.transposed(Z_oR), t3.transposed(Z_RR)))
     return accelerations(model[1], shift_left(c, quarter)), shift_right(
-        (J_oo, J_oR, NOTHING, J_RR), c)
+        (J_oo, J_oR, ZERO_MATRIX, J_RR), c)
 
 
 @kernel
@@ -326,7 +326,7 @@ def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> None:
     """
     by_pose, by_twist = body_jacobians(model, tool, body)
     v_hat, w_hat = t3.hat(body[2]), t3.hat(body[3])
-    write_square(A, 0, 0, scale_square(-1.0, (w_hat, v_hat, NOTHING, w_hat)))
+    write_square(A, 0, 0, scale_square(-1.0, (w_hat, v_hat, ZERO_MATRIX, w_hat)))
     write_square(A, 6, 0, by_pose)
     write_square(A, 6, 6, by_twist)
     for i in range(6):
@@ -345,7 +345,7 @@ def parameter_jacobian(
     model, tool, body : tuples
         As `body_acceleration` takes them.
     first, last : int
-        The parameters, of `PARAMETERS`: those from first to before last.
+        The parameters, of `PARAMETER_COLUMNS`: those from first to before last.
     out : ndarray (6, n)
         What is written to, from its first column on: m/s^2 and rad/s^2 per SI unit of the
         parameter.
@@ -375,7 +375,7 @@ def _entries(
     h = _six(*kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:]))
     at_S1, at_S2 = _six(v, w), _six(t3.add(t3.apply(R, v), t3.cross(o, u_R)), u_R)
     s = accelerations_at(package, c, J_oo, J_oR, J_RR)
-    e = accelerations_at(package, c, IDENTITY, NOTHING, IDENTITY)
+    e = accelerations_at(package, c, IDENTITY, ZERO_MATRIX, IDENTITY)
     x = accelerations_at(package, c, R, o_R, R)
     number = 0
     for j in range(6):

@@ -40,11 +40,11 @@ def rest(model: ModelTuple, row: Array, guess: State | None = None) -> State:
     return equilibrium.static_equilibrium(model, state_row(row[:3], row[3:7]), guess)
 
 
-MAX_STEPS = 10_000_000
+MAX_INTEGRATION_STEPS = 10_000_000
 """Most integration steps of a prediction, which take seconds."""
 
 
-def require_steps(steps: float, max_steps: int = MAX_STEPS) -> None:
+def require_steps(steps: float, max_steps: int = MAX_INTEGRATION_STEPS) -> None:
     """Refuse a prediction of too many integration steps."""
     if not steps <= max_steps:
         raise BellowsError(

@@ -260,12 +260,12 @@ def slopes(
     h = kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:])
     J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
     _by_axes(-0.125, model[0][2], jac.accelerations(package, jac.shift_left(
-        c, (t3.transposed(J_oo), jac.NOTHING, t3.transposed(J_oR), t3.transposed(J_RR)))),
+        c, (t3.transposed(J_oo), jac.ZERO_MATRIX, t3.transposed(J_oR), t3.transposed(J_RR)))),
         h[0], h[1], B[:, STIFFNESS:])
     if B.shape[1] > MARKER:
         far, R_back = t3.apply(R, w), t3.transposed(R)
-        at_S1 = jac.IDENTITY, jac.NOTHING, jac.NOTHING, jac.IDENTITY
-        at_S2 = R_back, jac.NOTHING, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
+        at_S1 = jac.IDENTITY, jac.ZERO_MATRIX, jac.ZERO_MATRIX, jac.IDENTITY
+        at_S2 = R_back, jac.ZERO_MATRIX, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
         _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S1)),
                  v, w, B[:, MARKER:])
         _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),

@@ -34,7 +34,7 @@ STEEPNESS = 4
 """What is asked of the tool falls at most with so many powers of the time more than for a rigid
 package: the inverse differentiates the package's motion twice more, and smooths it."""
 
-NONE = 1e12
+NO_LIMIT = 1e12
 """Stands for no limit."""
 
 
@@ -52,7 +52,7 @@ class TooFastError(BellowsError):
 
 
 class Limits(NamedTuple):
-    """Limits of a motion; `NONE`, or 0 for the safety factor, means no limit."""
+    """Limits of a motion; `NO_LIMIT`, or 0 for the safety factor, means no limit."""
 
     rates: Mapping[str, float]
     """By the names of `RATES`, SI units."""
@@ -60,11 +60,12 @@ class Limits(NamedTuple):
     high: Array
     """Corners (3,) of the workspace of the tool tip, m."""
     safety_factor: float
-    joint_acceleration: float = NONE
+    joint_acceleration: float = NO_LIMIT
     """Of each joint of the arm, rad/s^2 or m/s^2; their speeds are in its URDF."""
 
 
-NO_LIMITS = Limits(dict.fromkeys(RATES, NONE), np.full(3, -NONE), np.full(3, NONE), 0.0)
+NO_LIMITS = Limits(
+    dict.fromkeys(RATES, NO_LIMIT), np.full(3, -NO_LIMIT), np.full(3, NO_LIMIT), 0.0)
 
 
 def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float]:

@@ -44,7 +44,7 @@ quick that a cup with errors of 5 % swings, a shorter one the tool jerk."""
 
 RATE_PER_STEP = 0.4
 """Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
-MAX_STEPS = 300_000
+MAX_GRID_STEPS = 300_000
 """Most steps of the inverse, each of which is kept."""
 MAX_RATE = 1e5
 """A cup that relaxes faster (1/s), because its damper is weak, is not inverted."""
@@ -239,7 +239,7 @@ def inverse(
     count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
     h = duration / count
     arrival = (MAX_ARRIVAL / rates[0] + FADE_TIME) / h
-    simulation.require_steps(count + 2.0 * arrival, MAX_STEPS)
+    simulation.require_steps(count + 2.0 * arrival, MAX_GRID_STEPS)
     if start is None:
         start = _tool_above(model, rows[0])
     out, package = np.empty((2, count + 2 + round(arrival), 13))
@@ -422,7 +422,7 @@ def to_shape(modes: Sequence[SwingMode], method: str) -> list[SwingMode]:
 def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
     """Return the sum of delayed copies of a motion, quaternions added up and normalised."""
     duration, curve = float(tool.seconds[-1]), curve_of(tool)
-    simulation.require_steps(len(delays) * (duration + delays.max()) / GRID, 5 * MAX_STEPS)
+    simulation.require_steps(len(delays) * (duration + delays.max()) / GRID, 5 * MAX_GRID_STEPS)
     seconds = np.arange(math.ceil((duration + delays.max()) / GRID - 1e-9) + 1) * GRID
     at = np.clip(seconds - delays[:, None], 0.0, duration)
     rows, rates = (np.tensordot(sizes, of(at), 1) for of in (curve, curve.derivative()))

@@ -36,7 +36,7 @@ MOTION_PERCENTILE = 99.0
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
 STEP_JITTERS = 10.0
 # More steps than that are noise with tails and a memory: no package slips so often.
-MAX_STEPS = 6
+MAX_POSE_STEPS = 6
 
 
 def prepare(
@@ -244,7 +244,7 @@ def stream_warnings(report: StreamReport) -> list[str]:
         said('step', shift=1e3 * step.position, rotation=np.degrees(step.rotation),
              at=(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S)
         for step in lasting]
-    if len(lasting) > MAX_STEPS:
+    if len(lasting) > MAX_POSE_STEPS:
         steps = [said('steps', count=len(lasting), shift=1e3 * max(step[1] for step in lasting))]
     good = recorded.position[report.outliers.good]
     travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0

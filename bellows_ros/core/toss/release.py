@@ -36,7 +36,7 @@ import numpy as np
 MAX_WAIT = 2.0
 """Longest time (s) from the valve to letting go."""
 
-MAX_STEPS = 1_000_000
+MAX_HELD_STEPS = 1_000_000
 """Most steps of the package held along a plan, each of which is kept."""
 
 RELEASE_NAMES = tuple(f'release.{name}' for name in (
@@ -432,7 +432,7 @@ class HeldMotion:
         self._longest = equilibrium.largest_step(model)
         durations = np.diff(starts[:count])
         counts = equilibrium.substeps_of(durations, self._longest)
-        simulation.require_steps(float(counts.sum()), MAX_STEPS)
+        simulation.require_steps(float(counts.sum()), MAX_HELD_STEPS)
         start = start or simulation.steady_start(model, tool)
         self.start = start = equilibrium.adapted(model, row_state(rows[0]), start)
         size = int(counts.sum()) + 1

@@ -1,7 +1,7 @@
 """Analytic derivatives against those by a complex step of an independent implementation."""
 
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.jacobians import parameter_jacobian, PARAMETERS
+from bellows_ros.core.model.jacobians import PARAMETER_COLUMNS, parameter_jacobian
 import numpy as np
 from numpy.testing import assert_allclose
 
@@ -41,8 +41,8 @@ def near(actual, expected, part):
 def test_some_of_the_parameters_stand_where_they_are_asked_for():
     case = Case(3)
     rows = case.model, state_of(*case.tool), state_of(*case.body)
-    whole, part = np.zeros((6, PARAMETERS)), np.zeros((6, 20))
-    parameter_jacobian(*rows, 0, PARAMETERS, whole)
+    whole, part = np.zeros((6, PARAMETER_COLUMNS)), np.zeros((6, 20))
+    parameter_jacobian(*rows, 0, PARAMETER_COLUMNS, whole)
     parameter_jacobian(*rows, 35, 50, part[:, 3:])
     assert_allclose(part[:, 3:18], whole[:, 35:50])
     assert not part[:, :3].any()

@@ -119,10 +119,10 @@ def test_accelerations_follow_states_and_parameters(relaxes, seed):
                 **{name: complex_step.changed(state, x)}), np.zeros(12))
         near(six_by_six(pose), expected[:, :6], 1e-12)
         near(six_by_six(twist), expected[:, 6:], 1e-12)
-    out = np.zeros((6, jacobians.PARAMETERS))
-    jacobians.parameter_jacobian(*rows, 0, jacobians.PARAMETERS, out)
+    out = np.zeros((6, jacobians.PARAMETER_COLUMNS))
+    jacobians.parameter_jacobian(*rows, 0, jacobians.PARAMETER_COLUMNS, out)
     expected = complex_step.derivative(accelerate, case.numbers)
-    for column in range(jacobians.PARAMETERS):
+    for column in range(jacobians.PARAMETER_COLUMNS):
         near(out[:, column], expected[:, column], 1e-11)
 
 
