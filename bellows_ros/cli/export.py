@@ -18,16 +18,16 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     console.final_warnings += checks.implausible(settings)
     cup, package = cup_package.cup_of(settings), cup_package.package_of(settings)
     target = exports.TARGETS[arguments.to]
-    lost = exports.limits(target, cup)
+    missing = exports.limits(target, cup)
     gravity = tuple(checks.gravity_of(settings).tolist())
     atomic.write_text(arguments.out, target.write(
         cup, package, gravity, grip.grip_of(settings), arguments.name))
 
-    return options.Outcome((target.name, lost), content={
-        'format': arguments.to, 'file': arguments.out, 'not_expressed': lost})
+    return options.Outcome((target.name, missing), content={
+        'format': arguments.to, 'file': arguments.out, 'not_expressed': missing})
 
 
-def print_result(lost: tuple[str, Sequence[str]], console: Console) -> None:
+def print_result(missing: tuple[str, Sequence[str]], console: Console) -> None:
     """Print what the format, whose name comes first, cannot express."""
-    console.line(f'What differs or is left out in {lost[0]}:')
-    console.paragraph(*(f'  - {sentence}' for sentence in lost[1]))
+    console.line(f'What differs or is left out in {missing[0]}:')
+    console.paragraph(*(f'  - {sentence}' for sentence in missing[1]))

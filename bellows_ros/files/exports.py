@@ -43,19 +43,19 @@ class Target(NamedTuple):
 
 def limits(target: Target, cup: Cup) -> list[str]:
     """Return what a format cannot express, and what of this cup it leaves out."""
-    lost = [TABLES['sentences'][name] for name in target.limits]
+    gaps = [TABLES['sentences'][name] for name in target.limits]
     if target.whole:
-        return lost
+        return gaps
     for name, matrix in (('K', cup.stiffness), ('P', cup.damping)):
         root = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         coupling = float(np.max(np.abs(matrix - np.diag(np.diag(matrix))) / np.outer(root, root)))
         if coupling > 0.0:
-            lost.insert(0, f'The off-diagonal entries of {name} are left out; the largest couples '
+            gaps.insert(0, f'The off-diagonal entries of {name} are left out; the largest couples '
                            f'two axes by {100 * coupling:.2g} %.')
     if any(cup.relaxation):
-        lost.insert(0, 'The relaxation of the rubber is left out: the springs are the static K, '
+        gaps.insert(0, 'The relaxation of the rubber is left out: the springs are the static K, '
                     f'and a sudden motion meets {1.0 + sum(cup.relaxation):.3g} times as much.')
-    return lost
+    return gaps
 
 
 def simulator_model(template: str, cup: Cup, package: Package, *_: Any) -> str:

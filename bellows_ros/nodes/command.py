@@ -42,7 +42,7 @@ def interface(name: str) -> dict[str, Any]:
 
 def help_text(name: str) -> str:
     """Return the text of `--help`: purpose, topics and services, parameters, examples."""
-    from ..core.parameters.table import parameters_of
+    from ..core.parameters.table import parameters_for
 
     content = interface(name)
     sections = {
@@ -53,7 +53,7 @@ def help_text(name: str) -> str:
         'Parameters (set with -p NAME:=VALUE or --params-file FILE):': [
             _entry(f'{p.name}  [{p.constraint}; {p.default_text}'
                    f'{"; cannot change while the node runs" if p.read_only else ""}]',
-                   p.description) for p in parameters_of(name)]}
+                   p.description) for p in parameters_for(name)]}
     return '\n\n'.join([
         f'usage: {name} [--help] [--version] [--ros-args ...]',
         textwrap.fill(content['purpose'], WIDTH),

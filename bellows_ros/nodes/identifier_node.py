@@ -21,7 +21,7 @@ PREDICTOR_TIMEOUT = 10.0
 
 CUP_PREFIXES = ('cup.', 'envelope.')
 RESULT_NAMES = [
-    p.name for p in table.parameters_of('identifier') if p.name.startswith(CUP_PREFIXES)]
+    p.name for p in table.parameters_for('identifier') if p.name.startswith(CUP_PREFIXES)]
 """Parameters that are declared when the work is done."""
 
 OUTPUTS = ('output.parameters', 'output.json', 'output.report')

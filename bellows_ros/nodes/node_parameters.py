@@ -14,7 +14,7 @@ from .guarding import GuardedNode
 from ..core.parameters import checks, table
 from ..errors import BellowsError, short
 
-Values = dict[str, Any]
+ParameterValues = dict[str, Any]
 """Dotted names to values as `core.parameters.checks.validate` returns them."""
 
 QOS_PREFIX = 'qos_overrides.'
@@ -94,8 +94,8 @@ class TableNode(GuardedNode):
                 for name, parameter in self._parameter_overrides.items()
                 if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
             self.overridden = frozenset(overridden)
-            required = [p.name for p in table.parameters_of(user) if p.default is None]
-            self.values: Values = checks.resolve(
+            required = [p.name for p in table.parameters_for(user) if p.default is None]
+            self.values: ParameterValues = checks.resolve(
                 overridden, () if overridden.get('package.files') else required)
             self.check_values(self.values)
             for name, value in self.values.items():
@@ -106,7 +106,7 @@ class TableNode(GuardedNode):
             raise
         self._parameter_service = AtomicParameterService(self)
 
-    def check_values(self, values: Values) -> None:
+    def check_values(self, values: ParameterValues) -> None:
         """Raise BellowsError if values that are allowed one by one contradict each other."""
 
     def on_values(self, names: list[str]) -> None:

@@ -29,7 +29,7 @@ from std_srvs.srv import Trigger
 
 from .conversions import quaternion_xyzw, read_pose, stamp_to_ns, TOOL_POSES, vector, write_payload
 from .guarding import GuardedNode
-from .node_parameters import Values
+from .node_parameters import ParameterValues
 from .outputs import Outputs, QUEUE, Topic, Tossing
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
@@ -89,7 +89,7 @@ class Pipeline:
     def __init__(self, node: Any) -> None:
         """Prepare the model, compile all it needs, and only then make the topics."""
         self.node, self.latest = node, None
-        self.values: Values = with_chosen_cup(node.values)
+        self.values: ParameterValues = with_chosen_cup(node.values)
         self.compute, self.reported = health.window(), Counter[str]()
         self._twists_exist = False
         self._ticked_ns = 0
@@ -297,7 +297,7 @@ class Pipeline:
         self.live.set_model(cup, package)
         self._apply()
 
-    def _compile(self, values: Values) -> None:
+    def _compile(self, values: ParameterValues) -> None:
         """Compile for a cup of another kind, in a thread; the next tick goes on with it."""
         cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
         try:

@@ -20,7 +20,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from .node_parameters import QOS_PREFIX, TableNode, Values
+from .node_parameters import ParameterValues, QOS_PREFIX, TableNode
 from .pipeline import Pipeline
 from ..core.live import health
 from ..core.live.load import check_live
@@ -242,7 +242,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
             response.message = 'Starts from static equilibrium at the next tool pose.'
         return response
 
-    def check_values(self, values: Values) -> None:
+    def check_values(self, values: ParameterValues) -> None:
         """Refuse impossible cups and packages, and settings without effect."""
         name = values['cup.name']
         for key in CUP_DEFAULTS if name else ():

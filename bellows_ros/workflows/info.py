@@ -24,11 +24,16 @@ from bellows_ros.core.signals.resampling import at_sampling, common_span, resamp
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import short
 from bellows_ros.files import File, messages, plans, results, Values
-from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
+from bellows_ros.files.bags import (
+    accepted_types,
+    Contents,
+    read_contents,
+    Stream,
+    TopicCount,
+    topics,
+)
 from bellows_ros.workflows.recordings import within_interval
 import numpy as np
-
-Stream = PoseStream | TwistStream
 
 REST_FRACTION = 0.9
 """Part of the initial standstill that is set as recording.rest_duration."""

@@ -165,7 +165,7 @@ def prepare_streams(
         if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
             raise UnexplainedError(causes.finding_sentence(
                 finding, {'package.mass': payload.mass, 'package.inertia': inertia}))
-        return workflows.registration.registered(tool, package, twist, settings, values)
+        return workflows.registration.registered_recording(tool, package, twist, settings, values)
     moved = frames.in_tool_world(
         package, frames.pose_of(world), tool.frame_id) if world else package
     return prepare(tool, moved, settings, twist)

@@ -24,7 +24,7 @@ NO_OFFSET = (
 """Used if a time offset is wanted and not identifiable."""
 
 
-def registered(
+def registered_recording(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
     values: Values,
 ) -> Recording:

@@ -322,7 +322,7 @@ class ReleaseResult(NamedTuple):
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters for the release file."""
-        return release_fit.parameters_of(self.fit)
+        return release_fit.release_parameters(self.fit)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""

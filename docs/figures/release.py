@@ -7,7 +7,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from bellows_ros.core.parameters.checks import resolve  # noqa: E402
 from bellows_ros.core.toss.landing import release_factor  # noqa: E402
-from bellows_ros.core.toss.release_fit import fit_release, parameters_of  # noqa: E402
+from bellows_ros.core.toss.release_fit import fit_release, release_parameters  # noqa: E402
 import numpy as np  # noqa: E402
 
 from test.core import drops  # noqa: E402, I100, I201
@@ -23,7 +23,7 @@ def main() -> None:
         others = [drop for mass in by_mass if mass != left_out for drop in by_mass[mass]]
         found = fit_release(others, (0.0,) * 8)
         off = drops.misses(data, own, found.law)
-        values = resolve({**parameters_of(found), 'package.mass': left_out})
+        values = resolve({**release_parameters(found), 'package.mass': left_out})
         errors, std = drops.at_the_end(data, own, np.array(found.law), release_factor(values))
         position, velocity = np.sqrt(np.mean(off[:, :2]**2, axis=0))
         print(f'| {left_out:.3f} kg | {1e3 * position:.2f} mm | {1e3 * velocity:.1f} mm/s | '

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 
-from bellows_ros.core.parameters.table import parameters_of
+from bellows_ros.core.parameters.table import parameters_for
 from bellows_ros.nodes.command import help_text, interface
 from bellows_ros.nodes.command import run as run_node
 import pytest
@@ -47,7 +47,7 @@ def test_help_shows_everything(name):
 
     for topic in interface(name).get('topics', ()):
         assert '{name} [{type}]'.format(**topic) in unbroken
-    for parameter in parameters_of(name):
+    for parameter in parameters_for(name):
         assert f'{parameter.name} [{parameter.constraint}; ' in unbroken
         assert parameter.description in unbroken
         assert parameter.unit in unbroken

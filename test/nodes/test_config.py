@@ -3,7 +3,7 @@
 import runpy
 
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.parameters.table import parameters_of
+from bellows_ros.core.parameters.table import parameters_for
 from bellows_ros.files.parameter_files import read_parameters
 import pytest
 
@@ -32,7 +32,7 @@ def test_our_reader_takes_it(name, root):
     elif name == 'predictor':
         assert {f'package.{own}' for own in ('mass', 'inertia', 'com')} < set(values)
     else:
-        ours = {p.name for p in parameters_of(name)}
+        ours = {p.name for p in parameters_for(name)}
         of_the_cup = ('cup.stiffness', 'cup.damping', 'cup.length', 'cup.relaxation', 'cup.layout',
                       'cup.open', 'envelope.')
         # ROS has no empty list to show.
@@ -41,7 +41,7 @@ def test_our_reader_takes_it(name, root):
         shown = set(values) | {n for n in ours if n.startswith((*of_the_cup, *of_many))}
         assert ours - shown == set(), 'not in the file'
     chosen = {'bags', 'cup.length', 'output.parameters', 'output.json'}  # of the recording, names
-    for parameter in (p for user in ('predictor', 'identifier') for p in parameters_of(user)):
+    for parameter in (p for user in ('predictor', 'identifier') for p in parameters_for(user)):
         if parameter.default is not None and parameter.name in set(values) - chosen:
             assert values[parameter.name] == parameter.default, parameter.name
 

@@ -5,7 +5,7 @@ import time
 
 from bellows_ros.core.live import flight
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.parameters.table import parameters_of
+from bellows_ros.core.parameters.table import parameters_for
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.nodes import pipeline
@@ -163,7 +163,7 @@ def test_malformed_requests_are_answered(node, caller):
 
 def test_every_parameter_is_described(node, caller):
     """Show sentence, unit, range and whether it can change."""
-    table = parameters_of('predictor')
+    table = parameters_for('predictor')
     answer = caller.call('/predictor/describe_parameters', DescribeParameters,
                          DescribeParameters.Request(names=[p.name for p in table]))
 
@@ -236,7 +236,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
         if hasattr(topic, 'subscribed'):
             topic.subscribed = True
     plan = encode_multi_dof(message())
-    for parameter in parameters_of('predictor'):
+    for parameter in parameters_for('predictor'):
         if parameter.read_only or not parameter.kind.startswith('double'):
             continue
         before = node.get_parameter(parameter.name)

@@ -2,7 +2,7 @@
 
 import time
 
-from bellows_ros.core.parameters.table import parameters_of
+from bellows_ros.core.parameters.table import parameters_for
 from bellows_ros.files.plan_messages import encode_multi_dof, PlanMessage
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -108,7 +108,7 @@ class Requester:
     def set_one(self):
         """Set a parameter to an end of its range or to what is none of its values, and back."""
         node = self.partner.predictor
-        chosen = [p for p in parameters_of('predictor')
+        chosen = [p for p in parameters_for('predictor')
                   if p.kind.startswith('double') and not p.read_only]
         parameter = chosen[self.rng.integers(len(chosen))]
         before, values = node.get_parameter(parameter.name), ends(parameter)

@@ -165,8 +165,8 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
     too_much = (np.sum([band.removed for band in passed], axis=0)
                 > np.sum([band.limit for band in passed], axis=0))
     first = min(passed, key=lambda band: band.end_hz)
-    for axis, is_lost in zip(axes, too_much, strict=True):
-        if not is_lost:
+    for axis, is_removed in zip(axes, too_much, strict=True):
+        if not is_removed:
             continue
         end, fastest = first.end_hz, axis.band_hz[1]
         tool, package = (max(int(n * end / fastest), MIN_HALF_WINDOW) for n in first.half_windows)
@@ -254,9 +254,9 @@ def excitation_of(
         (np.where(solved.identifiable, shares, 1.0) if is_filtered else shares).tolist(),
         bias.tolist()))
     correlation = with_unidentifiable(covariance, ~identifiable) / np.outer(std, std)
-    near = np.argwhere(np.triu(np.abs(correlation), 1) > MAX_CORRELATION).tolist()
+    correlated = np.argwhere(np.triu(np.abs(correlation), 1) > MAX_CORRELATION).tolist()
     pairs = tuple((structure.labels[i], structure.labels[j], float(correlation[i, j]))
-                  for i, j in sorted(near, key=lambda pair: -abs(correlation[*pair])))
+                  for i, j in sorted(correlated, key=lambda pair: -abs(correlation[*pair])))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
     fast = too_fast(axes, [movement.passed for movement in movements]) if is_filtered else ()
     rank = int(np.count_nonzero(identifiable)) if fit else solved.rank

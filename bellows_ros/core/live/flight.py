@@ -56,12 +56,12 @@ def _after_now(tool: ToolRows | None) -> tuple[Array, Array]:
 def at_constant_velocity(now: Prediction, tool: ToolRows | None, duration: float) -> ToolRows:
     """Return the tool for a time (s) at least: as planned, then at a constant twist."""
     tool = tool or ToolRows(np.zeros(1, np.int64), np.array([np.concatenate(now.tool)]))
-    left_ns = round(duration * NS_PER_S) - int(tool.stamps_ns[-1])
-    if left_ns <= 0:
+    remaining_ns = round(duration * NS_PER_S) - int(tool.stamps_ns[-1])
+    if remaining_ns <= 0:
         return tool
-    last = np.concatenate(extrapolated(row_state(tool.rows[-1]), left_ns / NS_PER_S))
+    last = np.concatenate(extrapolated(row_state(tool.rows[-1]), remaining_ns / NS_PER_S))
     return ToolRows(
-        np.append(tool.stamps_ns, tool.stamps_ns[-1] + left_ns), np.vstack([tool.rows, last]))
+        np.append(tool.stamps_ns, tool.stamps_ns[-1] + remaining_ns), np.vstack([tool.rows, last]))
 
 
 class Flight:

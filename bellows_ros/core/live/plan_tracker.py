@@ -156,8 +156,8 @@ class PlanTracker:
         self._slow = MIN_SPEED_RATIO * float(speed.max())
         o, q = row_state(self._rows[0])[:2]
         self._leaves = float(next((
-            t for t, row, near in zip(self._seconds, self._rows, reach, strict=True)
-            if pose_distance(row, o, q) > PLACE_TOLERANCE + near), self._seconds[-1]))
+            t for t, row, tolerance in zip(self._seconds, self._rows, reach, strict=True)
+            if pose_distance(row, o, q) > PLACE_TOLERANCE + tolerance), self._seconds[-1]))
         self.done = self.deviated = self.paused = False
         self._anchor = -1, 0.0, 1.0  # stamp, progress, and speed of the tool in that of the plan
 
@@ -191,8 +191,8 @@ class PlanTracker:
     def _wait(self, stamp_ns: int) -> float:
         """Return the time (s) until the plan begins; infinite where it does with the tool."""
         wait = (self._stamp_ns - stamp_ns) / NS_PER_S if self._stamp_ns else math.inf
-        is_near = -MAX_WAIT - self._seconds[-1] <= wait <= MAX_WAIT
-        return wait if is_near else math.inf
+        is_soon = -MAX_WAIT - self._seconds[-1] <= wait <= MAX_WAIT
+        return wait if is_soon else math.inf
 
     def is_driven(self, now: Prediction) -> bool:
         """Return whether the tool is on the plan, or will be soon."""

@@ -187,11 +187,11 @@ class Pairing:
                 abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist):
             self._count(True)
 
-    def _count(self, is_found: bool) -> None:
+    def _count(self, is_paired: bool) -> None:
         """Wait for twists, or no longer, after some poses in a row with one, or without."""
-        self._run = max(self._run, 0) + 1 if is_found else min(self._run, 0) - 1
+        self._run = max(self._run, 0) + 1 if is_paired else min(self._run, 0) - 1
         if not -UNPAIRED_RUN < self._run < PAIRED_RUN:
-            self.expect = is_found
+            self.expect = is_paired
 
 
 def smoothed(mean: float, value: float) -> float:

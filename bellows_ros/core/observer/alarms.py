@@ -34,7 +34,7 @@ from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model.kernels import Branch, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
-from bellows_ros.core.observer.measurement import MeasuredPose, observed, OUTSIDE, updated, USED
+from bellows_ros.core.observer.measurement import MeasuredPose, output_of, OUTSIDE, updated, USED
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -450,7 +450,7 @@ def _assessed(
     """
     z, H, root, _, whitened = innovation
     n, C = H.shape[1], H.astype(np.float32)
-    response = observed(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
+    response = output_of(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
     t3.add_product(  # what falls, as a shift in the world
         C[:3, ekf.CAMERA:ekf.CAMERA + 3], E[n + 4:], response[:3])
     change = t3.product(

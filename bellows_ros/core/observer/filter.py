@@ -165,7 +165,7 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
 
 
 @kernel
-def model_with(row: Any, branches: tuple[Branch, ...], theta: Array) -> ModelTuple:
+def model_at(row: Any, branches: tuple[Branch, ...], theta: Array) -> ModelTuple:
     """Return the model that `kernels.model_of` returns, with its numbers changed by theta."""
     return with_theta(kernels.model_of(row, branches), theta)
 
@@ -301,15 +301,15 @@ def _by_axes(
     Entry jk of M makes 2 factor (s_j x_k + s_k x_j), with columns s of S and (x, y) for x.
     """
     a, b = kernels.multiply_blocks(M, x, y)
-    left = (
+    SM = (
         t3.add_scaled_matrix(t3.multiply(S[0], M[0]), 1.0, t3.multiply(S[1], t3.transposed(M[1]))),
         t3.add_scaled_matrix(t3.multiply(S[0], M[1]), 1.0, t3.multiply(S[1], M[2])),
         t3.add_scaled_matrix(t3.multiply(S[2], M[0]), 1.0, t3.multiply(S[3], t3.transposed(M[1]))),
         t3.add_scaled_matrix(t3.multiply(S[2], M[1]), 1.0, t3.multiply(S[3], M[2])))
-    _add_block(out, 0, 0, factor, S[0], left[0], x, a)
-    _add_block(out, 0, 3, factor, S[1], left[1], y, b)
-    _add_block(out, 3, 0, factor, S[2], left[2], x, a)
-    _add_block(out, 3, 3, factor, S[3], left[3], y, b)
+    _add_block(out, 0, 0, factor, S[0], SM[0], x, a)
+    _add_block(out, 0, 3, factor, S[1], SM[1], y, b)
+    _add_block(out, 3, 0, factor, S[2], SM[2], x, a)
+    _add_block(out, 3, 3, factor, S[3], SM[3], y, b)
 
 
 @kernel
@@ -659,7 +659,7 @@ def followed(
     stamp_ns: int, start: State, end: State, max_step: float, reach: float,
 ) -> tuple[State, Wrench, bool]:
     """Keep another sample of the tool; return the package there, and `checked_wrench`."""
-    model, max_step = model_with(row, branches, theta), stable_step(max_step, theta)
+    model, max_step = model_at(row, branches, theta), stable_step(max_step, theta)
     stamps, starts, ends, bodies, k = samples
     stamps[k] = stamp_ns
     write_row(starts[k], start)

@@ -223,7 +223,7 @@ def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
 
 
 @array_kernel
-def observed(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
+def output_of(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
     """Write H X (6, k) of the derivative that `observation` gives, and return it."""
     if not COMPILED:
         out[:] = H @ X[:H.shape[1]]
@@ -261,8 +261,8 @@ def innovation_of(
     for i in range(6):
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
-    HP = observed(H, P, np.empty((6, n)), of_lip)
-    S = observed(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
+    HP = output_of(H, P, np.empty((6, n)), of_lip)
+    S = output_of(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
     for i in range(6):
         for j in range(6):
             S[i, j] += WHITE_SHARE * noise[i, j] + jitter * H[i, ekf.LATENCY] * H[j, ekf.LATENCY]
@@ -288,7 +288,7 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
 
 
 @array_kernel
-def corrected(
+def posterior(
     body: State, theta: Array, P: Array, innovation: Innovation
 ) -> tuple[State, Array]:
     """Return state and theta after a measurement, by its `Innovation`; P is changed in place."""
@@ -408,7 +408,7 @@ def updated(
     elif not innovation[3] <= gate:  # NaN is outside, too
         verdict = OUTSIDE
     else:
-        body, theta = corrected(body, theta, P, innovation)
+        body, theta = posterior(body, theta, P, innovation)
     if verdict <= OUTSIDE:
         memory = updated_memory(memory, theta, seconds, innovation[0], verdict == USED)
     return verdict, innovation, body, theta, memory

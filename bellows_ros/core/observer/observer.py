@@ -149,7 +149,7 @@ class Observer:
     def model(self) -> ModelTuple:
         """The model with the parameters as they were estimated last."""
         if self._model is None:
-            self._model = ekf.model_with(self._row, self._correction.branches, self._theta)
+            self._model = ekf.model_at(self._row, self._correction.branches, self._theta)
         return self._model
 
     @property

@@ -167,7 +167,7 @@ PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
 NAMED_CUP = re.compile(r'cups\.([A-Za-z][A-Za-z0-9_]*)\.([a-z_]+)')
 
 
-def parameters_of(user: str) -> tuple[Parameter, ...]:
+def parameters_for(user: str) -> tuple[Parameter, ...]:
     """Return the parameters that 'identifier' or 'predictor' uses, in the table's order."""
     return tuple(p for p in PARAMETERS.values() if user in p.used_by)
 

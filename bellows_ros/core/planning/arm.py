@@ -170,10 +170,10 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     by_child = {_link(joint, 'child'): joint for joint in robot.findall('joint')}
     links = [link.get('name', '') for link in robot.findall('link')]
     if tool_link not in links:
-        near = get_close_matches(tool_link, links, n=1)
+        match = get_close_matches(tool_link, links, n=1)
         raise BellowsError(
             f"tool_link '{tool_link}' is not in the URDF. "
-            + (f"Did you mean '{near[0]}'?" if near else f'There are: {", ".join(links[:20])}.'))
+            + (f"Did you mean '{match[0]}'?" if match else f'There are: {", ".join(links[:20])}.'))
     chain, link = list[ElementTree.Element](), tool_link
     while link in by_child:
         if len(chain) > len(by_child):

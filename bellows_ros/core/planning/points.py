@@ -80,10 +80,10 @@ def plan_of(
     rotation = lie.log_quaternion(lie.quaternion_product(lie.quaternion_conjugate(q[:-1]), q[1:]))
     _require_reachable(np.diff(t), step, rotation, v, w, name)
     if twist is None:
-        q_near = _near_quaternions(R)
+        continuous = _continuous_quaternions(R)
         curve = scipy.interpolate.CubicSpline(
-            t, np.hstack([poses[:, :3], q_near]), bc_type='clamped')
-        body = body_twists(q_near, curve(t, 1))[1]
+            t, np.hstack([poses[:, :3], continuous]), bc_type='clamped')
+        body = body_twists(continuous, curve(t, 1))[1]
     else:
         body = np.hstack([v, w])
         if len(poses) >= MIN_FITTED_POINTS:
@@ -149,8 +149,8 @@ def _without_gaps(stamps_ns: Stamps) -> Stamps:
     return subdivided(stamps_ns, -(-np.diff(stamps_ns) // MAX_GAP_NS))
 
 
-def _near_quaternions(rotation: Array) -> Array:
-    """Return quaternions (N, 4), of q and -q the one that is near to that before."""
+def _continuous_quaternions(rotation: Array) -> Array:
+    """Return quaternions (N, 4), of q and -q the one that is near that before."""
     q = lie.rotation_to_quaternion(rotation)
     q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
@@ -158,7 +158,7 @@ def _near_quaternions(rotation: Array) -> Array:
 
 def _path(motion: Trajectory) -> tuple[Array, Array]:
     """Return positions and quaternions (N, 7) of a motion, and their rates."""
-    q, twist = _near_quaternions(motion.rotation), np.asarray(motion.twist)
+    q, twist = _continuous_quaternions(motion.rotation), np.asarray(motion.twist)
     return np.hstack([motion.position, q]), np.hstack(
         [lie.apply(motion.rotation, twist[:, :3]), _spin(q, twist[:, 3:])])
 
@@ -316,7 +316,7 @@ class JointPath(NamedTuple):
     acceleration: Array
 
 
-def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
+def joint_path(arm: Arm, tool: Trajectory, guess: Array) -> JointPath:
     """
     Return the motion of the joints that moves the tool along a path.
 
@@ -326,7 +326,7 @@ def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
         Tool poses are those of its tool link in its root.
     tool : Trajectory
         N points with body twists.
-    near : array (N, M)
+    guess : array (N, M)
         Joint positions of a motion close by: the solution in the same configuration is taken,
         and of a redundant arm the one that is nearest.
 
@@ -338,7 +338,7 @@ def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
 
     """
     seconds = tool.seconds
-    position = arm.positions(lie.transform(tool.rotation, tool.position), near)
+    position = arm.positions(lie.transform(tool.rotation, tool.position), guess)
     J = arm.jacobian(position)
     gains = np.linalg.svd(J, compute_uv=False)[:, -1]
     if gains[worst := int(np.argmin(gains))] < MIN_GAIN:
@@ -441,5 +441,5 @@ class Joints(NamedTuple):
         points = tool.select(rows)
         part = points.seconds / points.seconds[-1]
         since, until = (int(stamp - self.stamps_ns[0]) for stamp in planned.stamps_ns[[0, -1]])
-        near = scipy.interpolate.CubicSpline(self.stamps_ns - self.stamps_ns[0], self.position)
-        return joint_path(self.arm, points, near(since + part * (until - since)))
+        spline = scipy.interpolate.CubicSpline(self.stamps_ns - self.stamps_ns[0], self.position)
+        return joint_path(self.arm, points, spline(since + part * (until - since)))

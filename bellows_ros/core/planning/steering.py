@@ -361,7 +361,7 @@ def is_smooth(curve: Any) -> bool:
 # -------------------------------------------------------------------------------------- shaping
 
 
-def modes_left(model: ModelTuple, prediction: planning.PlanPrediction) -> list[SwingMode]:
+def residual_modes(model: ModelTuple, prediction: planning.PlanPrediction) -> list[SwingMode]:
     """
     Return the modes of the hanging package, and how far each swings after a plan.
 
@@ -480,7 +480,7 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
         return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [])
     tool = tool_above(model, plan) if of_package else plan
     prediction = planning.PlanSimulation(model, None, tool, tail=0.0).predict()
-    modes = to_shape(modes_left(model, prediction), method)
+    modes = to_shape(residual_modes(model, prediction), method)
     tool = shaped(tool, *impulses(modes, method))
     return Steered(tool, hanging(model, tool), 0.0, modes)
 

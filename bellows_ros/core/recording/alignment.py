@@ -230,9 +230,9 @@ def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -
             'recording.rest_duration to the actual standstill, record a longer one, or set '
             'recording.align_at_rest to false.')
     reference = _median_rotation(rest.rotation)
-    near = _near(rest.position - np.median(rest.position, axis=0)) & _near(
+    used = _is_typical(rest.position - np.median(rest.position, axis=0)) & _is_typical(
         lie.log_so3(reference.T @ rest.rotation))
-    return MeanPose(rest.position[near].mean(axis=0), lie.mean_rotation(rest.rotation[near]))
+    return MeanPose(rest.position[used].mean(axis=0), lie.mean_rotation(rest.rotation[used]))
 
 
 class Rest(NamedTuple):
@@ -299,10 +299,10 @@ def _median_rotation(rotation: Array) -> Array:
     return np.asarray(reference @ lie.exp_so3(from_reference))
 
 
-def _near(deviation: Array) -> Mask:
+def _is_typical(deviation: Array) -> Mask:
     """Return where no axis deviates by more than its typical deviation times a factor."""
     typical = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
-    # Without noise the median is nothing but rounding: then all that is tiny is near.
+    # Without noise the median is nothing but rounding: then all that is tiny is typical.
     return np.asarray(np.all(np.abs(deviation) <= TRIM_DEVIATIONS * typical + 1e-6, axis=1))
 
 

@@ -456,7 +456,7 @@ MIN_RUN = 3
 # A frozen pose ends with a step that is larger than its neighbours' by this factor.
 CATCH_UP_FACTOR = 1.5
 # ... and has so many moves among so many intervals on each side.
-NEAR_SAMPLES, MIN_NEAR_MOVES = 5, 3
+NEIGHBOUR_SAMPLES, MIN_NEIGHBOUR_MOVES = 5, 3
 # A pose that is published twice is followed by a step larger than the smallest ones, which are
 # rounding, by this factor, and than this (m or rad).
 ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
@@ -547,8 +547,8 @@ def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
         return 0
     moved = np.concatenate([[0], np.cumsum(~repeats)])
     at = np.flatnonzero(repeats)
-    before = moved[at] > moved[np.maximum(at - NEAR_SAMPLES, 0)]
-    after = moved[np.minimum(at + 1 + NEAR_SAMPLES, len(repeats))] > moved[at + 1]
+    before = moved[at] > moved[np.maximum(at - NEIGHBOUR_SAMPLES, 0)]
+    after = moved[np.minimum(at + 1 + NEIGHBOUR_SAMPLES, len(repeats))] > moved[at + 1]
     next_move = np.append(np.flatnonzero(~repeats), -1)[moved[at + 1].astype(int)]
     is_beyond = np.zeros(len(at), dtype=bool)
     for length in np.linalg.norm(increments_of(poses), axis=2):
@@ -592,9 +592,9 @@ def _frozen(poses: Trajectory) -> list[slice]:
     frozen = []
     for (run,) in find_objects(label(repeats)[0]):
         first, last = run.start, run.stop - 1
-        around = (repeats[max(first - NEAR_SAMPLES, 0):first],
-                  repeats[last + 1:last + 1 + NEAR_SAMPLES])
-        if any(np.sum(~near) < MIN_NEAR_MOVES for near in around if len(near) or not first):
+        around = (repeats[max(first - NEIGHBOUR_SAMPLES, 0):first],
+                  repeats[last + 1:last + 1 + NEIGHBOUR_SAMPLES])
+        if any(np.sum(~side) < MIN_NEIGHBOUR_MOVES for side in around if len(side) or not first):
             continue
         k = int(np.searchsorted(moves, last))
         excess = [_catch_up(length, moves, k, last - first + 1) for length in lengths]
@@ -612,5 +612,5 @@ def _catch_up(length: Array, moves: Indices, k: int, repeats: int) -> float:
     if k == len(moves):
         typical = float(np.median(length[moves[-1 - ACCELERATION_SAMPLES:]]))
         return repeats * typical if float(length[moves[-1]]) * CATCH_UP_FACTOR > typical else 0.0
-    near = moves[max(k - ACCELERATION_SAMPLES // 2, 0):k + ACCELERATION_SAMPLES // 2 + 1]
-    return float(length[moves[k]] - CATCH_UP_FACTOR * np.median(length[near]))
+    around = moves[max(k - ACCELERATION_SAMPLES // 2, 0):k + ACCELERATION_SAMPLES // 2 + 1]
+    return float(length[moves[k]] - CATCH_UP_FACTOR * np.median(length[around]))

@@ -283,9 +283,9 @@ def lasting_steps(report: StreamReport) -> list[LastingStep]:
 
     def exceeds_motion(step: LastingStep) -> bool:
         """Return whether a step is larger than what is frequent, and than jitter there makes."""
-        near = slice(max(step.before - 5, 0), step.before + 6)
-        speed = moved[:, near.start:near.stop - 1].sum(axis=1) / (
-            np.ptp(poses.stamps_ns[near]) / NS_PER_S)
+        around = slice(max(step.before - 5, 0), step.before + 6)
+        speed = moved[:, around.start:around.stop - 1].sum(axis=1) / (
+            np.ptp(poses.stamps_ns[around]) / NS_PER_S)
         return not any(np.all(step[1:] < limit) for limit in (
             typical, STEP_JITTERS * time.jitter_s * speed))
 

@@ -149,8 +149,8 @@ def _period(steps: Stamps) -> float:
 def _typical_value(values: Array | Stamps) -> float:
     """Return the mean of the values near their median, or the median if there are none."""
     median = float(np.median(values))
-    near = values[np.abs(values - median) < 0.5 * median]
-    return float(np.mean(near)) if len(near) else median
+    typical = values[np.abs(values - median) < 0.5 * median]
+    return float(np.mean(typical)) if len(typical) else median
 
 
 def common_span(one: PoseStream | Trajectory, other: PoseStream | Trajectory) -> tuple[int, int]:
@@ -328,8 +328,8 @@ def resample(
         trajectory, start, end, wanted[between])
     if twist is not None:
         twist[between] = twists
-    near = longest_gap_ns is None or stamps[end] - stamps[start] <= longest_gap_ns
-    valid[between] &= trajectory.valid[end] & near
+    is_bridged = longest_gap_ns is None or stamps[end] - stamps[start] <= longest_gap_ns
+    valid[between] &= trajectory.valid[end] & is_bridged
     return Trajectory(frozen(wanted), frozen(position), frozen(rotation), twist, valid=valid)
 
 

@@ -257,7 +257,7 @@ class ReleaseFit(NamedTuple):
             and (self.lack <= MAX_COMMON_RESIDUAL or self.common <= MAX_RMS)))
 
 
-def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
+def release_parameters(fit: ReleaseFit) -> dict[str, Any]:
     """Return the parameters `release.*` of a fit, with the scatter from drop to drop."""
     covariance = fit.covariance + np.diag(fit.scatter**2)
     std = np.sqrt(np.diag(covariance))

@@ -10,7 +10,7 @@ from bellows_ros.core.model.equilibrium import (
 from bellows_ros.core.model.kernels import advance, model_row
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.correction import cups_of, first_memory, NO_CUPS
-from bellows_ros.core.observer.measurement import corrected, innovation_of, updated, WHITE_SHARE
+from bellows_ros.core.observer.measurement import innovation_of, posterior, updated, WHITE_SHARE
 import numpy as np
 import pytest
 
@@ -190,7 +190,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
         noise = np.diag(NOISE_STD**2) * scale
         found = innovation_of(
             own, theta, P, position, q, noise, (ZERO, (0.0, 0.0, 0.0, 1.0), False, 0.0))
-        own, theta = corrected(own, theta, P, found)
+        own, theta = posterior(own, theta, P, found)
     scale = np.sqrt(np.diag(P))
     assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > 0.0
     np.testing.assert_array_equal(P, P.T)

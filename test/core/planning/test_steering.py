@@ -149,7 +149,7 @@ def test_impulses_cancel_a_mode(method):
 def test_modes_are_those_of_mass_and_spring():
     """With the centre of mass on the axis the axial mode is on its own; so is torsion."""
     found = PlanSimulation(MODEL, None, SLIDE.plan(), tail=0.0).predict()
-    modes = steering.modes_left(MODEL, found)
+    modes = steering.residual_modes(MODEL, found)
     for k, d, m in ((9200.0, 24.0, 1.8), (1.35, 0.1, 0.00984)):
         frequency, damping = math.sqrt(k / m) / (2 * math.pi), d / (2 * math.sqrt(k * m))
         near = min(modes, key=lambda mode: abs(mode.frequency - frequency))

@@ -6,7 +6,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss import release_fit
 from bellows_ros.core.toss.landing import release_factor
 from bellows_ros.core.toss.release import Law
-from bellows_ros.core.toss.release_fit import fit_release, parameters_of
+from bellows_ros.core.toss.release_fit import fit_release, release_parameters
 from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 import numpy as np
 import pytest
@@ -142,7 +142,7 @@ def test_the_lightest_and_the_heaviest_left_out_are_where_their_uncertainty_says
     data, by_mass = drops.real_drops(most=3)
     others = [mass for mass in by_mass if mass != left_out]
     found = fit_release([drop for mass in others for drop in by_mass[mass]])
-    values = resolve({**parameters_of(found), 'package.mass': left_out})
+    values = resolve({**release_parameters(found), 'package.mass': left_out})
     errors, std = drops.at_the_end(data, by_mass[left_out], np.array(found.law),
                                    release_factor(values))
     assert (np.abs(errors) < 1.96 * std).all()
