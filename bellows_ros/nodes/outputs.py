@@ -277,9 +277,7 @@ class Markers:
         """Return whether the next markers are due."""
         return not 0 <= stamp_ns - self._last_ns < MARKER_PERIOD_NS
 
-    def fill(
-        self, frame_id: str, model: kernels.ModelTuple, prediction: Prediction
-    ) -> MarkerArray:
+    def fill(self, frame: str, model: kernels.ModelTuple, prediction: Prediction) -> MarkerArray:
         """Return the markers of a prediction; grey while the tool is extrapolated."""
         self._last_ns = prediction.stamp_ns
         lip = load.lip_position(model, prediction)
@@ -294,7 +292,7 @@ class Markers:
             self._cup.points += [point(root), point(end)]
         self._force.points = [point(lip), point(tip)]
         for each, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
-            show(each, prediction.stamp_ns, frame_id, COASTING if prediction.coasting else colour)
+            show(each, prediction.stamp_ns, frame, COASTING if prediction.coasting else colour)
         return self._array
 
 

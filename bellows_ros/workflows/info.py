@@ -23,15 +23,8 @@ from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import short
-from bellows_ros.files import File, messages, plans, results, Values
-from bellows_ros.files.bags import (
-    accepted_types,
-    Contents,
-    read_contents,
-    Stream,
-    TopicCount,
-    topics,
-)
+from bellows_ros.files import bags, File, messages, plans, results, Values
+from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.workflows.recordings import within_interval
 import numpy as np
 
@@ -251,7 +244,8 @@ def _frames_note(path: File) -> str:
 
 
 def _describe_topic(
-    topic: TopicCount, streams: Mapping[str, Stream], problems: Mapping[str, str], start_ns: int
+    topic: TopicCount, streams: Mapping[str, bags.Stream], problems: Mapping[str, str],
+    start_ns: int,
 ) -> TopicInfo:
     """Return the description of a topic."""
     kinds = [kind for kind in ('pose', 'twist') if f'{topic.name} {kind}' in streams]
@@ -266,7 +260,7 @@ def _describe_topic(
         **(_describe_quality(stream, start_ns) if len(stream) > 2 else {}))
 
 
-def _describe_quality(stream: Stream, start_ns: int) -> dict[str, Any]:
+def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
     """Return rate, gaps, and of poses outliers, noise and motion."""
     time = timing(stream.stamps_ns)
     quality: dict[str, Any] = {

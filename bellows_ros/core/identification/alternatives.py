@@ -34,13 +34,12 @@ def settings_of(measured: Sequence[MeasuredSegment]) -> Iterator[Setting]:
         yield Finding('recording.world', value), [
             replace(each, gravity=R.T @ gravity_vector(each.gravity)) for each in measured]
     for degrees in ROTATIONS:
-        rotation = np.array([0.0, 0.0, -np.radians(degrees)])
+        phi = np.array([0.0, 0.0, -np.radians(degrees)])
         yield Finding('yaw', f'tool {degrees}'), [
-            replace(each, tool=of_fixed_frame(each.tool, rotation, np.zeros(3)))
-            for each in measured]
+            replace(each, tool=of_fixed_frame(each.tool, phi, np.zeros(3))) for each in measured]
         yield Finding('yaw', f'package {degrees}'), [  # turned about its lip
             replace(each, package=of_fixed_frame(
-                each.package, rotation, exp_so3(rotation) @ each.payload.com - each.payload.com))
+                each.package, phi, exp_so3(phi) @ each.payload.com - each.payload.com))
             for each in measured]
     packages = list({each.payload.mass: each.payload for each in measured}.values())
     if len(packages) == 2:

@@ -16,14 +16,11 @@ from bellows_ros.core.model.cup_package import gravity_vector, Package, regresso
 from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
 from bellows_ros.core.recording.recording import FilterNoise, Recording
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
-from bellows_ros.core.signals.savgol import displaced, first_order
+from bellows_ros.core.signals.savgol import BLOCK, displaced, first_order
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
-
-BLOCK = 4096
-"""Samples processed at a time, so that memory does not grow with the recording."""
 
 CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart count as independent for standard errors."""

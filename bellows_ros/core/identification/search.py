@@ -707,8 +707,7 @@ class Search(Parametrization):
                 name, payload, segment.measured.gravity, free, len(columns))
         columns[:, :-1] *= self.units
         used = np.flatnonzero(np.any(columns[:BY_WRENCH.stop], axis=1))[-1]
-        ends = BY_DAMPING.stop, BY_WRENCH.start, BY_WRENCH.stop
-        last = next(end for end in ends if used < end)
+        last = next(n for n in (BY_DAMPING.stop, BY_WRENCH.start, BY_WRENCH.stop) if used < n)
         return whitening.Unknowns(
             last, columns, scales, extra, *(
                 int(places.get(name, (-1,))[0]) for name in ('time_offset', 'tool_marker')))

@@ -2,9 +2,8 @@
 Analytic derivatives of the model: of the cup's wrench and of the package's acceleration.
 
 A small change of a state is in the axes of the body itself (of the tool, of the package): shift
-(m), rotation (rad), linear and angular twist (m/s, rad/s). Shift and rotation are those of
-`displaced`: o + R shift, R exp(rotation). A 6x6 matrix is the tuple of its 3x3 blocks, linear
-first.
+(m), rotation (rad), linear and angular twist (m/s, rad/s). Shift and rotation as in `displaced`:
+o + R shift, R exp(rotation). A 6x6 matrix is the tuple of its 3x3 blocks, linear first.
 
 All is worked out at S1, the package's end of the spring: a shift and rotation xi of B there are
 X(S1_H_B) xi, as a twist is, and the twist relative to the tool changes with xi by -ad(v_tool) xi.

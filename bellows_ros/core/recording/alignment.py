@@ -55,7 +55,7 @@ MIN_REST = 0.5
 BEGINNING_SECONDS = 20.0
 # Marker frames are turned against each other if by more than this (rad), and by more than this
 # part of the tool's tilt, with which a package bends the cup.
-MIN_FRAME_ROTATION, MIN_ROTATION_TO_TILT = np.deg2rad(1.5), 0.5
+MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT = np.deg2rad(1.5), 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,8 +250,7 @@ class Rest(NamedTuple):
     def is_turned(self) -> bool:
         """Whether marker frames are turned against each other, by more than a cup bends."""
         return (self.seconds >= MIN_REST
-                and bool(self.turned > max(
-                    MIN_FRAME_ROTATION, MIN_ROTATION_TO_TILT * self.tilts[0])))
+                and bool(self.turned > max(MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT * self.tilts[0])))
 
     @property
     def turned_sentence(self) -> tuple[str, ...]:

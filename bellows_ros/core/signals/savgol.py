@@ -24,7 +24,7 @@ MIN_ORDER = 2
 # rad. Beyond pi the logarithm jumps to the opposite side; a window in which the body turns as far
 # as this from the centre is not trusted.
 MAX_ROTATION = 0.75 * pi
-# Samples filtered at a time: the working arrays stay in the processor's cache, and memory is
+# Samples processed at a time: the working arrays stay in the processor's cache, and memory is
 # bounded.
 BLOCK = 4096
 # Quartics through exactly five poses give the twists beside gaps.
