@@ -132,13 +132,19 @@ def test_functions_import_what_is_optional(root):
 
 
 def test_a_name_stands_for_one_thing(root):
-    """Give no name to two modules, but to a command and its workflow; nor to two classes."""
+    """Name no two modules but a command and its workflow, classes, or constants imported alike."""
     named = Counter(
         file.stem for file in modules(root) if not file.stem.startswith('__')
         and not (room_of(file, root) == 'cli'
                  and (root / 'bellows_ros/workflows' / file.name).exists()))
-    named.update(node.name for file in modules(root) for node in ast.walk(
-        ast.parse(file.read_text())) if isinstance(node, ast.ClassDef))
+    constants, targets = Counter[str](), {name.rpartition('.')[2] for _, name in imported(root)}
+    for tree in (ast.parse(file.read_text()) for file in modules(root)):
+        named.update(node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+        constants.update({
+            node.id for line in tree.body if isinstance(line, (ast.Assign, ast.AnnAssign))
+            for node in ast.walk(line) if isinstance(node, ast.Name)
+            and isinstance(node.ctx, ast.Store) and node.id.isupper()})
+    named.update({name: count for name, count in constants.items() if name in targets})
     assert [name for name, count in named.items() if count > 1] == []
 
 

@@ -32,7 +32,7 @@ from typing import Any, NoReturn
 from bellows_ros import __version__
 from bellows_ros.core import configure_process
 
-from .console import Console, run_guarded, USER_ERROR
+from .console import Console, run_guarded, USER_ERROR, WIDTH
 
 STDOUT = '-'
 """As of `files.atomic`."""
@@ -99,9 +99,6 @@ def _argument(
     if optional:
         implied |= {'nargs': '?', 'const': ''}
     return word, {**implied, **settings}
-
-
-WIDTH = 79
 
 
 class Parser(argparse.ArgumentParser):

@@ -15,7 +15,7 @@ from . import options
 from .console import Console, Progress
 
 WITHOUT_CUP = ('motion', 'spectra', 'path')
-FULL_RANGE = (float('-inf'), float('inf'))  # s
+ALL_TIMES = (float('-inf'), float('inf'))  # s
 MAX_SPEED = 100.0  # times real time
 
 
@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     has_cup = 'cup.stiffness' in values
     style.require_picture(
         arguments.out, style.FILMS if arguments.what == 'animation' else style.PICTURES)
-    if arguments.what == 'spectra' and (arguments.first, arguments.last) != FULL_RANGE:
+    if arguments.what == 'spectra' and (arguments.first, arguments.last) != ALL_TIMES:
         raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
     if not 0.0 < arguments.speed <= MAX_SPEED:
         raise BellowsError(

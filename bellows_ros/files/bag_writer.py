@@ -17,6 +17,7 @@ from bellows_ros.files import atomic, bag_folder, bags, File, mcap, messages
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # With zstd: chunks inside an MCAP file, messages in a database.
 _ZSTD = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}

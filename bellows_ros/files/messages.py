@@ -14,7 +14,7 @@ import struct
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
-from bellows_ros.core.signals.screening import REFUSALS, UNIT_TOLERANCE, unusable_stamps
+from bellows_ros.core.signals.screening import UNIT_TOLERANCE, unusable_stamps, WHY_REFUSED
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -281,7 +281,7 @@ MIN_QUATERNION_NORM = 1e-6
 # No robot is further away (m), or faster (m/s, rad/s), than this; a damaged message may say so.
 MAX_VALUE = 1e6
 
-REASONS: Mapping[str, str] = {**REFUSALS['both'], **REFUSALS['recorded']}
+REASONS: Mapping[str, str] = {**WHY_REFUSED['both'], **WHY_REFUSED['recorded']}
 
 
 def describe(refused: Mapping[str, tuple[int, ...]]) -> str:

@@ -15,9 +15,9 @@ from pathlib import Path
 import textwrap
 from typing import Any
 
-from bellows_ros.core.model.structure import AXES
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml, Values
 from bellows_ros.files.atomic import write_text

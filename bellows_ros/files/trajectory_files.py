@@ -247,7 +247,7 @@ def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequenc
 
 MIN_MARKER_QUALITY = 0.99  # appendix H
 MIN_MARKERS = 3  # of a rigid body, for a pose
-UNITS = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0254}  # m
+METRES = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0254}  # m
 # In some languages of Windows with P.M., or without.
 START_FORMS = [f'%Y-%m-%d {time}' for time in (
     '%I.%M.%S.%f %p', '%H.%M.%S.%f', '%I.%M.%S %p', '%H.%M.%S')]
@@ -255,8 +255,8 @@ SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units
             'Capture Start Time')
 MAX_FRAME_TIME = 1e9  # s, of the time of a frame
 HEAD_ROWS = 12  # in which the table must begin
-POSE = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W', 'Position X', 'Position Y',
-        'Position Z')
+POSE_COLUMNS = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W',
+                'Position X', 'Position Y', 'Position Z')
 TIME = 1  # column
 
 Heads = Mapping[str, Sequence[str]]
@@ -324,7 +324,7 @@ def is_motive(path: File) -> bool:
 def _bodies(path: Path, rows: Any, min_markers: int) -> tuple[MotiveBody, ...]:
     """Return the bodies by the rows of a file, of `csv.reader`."""
     about, heads = _read_head(path, rows)
-    scale = UNITS[about['Length Units'].lower()]
+    scale = METRES[about['Length Units'].lower()]
     columns = _body_columns(path, heads)
     needed = sorted({TIME}.union(*(c for of_body in columns.values() for c in of_body)))
     frames = ((rows.line_num, [(row[c] if c < len(row) else '').strip() or 'nan' for c in needed])
@@ -384,9 +384,9 @@ def _require_settings(path: Path, about: Mapping[str, str]) -> None:
                 f"'{path}' has {name} {about[name]}; {wanted} is needed. Export it again with "
                 f'{name} set to {wanted}.')
     unit = about.get('Length Units', 'an unknown unit')
-    if unit.lower() not in UNITS:
+    if unit.lower() not in METRES:
         raise BellowsError(
-            f"'{path}' has lengths in {unit}; expected are {', '.join(UNITS)}. Export it again.")
+            f"'{path}' has lengths in {unit}; expected are {', '.join(METRES)}. Export it again.")
 
 
 def _start_ns(about: Mapping[str, str]) -> int:
@@ -416,10 +416,10 @@ def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
         what = quantity if kind == 'Rigid Body Marker' else f'{quantity} {axis}'.strip()
         found[kind, body, what].append(number)
     for name in names:
-        lacking = [column for column in POSE if ('Rigid Body', name, column) not in found]
+        lacking = [column for column in POSE_COLUMNS if ('Rigid Body', name, column) not in found]
         if lacking:
             raise BellowsError(
                 f"'{path}': rigid body '{name}' lacks the column {lacking[0]}. Export it again.")
-    return {name: ([found['Rigid Body', name, column][0] for column in POSE],
+    return {name: ([found['Rigid Body', name, column][0] for column in POSE_COLUMNS],
                    found['Rigid Body Marker', name, 'Marker Quality'],
                    found['Marker', name, 'Position X']) for name in names}

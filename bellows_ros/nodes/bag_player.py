@@ -35,7 +35,7 @@ from std_srvs.srv import Trigger
 
 from .conversions import read_pose, TOOL_POSES
 
-QUEUE = 10_000
+SEND_QUEUE = 10_000
 """Length of the queues: nothing is lost while a process is busy."""
 
 TIMEOUT = 5.0
@@ -215,7 +215,7 @@ def publisher(node: Node, topic: Channel, name: str) -> Any:
     """Return a publisher of a recorded topic's messages under some name; it takes their bytes."""
     package, _, kind = topic.type_name.partition('/msg/')
     return node.create_publisher(
-        getattr(importlib.import_module(f'{package}.msg'), kind), name, QUEUE)
+        getattr(importlib.import_module(f'{package}.msg'), kind), name, SEND_QUEUE)
 
 
 def stamped(data: bytes, new_ns: Callable[[int], int]) -> bytes:
@@ -300,7 +300,7 @@ def converse(
         answers.setdefault(data[STAMP], (time.monotonic_ns(), data))
 
     with player_node('demo_player') as (node, executor):
-        node.create_subscription(PoseStamped, 'package/pose', receive, QUEUE, raw=True)
+        node.create_subscription(PoseStamped, 'package/pose', receive, SEND_QUEUE, raw=True)
         first = {names[message.topic.name]: message for message in reversed(messages)}
         publishers = {name: publisher(node, first[name].topic, name)
                       for name in (TWISTS, POSES) if name in first}

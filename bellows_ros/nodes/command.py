@@ -28,7 +28,7 @@ NO_ROS = (
     "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
     f'instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}')
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-WIDTH = 96
+HELP_WIDTH = 96
 NODES = {
     'predictor': 'bellows_ros.nodes.predictor_node:PredictorNode',
     'identifier': 'bellows_ros.nodes.identifier_node:IdentifierNode'}
@@ -56,14 +56,14 @@ def help_text(name: str) -> str:
                    p.description) for p in parameters_for(name)]}
     return '\n\n'.join([
         f'usage: {name} [--help] [--version] [--ros-args ...]',
-        textwrap.fill(content['purpose'], WIDTH),
+        textwrap.fill(content['purpose'], HELP_WIDTH),
         *('\n'.join([head, *lines]) for head, lines in sections.items() if lines)]) + '\n'
 
 
 def _entry(head: str, text: str) -> str:
     """Return a head and its indented, wrapped sentence."""
-    head = textwrap.fill(head, WIDTH, initial_indent='  ', subsequent_indent='    ')
-    body = textwrap.fill(text, WIDTH, initial_indent='      ', subsequent_indent='      ')
+    head = textwrap.fill(head, HELP_WIDTH, initial_indent='  ', subsequent_indent='    ')
+    body = textwrap.fill(text, HELP_WIDTH, initial_indent='      ', subsequent_indent='      ')
     return f'{head}\n{body}'
 
 

@@ -203,7 +203,7 @@ class Worker:
             work()
 
 
-MAX_WAIT = 0.1
+MAX_SPIN_WAIT = 0.1
 """A request to end is noticed within this time (s)."""
 
 COLLECTION_PERIOD = 1.0
@@ -249,7 +249,7 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
         With a future `finished`, whose exception is raised here, and methods `close` and
         `note_failure`.
     is_asked_to_stop : callable
-        Looked at after each callback, and every `MAX_WAIT`.
+        Looked at after each callback, and every `MAX_SPIN_WAIT`.
 
     """
     executor = executor_for(node)
@@ -260,7 +260,7 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     try:
         while not (is_asked_to_stop() or node.finished.done()):
             try:
-                executor.spin_once(timeout_sec=MAX_WAIT)
+                executor.spin_once(timeout_sec=MAX_SPIN_WAIT)
             except Exception as error:  # noqa: BLE001 (of rclpy's own callbacks: the node goes on)
                 if not node.context.ok():
                     raise

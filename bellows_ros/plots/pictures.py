@@ -12,6 +12,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.given import as_found
+from bellows_ros.core.identification.result import WRENCH_UNITS
 from bellows_ros.core.model.grip import MODES
 from bellows_ros.core.signals.residuals import AXES, Comparison, Spectrum, Whiteness
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -130,7 +131,6 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
 
 
 MAX_POINTS = 4000
-UNITS = ('N',) * 3 + ('N m',) * 3
 
 
 def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
@@ -155,7 +155,7 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     shown = usable[:: max(1, len(usable) // MAX_POINTS)]
     title = 'Load on the cup against its deflection'
     with style.picture(title, note, theme) as (figure, colours):
-        for axis, panel in enumerate(style.six_panels(figure, UNITS)):
+        for axis, panel in enumerate(style.six_panels(figure, WRENCH_UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
             scale, unit = style.SHOWN[axis], style.SHOWN_UNITS[axis]
             points, = panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8,
@@ -164,7 +164,8 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
             line, = panel.plot(scale * ends, loads.stiffness[axis] * ends,
                                color=colours.predicted, linewidth=1.3)
             panel.set_xlabel(f'deflection {AXES[axis]} ({unit})', labelpad=1.0)
-            panel.set_ylabel(f'{"moment" if axis > 2 else "force"} {AXES[axis]} ({UNITS[axis]})')
+            load = 'moment' if axis > 2 else 'force'
+            panel.set_ylabel(f'{load} {AXES[axis]} ({WRENCH_UNITS[axis]})')
         figure.legend((points, line), ('needed by the motion', 'stiffness of the cup'),
                       loc='upper right', ncols=2, markerscale=4.0)
     return figure
@@ -196,7 +197,7 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
         [style.Line('needed by the motion', 'measured', 1.8, loads.seconds, load)],
         style.Line('unexplained', 'error', 0.6, loads.seconds, residual),
         [f'unexplained RMS {value:.2g} {unit}, {part:.2g} % of the load'
-         for value, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS)
+         for value, unit, part in zip(rms, WRENCH_UNITS, parts, strict=True)], WRENCH_UNITS)
 
 
 GAP_PERIODS = 3.0

@@ -189,7 +189,7 @@ def _origin(provenance: Mapping[str, Any], settings: Values) -> str:
         ('', 'version or seed'),
         *((name, version or 'not there') for name, version in provenance['versions'].items()),
         ('seeds of made-up noise',
-         f'{validation.SEED} (validation), {samples.SEED} (excitation)')])
+         f'{validation.DRAW_SEED} (validation), {samples.NOISE_SEED} (excitation)')])
     content = table([
         ('parameter', 'value'), *((name, _setting(value)) for name, value in settings.items())])
     section.add(f'<details><summary>All settings</summary>\n{content}\n</details>')

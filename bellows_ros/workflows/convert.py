@@ -16,10 +16,10 @@ from bellows_ros.core.signals.trajectory import pose_rows, PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer, bags, File, plans, results, trajectory_files, Values
 from bellows_ros.files.bag_folder import Channel
+from bellows_ros.files.bag_writer import POSE
 from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_interval
 import numpy as np
 
-POSE = 'geometry_msgs/msg/PoseStamped'
 TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
 MOTIVE_FRAME = 'motive'
 TEXT_ENDINGS = ('.tum', '.txt')

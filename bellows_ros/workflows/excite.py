@@ -83,7 +83,7 @@ class DesignedMotion(CommandResult):
         """Return warnings before the motion: what it cannot identify, and what would."""
         warnings = checks.implausible(self.values)
         if motion_design.LOADS[-1] not in self.design.ratios:
-            warnings += (plan.UNKNOWN_GRIP,)
+            warnings += (plan.NO_FACTOR,)
         if self.hold and not self.design.motion.hold:
             warnings += (NO_HOLD,)
         limit = max(self.design.shares, key=lambda name: self.design.shares[name], default='')

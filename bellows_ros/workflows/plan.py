@@ -25,12 +25,12 @@ from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, ti
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results, Values
+from bellows_ros.files.bag_writer import POSE, TWIST
 from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.trajectory_files import read_trajectory
 from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
-POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt', '.kitti', '.csv')
 MOTION_RATE = 500.0
 """Points per second taken from a motion of `bellows simulate`, Hz."""
@@ -44,7 +44,7 @@ TAIL_SHOWN, STANDSTILL_STEP = 1.5, 0.005
 MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
 
-UNKNOWN_GRIP = ('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
+NO_FACTOR = ('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
 BEGINS_IN_MOTION = (
     'The plan begins in motion: the package is assumed to hang as in a constant first '
     'acceleration. Its swing from before is unknown.')
@@ -207,7 +207,7 @@ class PlanReport(CommandResult):
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the motion."""
         source, prediction = self.source, self.prediction
-        safety = UNKNOWN_GRIP if prediction.grip is None else safety_sentence(
+        safety = NO_FACTOR if prediction.grip is None else safety_sentence(
             *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
         return (*source.notes, *checks.implausible(source.values), *filter(None, (
             safety, prediction.flips,
@@ -274,7 +274,7 @@ def plan(
     shortest = None
     if seek_fastest:
         if grip is None:
-            raise BellowsError(f'The shortest safe time cannot be found. {UNKNOWN_GRIP}')
+            raise BellowsError(f'The shortest safe time cannot be found. {NO_FACTOR}')
         if not (source.begins_at_rest and prediction.ends_at_rest):
             raise BellowsError(
                 'The shortest safe time cannot be found, because the plan begins or ends in '

@@ -13,7 +13,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import reduction, result
 from bellows_ros.core.identification.causes import corrected, finding_sentence
 from bellows_ros.core.identification.given import given_std
-from bellows_ros.core.identification.validation import MAX_NRMSE, SEED, validate, Validation
+from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.predictor import Messages, predicted_trajectory
@@ -256,7 +256,7 @@ class Replay(CommandResult):
         """
         smallest, validation = self.margin, self.validation
         if smallest is None:
-            raise BellowsError(plan.UNKNOWN_GRIP)
+            raise BellowsError(plan.NO_FACTOR)
         along = plan.curves(
             self.values, validation.model, grip_of(self.values), validation.tool,
             None if validation.start == 'equilibrium' else validation.state)
@@ -291,7 +291,7 @@ class Replay(CommandResult):
             'start': validation.start,
             'margin': self.margin,
             'time_offset': self.time_offset,
-            'seed': SEED,
+            'seed': DRAW_SEED,
             'free_run': _coloured_json(validation.whiteness, validation.spectrum),
             'one_step': validation.one_step and {
                 **_coloured_json(validation.one_step.whiteness, validation.one_step.spectrum),

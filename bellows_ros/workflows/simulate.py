@@ -26,7 +26,8 @@ from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Th
 from bellows_ros.core.toss import landing, release
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bag_writer, File, messages, Values
-from bellows_ros.workflows.plan import bending, POSE, read_plan, TWIST
+from bellows_ros.files.bag_writer import POSE, TWIST
+from bellows_ros.workflows.plan import bending, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 

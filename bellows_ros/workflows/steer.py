@@ -19,7 +19,7 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, results, safe_yaml, Values
 from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.plan import extended, MotionSource, plan_with_cup, Source, UNKNOWN_GRIP
+from bellows_ros.workflows.plan import extended, MotionSource, NO_FACTOR, plan_with_cup, Source
 import numpy as np
 
 TAIL = 2.0
@@ -223,7 +223,7 @@ def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> 
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
         raise BellowsError(
-            f'The limit safety_factor cannot be met. {UNKNOWN_GRIP} Or leave safety_factor out.')
+            f'The limit safety_factor cannot be met. {NO_FACTOR} Or leave safety_factor out.')
     low, high = source.tool.position.min(axis=0), source.tool.position.max(axis=0)
     for axis, least, most, lower, upper in zip(
             'xyz', low, high, limits.low, limits.high, strict=True):

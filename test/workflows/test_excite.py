@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from bellows_ros.core.excitation.motion_design import Design
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.workflows.excite import DesignedMotion
-from bellows_ros.workflows.plan import UNKNOWN_GRIP
+from bellows_ros.workflows.plan import NO_FACTOR
 import numpy as np
 
 STRUCTURE = STRUCTURES['axisymmetric']
@@ -27,11 +27,11 @@ def test_number_that_is_not_identifiable_is_named_with_what_would_make_it_so():
     """Name the entry alone, and a factor of noise and time that is enough, and not too large."""
     relative = np.array([1e-3] * 5 + [1.4] + [1e-3] * 2)
     general, found = warnings_of(relative)
-    assert general == UNKNOWN_GRIP
+    assert general == NO_FACTOR
     assert found.startswith('P z is not identifiable')
     assert 'a higher limit of jerk helps most' in found
     quieter, longer = map(float, re.search('([0-9.]+) times lower.* ([0-9.]+) times longer',
                                            found).groups())
-    assert warnings_of(relative / quieter) == warnings_of(relative, longer) == (UNKNOWN_GRIP,)
+    assert warnings_of(relative / quieter) == warnings_of(relative, longer) == (NO_FACTOR,)
     assert len(warnings_of(relative / (0.9 * quieter))) == 2
     assert len(warnings_of(relative, 0.9 * longer)) == 2

@@ -5,7 +5,7 @@ import copy
 from bellows_ros.core.geometry.lie import log_so3, transform
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.parameters.checks import Settings
-from bellows_ros.core.synthetic.motion import KINDS
+from bellows_ros.core.synthetic.motion import MOTION_KINDS
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.core.toss.release import RELEASE_NAMES
 from bellows_ros.errors import BellowsError
@@ -296,7 +296,7 @@ def example(root, kind):
     others = yaml.safe_load(
         '\n'.join(line[3:] for line in text.splitlines() if line.startswith('#| '))
     )
-    assert set(others) | {'multi_sine'} == set(KINDS)
+    assert set(others) | {'multi_sine'} == set(MOTION_KINDS)
     if kind != 'multi_sine':
         del content['multi_sine']
         content.update({'kind': kind, kind: others[kind]})
@@ -305,7 +305,7 @@ def example(root, kind):
     return content
 
 
-@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.parametrize('kind', MOTION_KINDS)
 def test_the_example_is_valid_for_every_kind(root, kind):
     recipe = read_recipe(example(root, kind), COM)
     assert recipe.motion.duration > recipe.motion.rest_duration == 2.0

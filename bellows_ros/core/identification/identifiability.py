@@ -14,7 +14,8 @@ from bellows_ros.core.identification.least_squares import noise_bias, Solution, 
 from bellows_ros.core.identification.reduction import Movement, PassBand, ReducedRecording
 from bellows_ros.core.identification.result import NOTE_TEXTS, NOTES, with_unidentifiable
 from bellows_ros.core.identification.samples import joined
-from bellows_ros.core.model.structure import AXES, Structure
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.signals.residuals import AXES
 import numpy as np
 
 MAX_SHARE, WEAK_SHARE = 0.5, 0.05

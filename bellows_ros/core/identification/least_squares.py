@@ -365,7 +365,7 @@ def _cluster_products(
             rows = whitening @ rows
             clusters += [_square(rows[part]) for part in parts]
         thinned = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES)
-        (draw,) = np.random.default_rng(sampling.SEED).spawn(1)
+        (draw,) = np.random.default_rng(sampling.NOISE_SEED).spawn(1)
         part = max(thinned.count, 1) / max(samples.count, 1)
         for block in thinned.blocks():
             for (clean, _), (noisy, _) in zip(*(

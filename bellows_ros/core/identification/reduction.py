@@ -57,7 +57,7 @@ BAND = 0.9
 
 def noise_products(
     recording: Samples, noise: FilterNoise, cup_length: float, structure: Structure,
-    seed: int = sampling.SEED,
+    seed: int = sampling.NOISE_SEED,
 ) -> Array:
     """
     Return the expected contribution of noise to the products of [L c] (6, q, 6, q), q = p + 1.
@@ -288,7 +288,7 @@ def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Move
 
     """
     thinned = samples.thinned(NOISE_SAMPLES)
-    noisy = sampling.with_noise(thinned, noise, np.random.default_rng(sampling.SEED)).lip
+    noisy = sampling.with_noise(thinned, noise, np.random.default_rng(sampling.NOISE_SEED)).lip
     motion, moved = (np.array([lip.displacement(cup_length), lip.twist])
                      for lip in (thinned.lip, noisy))
     added = moved - motion

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart count as independent for standard errors."""
 
-SEED = 20210801
+NOISE_SEED = 20210801
 """Seed of the added noise: the same recording always gives the same result."""
 
 MOMENT_LEVER = 0.01

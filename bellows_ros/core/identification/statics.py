@@ -365,7 +365,7 @@ NEWTON_STEPS, MAX_NEWTON_STEP = 6, 0.05
 NO_EFFECT = 1e-3
 """An entry has no effect if a change by its size moves poses by fewer standard errors."""
 
-MIN_POSE_STD = (1e-7, 1e-6)
+MIN_STANDSTILL_STD = (1e-7, 1e-6)
 """Smallest standard error of a mean pose (m, rad): rounding, and the error of the model."""
 
 ROUNDS = 4
@@ -484,5 +484,5 @@ def _equations(
     changes = np.vstack([R.T @ R_rest @ of_lip[:3], lie.dexp_inverse(-rotation) @ of_lip[3:]])
     A = changes[:, :21] @ structure.upper[:21, :structure.size]
     b = A @ x[:structure.size] - np.concatenate([R.T @ shift, rotation])
-    errors = np.repeat(np.maximum(still.error, MIN_POSE_STD), 3)
+    errors = np.repeat(np.maximum(still.error, MIN_STANDSTILL_STD), 3)
     return np.asarray(np.column_stack([A, b, changes[:, 42]]) / errors[:, None])

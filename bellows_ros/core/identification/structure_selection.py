@@ -15,7 +15,7 @@ from bellows_ros.core.identification.causes import Diagnosis, DOUBTED
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
 from bellows_ros.core.identification.result import NOTES
-from bellows_ros.core.identification.samples import Samples, SEED
+from bellows_ros.core.identification.samples import NOISE_SEED, Samples
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate, state_row, tool_rows
 from bellows_ros.core.model.structure import Structure, STRUCTURES
@@ -149,7 +149,7 @@ def select_structure(
     """
     structures = [*([of_gripper] if of_gripper else ()), *STRUCTURES.values()]
     # With other draws than those of a fit, which subtracts its own.
-    added = [noise_products(samples, noise, cup_length, structures[-1], SEED + 1)
+    added = [noise_products(samples, noise, cup_length, structures[-1], NOISE_SEED + 1)
              / max(samples.count, 1) for samples, noise in zip(recordings, noises, strict=True)]
     candidates = [_candidate(recordings, cup_length, added, each) for each in structures]
     if all(candidate.refused for candidate in candidates):

@@ -45,7 +45,7 @@ MAX_BRIDGE_TIME = 0.08
 REST_S = 0.3
 """A recording begins at rest if both bodies stand still for so long."""
 
-SEED = 0
+DRAW_SEED = 0
 """Seed of the added noise: the same recording gives the same numbers."""
 
 MAX_INNOVATIONS = 3_000
@@ -116,7 +116,7 @@ class Validation(residuals.Comparison):
         """RMS error (6,) that measurement noise of package and tool alone makes, m and rad."""
         tool, body = (each.select(slice(NOISE_SAMPLES)) for each in (self.tool, self.package))
         poses, settings = self.recording.aligned_tool, self.recording.settings
-        rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(SEED)
+        rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(DRAW_SEED)
         W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
         sizes, correlations = np.transpose(self.recording.ar1_noise[0])
         correlations = np.where(correlations > MIN_CORRELATION, correlations, 0.0)

@@ -83,7 +83,7 @@ class Arrivals:
 MAX_AGE = 1.0
 """Messages older or younger (s) than this carry stamps of another clock."""
 
-PHASES, INPUTS, TWISTS, FAULTS = (
+PHASES, INPUTS, TWIST_TEXTS, FAULTS = (
     MESSAGES[name] for name in ('phases', 'inputs', 'twists', 'faults'))
 
 
@@ -245,7 +245,7 @@ def prediction_status(
         (above, Level.ERROR, FAULTS['above']),
         (reasons, Level.WARN, f'Started again from static equilibrium: {reasons}.'),
         (phase in ('coasting', 'settling'), Level.WARN, PHASES.get(phase, '')),
-        (twist_verdict in TWISTS, Level.WARN, TWISTS.get(twist_verdict, '')),
+        (twist_verdict in TWIST_TEXTS, Level.WARN, TWIST_TEXTS.get(twist_verdict, '')),
         (not has_covariance, Level.WARN, FAULTS['no_covariance']),
         (True, Level.OK, PHASES.get(phase, 'Predicting.')))
     return Status(name, level, message, {

@@ -385,7 +385,7 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
     live.coast(arrival_ns + live.coast_limit_ns)
 
 
-BLOCK = 2000
+MESSAGE_BLOCK = 2000
 """Messages held as Python objects at a time, to spare the garbage collector."""
 
 
@@ -414,8 +414,8 @@ class Messages:
 
     def __iter__(self) -> Iterator[tuple[int, bool, Vector, Any]]:
         """Yield stamp (ns), whether it is a twist, and its two parts as tuples."""
-        for start in range(0, len(self), BLOCK):
-            part = slice(start, start + BLOCK)
+        for start in range(0, len(self), MESSAGE_BLOCK):
+            part = slice(start, start + MESSAGE_BLOCK)
             for stamp_ns, is_twist, (a, b, c, d, e, f, g) in zip(
                 self.stamps_ns[part].tolist(), self.is_twist[part].tolist(),
                 self.numbers[part].tolist(), strict=True,
@@ -451,7 +451,7 @@ def predicted_trajectory(
     live.pairing.expect = bool(messages.is_twist.any())
     poses, readings = deque(measured), deque(vacuum)
     for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
-        if number % BLOCK == 0:
+        if number % MESSAGE_BLOCK == 0:
             progress('predicting', number / len(messages))
         while poses and poses[0][0] < stamp_ns:
             measured_ns, *pose = poses.popleft()

@@ -19,7 +19,7 @@ from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen
 from bellows_ros.core.signals.trajectory import NS_PER_S
 
-REFUSALS: Mapping[str, str] = {**screening.REFUSALS['both'], **screening.REFUSALS['live']}
+REFUSALS: Mapping[str, str] = {**screening.WHY_REFUSED['both'], **screening.WHY_REFUSED['live']}
 """Why messages are refused, in words."""
 
 FRAME_RUN_NS = 150_000_000

@@ -20,6 +20,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, transform
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -120,9 +121,6 @@ def composition(places: Array) -> Array:
 
 RELAXATION_TIMES = (0.06, 0.8)
 """Times of the two branches of rubber that relaxes, s; others fit as well (within 0.1 %)."""
-
-AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
-"""Names of the six directions: translations, then rotations."""
 
 CoupledAxes = tuple[tuple[int, float], ...]
 """Axes coupled with each other, each with its sign."""

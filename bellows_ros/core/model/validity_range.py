@@ -21,7 +21,7 @@ DIRECTIONS = (
     'bending about x', 'bending about y', 'torsion')
 """Names of the coordinates of the lip in the tool: shift (m) and rotation vector (rad)."""
 
-SHOWN_UNITS = ('mm',) * 3 + ('degrees',) * 3
+DISPLAY_UNITS = ('mm',) * 3 + ('degrees',) * 3
 SHOWN_PER_SI = np.repeat([1e3, 180.0 / np.pi], 3)
 """Units of the coordinates in messages, and how many of them make 1 m or 1 rad."""
 
@@ -36,12 +36,12 @@ MASS_MARGIN = 0.1
 """Masses within this fraction of those in the fit are inside the validity range."""
 
 DOWN, UP = (Context(prec=6, rounding=mode) for mode in (ROUND_FLOOR, ROUND_CEILING))
-ROUNDING = {
+ROUNDING_MODES = {
     'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
     'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP)}
 """Outward, so that what is in a range stays in it."""
 
-FIELDS = tuple(ROUNDING)
+FIELDS = tuple(ROUNDING_MODES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Envelope:
             f'envelope.{name}': tuple(
                 float(context.create_decimal(repr(x)))
                 for x, context in zip(getattr(self, name).ravel().tolist(), contexts, strict=True))
-            for name, contexts in ROUNDING.items()}
+            for name, contexts in ROUNDING_MODES.items()}
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for the result of a fit."""
@@ -180,8 +180,8 @@ def _deflections(valid: Envelope, value: Array) -> list[tuple[float, str]]:
     size, low, high = (
         SHOWN_PER_SI * x for x in (value, valid.deflection_low, valid.deflection_high))
     return [
-        (part, f'{DIRECTIONS[i]} is {size[i]:.3g} {SHOWN_UNITS[i]}, seen {low[i]:.3g} to '
-               f'{high[i]:.3g} {SHOWN_UNITS[i]}')
+        (part, f'{DIRECTIONS[i]} is {size[i]:.3g} {DISPLAY_UNITS[i]}, seen {low[i]:.3g} to '
+               f'{high[i]:.3g} {DISPLAY_UNITS[i]}')
         for i, part in enumerate((np.abs(value - middle) / half).tolist())]
 
 

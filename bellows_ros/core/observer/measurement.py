@@ -299,7 +299,7 @@ def posterior(
             error[j] += Z[i, j] * z[i]
     body, theta = changed_by(body, theta, error)
     for i in range(len(P)):
-        P[i, i] *= 1.0 + ROUNDING
+        P[i, i] *= 1.0 + RELATIVE_ROUNDING
     t3.subtract_product(Z, Z, P)
     return body, theta
 
@@ -330,7 +330,7 @@ def updated_memory(
     return out
 
 
-ROUNDING = 1e-12
+RELATIVE_ROUNDING = 1e-12
 """
 Part of each variance that an update leaves uncertain: above what rounding takes away, so that the
 covariance stays positive definite, and a ten thousandth of it after a month.

@@ -27,7 +27,7 @@ ESTIMATE = 'estimate'
 """Value of recording.package_world that asks for its estimation."""
 
 
-POSES = ('recording.package_world', 'tool_pose.offset')
+POSE_PARAMETERS = ('recording.package_world', 'tool_pose.offset')
 """Parameters that are a pose, as a string."""
 
 MIN_VACUUM = 1000.0
@@ -74,8 +74,8 @@ def validate(name: str, value: object) -> Value:
     parameter = table.lookup(name)
     if isinstance(value, np.ndarray):
         value = value.ravel().tolist()
-    if name in POSES:
-        value = _world_text(parameter, value, name == POSES[0])
+    if name in POSE_PARAMETERS:
+        value = _world_text(parameter, value, name == POSE_PARAMETERS[0])
     normal = convert(parameter, value)
     check = _PHYSICAL.get(name) or _PHYSICAL.get(table.NAMED_CUP.sub(r'cup.\2', name))
     if check:

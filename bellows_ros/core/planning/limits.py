@@ -157,7 +157,7 @@ SCAN_STEP = 0.006
 ABORT_BELOW = 0.95
 """A run is aborted when its safety factor falls below this fraction of the required one."""
 
-MAX_TAIL = 2.0
+MAX_PEAK_TAIL = 2.0
 """The load may peak up to one period of the slowest mode after the end, at most this long (s)."""
 
 ROW_NS = 4_000_000
@@ -210,7 +210,7 @@ def fastest(
     _, first = np.unique(tool.stamps_ns // ROW_NS, return_index=True)
     thin = tool.select(np.unique([*first, len(tool) - 1]))  # with its ends
     slowest = float(np.abs(np.linalg.eigvals(nominal_system_matrix(model))).min())
-    tail = min(MAX_TAIL, 2.0 * math.pi / slowest)
+    tail = min(MAX_PEAK_TAIL, 2.0 * math.pi / slowest)
     quick = PlanSimulation(model, grip, thin, tail=tail, longest=COARSE_STEP_FACTOR * longest)
     spread = [quick.with_model(each) for _, *both in perturbed(values, model) for each in both]
     fine = PlanSimulation(model, grip, tool, tail=tail, longest=longest)

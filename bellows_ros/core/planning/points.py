@@ -23,7 +23,7 @@ import scipy  # whose parts are loaded as they are used: the predictor starts wi
 MAX_POINTS, MAX_TIME = 100_000, 600.0
 """Most points of a plan, and its longest duration (s)."""
 
-MAX_NUMBER = 1e9
+MAX_PLAN_NUMBER = 1e9
 """No number of a plan (m, rad, and their rates) is as large; more overflows in its polynomials."""
 
 MAX_GAP_NS = 10_000_000
@@ -246,8 +246,8 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
     """Refuse a bad number of points, numbers that are not finite, and times that no plan has."""
     require_count(len(stamps_ns), name)
     numbers = np.hstack([part for part in parts if part is not None])
-    _refuse(~(np.abs(numbers) < MAX_NUMBER).all(axis=1), name,
-            'holds NaN, infinity or a huge number', f'numbers below {MAX_NUMBER:g}',
+    _refuse(~(np.abs(numbers) < MAX_PLAN_NUMBER).all(axis=1), name,
+            'holds NaN, infinity or a huge number', f'numbers below {MAX_PLAN_NUMBER:g}',
             'Leave such points out.')
     steps = np.diff(stamps_ns)
     if steps.min() <= 0:

@@ -17,7 +17,7 @@ from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 import numpy as np
 
-REFUSALS = tomllib.loads(Path(__file__).with_name('refusals.toml').read_text())
+WHY_REFUSED = tomllib.loads(Path(__file__).with_name('refusals.toml').read_text())
 """Why messages are refused, in words: `both`, `recorded`, or `live`."""
 
 MAX_TOOL_SPEED = 20.0

@@ -22,8 +22,8 @@ from numpy.random import Generator
 HOLD_MOVE = 1.0
 """Time (s) in which an oscillation fades into its hold."""
 
-KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
-AXES = ('x', 'y', 'z')
+MOTION_KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
+TRANSLATION_AXES = ('x', 'y', 'z')
 
 MAX_DURATION = 3600.0
 """Longest motion, s."""
@@ -317,7 +317,7 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
         If a setting is missing, unknown or out of range.
 
     """
-    kind = settings.choice('kind', KINDS)
+    kind = settings.choice('kind', MOTION_KINDS)
     start = pose_from(settings.block('start'))
     rest = settings.number('rest_duration', 2.0, 's', minimum=0.0, maximum=MAX_DURATION)
     motion: Oscillation | Waypoints
@@ -385,7 +385,7 @@ def _sines(settings: Settings) -> list[tuple[float, ...]]:
     parts = list[tuple[float, ...]]()
     for offset, name, unit in ((0, 'position', 'm'), (3, 'rotation', 'rad')):
         block = settings.block(name)
-        for index, axis in enumerate(AXES):
+        for index, axis in enumerate(TRANSLATION_AXES):
             lines, default = block.block(axis), () if axis not in block else None
             amplitude = lines.numbers('amplitude', unit, default=default)
             frequency = lines.numbers(

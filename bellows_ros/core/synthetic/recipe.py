@@ -28,7 +28,7 @@ from bellows_ros.core.recording import alignment
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion, motion_from, sample_stamps
 from bellows_ros.core.toss.landing import release_with
-from bellows_ros.core.toss.release import HeldMotion, Law, MAX_WAIT, Release, toss
+from bellows_ros.core.toss.release import HeldMotion, Law, MAX_RELEASE_WAIT, Release, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import default_rng, Generator, SeedSequence
@@ -499,7 +499,7 @@ def tossed(
                 raise BellowsError(
                     f'the tool moves at {speed:.3g} m/s and {rate:.3g} rad/s there, but picks up '
                     'packages only at rest. Change release.pickup, or let the tool wait.')
-            hanging = HeldMotion(model, grip, remaining, until=switched + MAX_WAIT)
+            hanging = HeldMotion(model, grip, remaining, until=switched + MAX_RELEASE_WAIT)
             drawn = release_with(release, changes[k]) if k < len(times) else release
             t = seconds[part] - start
             rows[part] = hanging.along(drawn, switched, t)[1]

@@ -33,7 +33,7 @@ from bellows_ros.core.toss import free_flight
 from bellows_ros.errors import BellowsError, NoLandingError
 import numpy as np
 
-MAX_WAIT = 2.0
+MAX_RELEASE_WAIT = 2.0
 """Longest time (s) from the valve to letting go."""
 
 MAX_HELD_STEPS = 1_000_000
@@ -427,7 +427,7 @@ class HeldMotion:
         if self.ends_at_rest:
             still = np.concatenate([rows[-1, :7], np.zeros(6)])
             rows = np.vstack([rows[:-1], still, still])
-            starts = np.append(starts, self.duration + MAX_WAIT)
+            starts = np.append(starts, self.duration + MAX_RELEASE_WAIT)
         count = min(max(2, int(np.searchsorted(starts, until)) + 1), len(starts))
         self._longest = equilibrium.largest_step(model)
         durations = np.diff(starts[:count])

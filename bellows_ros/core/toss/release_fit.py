@@ -84,7 +84,7 @@ TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
 """The law of a cup that opens, for numbers that are neither given nor identifiable: about that of
 the drops that docs/toss.md shows."""
 
-MAX_RELATIVE_ERROR, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
+MAX_RELATIVE_STD, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
 """A number is identifiable if its standard error is less than this part of it, or of one that is
 small; one that is given without a standard deviation is exact to this part."""
 
@@ -316,7 +316,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
         shorter[[1, 3]] = 0.15, max((1.0 + best.law[3]) * 0.15 / best.law[1] - 1.0, 0.0)
         further = _fitted(subset, shorter, (1, *OPENING))
         if _squares(further) < MAX_SQUARES_RATIO * _squares(best) and (
-                further.std[1] < MAX_RELATIVE_ERROR * further.law[1] or not best.explains):
+                further.std[1] < MAX_RELATIVE_STD * further.law[1] or not best.explains):
             best = further
     if len(subset) < len(drops):
         best = _fitted(drops, np.array(best.law), best.free)
@@ -338,11 +338,11 @@ def _identifiable(
     opens = fit.law[5] > 0.0
     default = np.array(TYPICAL_LAW if opens and not given[5] > 0.0 else given)
     std = np.where(np.array(given_std) > 0.0, given_std,
-                   MAX_RELATIVE_ERROR * np.where(default > 0.0, default, ABSOLUTE_SCALES))
+                   MAX_RELATIVE_STD * np.where(default > 0.0, default, ABSOLUTE_SCALES))
     fixed_std = np.zeros(8)
     while True:
         relative = fit.std / np.maximum(np.abs(fit.law), ABSOLUTE_SCALES)
-        wide = [k for k in fit.free if relative[k] >= MAX_RELATIVE_ERROR]
+        wide = [k for k in fit.free if relative[k] >= MAX_RELATIVE_STD]
         if not wide:
             return fit
         worst = max(wide, key=lambda k: float(relative[k]) if k else 0.0)
