@@ -312,11 +312,10 @@ def modes_of(system: Array) -> Modes:
     """Return the modes of the small motions with a system matrix (12, 12), without relaxation."""
     eigenvalues = np.linalg.eigvals(system)
     compliance = np.linalg.inv(system[6:, :6])
-    shift, rotation, by_angular = (float(np.linalg.norm(part, 2)) for part in (
+    shift, angle, by_angular = (float(np.linalg.norm(part, 2)) for part in (
         compliance[:3, :3], compliance[3:, :3], compliance[3:, 3:]))
-    return Modes(
-        max(MIN_DECAY_RATE, -float(eigenvalues.real.max())),
-        max(MIN_FREQUENCY, float(np.abs(eigenvalues).min())), (shift, rotation, by_angular))
+    return Modes(max(MIN_DECAY_RATE, -float(eigenvalues.real.max())),
+                 max(MIN_FREQUENCY, float(np.abs(eigenvalues).min())), (shift, angle, by_angular))
 
 
 class Settling:
