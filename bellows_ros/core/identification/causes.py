@@ -159,9 +159,11 @@ class Finding(NamedTuple):
         """
         Whether it is worth a word: it explains most, whatever else does.
 
-        A drift or a slip is found by its standard errors alone: of each pose it is hardly any.
+        Others are found by their standard errors alone: of each pose a drift or a slip is hardly
+        any, and friction counts to first order only.
         """
-        return self.certain or self.left**2 < DISTINCT or self.name in ('world_drift', 'slip')
+        return self.certain or self.left**2 < DISTINCT or self.name in (
+            'world_drift', 'slip', 'friction')
 
 
 class Diagnosis(NamedTuple):
