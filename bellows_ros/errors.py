@@ -25,6 +25,10 @@ class UnstableError(BellowsError):
     """The package does not stay on its cup: it has no rest, or a prediction is not finite."""
 
 
+class NotSetError(BellowsError):
+    """A parameter without a default is not given."""
+
+
 class NoTopicError(BellowsError):
     """A recording lacks a topic, or it has another type."""
 

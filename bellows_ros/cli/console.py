@@ -21,7 +21,7 @@ import time
 from types import FrameType
 from typing import Any, TextIO
 
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, NotSetError
 
 # Exit codes.
 OK = 0
@@ -294,6 +294,8 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
         return code
     except BellowsError as error:
         console.error(str(error))
+        if isinstance(error, NotSetError):
+            console.note('Give the file with --params FILE, or a value with --set NAME=VALUE.')
         return error.exit_code
     except KeyboardInterrupt:
         for each in STOP_SIGNALS if ended else ():  # only the message is left

@@ -279,7 +279,7 @@ class Identification(CommandResult):
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
             *self._clock_sentences(),
-            *(f'REFUSED, but written because of --force: {reason}' for reason in self.refusals)]
+            *(f'REFUSED, but written all the same: {reason}' for reason in self.refusals)]
 
 
 def _standstill_sentences(result: Identification) -> Iterator[str]:

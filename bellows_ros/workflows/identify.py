@@ -52,7 +52,7 @@ REGISTRATION_NAMES = {'time_offset', 'package_world'}
 RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
 """Parameters that need the recordings themselves, not only their statistics."""
 
-NOT_FITTED = 'The cup was not fitted; --force fits it all the same.'
+NOT_FITTED = "The cup was not fitted; 'bellows identify --force' fits it all the same."
 
 
 def identify(

@@ -367,7 +367,7 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
     """Return the whole plan in a file."""
     if topic and file.suffix.lower() in (*YAML, *TEXT):
         raise BellowsError(
-            f"--topic {topic}: '{file}' is no recording, so it has no topics. Leave --topic out.")
+            f"The topic is '{topic}', but '{file}' is no recording and has none. Leave it out.")
     if file.suffix.lower() in YAML:
         content = plans.read_yaml(file)
         if 'kind' in content:

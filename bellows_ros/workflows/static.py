@@ -96,8 +96,7 @@ class StaticResult(NamedTuple):
         if self.length and abs(self.length.length - self.cup_length) > LENGTHS_AGREE_WITHIN:
             warnings.append(
                 f'cup.length is {self.cup_length * 1e3:.2f} mm, but these recordings give '
-                f'{self.length.length * 1e3:.2f} mm. Write the new value to a parameter file '
-                'with --out.')
+                f'{self.length.length * 1e3:.2f} mm. Set cup.length to that.')
         for recording in self.recordings:
             settled, failed = standstills_in(recording)
             if failed:

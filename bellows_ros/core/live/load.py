@@ -237,7 +237,7 @@ def check_live(values: Mapping[str, Any]) -> None:
     if values['recording.package_world'] == ESTIMATE:
         raise BellowsError(
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
-            'seven numbers, from the file of bellows identify --out.')
+            'seven numbers, from the file that bellows identify wrote.')
     model = prepared(cup_of(values), package_of(values), gravity_of(values))[0]
     load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is measured yet
     try:
