@@ -268,7 +268,7 @@ def static_equilibrium(
         What connects tool and package.
     package : Package
         What hangs on it.
-    T_world_tool : array_like (4, 4), optional
+    T_world_tool : array_like (4, 4) or RigidTransform, optional
         Pose of the tool tip E in the world, m; upright at the origin when left out.
     gravity : float or array_like (3,)
         Along -z of the world, or as a vector there, m/s^2.
@@ -295,12 +295,14 @@ def static_equilibrium(
 
     """
     resolve(parameters_of(cup, package))
-    T = np.eye(4) if T_world_tool is None else np.asarray(T_world_tool, dtype=np.float64)
-    R = T[:3, :3] if T.shape == (4, 4) else np.full((3, 3), np.nan)
-    if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or not np.all(np.isfinite(T)):
+    T = np.eye(4) if T_world_tool is None else cup_package.frozen_array(
+        getattr(T_world_tool, 'as_matrix', lambda: T_world_tool)(), (4, 4), 'T_world_tool')
+    R = T[:3, :3]
+    is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+    if not (is_rotation and np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0))):
         raise BellowsError(
-            f'T_world_tool must be a homogeneous matrix (4, 4) with a rotation in it, got shape '
-            f'{T.shape}.')
+            'T_world_tool must be a homogeneous matrix (4, 4): a rotation, a position and, in the '
+            f'last row, 0, 0, 0, 1. Got {T.tolist()}.')
     tool = state_row(T[:3, 3], rotation_to_quaternion(R))
     body = equilibrium.static_equilibrium(cup_package.model_tuple(cup, package, gravity), tool)
     return transform(quaternion_to_rotation(np.array(body[1])), np.array(body[0]))
@@ -422,7 +424,8 @@ def toss(
     release : float, optional
         When the valve is switched, s since the first point of the motion.
     target : (x, y), optional
-        Where B should land, m; the time of the valve is then sought.
+        Where B should land, m; the time of the valve is then sought. With a `release` as well,
+        `distance_as_asked` is how far (m) from there that one lands.
     target_rotation : array_like (4,) or Rotation, optional
         Quaternion (x, y, z, w) wanted at the landing, or a SciPy rotation.
     monte_carlo : int
@@ -560,6 +563,8 @@ def observe(recording: File, parameters: Parameters, topic: str) -> 'workflows.r
     'both'
 
     """
+    if not topic:
+        raise BellowsError('topic is empty. Name the one with measured poses of the package.')
     return workflows.replay.replay(recording, _parameters(parameters), observe=topic)
 
 
