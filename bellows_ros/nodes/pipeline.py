@@ -91,7 +91,6 @@ class Pipeline:
         self.node, self.latest = node, None
         self.values: Values = with_chosen_cup(node.values)
         self.compute, self.reported = health.window(), Counter[str]()
-        self._twists_exist = False
         self._ticked_ns = 0
         self._was_late = self._is_compiling = False
         self._arrival_at_last_tick: int | None = None
@@ -137,11 +136,6 @@ class Pipeline:
         (x, y, z, w), gravity = self.latest.tool[1], self.live.model[2]
         z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         return sum(map(mul, z_world, gravity)) > MIN_UPWARD_GRAVITY * math.hypot(*gravity)
-
-    def reset(self) -> None:
-        """Start from rest at the next tool pose."""
-        self.live.reset()
-        self.live.pairing.expect = self._twists_exist
 
     def stop(self) -> None:
         """Stop publishing, and drop plans and searches."""
@@ -210,7 +204,7 @@ class Pipeline:
 
     def _on_twist_publishers(self, count: int) -> None:
         """Let poses wait for their twists while twists have a publisher."""
-        self._twists_exist = self.live.pairing.expect = count > 0
+        self.live.expect_twists(count > 0)
         if self.node.is_active and not count:
             self.publish(self.live.flush)
 

@@ -134,7 +134,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let publishers publish and callbacks work; start from rest at the next tool pose."""
         assert self.pipeline
-        self.pipeline.reset()
+        self.pipeline.live.reset()
         self.pipeline.live.set_attached(self.pipeline.attachment.held)
         result = super().on_activate(state)
         self.is_active = True
@@ -238,7 +238,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         if self.is_active:
             assert self.pipeline
             self.pipeline.publish(self.pipeline.live.flush)
-            self.pipeline.reset()
+            self.pipeline.live.reset()
             response.message = 'Starts from static equilibrium at the next tool pose.'
         return response
 

@@ -116,7 +116,7 @@ class LivePredictor:
         self.restarts = dict.fromkeys(RESTARTS, 0)
         self.poses_in = self.twists_in = 0
         self.predictions = self.twists_estimated = self.coasted = 0
-        self.attached = True
+        self.attached, self._twists_expected = True, False
         self._vacuum: dict[int, bool] = {}  # whether a cup holds by it, or all together
         self.flight: Flight | None = None
 
@@ -188,7 +188,12 @@ class LivePredictor:
             self._screen.forget_motion()
         else:
             self._screen.reset()
+            self.pairing.expect = self._twists_expected
         self._forget_motion()
+
+    def expect_twists(self, expected: bool) -> None:
+        """Let poses wait for their twists, or not, until those that come show otherwise."""
+        self._twists_expected = self.pairing.expect = expected
 
     def set_attached(self, attached: bool) -> list[Prediction]:
         """Take up a package, from rest at the next pose, or let it go."""
@@ -448,7 +453,7 @@ def predicted_trajectory(
             stamps.append(stamp_ns)
             numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
 
-    live.pairing.expect = bool(messages.is_twist.any())
+    live.expect_twists(bool(messages.is_twist.any()))
     poses, readings = deque(measured), deque(vacuum)
     for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
         if number % BLOCK == 0:

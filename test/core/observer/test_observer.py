@@ -75,7 +75,7 @@ def test_nothing_seen_changes_nothing():
     model, states = model_tuple(CUP, PACKAGE, 9.81), []
     for stamp_ns, (position, q, linear, angular) in zip(stamps.tolist(), tool, strict=True):
         for live in (alone, watched):
-            live.pairing.expect = True
+            live.expect_twists(True)
             live.on_twist(stamp_ns, linear, angular)
             states += live.on_pose(stamp_ns, 'world', position, q)
     true = states[0].body
