@@ -214,9 +214,7 @@ def static_check(
     if 'cup.stiffness' in settings:
         return with_spring(result, cup_of(values), values['gravity.magnitude'])
     if result.length is None:
-        raise BellowsError(
-            f'{result.no_length} To check the spring instead, '
-            'give cup.stiffness.')
+        raise BellowsError(f'{result.no_length} To check the spring instead, give cup.stiffness.')
     return result
 
 

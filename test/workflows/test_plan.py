@@ -144,7 +144,7 @@ def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
         assert_allclose(recorded[name], found[name], rtol=1e-3, err_msg=name)
     with pytest.raises(BellowsError, match='Set tool_link'):
         figures(bag)
-    with pytest.raises(BellowsError, match=r'\(urdf\)'):
+    with pytest.raises(BellowsError, match='Give its urdf'):
         figures(bag, values=values)
     other = bag_of(tmp_path / 'o', JOINTS, serialized(JOINTS, joint_message(('a', 'b', 'c'))))
     with pytest.raises(BellowsError, match="'turn'"):
