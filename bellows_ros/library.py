@@ -20,7 +20,7 @@ from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import File
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.safe_yaml import load
@@ -125,6 +125,7 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
     0.046
 
     """
+    require_types(cup=(cup, Cup), package=(package, Package, type(None)))
     values: dict[str, object] = {
         'cup.stiffness': cup.stiffness.ravel().tolist(),
         'cup.damping': cup.damping.ravel().tolist(),
@@ -182,6 +183,7 @@ def identify(
     ((), True)
 
     """
+    require_types(recordings=(recordings, str, os.PathLike, Sequence), package=(package, Package))
     values: dict[str, object] = {**(settings or {}), **{
         name: value for name, value in parameters_of(Cup.thesis(), package).items()
         if name.startswith('package.')}, 'cup.length': cup_length}
@@ -251,6 +253,7 @@ def simulate(
     (501, True)
 
     """
+    require_types(tool=(tool, Trajectory))
     resolve(parameters_of(cup, package))
     return simulation.simulate(cup, package, tool, gravity=gravity)
 
@@ -301,8 +304,7 @@ def static_equilibrium(
     is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
     if not (is_rotation and np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0))):
         raise BellowsError(
-            'T_world_tool must be a homogeneous matrix (4, 4): a rotation, a position and, in the '
-            f'last row, 0, 0, 0, 1. Got {T.tolist()}.')
+            f'T_world_tool must have a rotation, a position and 0, 0, 0, 1, got {T.tolist()}.')
     tool = state_row(T[:3, 3], rotation_to_quaternion(R))
     body = equilibrium.static_equilibrium(cup_package.model_tuple(cup, package, gravity), tool)
     return transform(quaternion_to_rotation(np.array(body[1])), np.array(body[0]))
@@ -572,6 +574,7 @@ def _parameters(
     source: Parameters, names: Sequence[str] = PACKAGE_PARAMETERS
 ) -> Mapping[str, object]:
     """Return parameters by name; refuse them if one of the names is missing."""
+    require_types(parameters=(source, Mapping, str, os.PathLike))
     values, what = (source, 'The mapping of parameters') if isinstance(source, Mapping) else (
         read_parameters(source), f"Parameter file '{source}'")
     if missing := [name for name in names if name not in values]:

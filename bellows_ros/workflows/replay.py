@@ -29,7 +29,7 @@ from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotati
 from bellows_ros.core.recording.recording import Recording, require_one_frame, TimeOffset
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
-from bellows_ros.errors import BellowsError, UnstableError
+from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import bags, File, messages, results, Values
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress
@@ -333,6 +333,7 @@ def replay(
         If a parameter or the recording is not usable, or the cup cannot hold the package.
 
     """
+    require_types(recording=(bag, str, os.PathLike))
     values: dict[str, Any] = checks.resolve(settings, checks.RECORDING_PARAMETERS)
     progress(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)

@@ -229,8 +229,8 @@ def toss_plan(
             if target_rotation is None else
             'target_rotation is given, but no target. Give both, or leave it out.')
     for name, value, is_allowed, expected in (
-            ('monte_carlo', monte_carlo, monte_carlo == 0 or monte_carlo > 1,
-             '2 tosses or more, or 0 for none.'),
+            ('monte_carlo', monte_carlo, isinstance(monte_carlo, int | np.integer) and
+             monte_carlo >= 0 and monte_carlo != 1, '2 tosses or more, or 0 for none.'),
             ('release', switched, math.isfinite(switched or 0.0), 'a finite number.'),
             ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
              f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),

@@ -22,7 +22,7 @@ from bellows_ros.core.live.load import ALL
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
 from bellows_ros.core.live.uncertainty import Prediction
-from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import trajectory_of
@@ -30,7 +30,7 @@ from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import frozen, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, require_types
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -104,6 +104,7 @@ class LivePredictor:
         coast_limit_ns: int = COAST_LIMIT_NS,
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
+        require_types(cup=(cup, Cup), package=(package, Package))
         require_stiffness(cup.stiffness)
         if twist_frame not in ('world', 'tool'):
             raise BellowsError(f"twist_frame is '{twist_frame}'; expected 'world' or 'tool'.")
@@ -248,7 +249,11 @@ class LivePredictor:
 
         """
         self.poses_in += 1
-        reason = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
+        try:
+            reason = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
+        except TypeError:
+            frozen_array(quaternion_xyzw, (4,), 'quaternion_xyzw')
+            raise
         if reason in self._counts:
             self._counts[reason] += 1
             return []
