@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from bellows_ros.report import with_error
+from bellows_ros.report import display_unit, with_error
 from bellows_ros.workflows.plan import plan, PlanReport, write_prediction
 
 from .console import Console
@@ -41,7 +41,7 @@ def print_result(report: PlanReport, console: Console) -> None:
 
 def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
     """Return rows to print: name, value with its standard deviation, and a remark."""
-    prediction, degrees = report.prediction, (math.degrees(1.0), 'degrees')
+    prediction, degrees = report.prediction, display_unit('rad')
     figures = prediction.figures()
 
     def value(name: str, factor: float, unit: str) -> str:

@@ -50,6 +50,7 @@ def print_result(report: steer.SteerReport, console: Console) -> None:
     figures = report.motions[report.method].figures()
     console.paragraph(
         f'The tool moves at up to {figures["speed"]:.3g} m/s, {figures["acceleration"]:.3g} '
-        f'm/s^2, {figures["angular_speed"]:.3g} rad/s and {figures["angular_acceleration"]:.3g} '
-        f'rad/s^2; the package is at most {1e3 * figures["path_error"]:.2g} mm from its desired '
-        'path.', *report.notes, *filter(None, [report.advice]))
+        f'm/s^2, {DEGREES * figures["angular_speed"]:.3g} deg/s and '
+        f'{DEGREES * figures["angular_acceleration"]:.3g} deg/s^2; the package is at most '
+        f'{1e3 * figures["path_error"]:.2g} mm from its desired path.',
+        *report.notes, *filter(None, [report.advice]))

@@ -17,6 +17,7 @@ from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
+from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import bag_folder, bags, File, parameter_files, Values
@@ -185,14 +186,13 @@ def world_sentence(bag: object, estimated: prepared.PackageWorld | None) -> list
     """Return a sentence about the estimated transform between the worlds, if any."""
     if estimated is None:
         return []
-    position, errors, turns = (
-        ', '.join(f'{1e3 * x:.3f}' for x in part)
-        for part in (estimated.pose[:3], estimated.std[:3], estimated.std[3:]))
+    position = ', '.join(f'{1e3 * x:.3f}' for x in estimated.pose[:3])
+    errors = [f'{x:.2g}' for x in DISPLAY_FACTORS * estimated.std]
     quaternion = ', '.join(f'{x:.6f}' for x in estimated.pose[3:])
     return [
         f'{bag}: recording.package_world was estimated: position {position} mm, quaternion (x y '
-        f"z w) {quaternion}; standard errors {errors} mm at the middle of the package's path, "
-        f'{turns} mrad.']
+        f'z w) {quaternion}; standard errors {", ".join(errors[:3])} mm at the middle of the '
+        f"package's path, {', '.join(errors[3:])} degrees."]
 
 
 def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:

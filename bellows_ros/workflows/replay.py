@@ -150,14 +150,15 @@ class Observed(NamedTuple):
         if payload := self.payload:
             sentences.append(
                 f'Estimated: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
-                f'{_in_milli(payload.com, payload.com_std)} mm from the lip (± is the '
+                f'{_with_std(payload.com, payload.com_std, 1e3)} mm from the lip (± is the '
                 'Cramér-Rao bound).')
         if self.calibration:
             numbers = iter(self.calibration)
-            shift, turn, latency = map(_in_milli, numbers, numbers)
+            shift, turn, latency = map(
+                _with_std, numbers, numbers, (1e3, residuals.DISPLAY_FACTORS[3], 1e3))
             sentences.append(
-                f'Errors of the camera: {shift} mm and {turn} mrad along and about world axes, '
-                f'{latency} ms of its stamps.')
+                f'Errors of the camera: {shift} mm and {turn} degrees along and about world '
+                f'axes, {latency} ms of its stamps.')
         if self.alarm_calibration:
             sentences.append(self.alarm_calibration.sentence)
         return ' '.join(sentences + ([] if self.alarms else ['No alarm.']))
@@ -191,9 +192,9 @@ class Observed(NamedTuple):
             'units': {f'rms {name}': result.POSE_UNITS for name in self.estimates}}
 
 
-def _in_milli(values: Any, std: Any) -> str:
-    """Return numbers with their standard deviations, in thousandths of their unit."""
-    return ', '.join(f'{1e3 * value:.2f} ± {1e3 * error:.2g}' for value, error in zip(
+def _with_std(values: Any, std: Any, factor: float) -> str:
+    """Return numbers with their standard deviations, times a factor."""
+    return ', '.join(f'{factor * value:.2f} ± {factor * error:.2g}' for value, error in zip(
         np.atleast_1d(values), np.atleast_1d(std), strict=True))
 
 

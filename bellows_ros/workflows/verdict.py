@@ -15,7 +15,7 @@ from bellows_ros.core.identification.validation import validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import Values
@@ -73,11 +73,12 @@ class Simulated(NamedTuple):
         if not np.isfinite(self.rms).all():
             return f'{self.bag} cannot be simulated freely with this cup.'
         parts = []
-        for kind, unit in ((slice(0, 3), 'mm'), (slice(3, 6), 'mrad')):
-            errors = ', '.join(f'{name} {1e3 * x:.2g}' for name, x in
-                               zip(AXES[kind], self.rms[kind], strict=True))
-            noise = ', '.join(f'{1e3 * x:.2g}' for x in self.noise[kind])
-            parts.append(f'{errors} {unit} (noise {noise})')
+        for kind in (slice(0, 3), slice(3, 6)):
+            rms, noise = (DISPLAY_FACTORS[kind] * each[kind] for each in (self.rms, self.noise))
+            errors = ', '.join(
+                f'{name} {x:.2g}' for name, x in zip(AXES[kind], rms, strict=True))
+            parts.append(f'{errors} {DISPLAY_UNITS[kind.start]} '
+                         f'(noise {", ".join(f"{x:.2g}" for x in noise)})')
         what = f'{self.beginning:.0f} s of {self.bag}' if self.beginning else self.bag
         return f'Free simulation of {what} with this cup: RMS error {"; ".join(parts)}.'
 
