@@ -60,7 +60,7 @@ def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
     if prediction.ends_at_rest:
         after = figures['settled_after']
         still = 'below 0.5 degrees' + (f' after {after:.2f} s' if after > 0.0 else '')
-        rows.append(('swing left at the end', value('swing_left', *degrees), still if
+        rows.append(('residual swing', value('swing_left', *degrees), still if
                      math.isfinite(after) else 'not below 0.5 degrees within 30 s'))
     if fastest := report.fastest:
         duration = report.source.duration

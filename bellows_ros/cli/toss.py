@@ -70,13 +70,13 @@ def _print_budget(result: TossResult, console: Console) -> None:
         return
     shifts = [MILLI * group.metres for group in groups]
     angles = [math.degrees(group.radians) for group in groups]
-    rows = [('uncertain quantity', 'by', 'at landing', 'turned')]
+    rows = [('uncertain quantity', 'std. dev.', 'at landing', 'turned')]
     for group, shift, angle in zip(
             groups, *(column(sizes, 0.1 * max(sizes) or 1.0) for sizes in (shifts, angles)),
             strict=True):
         parameter = PARAMETERS.get(group.name)
         factor, unit = display_unit(parameter.unit if parameter else '')
-        unknown = 'one fit' if group.name == 'release' else 'per entry'
+        unknown = 'see release.*_std' if group.name == 'release' else f'see {group.name}_std'
         rows.append((group.name, formatted(group.std, '.3g', unit, factor, unknown),
                      f'{shift} mm', f'{angle} deg'))
     console.table(rows, right=True)

@@ -144,16 +144,16 @@ def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
         columns.append([title_of, *(
             with_error(value, error, UNITS[name][2 * (axes[0] > 2)])
             for axes, (value, error, _) in zip(structure.tied_axes, ends, strict=True))])
-        columns.append(['with what was given', *(
+        columns.append(['incl. given quantities', *(
             _in_percent(both, value) for value, _, both in ends)])
     names = ['axis', *(', '.join(AXES[axis] for axis in axes) for axes in structure.tied_axes)]
     for part in (columns[:2], columns[2:]) if given else (columns[::2],):
         out.table(list(zip(names, *part, strict=True)), title=title)
     if given:
         out.paragraph(
-            'The first error is from these recordings alone, the second with what was given '
-            '(package.*_std, cup.length_std, recording.*_std): no motion shows a factor common to '
-            'mass, inertia, K and P.')
+            'The first standard error is that of the recordings; the second includes the '
+            'uncertainty of the given quantities (package.*_std, cup.length_std, '
+            'recording.*_std): a common factor on mass, inertia, K and P is not observable.')
     print_relaxation(fit.relaxation, fit.relaxation_std, out)
     for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]

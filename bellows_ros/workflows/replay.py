@@ -311,8 +311,8 @@ def replay(
     """
     Predict a recording with a cup, freely from start to end, and compare.
 
-    Twice: by a simulation of the tool as it was smoothed, which shows what the cup is worth, and
-    by the live predictor from the messages as they came, which shows what the node will say.
+    Twice: by a simulation of the tool as it was smoothed, which shows the accuracy of the cup, and
+    by the live predictor from the messages as they came, which shows the output of the node.
 
     Parameters
     ----------

@@ -160,7 +160,7 @@ class LivePredictor:
         Return the phase of the prediction at a time on the clock of arrivals.
 
         'detached', 'waiting' (no pose has come yet), 'predicting', 'settling' (predicting, but
-        what the start was off by is still felt), 'coasting' (no pose has come for a moment) or
+        the error of the start has not decayed), 'coasting' (no pose has come for a moment) or
         'lost' (none for longer than can be bridged, or no prediction from it); after the valve
         'released', 'flying' or 'landed'.
         """

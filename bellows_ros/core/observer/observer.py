@@ -361,8 +361,8 @@ class Observer:
         """
         Return whether the vacuum holds by its last reading; None if there is none to believe.
 
-        A signal that has told the same twice comes in periods: one that is silent tells nothing.
-        One that holds a package which is seen to fall is stuck.
+        A signal that repeats its value is periodic; when overdue it is treated as unknown. One
+        that holds a package which is seen to fall is stuck.
         """
         stamp_ns, is_held, period_ns = self._vacuum or (0, None, 0.0)
         is_silent = self._track.newest_ns - stamp_ns > _silence_ns(period_ns)

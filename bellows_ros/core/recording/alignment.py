@@ -337,10 +337,10 @@ def turn_correlation(
     tool: Trajectory, package: Trajectory, one_world: bool = False
 ) -> tuple[Array, Array]:
     """
-    Return lags (K,), s, of the tool's stamps behind the package's, and how alike turns are (K,).
+    Return lags (K,), s, of the tool's stamps behind the package's, and how rotations correlate.
 
-    Their sizes are compared, or turns in axes of the world, where it is one for both. Empty where
-    a body hardly turns, or is recorded too shortly.
+    By their sizes, or in axes of the world, where it is one for both. Empty where a body
+    hardly turns, or is recorded too shortly.
     """
     turns = []
     for body in (tool, package):
