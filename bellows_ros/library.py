@@ -8,9 +8,8 @@ its function is called.
 from collections.abc import Mapping, Sequence
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-from bellows_ros import workflows
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion, transform
 from bellows_ros.core.live import LivePredictor, Prediction
@@ -24,8 +23,17 @@ from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import File
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.safe_yaml import load
+import bellows_ros.plots  # noqa: F401 (results draw themselves)
 import numpy as np
 from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.excite import DesignedMotion
+    from bellows_ros.workflows.identification import Identification
+    from bellows_ros.workflows.plan import MotionSource, PlanReport
+    from bellows_ros.workflows.replay import Replay
+    from bellows_ros.workflows.steer import SteerReport
+    from bellows_ros.workflows.toss import TossResult
 
 __all__ = [
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
@@ -143,7 +151,7 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
 def identify(
     recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File, package: Package,
     cup_length: float, settings: Mapping[str, object] | None = None
-) -> 'workflows.identification.Identification':
+) -> 'Identification':
     """
     Identify a cup's K and P from recordings, or from poses in arrays, as `bellows identify`.
 
@@ -203,7 +211,9 @@ def identify(
             for good in [each.select(each.valid)]}
     if len(poses) == len(bags):
         values.setdefault('recording.package_frame', 'com')
-    return workflows.identify.identify({**values, 'bags': bags}, poses=poses)
+    from bellows_ros.workflows import identify as workflow
+
+    return workflow.identify({**values, 'bags': bags}, poses=poses)
 
 
 def simulate(
@@ -311,8 +321,8 @@ def static_equilibrium(
 
 
 def plan(
-    motion: 'workflows.plan.MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
-) -> 'workflows.plan.PlanReport':
+    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
+) -> 'PlanReport':
     """
     Predict what a planned motion of the tool does to the package, as `bellows plan`.
 
@@ -344,12 +354,14 @@ def plan(
     True
 
     """
-    return workflows.plan.plan(motion, _parameters(parameters), urdf, topic)
+    from bellows_ros.workflows import plan as workflow
+
+    return workflow.plan(motion, _parameters(parameters), urdf, topic)
 
 
 def fastest(
-    motion: 'workflows.plan.MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
-) -> 'workflows.plan.PlanReport':
+    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
+) -> 'PlanReport':
     """
     Predict a motion as `plan`, and find the shortest time in which the grip surely holds.
 
@@ -371,14 +383,16 @@ def fastest(
     True
 
     """
-    return workflows.plan.plan(
+    from bellows_ros.workflows import plan as workflow
+
+    return workflow.plan(
         motion, _parameters(parameters), urdf, topic, seek_fastest=True)
 
 
 def steer(
-    motion: 'workflows.plan.MotionSource', parameters: Parameters, method: str = 'inverse',
+    motion: 'MotionSource', parameters: Parameters, method: str = 'inverse',
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
-) -> 'workflows.steer.SteerReport':
+) -> 'SteerReport':
     """
     Change a motion so that the package does not swing, as `bellows steer`.
 
@@ -408,14 +422,16 @@ def steer(
     True
 
     """
-    return workflows.steer.steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
+    from bellows_ros.workflows import steer as workflow
+
+    return workflow.steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
 
 
 def toss(
-    motion: 'workflows.plan.MotionSource', parameters: Parameters, release: float | None = None,
+    motion: 'MotionSource', parameters: Parameters, release: float | None = None,
     target: Sequence[float] | None = None, target_rotation: ArrayLike | None = None,
     monte_carlo: int = 0, urdf: str = '', topic: str = '',
-) -> 'workflows.toss.TossResult':
+) -> 'TossResult':
     """
     Predict where a toss lands and how surely, as `bellows toss`.
 
@@ -454,7 +470,9 @@ def toss(
         getattr(target_rotation, 'as_quat', lambda: target_rotation)(), (4,), 'target_rotation')
     x_y: Any = None if target is None else tuple(
         cup_package.frozen_array(target, (2,), 'target').tolist())
-    return workflows.toss.toss_plan(
+    from bellows_ros.workflows import toss as workflow
+
+    return workflow.toss_plan(
         motion, _parameters(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
         topic=topic)
 
@@ -462,7 +480,7 @@ def toss(
 def design_motion(
     parameters: Parameters, limits: Mapping[str, Any] | File, duration: float = 12.0,
     urdf: str = '', seed: int = 0, hold: float = 7.0,
-) -> 'workflows.excite.DesignedMotion':
+) -> 'DesignedMotion':
     """
     Design the motion that identifies a cup best, as `bellows excite`.
 
@@ -499,12 +517,14 @@ def design_motion(
     8.0
 
     """
-    return workflows.excite.excite(
+    from bellows_ros.workflows import excite as workflow
+
+    return workflow.excite(
         _parameters(parameters), limits if isinstance(limits, Mapping) else load(Path(limits)),
         duration, urdf, seed=seed, hold=hold)
 
 
-def replay(recording: File, parameters: Parameters) -> 'workflows.replay.Replay':
+def replay(recording: File, parameters: Parameters) -> 'Replay':
     """
     Predict a recording with a cup from start to end and compare, as `bellows replay`.
 
@@ -533,10 +553,12 @@ def replay(recording: File, parameters: Parameters) -> 'workflows.replay.Replay'
     True
 
     """
-    return workflows.replay.replay(recording, _parameters(parameters))
+    from bellows_ros.workflows import replay as workflow
+
+    return workflow.replay(recording, _parameters(parameters))
 
 
-def observe(recording: File, parameters: Parameters, topic: str) -> 'workflows.replay.Replay':
+def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
     """
     Replay a recording, with another prediction that measured poses of the package correct.
 
@@ -565,9 +587,11 @@ def observe(recording: File, parameters: Parameters, topic: str) -> 'workflows.r
     'both'
 
     """
+    from bellows_ros.workflows import replay as workflow
+
     if not topic:
         raise BellowsError('topic is empty. Name the one with measured poses of the package.')
-    return workflows.replay.replay(recording, _parameters(parameters), observe=topic)
+    return workflow.replay(recording, _parameters(parameters), observe=topic)
 
 
 def _parameters(

@@ -10,8 +10,8 @@ from bellows_ros.report import column, display_unit, formatted, listed, many, pr
 from bellows_ros.workflows.identification import Identification, save
 from bellows_ros.workflows.identify import identify
 
-from . import options, Output
-from .console import Console
+from . import options
+from .console import Console, Output
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import ReleaseResult

@@ -19,8 +19,8 @@ import tomllib
 from types import FrameType
 from typing import Any, NoReturn
 
-import bellows_ros
 from bellows_ros.core import configure_process
+from bellows_ros.version import __version__
 
 from ..errors import BellowsError, install, NotSetError, short
 
@@ -94,7 +94,7 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
         print(help_text(name), end='')
         return 0
     if '--version' in before_ros:
-        print(f'{name} {bellows_ros.__version__}')
+        print(f'{name} {__version__}')
         return 0
     try:
         if before_ros:

@@ -6,7 +6,6 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros import workflows
 from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.identification import causes
 from bellows_ros.core.model import cup_package
@@ -166,7 +165,9 @@ def prepare_streams(
         if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
             raise UnexplainedError(causes.finding_sentence(
                 finding, {'package.mass': payload.mass, 'package.inertia': inertia}))
-        return workflows.registration.registered(tool, package, twist, settings, values)
+        from bellows_ros.workflows.registration import registered
+
+        return registered(tool, package, twist, settings, values)
     moved = frames.in_tool_world(
         package, frames.pose_of(world), tool.frame_id) if world else package
     return prepare(tool, moved, settings, twist)

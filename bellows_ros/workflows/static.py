@@ -5,7 +5,6 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros import __version__
 from bellows_ros.core.identification import statics
 from bellows_ros.core.model.cup_package import Cup, cup_of
 from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
@@ -13,6 +12,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import File, parameter_files, results, Values
+from bellows_ros.version import __version__
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
 import numpy as np

@@ -5,7 +5,6 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros import workflows
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import grip, simulation
@@ -362,7 +361,9 @@ def identify_release(settings: Values, progress: Progress = no_progress) -> Rele
         them.
 
     """
-    values = workflows.identify.resolved(settings)
+    from bellows_ros.workflows.identify import resolved
+
+    values = resolved(settings)
     names = tuple(os.fspath(bag) for bag in values['bags'])
     drops, used, left_out = list[release_fit.Drop](), list[str](), list[str]()
     for number, (bag, parameters) in enumerate(zip(names, values_of_each(values), strict=True)):
