@@ -9,8 +9,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import grip, simulation
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters import checks, table
-from bellows_ros.core.planning.plan_prediction import flip_sentence, PEAK_MOMENT_BENDING
+from bellows_ros.core.planning.plan_prediction import flip_sentence
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit

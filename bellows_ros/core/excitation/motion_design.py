@@ -34,6 +34,7 @@ from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.model.validity_range import TYPICAL_BENDING
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.limits import largest_rates, read_rates
@@ -50,8 +51,8 @@ import scipy  # whose parts are loaded as they are used
 CHECK_RATE, JOINT_RATE = 1000.0, 250.0
 """Rates (Hz) at which limits are checked, and at which joint positions are computed for that."""
 
-BENDING, TORSION, MAX_FREQUENCY = math.radians(20.0), math.radians(30.0), 12.0
-"""Defaults for real cups (rad; beyond 45 degrees the model's moment falls) and real arms (Hz)."""
+TORSION, MAX_FREQUENCY = math.radians(30.0), 12.0
+"""Defaults for real cups (rad), beside their bending, and real arms (Hz)."""
 
 REST, RAMP = 2.0, 1.0
 """Durations (s): the initial rest, and each ramp of the amplitude."""
@@ -241,7 +242,7 @@ def limits_from(
             'not above 0. Move the start or widen the box.')
     limits = ArmLimits(
         start, lower, upper, turn, read_rates(settings),
-        settings.number('bending', BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
+        settings.number('bending', TYPICAL_BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('torsion', TORSION, 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('safety_factor', safety, minimum=0.0),
         settings.number('highest_frequency', MAX_FREQUENCY, 'Hz', above=0.0, maximum=50.0),

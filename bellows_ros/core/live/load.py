@@ -17,9 +17,6 @@ from bellows_ros.core.parameters.checks import ESTIMATE, gravity_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-FLAT_MOMENT_BENDING = 0.6
-"""Bending (rad) beyond which the restoring moment of the model hardly grows (3.17)."""
-
 ALL = -1
 """Stands for the cup, or for all cups of a gripper together."""
 

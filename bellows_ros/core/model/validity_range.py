@@ -1,5 +1,5 @@
 """
-Validity range of a fit: ranges of deflection, rates, frequencies and mass.
+Validity range of a fit: ranges of deflection, rates, frequencies and mass; that of the law.
 
 A model that was fitted to small bending has not been tried at large bending, and so on: outside
 of the envelope a prediction is an extrapolation.
@@ -8,6 +8,7 @@ of the envelope a prediction is an extrapolation.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Context, ROUND_CEILING, ROUND_FLOOR
+import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
@@ -21,6 +22,12 @@ DIRECTIONS = (
     'displacement in x', 'displacement in y', 'displacement in z',
     'bending about x', 'bending about y', 'torsion')
 """Names of the coordinates of the lip in the tool: shift (m) and rotation vector (rad)."""
+
+TYPICAL_BENDING, FLAT_MOMENT_BENDING, PEAK_MOMENT_BENDING = math.radians(20.0), 0.6, math.pi / 4.0
+"""Bending (rad) of real cups; where the moment of (3.17) hardly grows; where it is largest."""
+
+OVERTURN_ANGLE = 1.5
+"""Rotation (rad) beyond which a package that swings is not followed: no cup goes so far."""
 
 MIN_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
 MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
