@@ -255,7 +255,8 @@ class Observer:
         """Process a measured pose; return why it is refused, or ''."""
         stamp_ns, verdict = measurement.stamp_ns, ''
         newest_ns = self._track.newest_ns if self._estimates else 0
-        others = self._pending if stamp_ns > newest_ns else self._measurements
+        is_ahead = stamp_ns > newest_ns
+        others = self._pending if is_ahead else self._measurements
         at = bisect_left(others, (stamp_ns,))
         if not self._estimates:
             verdict = 'not_held'
@@ -271,7 +272,7 @@ class Observer:
         others.insert(at, measurement)
         if stamp_ns > self._last_ns[-1]:
             self._last_ns.append(stamp_ns)
-        if others is self._measurements:
+        if not is_ahead:
             self._delay_ns = max(newest_ns - stamp_ns, self._delay_ns // 2)
             self._reprocess(at)
         return ''
