@@ -1,6 +1,5 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
-from collections import Counter
 from collections.abc import Callable, Iterable
 from threading import Timer
 import time
@@ -306,9 +305,7 @@ class Diagnostics:
             self._due.clear()
             return [health.prediction_status(
                 'prediction', state, 'none', 'none', np.empty(0), {}, {}, 'unknown', True, False)]
-        live = pipeline.live
-        now = Counter({**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
-        new, pipeline.reported = now - pipeline.reported, now
+        live, new = pipeline.live, pipeline.new_counts()
         restarts = {reason: new[reason] for reason in live.restarts}
         above = pipeline.is_above
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}

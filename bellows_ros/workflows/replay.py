@@ -612,7 +612,7 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
 
     It is on the topic that the node listens to, of vacuum.signal, in whichever namespace.
     """
-    vacuum, readings = Vacuum(values), list[tuple[int, bool, int]]()
+    vacuum, readings = Vacuum(), list[tuple[int, bool, int]]()
     if (signal := values['vacuum.signal']) == 'none':
         return []
     kind, name = {'bool': (messages.BOOL, 'vacuum/held'),
@@ -626,7 +626,7 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
             continue
         message = bags.decoded(data, kind)
         stamp = message.header.stamp
-        states = vacuum.update(message.fluid_pressure, message.header.frame_id)
+        states = vacuum.update(values, message.fluid_pressure, message.header.frame_id)
         readings += [] if isinstance(states, str) else [
             (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, *state) for state in states]
     if not readings:

@@ -178,6 +178,10 @@ class LivePredictor:
 
     # ---------------------------------------------------------------- control
 
+    def configure(self, coast_limit_ns: int, flight: Flight) -> None:
+        """Set how long pauses are bridged, and what follows the package after the valve."""
+        self.coast_limit_ns, self.flight = coast_limit_ns, flight
+
     def set_model(self, cup: Cup, package: Package) -> None:
         """Continue with another cup or package; pose and motion stay as they are."""
         self.package.set_model(cup, package)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -88,6 +88,8 @@ class Observer:
     ----------
     values : mapping
         Parameters by name: measured.*, payload.*, package.*_std, cup.*_std, tool_noise.*.
+    alarms : sequence of Alarm
+        Those of an observer before.
 
     Attributes
     ----------
@@ -98,7 +100,7 @@ class Observer:
 
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Mapping[str, Any], alarms: Sequence[Alarm] = ()) -> None:
         """Start without a package."""
         self.sensor = PoseSensor(values)
         self._values = values
@@ -111,7 +113,7 @@ class Observer:
         self._delay_ns = 0  # of the newest measurement, when it came
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # when, if it holds, and its period
-        self.alarms: list[Alarm] = []
+        self.alarms = list(alarms)
         self._of_vacuum: list[Alarm] = []
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
@@ -216,7 +218,7 @@ class Observer:
             stamp_ns, start, end, correction.max_step, correction.reach)
         assert prediction is not None
         self.body = prediction[0]
-        track.count, track.newest_ns = track.count + 1, stamp_ns
+        track.advance(stamp_ns)
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
             self._measurements.append(self._pending.pop(0))
