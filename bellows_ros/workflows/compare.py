@@ -1,19 +1,16 @@
-"""Compare two result files, the recordings of one fit, or structures of K and P."""
+"""Whether two result files, or the recordings of one fit, are of the same cup."""
 
 from collections.abc import Callable, Mapping, Sequence
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification import comparison, structure_selection
+from bellows_ros.core.identification import comparison
 from bellows_ros.core.identification.reduction import AnyRecording
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import cup_package
-from bellows_ros.core.model.structure import given_structure, structure_named
+from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.recording.recording import Recording
-from bellows_ros.files import File, results, Values
-from bellows_ros.workflows.verdict import FitVerdict, verdict_of
+from bellows_ros.files import File, results
 import numpy as np
 
 NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
@@ -134,19 +131,3 @@ def consistency(
     names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
              for part in parts]
     return comparison.same_cup([*map(fit_alone, parts, names)], names)
-
-
-def selection(
-    recordings: Sequence[Recording], values: Values, verdict: FitVerdict | None = None
-) -> structure_selection.StructureSelection:
-    """Compare the structures, with a verdict where none fits; that of the fit where given."""
-    compared = structure_selection.select_structure(
-        [samples_of(recording) for recording in recordings], values['cup.length'],
-        [recording.noise for recording in recordings],
-        given_structure({**values, 'fit.structure': 'layout'})
-        if cup_package.is_gripper(values) else None)
-    if verdict and values['fit.structure'] == compared.advised:
-        return compared.judged(verdict.diagnosis, ())
-    advised = verdict_of(None, recordings, values['cup.length'],
-                         {**values, 'fit.structure': compared.advised})
-    return compared.judged(advised.diagnosis, advised.cause) if advised else compared

@@ -27,7 +27,7 @@ from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult, with_spring
-from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
+from bellows_ros.workflows.verdict import MAX_TESTED, selection, verdict_of
 from bellows_ros.workflows.workers import on_cores, on_dask
 import numpy as np
 
@@ -293,8 +293,6 @@ def _identify(
         effective)
     selected = None
     if values['fit.compare_structures']:
-        from bellows_ros.workflows.compare import selection
-
         progress('comparing structures', FIT_ENDS)
         selected = selection(recordings, effective, verdict)
     identified = identification.Identification(

@@ -9,10 +9,10 @@ from bellows_ros.core.identification.reduction import reduced
 from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.files import results, Values
-from bellows_ros.workflows.compare import selection
 from bellows_ros.workflows.identification import excitation_json, selection_json
 from bellows_ros.workflows.identify import FIT_ENDS, read_all, resolved
 from bellows_ros.workflows.recordings import no_progress, Progress
+from bellows_ros.workflows.verdict import selection
 import numpy as np
 
 

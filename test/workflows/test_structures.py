@@ -1,7 +1,7 @@
 """What recordings can tell, and the structures compared, from bags on disk."""
 
-from bellows_ros.workflows.compare import selection
 from bellows_ros.workflows.structures import structures
+from bellows_ros.workflows.verdict import selection
 import pytest
 
 from ..core.identification.laboratory import FAULTS, Laboratory, parameters
