@@ -6,10 +6,10 @@ The names in `__all__` are the library, which is loaded when one of them is aske
 
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros.version import __version__  # noqa: F401
+
 if TYPE_CHECKING:
     from bellows_ros.library import *  # noqa: F403
-
-    __version__: str
 
 __all__ = [  # noqa: F405
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
@@ -20,11 +20,7 @@ __all__ = [  # noqa: F405
 
 
 def __getattr__(name: str) -> Any:
-    """Load the library, or the version that is installed, when it is asked for."""
-    if name == '__version__':
-        from importlib.metadata import version
-
-        return version(__name__)
+    """Load the library when it is asked for."""
     if name not in __all__:
         raise AttributeError(f"module 'bellows_ros' has no attribute '{name}'")
     from bellows_ros import library

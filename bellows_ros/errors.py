@@ -1,6 +1,7 @@
 """Errors with a message for the user, and what to install where an optional package is missing."""
 
 import importlib.util
+from typing import Any
 
 
 class BellowsError(Exception):
@@ -23,6 +24,10 @@ class BellowsError(Exception):
 
 class UnstableError(BellowsError):
     """The package does not stay on its cup: it has no rest, or a prediction is not finite."""
+
+
+class NotSetError(BellowsError):
+    """A parameter without a default is not given."""
 
 
 class NoTopicError(BellowsError):
@@ -67,6 +72,14 @@ def require_pictures() -> None:
     """Raise BellowsError where matplotlib is missing: before long work, not after it."""
     if importlib.util.find_spec('matplotlib') is None:
         raise BellowsError(f'matplotlib is not installed, but pictures need it: {install("plot")}')
+
+
+def require_types(**arguments: tuple[Any, ...]) -> None:
+    """Raise BellowsError for arguments, each a value and the types it may have, of another."""
+    for name, (value, *types) in arguments.items():
+        if not isinstance(value, tuple(types)):
+            expected = ' or '.join(each.__name__ for each in types)
+            raise BellowsError(f'{name} must be of type {expected}, got {short(value)}.')
 
 
 def short(value: object, max_length: int = 80) -> str:

@@ -8,9 +8,8 @@ its function is called.
 from collections.abc import Mapping, Sequence
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-from bellows_ros import workflows
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion, transform
 from bellows_ros.core.live import LivePredictor, Prediction
@@ -20,12 +19,21 @@ from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import File
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.safe_yaml import load
+import bellows_ros.plots  # noqa: F401 (results draw themselves)
 import numpy as np
 from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.excite import DesignedMotion
+    from bellows_ros.workflows.identification import Identification
+    from bellows_ros.workflows.plan import MotionSource, PlanReport
+    from bellows_ros.workflows.replay import Replay
+    from bellows_ros.workflows.steer import SteerReport
+    from bellows_ros.workflows.toss import TossResult
 
 __all__ = [
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
@@ -125,6 +133,7 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
     0.046
 
     """
+    require_types(cup=(cup, Cup), package=(package, Package, type(None)))
     values: dict[str, object] = {
         'cup.stiffness': cup.stiffness.ravel().tolist(),
         'cup.damping': cup.damping.ravel().tolist(),
@@ -142,7 +151,7 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
 def identify(
     recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File, package: Package,
     cup_length: float, settings: Mapping[str, object] | None = None
-) -> 'workflows.identification.Identification':
+) -> 'Identification':
     """
     Identify a cup's K and P from recordings, or from poses in arrays, as `bellows identify`.
 
@@ -182,6 +191,7 @@ def identify(
     ((), True)
 
     """
+    require_types(recordings=(recordings, str, os.PathLike, Sequence), package=(package, Package))
     values: dict[str, object] = {**(settings or {}), **{
         name: value for name, value in parameters_of(Cup.thesis(), package).items()
         if name.startswith('package.')}, 'cup.length': cup_length}
@@ -201,7 +211,9 @@ def identify(
             for good in [each.select(each.valid)]}
     if len(poses) == len(bags):
         values.setdefault('recording.package_frame', 'com')
-    return workflows.identify.identify({**values, 'bags': bags}, poses=poses)
+    from bellows_ros.workflows import identify as workflow
+
+    return workflow.identify({**values, 'bags': bags}, poses=poses)
 
 
 def simulate(
@@ -251,6 +263,7 @@ def simulate(
     (501, True)
 
     """
+    require_types(tool=(tool, Trajectory))
     resolve(parameters_of(cup, package))
     return simulation.simulate(cup, package, tool, gravity=gravity)
 
@@ -268,7 +281,7 @@ def static_equilibrium(
         What connects tool and package.
     package : Package
         What hangs on it.
-    T_world_tool : array_like (4, 4), optional
+    T_world_tool : array_like (4, 4) or RigidTransform, optional
         Pose of the tool tip E in the world, m; upright at the origin when left out.
     gravity : float or array_like (3,)
         Along -z of the world, or as a vector there, m/s^2.
@@ -295,20 +308,21 @@ def static_equilibrium(
 
     """
     resolve(parameters_of(cup, package))
-    T = np.eye(4) if T_world_tool is None else np.asarray(T_world_tool, dtype=np.float64)
-    R = T[:3, :3] if T.shape == (4, 4) else np.full((3, 3), np.nan)
-    if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or not np.all(np.isfinite(T)):
+    T = np.eye(4) if T_world_tool is None else cup_package.frozen_array(
+        getattr(T_world_tool, 'as_matrix', lambda: T_world_tool)(), (4, 4), 'T_world_tool')
+    R = T[:3, :3]
+    is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+    if not (is_rotation and np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0))):
         raise BellowsError(
-            f'T_world_tool must be a homogeneous matrix (4, 4) with a rotation in it, got shape '
-            f'{T.shape}.')
+            f'T_world_tool must have a rotation, a position and 0, 0, 0, 1, got {T.tolist()}.')
     tool = state_row(T[:3, 3], rotation_to_quaternion(R))
     body = equilibrium.static_equilibrium(cup_package.model_tuple(cup, package, gravity), tool)
     return transform(quaternion_to_rotation(np.array(body[1])), np.array(body[0]))
 
 
 def plan(
-    motion: 'workflows.plan.MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
-) -> 'workflows.plan.PlanReport':
+    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
+) -> 'PlanReport':
     """
     Predict what a planned motion of the tool does to the package, as `bellows plan`.
 
@@ -340,12 +354,14 @@ def plan(
     True
 
     """
-    return workflows.plan.plan(motion, _parameters(parameters), urdf, topic)
+    from bellows_ros.workflows import plan as workflow
+
+    return workflow.plan(motion, _parameters(parameters), urdf, topic)
 
 
 def fastest(
-    motion: 'workflows.plan.MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
-) -> 'workflows.plan.PlanReport':
+    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
+) -> 'PlanReport':
     """
     Predict a motion as `plan`, and find the shortest time in which the grip surely holds.
 
@@ -367,14 +383,16 @@ def fastest(
     True
 
     """
-    return workflows.plan.plan(
+    from bellows_ros.workflows import plan as workflow
+
+    return workflow.plan(
         motion, _parameters(parameters), urdf, topic, seek_fastest=True)
 
 
 def steer(
-    motion: 'workflows.plan.MotionSource', parameters: Parameters, method: str = 'inverse',
+    motion: 'MotionSource', parameters: Parameters, method: str = 'inverse',
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
-) -> 'workflows.steer.SteerReport':
+) -> 'SteerReport':
     """
     Change a motion so that the package does not swing, as `bellows steer`.
 
@@ -404,14 +422,16 @@ def steer(
     True
 
     """
-    return workflows.steer.steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
+    from bellows_ros.workflows import steer as workflow
+
+    return workflow.steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
 
 
 def toss(
-    motion: 'workflows.plan.MotionSource', parameters: Parameters, release: float | None = None,
+    motion: 'MotionSource', parameters: Parameters, release: float | None = None,
     target: Sequence[float] | None = None, target_rotation: ArrayLike | None = None,
     monte_carlo: int = 0, urdf: str = '', topic: str = '',
-) -> 'workflows.toss.TossResult':
+) -> 'TossResult':
     """
     Predict where a toss lands and how surely, as `bellows toss`.
 
@@ -422,7 +442,8 @@ def toss(
     release : float, optional
         When the valve is switched, s since the first point of the motion.
     target : (x, y), optional
-        Where B should land, m; the time of the valve is then sought.
+        Where B should land, m; the time of the valve is then sought. With a `release` as well,
+        `distance_as_asked` is how far (m) from there that one lands.
     target_rotation : array_like (4,) or Rotation, optional
         Quaternion (x, y, z, w) wanted at the landing, or a SciPy rotation.
     monte_carlo : int
@@ -449,7 +470,9 @@ def toss(
         getattr(target_rotation, 'as_quat', lambda: target_rotation)(), (4,), 'target_rotation')
     x_y: Any = None if target is None else tuple(
         cup_package.frozen_array(target, (2,), 'target').tolist())
-    return workflows.toss.toss_plan(
+    from bellows_ros.workflows import toss as workflow
+
+    return workflow.toss_plan(
         motion, _parameters(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
         topic=topic)
 
@@ -457,7 +480,7 @@ def toss(
 def design_motion(
     parameters: Parameters, limits: Mapping[str, Any] | File, duration: float = 12.0,
     urdf: str = '', seed: int = 0, hold: float = 7.0,
-) -> 'workflows.excite.DesignedMotion':
+) -> 'DesignedMotion':
     """
     Design the motion that identifies a cup best, as `bellows excite`.
 
@@ -494,12 +517,14 @@ def design_motion(
     8.0
 
     """
-    return workflows.excite.excite(
+    from bellows_ros.workflows import excite as workflow
+
+    return workflow.excite(
         _parameters(parameters), limits if isinstance(limits, Mapping) else load(Path(limits)),
         duration, urdf, seed=seed, hold=hold)
 
 
-def replay(recording: File, parameters: Parameters) -> 'workflows.replay.Replay':
+def replay(recording: File, parameters: Parameters) -> 'Replay':
     """
     Predict a recording with a cup from start to end and compare, as `bellows replay`.
 
@@ -528,10 +553,12 @@ def replay(recording: File, parameters: Parameters) -> 'workflows.replay.Replay'
     True
 
     """
-    return workflows.replay.replay(recording, _parameters(parameters))
+    from bellows_ros.workflows import replay as workflow
+
+    return workflow.replay(recording, _parameters(parameters))
 
 
-def observe(recording: File, parameters: Parameters, topic: str) -> 'workflows.replay.Replay':
+def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
     """
     Replay a recording, with another prediction that measured poses of the package correct.
 
@@ -560,13 +587,18 @@ def observe(recording: File, parameters: Parameters, topic: str) -> 'workflows.r
     'both'
 
     """
-    return workflows.replay.replay(recording, _parameters(parameters), observe=topic)
+    from bellows_ros.workflows import replay as workflow
+
+    if not topic:
+        raise BellowsError('topic is empty. Name the one with measured poses of the package.')
+    return workflow.replay(recording, _parameters(parameters), observe=topic)
 
 
 def _parameters(
     source: Parameters, names: Sequence[str] = PACKAGE_PARAMETERS
 ) -> Mapping[str, object]:
     """Return parameters by name; refuse them if one of the names is missing."""
+    require_types(parameters=(source, Mapping, str, os.PathLike))
     values, what = (source, 'The mapping of parameters') if isinstance(source, Mapping) else (
         read_parameters(source), f"Parameter file '{source}'")
     if missing := [name for name in names if name not in values]:

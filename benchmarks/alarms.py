@@ -200,7 +200,7 @@ def main() -> None:
             **EXACT if name == 'white' else {})
         before = np.sqrt(np.mean(np.square(errors[4:8]), axis=0))
         print(f'| {name} | slip in {lasts} s | {right} of {arguments.slips} right | before: '
-              f'{1e3 * before[0]:.2f} mm, {1e3 * before[1]:.1f} mrad | times of that: '
+              f'{1e3 * before[0]:.2f} mm, {np.degrees(before[1]):.2f} deg | times of that: '
               + ', '.join(f'{a:.2f} and {b:.2f}' for a, b in errors[8:] / before), flush=True)
 
 

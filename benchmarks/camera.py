@@ -98,7 +98,7 @@ def _follow(
 ) -> tuple[list[float], list[float]]:
     """Return how long each pose, and each measured pose, takes; what is seen is as predicted."""
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
-    live.pairing.expect = True
+    live.expect_twists(True)
     if observer is not None:
         live.package.observe(observer)
     poses, measured_times = [], []

@@ -7,8 +7,8 @@ Every recording is of another motion, simulated; the search starts from K and P 
 Of every cell the table says by how much the parameters are off on average (bias) and how they
 spread, over the Cramer-Rao bound (the information along the true motion, whatever the path of the
 tool), which part of the 95 % intervals holds the truth, the mean Mahalanobis distance of all
-parameters over their number, by how many standard errors K is off at most, which part of the
-numbers was told, and how many fits converged. Only numbers whose bound is below 20 % are judged.
+parameters over their number, the largest error of K in standard errors, which part of the numbers
+was identifiable, and how many fits converged. Only numbers whose bound is below 20 % are judged.
 """
 
 import argparse
@@ -206,8 +206,8 @@ def main() -> None:
     parser.add_argument('--cells', nargs='+', choices=CELLS, default=list(CELLS))
     arguments = parser.parse_args()
     print('| sensors | rms / bound (worst) | bias / bound (worst) | covered % | Mahalanobis | '
-          'K off by at most | judged, told | converged | CPU s |\n'
-          '|---|---|---|---|---|---|---|---|---|')
+          'largest error of K (std. errors) | with a bound below 20 %, identifiable | '
+          'converged | CPU s |\n|---|---|---|---|---|---|---|---|---|')
     for name in arguments.cells:
         print(line(f'{name}, {arguments.structure}', [
             trial(CELLS[name], seed, arguments.duration, arguments.structure)

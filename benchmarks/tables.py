@@ -1,6 +1,7 @@
 """Measurements as tables in Markdown."""
 
 from collections.abc import Callable, Mapping
+import math
 from typing import Any
 
 from .live import BARE
@@ -71,11 +72,10 @@ def _offline(section: Mapping[str, Any]) -> Table:
 def _camera(section: Mapping[str, Any]) -> Table:
     """Return the errors of all ways to know where the package is, and below the camera's noise."""
     noise = section['noise']
-    rows: Table = [('', 'position', 'rotation', 'below the noise')]
-    return rows + [
-        (name, f'{1e3 * row["position"]:.3g} mm', f'{1e3 * row["rotation"]:.3g} mrad',
+    return [('', 'position', 'rotation', 'below the noise'), *(
+        (name, f'{1e3 * row["position"]:.3g} mm', f'{math.degrees(row["rotation"]):.3g} deg',
          ', '.join(f'{noise[what] / row[what]:.2g} times' for what in noise))
-        for name, row in section['errors'].items()]
+        for name, row in section['errors'].items())]
 
 
 _TABLES: Mapping[str, Make] = {

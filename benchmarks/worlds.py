@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument('--first', type=int, default=0, help='seed of the first')
     arguments = parser.parse_args()
     print('| recording | tilts | noise over | K x, z, rx, rz off by (standard errors) | over the '
-          'bound | standard errors % | with what was given % | verdict | CPU s |\n'
+          'bound | standard errors % | incl. given quantities % | verdict | CPU s |\n'
           '|---|---|---|---|---|---|---|---|---|')
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.runs):

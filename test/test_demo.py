@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = pytest.mark.xdist_group('demo')  # it is run once
 
-LARGEST_ERROR_MM, LARGEST_ERROR_MRAD = 0.12, 0.6
+LARGEST_ERROR = {'mm': 0.12, 'deg': 0.034}
 LONGEST = 90  # s, as promised to users
 
 
@@ -41,7 +41,7 @@ def test_it_prints_only_the_summary(outcome):
 
 
 def test_every_message_is_answered_within_the_noise(outcome):
-    """Lose no pose at recorded speed; predict to little more than 0.1 mm and 0.5 mrad."""
+    """Lose no pose at recorded speed; predict to little more than 0.1 mm and 0.03 degrees."""
     text = outcome[0].stdout
     counts = re.search(
         r'(\d+) poses and (\d+) twists to the node, (\d+) predictions back, none lost', text)
@@ -50,10 +50,10 @@ def test_every_message_is_answered_within_the_noise(outcome):
     poses, twists, answers = map(int, counts.groups())
     assert poses == twists == answers > 5000
     assert 0 < int(latency[1]) <= int(latency[2])
-    errors = re.findall(r'([\d.]+) (mm|mrad) +[\d.]+ %', text)
-    assert [unit for _, unit in errors] == ['mm'] * 3 + ['mrad'] * 3
+    errors = re.findall(r'([\d.]+) (mm|deg) +[\d.]+ %', text)
+    assert [unit for _, unit in errors] == ['mm'] * 3 + ['deg'] * 3
     for value, unit in errors:
-        assert float(value) < (LARGEST_ERROR_MM if unit == 'mm' else LARGEST_ERROR_MRAD)
+        assert float(value) < LARGEST_ERROR[unit]
 
 
 def test_it_writes_the_pictures(outcome):

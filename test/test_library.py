@@ -85,11 +85,13 @@ def test_equilibrium_moves_with_the_tool():
     assert_allclose(bellows_ros.static_equilibrium(cup, package, T), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize('T', [np.eye(3), 2.0 * np.eye(4), np.full((4, 4), np.nan)])
+@pytest.mark.parametrize('T', [
+    np.eye(3), 2.0 * np.eye(4), np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0]),
+    np.vstack([np.eye(4)[:3], [5.0] * 4]), 'abc', Rotation.identity()])
 def test_what_is_no_pose_is_refused(T):
     """Refuse other shapes, and what is no rotation."""
     package = bellows_ros.Package(1.2, np.diag([0.01, 0.02, 0.02]), (0.0, 0.0, -0.05))
-    with pytest.raises(BellowsError, match=r'\b4\b.*\b4\b'):
+    with pytest.raises(BellowsError, match='T_world_tool'):
         bellows_ros.static_equilibrium(bellows_ros.Cup.thesis(), package, T)
 
 
@@ -186,10 +188,33 @@ def test_what_files_refuse_is_refused(com, soft, name):
     inertia = bellows_ros.box_inertia(1.8, 0.2, 0.16, 0.06)
     cup = bellows_ros.Cup.thesis()
     cup = bellows_ros.Cup(soft * cup.stiffness, cup.damping, cup.length)
-    package = bellows_ros.Package(1.8, inertia, com)
     tool = bellows_ros.Trajectory(
         [0, 1_000_000], np.zeros((2, 3)), Rotation.identity(2), np.zeros((2, 6)))
     with pytest.raises(BellowsError, match=name):
-        bellows_ros.simulate(cup, package, tool)
+        bellows_ros.simulate(cup, bellows_ros.Package(1.8, inertia, com), tool)
     with pytest.raises(BellowsError, match=name):
-        bellows_ros.static_equilibrium(cup, package)
+        bellows_ros.static_equilibrium(cup, bellows_ros.Package(1.8, inertia, com))
+
+
+CUP, PACKAGE = bellows_ros.Cup.thesis(), bellows_ros.Package(1.0, 0.01 * np.eye(3), (0, 0, -0.03))
+
+
+@pytest.mark.parametrize(('call', 'named'), [
+    (lambda: bellows_ros.identify('bags/identification', PACKAGE, 0.046), 'frame. Set it, or'),
+    (lambda: bellows_ros.identify(1, PACKAGE, 0.046), 'recordings .* PathLike'),
+    (lambda: bellows_ros.observe('bags/validation', TOSSING, 'x'), 'the topic .* /package/pose'),
+    (lambda: bellows_ros.observe('bags/validation', TOSSING, ''), 'topic'),
+    (lambda: bellows_ros.replay([1], TOSSING), 'recording'),
+    (lambda: bellows_ros.plan(1, TOSSING), 'motion .* Trajectory'),
+    (lambda: bellows_ros.toss('bags/throw.yaml', TOSSING, 1.0, monte_carlo=2.5), 'monte_carlo'),
+    (lambda: bellows_ros.box_inertia(1.0, 0.1, 0.1, np.nan), 'box'),
+    (lambda: bellows_ros.savgol(1, 8, 4), 'trajectory'),
+    (lambda: bellows_ros.simulate(CUP, PACKAGE, None), 'tool'),
+    (lambda: bellows_ros.LivePredictor(CUP, PACKAGE, 9.81).on_pose(
+        1, 'world', (0.0, 0.0, 0.0), Rotation.identity()), 'quaternion'),
+])
+def test_arguments_that_are_wrong_are_named(root, monkeypatch, call, named):
+    """Name them as they are called here, not as options of the command line."""
+    monkeypatch.chdir(root)
+    with pytest.raises(BellowsError, match=named):
+        call()

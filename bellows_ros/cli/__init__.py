@@ -29,26 +29,10 @@ import tomllib
 from types import MappingProxyType
 from typing import Any, NoReturn
 
-from bellows_ros import __version__
 from bellows_ros.core import configure_process
+from bellows_ros.version import __version__
 
-from .console import Console, run_guarded, USER_ERROR, WIDTH
-
-STDOUT = '-'
-"""As of `files.atomic`."""
-
-
-class Output(str):
-    """The name of a text file to write, '-' for stdout; inputs are a Path."""
-
-
-class Binary(Output):
-    """The name of a file to write that is no text."""
-
-
-class Folder(Binary):
-    """The name of a folder to write."""
-
+from .console import Binary, Console, Folder, Output, run_guarded, USER_ERROR, WIDTH
 
 TYPES = {
     'path': Path, 'int': int, 'float': float, 'output': Output, 'binary': Binary,

@@ -6,7 +6,7 @@ import math
 
 from bellows_ros.core.identification.comparison import Change
 from bellows_ros.errors import short
-from bellows_ros.report import formatted, in_milli, listed, with_error
+from bellows_ros.report import display_unit, formatted, listed, with_error
 from bellows_ros.workflows.compare import compare_files, ResultComparison
 
 from .console import Console
@@ -41,7 +41,7 @@ def _change_rows(changes: tuple[Change, ...]) -> list[tuple[str, ...]]:
     """Return a row for each change: both values, the change, and it in standard errors."""
     rows: list[tuple[str, ...]] = [('', 'A', 'B', 'unit', 'change', 'std. errors')]
     for change in changes:
-        scale, unit = in_milli(change.unit)
+        scale, unit = display_unit(change.unit)
         rows.append((
             change.name,
             with_error(scale * change.before, scale * change.before_std),

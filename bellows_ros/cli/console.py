@@ -21,7 +21,7 @@ import time
 from types import FrameType
 from typing import Any, TextIO
 
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, NotSetError
 
 # Exit codes.
 OK = 0
@@ -29,12 +29,27 @@ NOT_USABLE = 1
 USER_ERROR = 2
 PIPE_CLOSED = 141
 
+STDOUT = '-'
+"""As of `files.atomic`."""
+
 WIDTH, MIN_WIDTH = 79, 40
 GUTTER, INDENTED = 2, 2  # of tables, characters
 BAR = 24  # characters
 REDRAW_INTERVAL = 0.1  # s, between two drawings of the progress
 CLEAR_LINE = '\r\x1b[2K'
 STYLES: Mapping[str, str] = {'bold': '1', 'dim': '2', 'red': '31', 'yellow': '33', 'green': '32'}
+
+
+class Output(str):
+    """The name of a text file to write, '-' for stdout; inputs are a Path."""
+
+
+class Binary(Output):
+    """The name of a file to write that is no text."""
+
+
+class Folder(Binary):
+    """The name of a folder to write."""
 
 
 class Console:
@@ -294,6 +309,8 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
         return code
     except BellowsError as error:
         console.error(str(error))
+        if isinstance(error, NotSetError):
+            console.note('Give the file with --params FILE, or a value with --set NAME=VALUE.')
         return error.exit_code
     except KeyboardInterrupt:
         for each in STOP_SIGNALS if ended else ():  # only the message is left

@@ -6,12 +6,12 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import Values
-from bellows_ros.report import column, formatted, in_milli, listed, many, print_identification
+from bellows_ros.report import column, display_unit, formatted, listed, many, print_identification
 from bellows_ros.workflows.identification import Identification, save
 from bellows_ros.workflows.identify import identify
 
-from . import options, Output
-from .console import Console
+from . import options
+from .console import Console, Output
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import ReleaseResult
@@ -90,7 +90,7 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
         f'Release identified from {many(len(fit.drops), "drop")} in {listed(result.bags)}', 'bold')
     rows: list[tuple[str, ...]] = [('', '', 'standard error', 'scatter')]
     for k in fit.free:
-        factor, unit = in_milli(RELEASE_UNITS[names[k]])
+        factor, unit = display_unit(RELEASE_UNITS[names[k]])
         numbers = (fit.law[k], fit.std[k], fit.scatter[k])
         law, *errors = column([factor * x for x in numbers], factor * fit.std[k])
         rows.append((names[k], f'{law} {unit}', *(

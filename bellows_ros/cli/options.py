@@ -10,13 +10,12 @@ from pathlib import Path
 import re
 from typing import Any, NamedTuple
 
-from bellows_ros import __version__
 from bellows_ros.core.parameters import checks, table
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import atomic, bag_folder, File, parameter_files, results, Values
+from bellows_ros.version import __version__
 
-from . import Binary, Folder, Output, STDOUT
-from .console import Console, NOT_USABLE, OK
+from .console import Binary, Console, Folder, NOT_USABLE, OK, Output, STDOUT
 
 INTERVAL = {'from': 'recording.start', 'to': 'recording.end'}
 """The parameters that options for a part of a recording set."""

@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from bellows_ros.report import with_error
+from bellows_ros.report import display_unit, with_error
 from bellows_ros.workflows.plan import plan, PlanReport, write_prediction
 
 from .console import Console
@@ -41,7 +41,7 @@ def print_result(report: PlanReport, console: Console) -> None:
 
 def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
     """Return rows to print: name, value with its standard deviation, and a remark."""
-    prediction, degrees = report.prediction, (math.degrees(1.0), 'degrees')
+    prediction, degrees = report.prediction, display_unit('rad')
     figures = prediction.summary()
 
     def value(name: str, factor: float, unit: str) -> str:
@@ -60,7 +60,7 @@ def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
     if prediction.ends_at_rest:
         after = figures['settled_after']
         still = 'below 0.5 degrees' + (f' after {after:.2f} s' if after > 0.0 else '')
-        rows.append(('swing left at the end', value('swing_left', *degrees), still if
+        rows.append(('residual swing', value('swing_left', *degrees), still if
                      math.isfinite(after) else 'not below 0.5 degrees within 30 s'))
     if fastest := report.fastest:
         duration = report.source.duration

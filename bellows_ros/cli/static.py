@@ -5,19 +5,19 @@ from collections.abc import Iterable, Sequence
 import math
 from pathlib import Path
 
-from bellows_ros import __version__
 from bellows_ros.core.identification.statics import SpringCheck
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError
-from bellows_ros.report import column
+from bellows_ros.report import column, display_unit
+from bellows_ros.version import __version__
 from bellows_ros.workflows import static
 from bellows_ros.workflows.static import StaticBag, StaticResult
 
 from . import options
 from .console import Console
 
-MILLIMETRES, DEGREES = (1e3, 'mm', 'position'), (math.degrees(1.0), 'deg', 'rotation')
+MILLIMETRES, DEGREES = (*display_unit('m'), 'position'), (*display_unit('rad'), 'rotation')
 """Factor from SI and name of a unit, and the standard error of a standstill in it."""
 
 

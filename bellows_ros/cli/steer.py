@@ -36,7 +36,7 @@ def print_result(report: steer.SteerReport, console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows: list[tuple[str, ...]] = [
-        ('motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled', 'safety')]
+        ('motion', 'takes', 'later by', 'tilt', 'residual', 'expected', 'settled', 'safety')]
     for name, motion in report.motions.items():
         figures = motion.summary()
         expected = figures['expected_swing'] if report.uncertain else math.nan
@@ -50,6 +50,7 @@ def print_result(report: steer.SteerReport, console: Console) -> None:
     figures = report.motions[report.method].summary()
     console.paragraph(
         f'The tool moves at up to {figures["speed"]:.3g} m/s, {figures["acceleration"]:.3g} '
-        f'm/s^2, {figures["angular_speed"]:.3g} rad/s and {figures["angular_acceleration"]:.3g} '
-        f'rad/s^2; the package is at most {1e3 * figures["path_error"]:.2g} mm from its desired '
-        'path.', *report.notes, *filter(None, [report.advice]))
+        f'm/s^2, {DEGREES * figures["angular_speed"]:.3g} deg/s and '
+        f'{DEGREES * figures["angular_acceleration"]:.0f} deg/s^2; the package is at most '
+        f'{1e3 * figures["path_error"]:.2g} mm from its desired path.',
+        *report.notes, *filter(None, [report.advice]))

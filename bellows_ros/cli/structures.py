@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import math
 from typing import Any
 
-from bellows_ros.core.signals.residuals import MILLI_UNITS
+from bellows_ros.core.signals.residuals import DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.report import formatted, print_relaxation
 from bellows_ros.workflows.identification import excitation_json
 from bellows_ros.workflows.structures import StructureAdvice, structures
@@ -55,11 +55,11 @@ def _excitation_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table, with its head, of the motion of the lip in each axis of the tool."""
     rows: list[tuple[str, ...]] = [
         ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'main band')]
-    for (name, axis), noise in zip(excitation['axes'].items(), MILLI_UNITS, strict=True):
-        factor, unit = (1e3, noise) if noise == 'mm' else (math.degrees(1.0), 'deg')
+    for (name, axis), factor, unit in zip(
+            excitation['axes'].items(), DISPLAY_FACTORS, DISPLAY_UNITS, strict=True):
         low, high = axis['band_hz']
-        rows.append((name, *(formatted(axis[key], '.3g', of_key, scale) for key, of_key, scale in (
-            ('strain', unit, factor), ('motion', unit, factor), ('strain_noise', noise, 1e3),
-            ('twist', f'{unit}/s', factor), ('twist_noise', f'{noise}/s', 1e3))),
+        rows.append((name, *(formatted(axis[key], '.3g', of_key, factor) for key, of_key in (
+            ('strain', unit), ('motion', unit), ('strain_noise', unit),
+            ('twist', f'{unit}/s'), ('twist_noise', f'{unit}/s'))),
             f'{low:.1f}-{high:.1f} Hz' if math.isfinite(low) else '-'))
     return rows

@@ -5,7 +5,7 @@ import math
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.toss.landing import coverage
-from bellows_ros.report import column, formatted, in_milli, with_error
+from bellows_ros.report import column, display_unit, formatted, with_error
 from bellows_ros.workflows.toss import toss_plan, TossResult, write_toss
 import numpy as np
 
@@ -42,7 +42,7 @@ def print_result(result: TossResult, console: Console) -> None:
     console.line(f'  landing   {toss.landing_time:.4f} s at x {with_error(x, std[0], "m")}, '
                  f'y {with_error(y, std[1], "m")}')
     turned = f'turned ± {rotation_std:.2g} deg, ' if rotation_std else ''
-    console.line(f'            {turned}tumbling at {toss.tumbling:.2f} rad/s')
+    console.line(f'            {turned}tumbling at {math.degrees(toss.tumbling):.2g} deg/s')
     if aim := result.aim:
         asked = result.distance_as_asked
         gain = '' if asked is None else f', instead of {MILLI * asked:.1f} mm with --release'
@@ -70,13 +70,13 @@ def _print_budget(result: TossResult, console: Console) -> None:
         return
     shifts = [MILLI * group.metres for group in groups]
     angles = [math.degrees(group.radians) for group in groups]
-    rows = [('uncertain quantity', 'by', 'at landing', 'turned')]
+    rows = [('uncertain quantity', 'std. dev.', 'at landing', 'turned')]
     for group, shift, angle in zip(
             groups, *(column(sizes, 0.1 * max(sizes) or 1.0) for sizes in (shifts, angles)),
             strict=True):
         parameter = PARAMETERS.get(group.name)
-        factor, unit = in_milli(parameter.unit if parameter else '')
-        unknown = 'one fit' if group.name == 'release' else 'per entry'
+        factor, unit = display_unit(parameter.unit if parameter else '')
+        unknown = 'see release.*_std' if group.name == 'release' else f'see {group.name}_std'
         rows.append((group.name, formatted(group.std, '.3g', unit, factor, unknown),
                      f'{shift} mm', f'{angle} deg'))
     console.table(rows, right=True)

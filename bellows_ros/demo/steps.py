@@ -15,7 +15,7 @@ from bellows_ros.cli.console import Console, NOT_USABLE, OK, Progress, run_guard
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.signals.residuals import AXES, compare_recorded, MILLI_UNITS, Scores
+from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bags, parameter_files, Values
@@ -81,7 +81,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
     with console.progress as progress:
         exchange = _predict_live(bag, settings, [out / 'cup.yaml', bags / PACKAGE], out, progress)
     console.line('3. Compare its poses with the measured ones', 'bold')
-    comparison = compare_recorded(
+    comparison = residuals.compare_recorded(
         exchange.predicted, recorded.measured_tool, recorded.measured_package)
     seconds = recorded.since_start(comparison.stamps_ns)
     for theme, name in PICTURES.items():
@@ -115,17 +115,18 @@ def _predict_live(
 
 
 def _print_result(
-    fit: Fit, scores: Scores, exchange: 'Exchange', noise: Noise, console: Console
+    fit: Fit, scores: residuals.Scores, exchange: 'Exchange', noise: Noise, console: Console
 ) -> int:
     """Print the cup, the errors, the latency and the messages; return how many were lost."""
     print_cup(fit.exactly_given, console, 'The cup, with standard errors from the recording')
     console.table(
         [('axis', 'error', 'of the motion'), *(
-            (name, f'{MILLI * rms:.3f} {unit}', percent(part)) for name, unit, rms, part in zip(
-                AXES, MILLI_UNITS, scores.rms, scores.nrmse, strict=True))],
+            (name, f'{rms:.3f} {unit}', percent(part)) for name, unit, rms, part in zip(
+                residuals.AXES, residuals.DISPLAY_UNITS, residuals.DISPLAY_FACTORS * scores.rms,
+                scores.nrmse, strict=True))],
         right=True, title='The package relative to the tool, predicted live minus measured (RMS)')
     console.line(f'  (the measured poses themselves have noise: {MILLI * noise.position:.2g} mm, '
-                 f'{MILLI * noise.rotation:.2g} mrad)')
+                 f'{np.degrees(noise.rotation):.2g} deg)')
     console.line()
     median, high = np.percentile(exchange.latency, (50, 99)) * MICRO
     console.line(f'Latency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '

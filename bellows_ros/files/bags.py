@@ -373,9 +373,7 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
     if collectors:
         raise BellowsError(f'Topic {where} has no messages. Record while it is published.')
     types = accepted_types(role)
-    setting = f'topics.{role}'
-    given_by = setting if setting in PARAMETERS else (
-        '--observe' if role == 'measured' else '--topic')
+    given_by = f'topics.{role}' if f'topics.{role}' in PARAMETERS else 'the topic'
     fitting = sorted({t.name for t in bag.counts if t.type_name in types})
     others = sorted(f'{t.name} ({t.type_name})' for t in bag.counts)
     remedy = f'Set {given_by} to one of: {", ".join(fitting)}.' if fitting else (

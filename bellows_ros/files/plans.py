@@ -296,8 +296,7 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
     """
     if not tool_link:
         raise NoArmError(
-            'The input has joint positions, but the link of the tool tip is not given. Name it: '
-            '--tool-link LINK.')
+            'The input has joint positions, but not the link of the tool tip. Set tool_link.')
     if urdf:
         return read_arm(read_text(urdf, MAX_URDF_BYTES, 'URDF'), tool_link)
     if recording:
@@ -305,8 +304,7 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
             if topic.name.endswith('robot_description'):
                 return read_arm(decoded(data, DESCRIPTION).data, tool_link)
     raise NoArmError(
-        'Joints are given, and the arm is not: there is no /robot_description. Give its URDF: '
-        '--urdf FILE.')
+        'Joints are given, and the arm is not: there is no /robot_description. Give its urdf.')
 
 
 def read_yaml(path: File) -> Mapping[str, Any]:

@@ -18,11 +18,11 @@ import platform
 import tomllib
 from typing import Any
 
-from bellows_ros import __version__
 from bellows_ros.core.identification.result import POSE_UNITS, UNITS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, File, read_text
 from bellows_ros.files.bag_folder import digests
+from bellows_ros.version import __version__
 import numpy as np
 
 MAX_FILE_BYTES = 64 * 2**20

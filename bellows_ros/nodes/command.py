@@ -19,10 +19,10 @@ import tomllib
 from types import FrameType
 from typing import Any, NoReturn
 
-import bellows_ros
 from bellows_ros.core import configure_process
+from bellows_ros.version import __version__
 
-from ..errors import BellowsError, install, short
+from ..errors import BellowsError, install, NotSetError, short
 
 NO_ROS = (
     "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
@@ -94,7 +94,7 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
         print(help_text(name), end='')
         return 0
     if '--version' in before_ros:
-        print(f'{name} {bellows_ros.__version__}')
+        print(f'{name} {__version__}')
         return 0
     try:
         if before_ros:
@@ -108,6 +108,8 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
         causes = list(map(str, _file_errors(name, arguments)))
         if str(error) not in ' '.join(causes):
             causes.append(str(error))
+        if isinstance(error, NotSetError):
+            causes.append('Give the file with --ros-args --params-file FILE.')
         print(*(f'{name}: {cause}' for cause in causes), sep='\n', file=sys.stderr)
         return error.exit_code
     return 0

@@ -158,7 +158,7 @@ class TableNode(GuardedNode):
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]
             return _refused(_why_unknown(unknown[0], self.get_name()))
         except Exception as error:  # noqa: BLE001 (whatever it is, nothing is to change)
-            if self.values is not previous:
+            if self.values != previous:
                 self.values = previous
                 super().set_parameters_atomically([now[p.name] for p in changing])
                 self.on_values(list(ours))

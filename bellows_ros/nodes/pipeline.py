@@ -81,8 +81,6 @@ class Pipeline:
     pose_in, twist_in : SensorInput
     compute : deque
         Computing times of messages, s.
-    reported : Counter
-        Counts up to the last report of the diagnostics.
 
     """
 
@@ -90,8 +88,7 @@ class Pipeline:
         """Prepare the model, compile all it needs, and only then make the topics."""
         self.node, self.latest = node, None
         self.values: ParameterValues = with_chosen_cup(node.values)
-        self.compute, self.reported = health.window(), Counter[str]()
-        self._twists_exist = False
+        self.compute, self._reported = health.window(), Counter[str]()
         self._ticked_ns = 0
         self._was_late = self._is_compiling = False
         self._arrival_at_last_tick: int | None = None
@@ -138,10 +135,12 @@ class Pipeline:
         z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         return sum(map(mul, z_world, gravity)) > MIN_UPWARD_GRAVITY * math.hypot(*gravity)
 
-    def reset(self) -> None:
-        """Start from rest at the next tool pose."""
-        self.live.reset()
-        self.live.pairing.expect = self._twists_exist
+    def new_counts(self) -> Counter[str]:
+        """Return fresh starts by reason, poses, and those without a twist, since the last call."""
+        live, before = self.live, self._reported
+        self._reported = Counter(
+            {**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
+        return self._reported - before
 
     def stop(self) -> None:
         """Stop publishing, and drop plans and searches."""
@@ -210,7 +209,7 @@ class Pipeline:
 
     def _on_twist_publishers(self, count: int) -> None:
         """Let poses wait for their twists while twists have a publisher."""
-        self._twists_exist = self.live.pairing.expect = count > 0
+        self.live.expect_twists(count > 0)
         if self.node.is_active and not count:
             self.publish(self.live.flush)
 
@@ -313,15 +312,13 @@ class Pipeline:
     def _apply(self) -> None:
         """Let all parts use the values and the model, between two messages."""
         live, values = self.live, self.values
-        self.attachment.vacuum.values = values
         self.load = load.Load(values, self.load.pressure)
-        live.coast_limit_ns = round(values['coast.limit'] * NS_PER_S)
         self.observing.use_values()
         self.outputs.use_values()
         self.planning.use_values()
         if live.flight is None or not live.flight.state:
             self.tossing.use_values()
-            live.flight = self.tossing.flight
+        live.configure(round(values['coast.limit'] * NS_PER_S), self.tossing.flight)
 
 
 class SensorInput:
@@ -497,7 +494,7 @@ class Attachment:
     def __init__(self, pipeline: Any) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
         self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
-        self.vacuum = load.Vacuum(values)
+        self.vacuum = load.Vacuum()
         self._kind = values['vacuum.signal']
         self.held = values['package.attached'] and self._kind == 'none'
         for service, held, words in (
@@ -532,7 +529,8 @@ class Attachment:
         assert self.signal
         self.signal.note(stamp_to_ns(message.header.stamp))
         vacuum, opened = self.vacuum, self.vacuum.open_cups
-        readings = vacuum.update(message.fluid_pressure, message.header.frame_id)
+        readings = vacuum.update(
+            self._pipeline.values, message.fluid_pressure, message.header.frame_id)
         if isinstance(readings, str):
             self._refused[readings] += 1
             return
@@ -598,8 +596,7 @@ class Observing:
     def use_values(self) -> None:
         """Use other values; the estimate starts again, alarms stay."""
         if before := self._observer:
-            self._live.package.observe(observer := Observer(self._pipeline.values))
-            observer.alarms = before.alarms
+            self._live.package.observe(Observer(self._pipeline.values, before.alarms))
 
     @property
     def _observer(self) -> Observer | None:

@@ -1,6 +1,5 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
-from collections import Counter
 from collections.abc import Callable, Iterable
 from threading import Timer
 import time
@@ -134,7 +133,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let publishers publish and callbacks work; start from rest at the next tool pose."""
         assert self.pipeline
-        self.pipeline.reset()
+        self.pipeline.live.reset()
         self.pipeline.live.set_attached(self.pipeline.attachment.held)
         result = super().on_activate(state)
         self.is_active = True
@@ -238,7 +237,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         if self.is_active:
             assert self.pipeline
             self.pipeline.publish(self.pipeline.live.flush)
-            self.pipeline.reset()
+            self.pipeline.live.reset()
             response.message = 'Starts from static equilibrium at the next tool pose.'
         return response
 
@@ -306,9 +305,7 @@ class Diagnostics:
             self._due.clear()
             return [health.prediction_status(
                 'prediction', state, 'none', 'none', np.empty(0), {}, {}, 'unknown', True, False)]
-        live = pipeline.live
-        now = Counter({**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
-        new, pipeline.reported = now - pipeline.reported, now
+        live, new = pipeline.live, pipeline.new_counts()
         restarts = {reason: new[reason] for reason in live.restarts}
         above = pipeline.is_above
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}

@@ -1,1 +1,17 @@
 """Pictures, made with matplotlib (extra `plot`), and a view in Rerun (extra `view`)."""
+
+from typing import Any
+
+from bellows_ros.errors import require_pictures
+from bellows_ros.workflows import CommandResult
+
+
+def figure_of(result: CommandResult, theme: str) -> Any:
+    """Draw a result; the pictures are loaded when one is drawn."""
+    require_pictures()
+    from bellows_ros.plots.pictures import FIGURES
+
+    return FIGURES[type(result)](result, theme)
+
+
+CommandResult.figure = figure_of

@@ -14,7 +14,8 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.identification.result import WRENCH_UNITS
 from bellows_ros.core.model.grip import MODES
-from bellows_ros.core.signals.residuals import AXES, Comparison, Spectrum, Whiteness
+from bellows_ros.core.signals import residuals
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
@@ -50,7 +51,7 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
     def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Any:
         turned = log_so3(rotation @ rotation[start].T)
         moved = style.masked(np.hstack([position - position[start], turned]), motion.valid)
-        return style.Line(name, colour, width, motion.seconds, style.SHOWN * moved)
+        return style.Line(name, colour, width, motion.seconds, DISPLAY_FACTORS * moved)
 
     return style.six_lines('Motion in the world, from the start', note, theme, (
         line('tool', 'measured', 3.0, motion.tool_position, motion.tool_rotation),
@@ -59,7 +60,7 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
 
 
 def spectra_figure(
-    spectra: Spectra, note: str, theme: str = 'light', one_step: Spectrum | None = None
+    spectra: Spectra, note: str, theme: str = 'light', one_step: residuals.Spectrum | None = None
 ) -> Any:
     """
     Draw the spectra of the package's motion seen from the tool, and of a prediction's error.
@@ -81,16 +82,17 @@ def spectra_figure(
 
     """
     hertz = spectra.frequency_hz[1:]
-    lines = [style.Line('measured', 'measured', 2.2, hertz, style.SHOWN * spectra.measured[1:])]
+    lines = [style.Line(
+        'measured', 'measured', 2.2, hertz, DISPLAY_FACTORS * spectra.measured[1:])]
     if spectra.error is not None:
         lines.append(style.Line(
-            'predicted minus measured', 'error', 1.1, hertz, style.SHOWN * spectra.error[1:]))
+            'predicted minus measured', 'error', 1.1, hertz, DISPLAY_FACTORS * spectra.error[1:]))
     if one_step:
         lines.append(style.Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
-                                style.SHOWN * np.sqrt(one_step.density[1:])))
+                                DISPLAY_FACTORS * np.sqrt(one_step.density[1:])))
     return style.six_lines(
         'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
-        [f'{unit}/√Hz' for unit in style.SHOWN_UNITS], log=True)
+        [f'{unit}/√Hz' for unit in DISPLAY_UNITS], log=True)
 
 
 def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
@@ -157,7 +159,7 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     with style.picture(title, note, theme) as (figure, colours):
         for axis, panel in enumerate(style.six_panels(figure, WRENCH_UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
-            scale, unit = style.SHOWN[axis], style.SHOWN_UNITS[axis]
+            scale, unit = DISPLAY_FACTORS[axis], DISPLAY_UNITS[axis]
             points, = panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8,
                                  alpha=0.8, markeredgewidth=0.0)
             ends = np.array([x.min(), x.max()])
@@ -208,7 +210,7 @@ MIN_SPAN = (2.0,) * 3 + (0.1,) * 3
 
 
 def prediction_figure(
-    seconds: Array, comparison: Comparison, title: str, note: str, theme: str = 'light'
+    seconds: Array, comparison: residuals.Comparison, title: str, note: str, theme: str = 'light'
 ) -> Any:
     """
     Draw a comparison.
@@ -234,10 +236,10 @@ def prediction_figure(
         f'error RMS {two_digits(rms)} {unit}, largest {two_digits(largest)} {unit}, '
         f'{two_digits(100.0 * nrmse) + " %" if np.isfinite(nrmse) else "-"} of the motion'
         for rms, largest, nrmse, unit in zip(
-            style.SHOWN * scores.rms, style.SHOWN * scores.largest, scores.nrmse,
-            style.SHOWN_UNITS, strict=True)]
+            DISPLAY_FACTORS * scores.rms, DISPLAY_FACTORS * scores.largest, scores.nrmse,
+            DISPLAY_UNITS, strict=True)]
     times, measured, predicted = (with_gaps(seconds, values) for values in (
-        seconds, style.SHOWN * comparison.measured, style.SHOWN * comparison.predicted))
+        seconds, DISPLAY_FACTORS * comparison.measured, DISPLAY_FACTORS * comparison.predicted))
     figure = style.six_pairs(
         title, note, theme, (style.Line('measured', 'measured', 3.6, times, measured),
                              style.Line('predicted', 'predicted', 0.9, times, predicted)),
@@ -249,7 +251,9 @@ def prediction_figure(
     return figure
 
 
-def errors_figure(estimates: Mapping[str, Comparison], note: str, theme: str = 'light') -> Any:
+def errors_figure(
+    estimates: Mapping[str, residuals.Comparison], note: str, theme: str = 'light'
+) -> Any:
     """
     Draw the errors of up to three estimates over time, each from the first stamp of all.
 
@@ -271,12 +275,12 @@ def errors_figure(estimates: Mapping[str, Comparison], note: str, theme: str = '
     styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
     return style.six_lines('Predicted minus measured', note, theme, [
         style.Line(name, *drawn, (estimate.stamps_ns - start_ns) / NS_PER_S,
-                   style.SHOWN * estimate.error)
+                   DISPLAY_FACTORS * estimate.error)
         for (name, estimate), drawn in zip(estimates.items(), styles, strict=False)],
         'time (s)')
 
 
-def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:
+def whiteness_figure(test: residuals.Whiteness, note: str, theme: str = 'light') -> Any:
     """
     Draw the autocorrelation of errors, and the band in which that of white noise stays.
 
@@ -366,7 +370,7 @@ def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
             style.draw_series(panel, seconds, factor * shown, colours.three, names, factor * sigma)
         for panel, name in zip(panels, (
                 'position (m), grey: the tool', safety, 'package seen from the tool tip (mm)',
-                'force at the lip (N)', 'bending of the cup (degrees)',
+                'force at the lip (N)', 'bending of the cup (deg)',
                 'moment at the lip (N m)'), strict=True):
             style.name_panel(panel, name)
             panel.axvline(
@@ -444,7 +448,7 @@ def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:
     with style.picture(title, f'{motion.duration:g} s', theme) as (figure, colours):
         grid = figure.add_gridspec(3, 2, **style.BELOW_HEAD, hspace=0.6, wspace=0.2)
         for line, (kind, factor, unit) in enumerate(
-                (('shift', style.MILLI, 'mm'), ('rotation', style.DEGREES, 'degrees'))):
+                (('shift', style.MILLI, 'mm'), ('rotation', style.DEGREES, 'deg'))):
             of_time, of_frequency = (figure.add_subplot(grid[line, i]) for i in (0, 1))
             axes = slice(3 * line, 3 * line + 3)
             style.draw_series(of_time, t, factor * u[:, axes], colours.three, width=0.7)
@@ -500,8 +504,8 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
                            label=name if panel is panels[0] else None)
                 panel.axvline(tool.seconds[-1], color=colour, linewidth=0.8, linestyle=':')
         for panel, title in zip(panels, (
-                'tilt of the package from its reference (degrees)',
-                'distance of the tool (m)', 'tilt of the tool (degrees)'), strict=True):
+                'tilt of the package from its reference (deg)',
+                'distance of the tool (m)', 'tilt of the tool (deg)'), strict=True):
             style.name_panel(panel, title)
         longest = max(float(motion.tool.seconds[-1]) for motion in motions.values())
         panels[0].set_xlim(0.0, longest + TAIL_SHOWN)

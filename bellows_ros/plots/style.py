@@ -17,7 +17,7 @@ import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
@@ -126,10 +126,7 @@ BELOW_HEAD = {'left': LEFT_EDGE, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
 """Edges of the panels of a figure of `SIZE`."""
 
 TITLE, NOTE = 0.31, 0.52  # inches from the top
-MILLI, DEGREES = 1e3, np.rad2deg(1.0)
-SHOWN = np.array(3 * [MILLI] + 3 * [DEGREES])
-SHOWN_UNITS = ('mm',) * 3 + ('degrees',) * 3
-"""Factors and units in which six coordinates, in m and rad, are drawn."""
+MILLI, DEGREES = DISPLAY_FACTORS[[0, 3]]
 
 
 @contextmanager
@@ -176,7 +173,7 @@ class Line(NamedTuple):
 
 def six_lines(
     title: str, note: str, theme: str, lines: Sequence[Line], abscissa: str,
-    units: Sequence[str] = SHOWN_UNITS, log: bool = False,
+    units: Sequence[str] = DISPLAY_UNITS, log: bool = False,
 ) -> Any:
     """
     Draw lines into six panels, one per axis.
@@ -263,7 +260,7 @@ LARGE = (11.0, 8.4)  # inches
 
 def six_pairs(
     title: str, note: str, theme: str, lines: Sequence[Line], error: Line, titles: Sequence[str],
-    units: Sequence[str] = SHOWN_UNITS,
+    units: Sequence[str] = DISPLAY_UNITS,
 ) -> Any:
     """
     Draw six coordinates over time, and an error of each below it, to another scale.

@@ -18,7 +18,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Stamps
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
@@ -26,7 +26,7 @@ from bellows_ros.workflows.plot import Replayed
 import numpy as np
 
 from .animation import bellows_rings, RINGS, SIDES
-from .style import SHOWN, SHOWN_UNITS, THEMES
+from .style import THEMES
 
 NO_RERUN = (
     f'The viewer Rerun is not installed. Install it: {install("view")}. Or use '
@@ -182,10 +182,10 @@ def _send_series(rr: Any, recording: Any, replayed: Replayed, times: list[Any]) 
             (f'deflection/{name}', name, XYZ_COLOURS[axis % 3], 1.2, replayed.deflection),
         ):
             recording.log(path, rr.SeriesLines(
-                names=[f'{label} ({SHOWN_UNITS[axis]})'], widths=[width], colors=[colour]),
+                names=[f'{label} ({DISPLAY_UNITS[axis]})'], widths=[width], colors=[colour]),
                 static=True)
             recording.send_columns(
-                path, times, rr.Scalars.columns(scalars=SHOWN[axis] * values[:, axis]))
+                path, times, rr.Scalars.columns(scalars=DISPLAY_FACTORS[axis] * values[:, axis]))
 
 
 def _blueprint(rr: Any, replayed: Replayed) -> Any:
@@ -204,7 +204,7 @@ def _blueprint(rr: Any, replayed: Replayed) -> Any:
         tabs.append(rrb.Vertical(*(
             rrb.TimeSeriesView(origin='/', name=f'{words} ({unit})',
                                contents=[f'{what}/{name}' for name in names])
-            for unit, names in (('mm', AXES[:3]), ('degrees', AXES[3:]))), name=words))
+            for unit, names in (('mm', AXES[:3]), ('deg', AXES[3:]))), name=words))
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin='world', name='Tool, cup, package', eye_controls=eye),

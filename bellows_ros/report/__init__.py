@@ -7,14 +7,13 @@ from typing import Protocol, TYPE_CHECKING
 from bellows_ros.core.identification.result import Fit, UNITS
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.core.model.structure import structure_named
-from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.workflows.recordings import offset_sentence
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.replay import Observed, Replay
 
-MILLI = 1e3
 MAX_LISTED = 5  # items of a list
 LEGEND = (
     'RMS and peak: error of a free simulation from start to end. live: RMS error of the live '
@@ -65,11 +64,13 @@ def percent(ratio: float, decimals: int = 2) -> str:
     return formatted(ratio, f'.{decimals}f', '%', 100.0)
 
 
-def in_milli(unit: str) -> tuple[float, str]:
+def display_unit(unit: str) -> tuple[float, str]:
     """Return factor and name of the unit in which a small quantity is printed."""
     if unit == 'kg':
         return 1e3, 'g'
-    return (1e3, f'm{unit}') if unit in ('m', 'rad', 's', 'N s') else (1.0, unit)
+    if unit == 'rad':
+        return float(DISPLAY_FACTORS[3]), DISPLAY_UNITS[3]
+    return (1e3, f'm{unit}') if unit in ('m', 's', 'N s') else (1.0, unit)
 
 
 def listed(items: Sequence[str]) -> str:
@@ -116,8 +117,8 @@ def print_identification(result: 'Identification', out: Writer) -> None:
             out.paragraph(simulated.sentence)
             continue
         out.table([
-            ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, MILLI_UNITS, strict=True))),
-            *((name, *(f'{1e3 * x:.3g}' for x in values))
+            ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, DISPLAY_UNITS, strict=True))),
+            *((name, *(f'{x:.3g}' for x in DISPLAY_FACTORS * values))
               for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
             right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
     if fit.converged:
@@ -143,16 +144,16 @@ def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
         columns.append([title_of, *(
             with_error(value, error, UNITS[name][2 * (axes[0] > 2)])
             for axes, (value, error, _) in zip(structure.tied_axes, ends, strict=True))])
-        columns.append(['with what was given', *(
+        columns.append(['incl. given quantities', *(
             _in_percent(both, value) for value, _, both in ends)])
     names = ['axis', *(', '.join(AXES[axis] for axis in axes) for axes in structure.tied_axes)]
     for part in (columns[:2], columns[2:]) if given else (columns[::2],):
         out.table(list(zip(names, *part, strict=True)), title=title)
     if given:
         out.paragraph(
-            'The first error is from these recordings alone, the second with what was given '
-            '(package.*_std, cup.length_std, recording.*_std): no motion shows a factor common to '
-            'mass, inertia, K and P.')
+            'The first standard error is that of the recordings; the second includes the '
+            'uncertainty of the given quantities (package.*_std, cup.length_std, '
+            'recording.*_std): a common factor on mass, inertia, K and P is not observable.')
     print_relaxation(fit.relaxation, fit.relaxation_std, out)
     for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
@@ -227,10 +228,10 @@ def print_replay(result: 'Replay', out: Writer, limit: float = MAX_NRMSE) -> Non
 
 def _print_observed(observed: 'Observed', out: Writer) -> None:
     """Print the gain by measured poses, and alarms."""
-    errors = [column([MILLI * x for x in estimate.scores.rms])
+    errors = [column((DISPLAY_FACTORS * estimate.scores.rms).tolist())
               for estimate in observed.estimates.values()]
     out.table([('axis', *observed.estimates), *(
-        (f'{name:2} {MILLI_UNITS[i]}', *(rms[i] for rms in errors))
+        (f'{name:2} {DISPLAY_UNITS[i]}', *(rms[i] for rms in errors))
         for i, name in enumerate(AXES))], right=True, title=f'With {observed.topic}, RMS error')
     out.paragraph(observed.sentence)
     for line in observed.alarm_lines:
@@ -243,11 +244,12 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     white = validation.one_step.whiteness.verdicts if validation.one_step else ('-',) * 6
     rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
     scores = validation.scores
-    errors = [('-',) * 6 if error is None else column([MILLI * x for x in error]) for error in (
-        scores.rms, live.scores.rms if live else None, validation.noise, scores.largest)]
+    errors = [
+        ('-',) * 6 if error is None else column((DISPLAY_FACTORS * error).tolist()) for error in (
+            scores.rms, live.scores.rms if live else None, validation.noise, scores.largest)]
     for i, name in enumerate(AXES):
         rows.append((
-            f'{name:2} {MILLI_UNITS[i]}', *(error[i] for error in errors),
+            f'{name:2} {DISPLAY_UNITS[i]}', *(error[i] for error in errors),
             percent(validation.scores.nrmse[i], 1) + (' ' if validation.moves[i] else '*'),
             white[i].removesuffix(' white')))
     return rows

@@ -2,44 +2,22 @@
 One complete job each: files in, `bellows_ros.core` in the middle, files out.
 
 Prints nothing and knows no ROS, so that commands, nodes and scripts share the same work. Results
-draw and write themselves. A module is loaded when `workflows.module` is first used: few runs need
-all of them.
+draw and write themselves. What few runs need is loaded when it is first used.
 """
 
-from importlib import import_module
-from importlib.util import find_spec
-from typing import Any, TYPE_CHECKING
+from collections.abc import Callable
+from typing import Any, ClassVar
 
-import bellows_ros
-from bellows_ros.errors import require_pictures
 from bellows_ros.files import File
 from bellows_ros.files.results import write_json
-
-if TYPE_CHECKING:
-    from bellows_ros.workflows import (  # noqa: F401
-        compare,
-        excite,
-        identification,
-        identify,
-        plan,
-        registration,
-        replay,
-        steer,
-        structures,
-        toss,
-        workers,
-    )
-
-
-def __getattr__(name: str) -> Any:
-    """Load a module of this room."""
-    if find_spec(f'{__name__}.{name}') is None:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return import_module(f'{__name__}.{name}')
+from bellows_ros.version import __version__
 
 
 class CommandResult:
     """A result that has `as_json()`."""
+
+    figure: ClassVar[Callable[['CommandResult', str], Any]]
+    """How a result is drawn; `plots`, which stands above, sets it."""
 
     def as_json(self) -> dict[str, Any]:
         """Return all figures by name, SI units, null for unknown values."""
@@ -55,7 +33,7 @@ class CommandResult:
             If the file cannot be written.
 
         """
-        write_json(path, {**self.as_json(), 'version': bellows_ros.__version__})
+        write_json(path, {**self.as_json(), 'version': __version__})
 
     def plot(self, theme: str = 'light') -> Any:
         """
@@ -76,7 +54,4 @@ class CommandResult:
             If matplotlib is not installed.
 
         """
-        require_pictures()
-        from bellows_ros.plots.pictures import FIGURES  # matplotlib is optional
-
-        return FIGURES[type(self)](self, theme)
+        return self.figure(theme)

@@ -6,7 +6,6 @@ from functools import cached_property
 import math
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros import __version__, workflows
 from bellows_ros.core.identification import identifiability, reduction
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
 from bellows_ros.core.model import cup_package, validity_range
@@ -16,6 +15,7 @@ from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results, Values
+from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
 from bellows_ros.workflows.static import StaticResult
@@ -25,6 +25,7 @@ import numpy as np
 if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.comparison import Consistency
     from bellows_ros.core.identification.structure_selection import StructureSelection
+    from bellows_ros.workflows.replay import Replay
 
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
@@ -104,7 +105,7 @@ class Identification(CommandResult):
     consistency: 'Consistency | None' = None
     static: StaticResult | None = None
     selection: 'StructureSelection | None' = None
-    validations: tuple['workflows.replay.Replay', ...] = ()
+    validations: tuple['Replay', ...] = ()
     verdict: FitVerdict | None = None
     failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
@@ -279,7 +280,7 @@ class Identification(CommandResult):
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
             *self._clock_sentences(),
-            *(f'REFUSED, but written because of --force: {reason}' for reason in self.refusals)]
+            *(f'REFUSED, but written all the same: {reason}' for reason in self.refusals)]
 
 
 def _standstill_sentences(result: Identification) -> Iterator[str]:

@@ -13,7 +13,6 @@ from operator import itemgetter
 import os
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros import workflows
 from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
@@ -28,11 +27,13 @@ from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult, with_spring
-from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
+from bellows_ros.workflows.verdict import MAX_TESTED, selection, verdict_of
+from bellows_ros.workflows.workers import on_cores, on_dask
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.comparison import Consistency
+    from bellows_ros.workflows.replay import Replay
 
 Poses = Mapping[str, PoseStream]
 """Of tool and package."""
@@ -52,7 +53,7 @@ REGISTRATION_NAMES = {'time_offset', 'package_world'}
 RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
 """Parameters that need the recordings themselves, not only their statistics."""
 
-NOT_FITTED = 'The cup was not fitted; --force fits it all the same.'
+NOT_FITTED = "The cup was not fitted; 'bellows identify --force' fits it all the same."
 
 
 def identify(
@@ -243,8 +244,8 @@ def read_all(
     words = f'reading {len(bags)} recordings'
     progress(words, 0.0)
     outcomes: dict[int, Any] = {}
-    for number, outcome in (workflows.workers.on_dask(work, dask, task) if dask else
-                            workflows.workers.on_cores(work, jobs or 1, task)):
+    for number, outcome in (
+            on_dask(work, dask, task) if dask else on_cores(work, jobs or 1, task)):
         outcomes[number] = outcome
         progress(words, FIT_BEGINS * len(outcomes) / len(bags))
     done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
@@ -290,12 +291,14 @@ def _identify(
     verdict = verdict_of(
         fit, recordings, fit.standstills.length if fit.standstills else effective['cup.length'],
         effective)
+    selected = None
+    if values['fit.compare_structures']:
+        progress('comparing structures', FIT_ENDS)
+        selected = selection(recordings, effective, verdict)
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress), verdict=verdict,
-        selection=(workflows.structures.selection(recordings, effective, progress, verdict)
-                   if values['fit.compare_structures'] else None),
-        assumed=assumed, **more)
+        selection=selected, assumed=assumed, **more)
     if static:
         identified = replace(identified, static=with_spring(
             static._replace(cup_length=identified.cup_length), identified.cup,
@@ -316,14 +319,18 @@ def _consistency(
         return methods.fitted(
             [part], values, lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS))
 
-    return workflows.compare.consistency(parts, alone)
+    from bellows_ros.workflows.compare import consistency
+
+    return consistency(parts, alone)
 
 
 def _validated(
     result: identification.Identification, progress: Progress
-) -> 'Iterator[workflows.replay.Replay]':
+) -> 'Iterator[Replay]':
     """Yield the free simulations of the validation recordings, if the cup is usable."""
     for bag in result.values['validation.bags'] if result.fit.usable else ():
         progress(f'validating on {bag}', FIT_ENDS)
-        yield workflows.replay.replay(
+        from bellows_ros.workflows.replay import replay
+
+        yield replay(
             bag, {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE})

@@ -23,7 +23,7 @@ from bellows_ros.core.recording import alignment, preparation
 from bellows_ros.core.signals import resampling, savgol, trajectory
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, tip_of, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results, Values
 from bellows_ros.files.bag_writer import POSE, TWIST
 from bellows_ros.files.parameter_files import with_chosen_cup
@@ -332,6 +332,7 @@ def extended(tool: Trajectory, seconds: float) -> Trajectory:
 def plan_with_cup(path: MotionSource, settings: Values, urdf: str = '', topic: str = '') -> Source:
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
     values = with_chosen_cup(checks.resolve(settings, checks.PACKAGE_PARAMETERS))
+    require_types(motion=(path, str, os.PathLike, Trajectory))
     if isinstance(path, Trajectory):
         return Source(_checked_motion(path, path.twist), '', path='a motion', values=values)
     if not os.path.exists(path):
@@ -367,7 +368,7 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
     """Return the whole plan in a file."""
     if topic and file.suffix.lower() in (*YAML, *TEXT):
         raise BellowsError(
-            f"--topic {topic}: '{file}' is no recording, so it has no topics. Leave --topic out.")
+            f"The topic is '{topic}', but '{file}' is no recording and has none. Leave it out.")
     if file.suffix.lower() in YAML:
         content = plans.read_yaml(file)
         if 'kind' in content:

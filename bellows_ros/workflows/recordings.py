@@ -6,7 +6,6 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros import workflows
 from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.identification import causes
 from bellows_ros.core.model import cup_package
@@ -17,6 +16,7 @@ from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
+from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import bag_folder, bags, File, parameter_files, Values
@@ -165,7 +165,9 @@ def prepare_streams(
         if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
             raise UnexplainedError(causes.finding_sentence(
                 finding, {'package.mass': payload.mass, 'package.inertia': inertia}))
-        return workflows.registration.registered_recording(tool, package, twist, settings, values)
+        from bellows_ros.workflows.registration import registered_recording
+
+        return registered_recording(tool, package, twist, settings, values)
     moved = frames.in_tool_world(
         package, frames.pose_of(world), tool.frame_id) if world else package
     return prepare(tool, moved, settings, twist)
@@ -185,14 +187,13 @@ def world_sentence(bag: object, estimated: prepared.PackageWorld | None) -> list
     """Return a sentence about the estimated transform between the worlds, if any."""
     if estimated is None:
         return []
-    position, errors, turns = (
-        ', '.join(f'{1e3 * x:.3f}' for x in part)
-        for part in (estimated.pose[:3], estimated.std[:3], estimated.std[3:]))
+    position = ', '.join(f'{1e3 * x:.3f}' for x in estimated.pose[:3])
+    errors = [f'{x:.2g}' for x in DISPLAY_FACTORS * estimated.std]
     quaternion = ', '.join(f'{x:.6f}' for x in estimated.pose[3:])
     return [
         f'{bag}: recording.package_world was estimated: position {position} mm, quaternion (x y '
-        f"z w) {quaternion}; standard errors {errors} mm at the middle of the package's path, "
-        f'{turns} mrad.']
+        f'z w) {quaternion}; standard errors {", ".join(errors[:3])} mm at the middle of the '
+        f"package's path, {', '.join(errors[3:])} degrees."]
 
 
 def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:

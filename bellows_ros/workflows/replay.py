@@ -29,7 +29,7 @@ from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotati
 from bellows_ros.core.recording.recording import Recording, require_one_frame, TimeOffset
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
-from bellows_ros.errors import BellowsError, UnstableError
+from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import bags, File, messages, results, Values
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress
@@ -150,14 +150,15 @@ class Observed(NamedTuple):
         if payload := self.payload:
             sentences.append(
                 f'Estimated: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
-                f'{_in_milli(payload.com, payload.com_std)} mm from the lip (± is the '
+                f'{_with_std(payload.com, payload.com_std, 1e3)} mm from the lip (± is the '
                 'Cramér-Rao bound).')
         if self.calibration:
             numbers = iter(self.calibration)
-            shift, turn, latency = map(_in_milli, numbers, numbers)
+            shift, turn, latency = map(
+                _with_std, numbers, numbers, (1e3, residuals.DISPLAY_FACTORS[3], 1e3))
             sentences.append(
-                f'Errors of the camera: {shift} mm and {turn} mrad along and about world axes, '
-                f'{latency} ms of its stamps.')
+                f'Errors of the camera: {shift} mm and {turn} degrees along and about world '
+                f'axes, {latency} ms of its stamps.')
         if self.alarm_calibration:
             sentences.append(self.alarm_calibration.sentence)
         return ' '.join(sentences + ([] if self.alarms else ['No alarm.']))
@@ -191,9 +192,9 @@ class Observed(NamedTuple):
             'units': {f'rms {name}': result.POSE_UNITS for name in self.estimates}}
 
 
-def _in_milli(values: Any, std: Any) -> str:
-    """Return numbers with their standard deviations, in thousandths of their unit."""
-    return ', '.join(f'{1e3 * value:.2f} ± {1e3 * error:.2g}' for value, error in zip(
+def _with_std(values: Any, std: Any, factor: float) -> str:
+    """Return numbers with their standard deviations, times a factor."""
+    return ', '.join(f'{factor * value:.2f} ± {factor * error:.2g}' for value, error in zip(
         np.atleast_1d(values), np.atleast_1d(std), strict=True))
 
 
@@ -310,8 +311,8 @@ def replay(
     """
     Predict a recording with a cup, freely from start to end, and compare.
 
-    Twice: by a simulation of the tool as it was smoothed, which shows what the cup is worth, and
-    by the live predictor from the messages as they came, which shows what the node will say.
+    Twice: by a simulation of the tool as it was smoothed, which shows the accuracy of the cup, and
+    by the live predictor from the messages as they came, which shows the output of the node.
 
     Parameters
     ----------
@@ -333,6 +334,7 @@ def replay(
         If a parameter or the recording is not usable, or the cup cannot hold the package.
 
     """
+    require_types(recording=(bag, str, os.PathLike))
     values: dict[str, Any] = checks.resolve(settings, checks.RECORDING_PARAMETERS)
     progress(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)
@@ -610,7 +612,7 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
 
     It is on the topic that the node listens to, of vacuum.signal, in whichever namespace.
     """
-    vacuum, readings = Vacuum(values), list[tuple[int, bool, int]]()
+    vacuum, readings = Vacuum(), list[tuple[int, bool, int]]()
     if (signal := values['vacuum.signal']) == 'none':
         return []
     kind, name = {'bool': (messages.BOOL, 'vacuum/held'),
@@ -624,7 +626,7 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
             continue
         message = bags.decoded(data, kind)
         stamp = message.header.stamp
-        states = vacuum.update(message.fluid_pressure, message.header.frame_id)
+        states = vacuum.update(values, message.fluid_pressure, message.header.frame_id)
         readings += [] if isinstance(states, str) else [
             (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, *state) for state in states]
     if not readings:

@@ -15,8 +15,9 @@ from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package
 from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
+from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.planning.plan_prediction import flip_sentence, PEAK_MOMENT_BENDING
+from bellows_ros.core.planning.plan_prediction import flip_sentence
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows

@@ -5,7 +5,6 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros import __version__
 from bellows_ros.core.identification import statics
 from bellows_ros.core.model.cup_package import Cup, cup_of
 from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
@@ -13,6 +12,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import File, parameter_files, results, Values
+from bellows_ros.version import __version__
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
 import numpy as np
@@ -96,8 +96,7 @@ class StaticResult(NamedTuple):
         if self.length and abs(self.length.length - self.cup_length) > LENGTHS_AGREE_WITHIN:
             warnings.append(
                 f'cup.length is {self.cup_length * 1e3:.2f} mm, but these recordings give '
-                f'{self.length.length * 1e3:.2f} mm. Write the new value to a parameter file '
-                'with --out.')
+                f'{self.length.length * 1e3:.2f} mm. Set cup.length to that.')
         for recording in self.recordings:
             settled, failed = standstills_in(recording)
             if failed:
@@ -215,9 +214,7 @@ def static_check(
     if 'cup.stiffness' in settings:
         return with_spring(result, cup_of(values), values['gravity.magnitude'])
     if result.length is None:
-        raise BellowsError(
-            f'{result.no_length} To check the spring instead, '
-            'give cup.stiffness.')
+        raise BellowsError(f'{result.no_length} To check the spring instead, give cup.stiffness.')
     return result
 
 

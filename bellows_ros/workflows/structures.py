@@ -1,21 +1,18 @@
 """Compare the structures of K and P on recordings; find what is identifiable from them."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.identification import methods, structure_selection
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.reduction import reduced
-from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import is_gripper
-from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.files import results, Values
 from bellows_ros.workflows.identification import excitation_json, selection_json
 from bellows_ros.workflows.identify import FIT_ENDS, read_all, resolved
 from bellows_ros.workflows.recordings import no_progress, Progress
-from bellows_ros.workflows.verdict import FitVerdict, verdict_of
+from bellows_ros.workflows.verdict import selection
 import numpy as np
 
 
@@ -85,26 +82,9 @@ def structures(settings: Values, progress: Progress = no_progress) -> StructureA
             relaxation = recordings[0].relaxation._replace(
                 strengths=better.relaxation, covariance=np.diag(np.square(better.relaxation_std)))
             recordings = [replace(each, relaxation=relaxation) for each in recordings]
+    progress('comparing structures', FIT_ENDS)
     advice = StructureAdvice(
         excitation_of([reduced(recording, values) for recording in recordings]),
-        selection(recordings, values, progress), tuple(recordings), values)
+        selection(recordings, values), tuple(recordings), values)
     progress('done', 1.0)
     return advice
-
-
-def selection(
-    recordings: Sequence[Recording], values: Values, progress: Progress,
-    verdict: FitVerdict | None = None,
-) -> structure_selection.StructureSelection:
-    """Compare the structures, with a verdict where none fits; that of the fit where given."""
-    progress('comparing structures', FIT_ENDS)
-    compared = structure_selection.select_structure(
-        [samples_of(recording) for recording in recordings], values['cup.length'],
-        [recording.noise for recording in recordings],
-        given_structure({**values, 'fit.structure': 'layout'})
-        if is_gripper(values) else None)
-    if verdict and values['fit.structure'] == compared.advised:
-        return compared.judged(verdict.diagnosis, ())
-    advised = verdict_of(None, recordings, values['cup.length'],
-                         {**values, 'fit.structure': compared.advised})
-    return compared.judged(advised.diagnosis, advised.cause) if advised else compared

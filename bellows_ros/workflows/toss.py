@@ -5,13 +5,13 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros import workflows
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import grip, simulation
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters import checks, table
-from bellows_ros.core.planning.plan_prediction import flip_sentence, PEAK_MOMENT_BENDING
+from bellows_ros.core.planning.plan_prediction import flip_sentence
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
@@ -229,8 +229,8 @@ def toss_plan(
             if target_rotation is None else
             'target_rotation is given, but no target. Give both, or leave it out.')
     for name, value, is_allowed, expected in (
-            ('monte_carlo', monte_carlo, monte_carlo == 0 or monte_carlo > 1,
-             '2 tosses or more, or 0 for none.'),
+            ('monte_carlo', monte_carlo, isinstance(monte_carlo, int | np.integer) and
+             monte_carlo >= 0 and monte_carlo != 1, '2 tosses or more, or 0 for none.'),
             ('release', switched, math.isfinite(switched or 0.0), 'a finite number.'),
             ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
              f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),
@@ -362,7 +362,9 @@ def identify_release(settings: Values, progress: Progress = no_progress) -> Rele
         them.
 
     """
-    values = workflows.identify.resolved(settings)
+    from bellows_ros.workflows.identify import resolved
+
+    values = resolved(settings)
     names = tuple(os.fspath(bag) for bag in values['bags'])
     drops, used, left_out = list[release_fit.Drop](), list[str](), list[str]()
     for number, (bag, parameters) in enumerate(zip(names, values_of_each(values), strict=True)):

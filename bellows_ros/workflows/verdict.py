@@ -6,16 +6,17 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import causes, methods
+from bellows_ros.core.identification import causes, methods, structure_selection
 from bellows_ros.core.identification.given import as_found, given_std
 from bellows_ros.core.identification.quantities import Free, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.search import MISFIT_CHI2
 from bellows_ros.core.identification.validation import validate
-from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
+from bellows_ros.core.model.cup_package import Cup, gripper_of, is_gripper, Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import Values
@@ -73,11 +74,12 @@ class Simulated(NamedTuple):
         if not np.isfinite(self.rms).all():
             return f'{self.bag} cannot be simulated freely with this cup.'
         parts = []
-        for kind, unit in ((slice(0, 3), 'mm'), (slice(3, 6), 'mrad')):
-            errors = ', '.join(f'{name} {1e3 * x:.2g}' for name, x in
-                               zip(AXES[kind], self.rms[kind], strict=True))
-            noise = ', '.join(f'{1e3 * x:.2g}' for x in self.noise[kind])
-            parts.append(f'{errors} {unit} (noise {noise})')
+        for kind in (slice(0, 3), slice(3, 6)):
+            rms, noise = (DISPLAY_FACTORS[kind] * each[kind] for each in (self.rms, self.noise))
+            errors = ', '.join(
+                f'{name} {x:.2g}' for name, x in zip(AXES[kind], rms, strict=True))
+            parts.append(f'{errors} {DISPLAY_UNITS[kind.start]} '
+                         f'(noise {", ".join(f"{x:.2g}" for x in noise)})')
         what = f'{self.beginning:.0f} s of {self.bag}' if self.beginning else self.bag
         return f'Free simulation of {what} with this cup: RMS error {"; ".join(parts)}.'
 
@@ -357,3 +359,19 @@ def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Si
         tuple(AXES[i] for i in np.flatnonzero(beyond)),
         seconds if len(recording.valid) > MAX_SIMULATED else 0.0,
         np.sqrt(np.nanmean(np.square(changes), axis=(0, 1))) if changes else 0.0)
+
+
+def selection(
+    recordings: Sequence[Recording], values: Values, verdict: FitVerdict | None = None
+) -> structure_selection.StructureSelection:
+    """Compare the structures, with a verdict where none fits; that of the fit where given."""
+    compared = structure_selection.select_structure(
+        [samples_of(recording) for recording in recordings], values['cup.length'],
+        [recording.noise for recording in recordings],
+        given_structure({**values, 'fit.structure': 'layout'})
+        if is_gripper(values) else None)
+    if verdict and values['fit.structure'] == compared.advised:
+        return compared.judged(verdict.diagnosis, ())
+    advised = verdict_of(None, recordings, values['cup.length'],
+                         {**values, 'fit.structure': compared.advised})
+    return compared.judged(advised.diagnosis, advised.cause) if advised else compared

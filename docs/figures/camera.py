@@ -4,6 +4,7 @@ from pathlib import Path
 import tempfile
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
@@ -50,14 +51,14 @@ def main() -> None:
     shown = (colours.measured, colours.quiet, colours.predicted)
     with drawing(colours) as figures:
         figure = figures.Figure(figsize=(9.0, 5.0))
-        for row, (axis, unit) in enumerate(((0, 'x (mm)'), (4, 'ry (mrad)'))):
-            panel = figure.add_subplot(2, 1, row + 1)
+        for row, axis in enumerate((0, 4)):
+            panel, factor = figure.add_subplot(2, 1, row + 1), DISPLAY_FACTORS[axis]
             for (name, estimate), colour in zip(found.estimates.items(), shown, strict=True):
                 seconds = (estimate.stamps_ns - found.estimates['both'].stamps_ns[0]) * 1e-9
-                panel.plot(seconds, 1e3 * estimate.error[:, axis], color=colour, label=name)
-            panel.set_ylabel(f'error of {unit}')
-            reach = 1.05e3 * max(np.nanmax(np.abs(estimate.error[:, axis]))
-                                 for estimate in found.estimates.values())
+                panel.plot(seconds, factor * estimate.error[:, axis], color=colour, label=name)
+            panel.set_ylabel(f'error of {AXES[axis]} ({DISPLAY_UNITS[axis]})')
+            reach = 1.05 * factor * max(np.nanmax(np.abs(estimate.error[:, axis]))
+                                        for estimate in found.estimates.values())
             panel.set_ylim(-reach, reach)
         figure.align_ylabels()
         figure.axes[0].legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=3)
@@ -65,7 +66,7 @@ def main() -> None:
         write_figure(ROOT / 'docs' / 'images' / 'camera.png', figure)
     for name, estimate in found.estimates.items():
         position, rotation = (np.linalg.norm(part) for part in np.split(estimate.scores.rms, 2))
-        print(f'| {name} | {1e3 * position:.3g} | {1e3 * rotation:.3g} |')
+        print(f'| {name} | {1e3 * position:.3g} | {np.degrees(rotation):.3g} |')
 
 
 if __name__ == '__main__':

@@ -19,6 +19,7 @@ def test_help_names_every_command(bellows, quietly):
     for name, entry in COMMANDS.items():
         assert f'{name} ' in done.stdout and entry['does'] in done.stdout
     assert 'exit codes' in done.stdout and '130' in done.stdout
+    assert 'Angles are shown in degrees' in done.stdout
     assert bellows('--version').stdout == f'bellows {bellows_ros.__version__}\n'
 
 

@@ -127,13 +127,13 @@ UNREADABLE = [
     ('identify apart CELL', '/package/pose ... 60'),
     ('compare cup.yaml cup.yaml', "'cup.yaml'"), ('convert recording --out x', "'recording'"),
     ('PLAN point.yaml', "'waypoints.poses'"),
-    ('PLAN transport.yaml --topic /x', "--topic /x: 'transport.yaml'"),
+    ('PLAN transport.yaml --topic /x', "topic is '/x' ... 'transport.yaml'"),
     ('STEER inverse fast.yaml', '45 degrees'),
     ('simulate CUP --motion dance.yaml --out new', "'kind' ... multi_sine ... dance"),
 ]
 NOT_ALLOWED = [
     ('identify recording --params massless.yaml', 'package.mass: 2.17 ... kg'),
-    ('plan transport.yaml', 'package.mass ... bellows info ... --write-params'),
+    ('plan transport.yaml', 'package.mass ... bellows info ... --params FILE'),
     ('IDENTIFY --set fit.structur=full', "--set fit.structur: ... 'fit.structure'"),
     ('STATIC m0 m1 --mass 1', '1 masses ... 2 recordings ... --mass'),
     ('identify MANY CELL --jobs 1 --report new.html', '20 recordings ... 21'),

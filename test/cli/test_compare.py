@@ -29,4 +29,6 @@ def test_what_matters_exits_with_1(bellows, fits):
     assert (done.returncode, done.stderr) == (1, '')
     (line,) = [line for line in done.stdout.splitlines() if line.startswith('  K rx')]
     assert '-20.00 %' in line and '*' in line
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith('  turn of the lip')]
+    assert ' deg ' in line
     assert 'The difference matters' in done.stdout

@@ -52,7 +52,7 @@ def test_designs_and_writes(succeed, workshop, limits, tmp_path):
     assert len(lines) == 1876 and np.abs(np.array(row[:3]) - plan.poses[4000, :3]).max() < 1e-6
     assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
     again = succeed('plan', 'motion', '--params', workshop / 'cup.yaml', cwd=tmp_path)
-    assert 'swing left at the end' in again.stdout
+    assert 'residual swing' in again.stdout
 
 
 @pytest.mark.stress

@@ -11,7 +11,7 @@ import pytest
 
 from ..workflows.two_clocks import rewritten, TOPICS
 
-POSITION_NOISE, ROTATION_NOISE = 2e-5, 1e-4  # m, rad; of the package's poses in the recording
+NOISE = {'mm': 0.02, 'deg': 0.0057}  # of the package's poses in the recording
 
 
 @pytest.fixture(scope='module')
@@ -28,13 +28,13 @@ def test_the_true_cup_predicts_to_the_noise(replayed):
     errors = {row[0]: row[1:] for row in rows if row and row[0] in AXES}
     assert len(errors) == 6
     for axis, (unit, rms, live, of_noise, peak, percent, sign, _) in errors.items():
-        assert (unit, sign[0]) == ('mrad' if axis.startswith('r') else 'mm', '%')
-        noise = ROTATION_NOISE if unit == 'mrad' else POSITION_NOISE
+        assert (unit, sign[0]) == ('deg' if axis.startswith('r') else 'mm', '%')
+        noise = NOISE[unit]
         # that of the tool's poses, to whose axes the package is taken, comes on top
-        assert 0.5e3 * noise < float(rms) < 2e3 * noise
+        assert 0.5 * noise < float(rms) < 2.0 * noise
         assert float(rms) < float(peak) and float(percent) > 0.0
         assert 0.9 * float(rms) < float(live) < 1.1 * float(rms)
-        assert 0.5e3 * noise < float(of_noise) < 2e3 * noise
+        assert 0.5 * noise < float(of_noise) < 2.0 * noise
 
 
 def test_a_wrong_cup_exits_with_1(bellows, workshop):

@@ -44,6 +44,6 @@ def test_a_notebook_was_run_from_top_to_bottom(path):
 @pytest.mark.parametrize('name', ['docs/tutorial.md', 'docs/validation.md', *(
     f'notebooks/{path.name}' for path in NOTEBOOKS.notebooks())])
 def test_readers_meet_public_names_alone(root, name):
-    """Import no module of the package but the library."""
-    found = re.findall(r'(?:import|from) bellows_ros\.\w+', (root / name).read_text())
+    """Import no module of the package but the library, and set no part of another."""
+    found = re.findall(r'(?:import|from) bellows_ros\.\w+|\.pairing\.', (root / name).read_text())
     assert found == []

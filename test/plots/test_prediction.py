@@ -46,7 +46,7 @@ def test_each_axis_has_both_curves_and_their_difference(figure, comparison):
         upper, lower = figure.axes[2 * axis: 2 * axis + 2]
         measured, predicted = (line.get_ydata() for line in lines(upper))
         (error,) = (line.get_ydata() for line in lines(lower))
-        factor, unit = (1e3, 'mm') if axis < 3 else (np.rad2deg(1.0), 'degrees')
+        factor, unit = (1e3, 'mm') if axis < 3 else (np.rad2deg(1.0), 'deg')
         kept = ~np.isnan(predicted)
         np.testing.assert_allclose(
             measured[kept], factor * comparison.measured[:, axis], atol=1e-12)

@@ -1,9 +1,8 @@
 """The view in Rerun, read back with Rerun's own reader."""
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS
 from bellows_ros.plots.animation import bellows_rings
-from bellows_ros.plots.style import SHOWN
 from bellows_ros.plots.viewer import write_view
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ def test_what_is_written_is_what_was_replayed(replayed, tmp_path):
             (f'/deflection/{name}', replayed.deflection),
         ):
             (shown,) = zip(*found[path, 'Scalars:scalars'].to_pylist(), strict=True)
-            np.testing.assert_allclose(shown, SHOWN[axis] * values[:, axis])
+            np.testing.assert_allclose(shown, DISPLAY_FACTORS[axis] * values[:, axis])
     position = np.array(found['/world/predicted', 'Transform3D:translation'].to_pylist())
     np.testing.assert_allclose(position[:, 0], replayed.package.position, atol=1e-7)  # float32
     times = found['/deflection/x', 'time'].cast('int64').to_pylist()

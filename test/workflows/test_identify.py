@@ -282,4 +282,4 @@ def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):
         save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
     assert not (tmp_path / 'cup.yaml').exists() and (tmp_path / 'fit.json').exists()
     save(result, tmp_path / 'cup.yaml', None, force=True)
-    assert 'REFUSED, but written because of --force' in (tmp_path / 'cup.yaml').read_text()
+    assert 'REFUSED, but written all the same' in (tmp_path / 'cup.yaml').read_text()

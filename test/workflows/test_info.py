@@ -160,7 +160,7 @@ def test_a_package_that_hangs_aside_is_not_aligned(m, tmp_path):
         tmp_path, poses('/arm', m['t'], m['o'], m['R']),
         poses('/plate', m['t'], m['o_p'], m['R_p'] @ exp_so3(np.array([0.05, 0.0, 0.0]))))
     assert found.settings['recording.align_at_rest'] is False
-    assert any('2.9 degrees' in note and 'by its weight' in note for note in found.notes)
+    assert any('2.9 degrees' in note and 'under its own weight' in note for note in found.notes)
 
 
 def test_gaps_jitter_and_repeats_are_counted(m, tmp_path):

@@ -88,7 +88,7 @@ def test_the_transform_and_the_cup_are_found_together(result, true_cup):
 
 def test_it_is_said_and_written_where_it_belongs(result, bag, settings, tmp_path):
     """Replay with the cup file: the transform is in it."""
-    assert any('recording.package_world was estimated: position 1' in line and 'mrad' in line
+    assert any('recording.package_world was estimated: position 1' in line and 'degrees' in line
                for line in result.findings)
     save(result, tmp_path / 'cup.yaml', None)
     kept = read_parameters(tmp_path / 'cup.yaml')

@@ -142,9 +142,9 @@ def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
     recorded = figures(joint_recording(tmp_path / 'states'), values=values)
     for name in FIGURES:
         assert_allclose(recorded[name], found[name], rtol=1e-3, err_msg=name)
-    with pytest.raises(BellowsError, match='--tool-link'):
+    with pytest.raises(BellowsError, match='Set tool_link'):
         figures(bag)
-    with pytest.raises(BellowsError, match='--urdf'):
+    with pytest.raises(BellowsError, match='Give its urdf'):
         figures(bag, values=values)
     other = bag_of(tmp_path / 'o', JOINTS, serialized(JOINTS, joint_message(('a', 'b', 'c'))))
     with pytest.raises(BellowsError, match="'turn'"):

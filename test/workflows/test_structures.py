@@ -1,6 +1,7 @@
 """What recordings can tell, and the structures compared, from bags on disk."""
 
-from bellows_ros.workflows.structures import selection, structures
+from bellows_ros.workflows.structures import structures
+from bellows_ros.workflows.verdict import selection
 import pytest
 
 from ..core.identification.laboratory import FAULTS, Laboratory, parameters
@@ -19,7 +20,7 @@ def test_where_no_structure_fits_the_cause_is_named(fault, word):
     """Say so of a cup that is no linear one, and of wrong data, and not of a sound recording."""
     laboratory = Laboratory(74102 if fault else 74100, rate_hz=240.0)
     FAULTS.get(fault, [lambda own: None])[0](laboratory)
-    found = selection([laboratory.recording()], parameters(laboratory), lambda what, part: None)
+    found = selection([laboratory.recording()], parameters(laboratory))
     assert found.fits is not bool(fault)
     assert found.advice[0].startswith('No structure fits' if fault else 'Use fit.structure')
     assert word in found.advice[0]

@@ -34,6 +34,7 @@ from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.model.validity_range import TYPICAL_BENDING
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.limits import largest_rates, read_rates
@@ -50,8 +51,8 @@ import scipy  # whose parts are loaded as they are used
 CHECK_RATE, JOINT_RATE = 1000.0, 250.0
 """Rates (Hz) at which limits are checked, and at which joint positions are computed for that."""
 
-BENDING, TORSION, MAX_FREQUENCY = math.radians(20.0), math.radians(30.0), 12.0
-"""Defaults for real cups (rad; beyond 45 degrees the model's moment falls) and real arms (Hz)."""
+TORSION, MAX_FREQUENCY = math.radians(30.0), 12.0
+"""Defaults for real cups (rad), beside their bending, and real arms (Hz)."""
 
 REST, RAMP = 2.0, 1.0
 """Durations (s): the initial rest, and each ramp of the amplitude."""
@@ -241,7 +242,7 @@ def limits_from(
             'not above 0. Move the start or widen the box.')
     limits = ArmLimits(
         start, lower, upper, rotation, read_rates(settings),
-        settings.number('bending', BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
+        settings.number('bending', TYPICAL_BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('torsion', TORSION, 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('safety_factor', safety, minimum=0.0),
         settings.number('highest_frequency', MAX_FREQUENCY, 'Hz', above=0.0, maximum=50.0),
@@ -472,7 +473,11 @@ class Checks(NamedTuple):
 
 
 class MotionObjective:
-    """The negative mean log determinant as a function of the coefficients' shape, with slopes."""
+    """
+    The negative mean log determinant as a function of the coefficients' shape, with slopes.
+
+    And of the power of the norm, and of the parts of the cup's limits allowed to linear loads.
+    """
 
     def __init__(
         self, checks: Checks, period: float, responses_at: Callable[[Array], list[Response]],
@@ -497,7 +502,7 @@ class MotionObjective:
         rows = [load_rows(r, model, limits, grip, omega)
                 for r, model in zip(responses, models, strict=True)]
         self._loads = np.concatenate(rows) @ limits.axes
-        self._bounds, self.allowed = limits.bounds(), np.ones(len(self._loads))
+        self._bounds, self.load_count = limits.bounds(), len(self._loads)
         self._names = [b.name for b in self._bounds] + [*LOADS[:len(rows[0])]] * self._models
         headroom = np.array([b.limit for b in self._bounds[:6]])
         self.size = 0.3 * headroom[:, None] / (1.0 + (omega[:self.count] / 6.0) ** 2)
@@ -512,9 +517,9 @@ class MotionObjective:
         """Return the adjoint of `_signals`: lines (..., F) of signals (..., N)."""
         return np.fft.rfft(signals)[..., 1:count + 1]
 
-    def __call__(self, shape: Array, power: int) -> tuple[float, Array]:
+    def __call__(self, shape: Array, power: int, allowed: Array) -> tuple[float, Array]:
         """Return the value and its derivatives by the shape, a flat array of 2 6 K numbers."""
-        value, slope, _ = self._value(self._coefficients(shape), power)
+        value, slope, _ = self._value(self._coefficients(shape), power, allowed)
         return value, np.ravel([(slope * self.size).real, (slope * self.size).imag])
 
     def _coefficients(self, shape: Array) -> Any:
@@ -522,10 +527,12 @@ class MotionObjective:
         real, imaginary = shape.reshape(2, 6, self.count)
         return self.size * (real + 1j * imaginary)
 
-    def within(self, shape: Array, power: int) -> tuple[Any, Mapping[str, float]]:
+    def within(
+        self, shape: Array, power: int, allowed: Array
+    ) -> tuple[Any, Mapping[str, float]]:
         """Return the coefficients (K, 6), within limits, and each limit's share in stopping it."""
         c = self._coefficients(shape)
-        _, _, (largest, shares) = self._value(c, power)
+        _, _, (largest, shares) = self._value(c, power, allowed)
         return c.T / largest, shares
 
     def criterion(self, coefficients: Any) -> float:
@@ -534,14 +541,16 @@ class MotionObjective:
         lines = self._lines(waves, self._loads.shape[1]).T * (2.0 / self.points)
         return self._information(lines)[0]
 
-    def _value(self, c: Any, power: int) -> tuple[float, Any, tuple[float, Mapping[str, float]]]:
+    def _value(
+        self, c: Any, power: int, allowed: Array
+    ) -> tuple[float, Any, tuple[float, Mapping[str, float]]]:
         """Return value, slope by the coefficients, and largest ratio with the shares in it."""
         rates = self._signals(self._powers * c)
         u = np.array([
             sum(self._envelope[n, m] * rates[m] for m in range(n + 1)) for n in range(4)])
         first, wide = len(self._bounds), self._loads.shape[1]
         lines = self._lines(u[0], wide).T * (2.0 / self.points)
-        loads = self._loads / self.allowed[:, None, None, None]
+        loads = self._loads / allowed[:, None, None, None]
         # The length of three numbers plus a fourth is bounded.
         signals = np.zeros((first + len(loads), 4, self.points))
         for signal, b in zip(signals, self._bounds, strict=False):
@@ -662,17 +671,17 @@ def design(
         progress('designing the motion', number / (STARTS * len(STAGES)))
         if number % len(STAGES) == 0:
             shape = rng.standard_normal(2 * search.size.size)
-            search.allowed = np.ones_like(search.allowed)
-        shape = minimise(search, shape, (power,), 'L-BFGS-B', True, options={
+            allowed = np.ones(search.load_count)
+        shape = minimise(search, shape, (power, allowed), 'L-BFGS-B', True, options={
             'maxiter': max_iterations, 'maxfun': 2 * max_iterations, 'maxcor': LBFGS_MEMORY,
             'ftol': MIN_GAIN}).x
-        coefficients, now = search.within(shape, power)
+        coefficients, now = search.within(shape, power, allowed)
         moved = replace(still, coefficients=coefficients)
         worst = checks.loads(moved).ravel()
         reached = search.criterion(coefficients / max(1.0, float(worst.max())))
         if reached > best:
             best, motion, shares = reached, moved, now
-        search.allowed = np.minimum(search.allowed / np.maximum(worst, 0.1) ** LOAD_EXPONENT, 1.0)
+        allowed = np.minimum(allowed / np.maximum(worst, 0.1) ** LOAD_EXPONENT, 1.0)
     motion, ratios = _within(motion, checks)
     progress('computing the expected errors', 1.0)
     tool = motion.at_rate(1.0 / tracking.package_period)

@@ -170,7 +170,7 @@ class _TolerantCache:
     """
 
     def __init__(self, cache: Any, function: Callable[..., Any], kind: str) -> None:
-        """Take the cache."""
+        """Wrap numba's cache."""
         self._cache, self._function = cache, function
         files = cache._cache_file
         cache._cache_file = type(files)(

@@ -133,7 +133,7 @@ class Finding(NamedTuple):
     is_fact : bool
         Whether it is seen without any fit.
     sentence : str
-        What is said of it, where it is not the one that `CAUSES` has.
+        The message about it, where it is not the one that `CAUSES` has.
 
     """
 
@@ -159,9 +159,11 @@ class Finding(NamedTuple):
         """
         Whether it is worth a word: it explains most, whatever else does.
 
-        A drift or a slip is found by its standard errors alone: of each pose it is hardly any.
+        Others are found by their standard errors alone: of each pose a drift or a slip is hardly
+        any, and friction counts to first order only.
         """
-        return self.certain or self.left**2 < DISTINCT or self.name in ('world_drift', 'slip')
+        return self.certain or self.left**2 < DISTINCT or self.name in (
+            'world_drift', 'slip', 'friction')
 
 
 class Diagnosis(NamedTuple):
@@ -493,7 +495,7 @@ def _jump(recording: Recording) -> Finding | None:
 
 
 def _smoothed(recording: Recording) -> Finding | None:
-    """Return that poses went through a low-pass: their noise falls too steeply."""
+    """Return that poses are low-pass filtered: their noise falls too steeply."""
     topics = [topic for topic, poses in (('tool_pose', recording.aligned_tool),
                                          ('package_pose', recording.aligned_package))
               if _noise_order(poses) > MAX_NOISE_ORDER]

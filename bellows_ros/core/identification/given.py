@@ -582,8 +582,8 @@ def _other_frame(search: Search, minimum: Minimum, rival: float) -> Finding | No
     """
     Return that poses of the lip are those of the centre of mass, or vice versa, where it is so.
 
-    With the centre of mass free near it, as it is a little off beside. None where a rival, which
-    has more numbers, explains more, or where the marker may be as far off.
+    The centre of mass is freed as well, since it is only approximately there. None if a rival,
+    which has more numbers, explains more, or if the marker may be as far off.
     """
     measured = search.segments[0].measured
     if 'package_marker' in search.places:
@@ -657,14 +657,14 @@ def _gain(
     """
     Return by how much squares fall, with those of what was given, from one end to another.
 
-    Of slow poses, whose noise is learned, it is the logarithm of its likelihood that tells, at any
-    scale of all variances. Of the poses alone for a slip: soon after the beginning it is a centre
-    of mass elsewhere, whose squares it would share.
+    For slow poses, whose noise is estimated, deviances are compared. For a slip, those of the
+    poses alone: soon after the beginning it is a centre of mass elsewhere, whose squares it would
+    share.
     """
     is_slow = any(segment.is_slow for segment in before[0].segments)
 
     def left(search: Search, minimum: Minimum) -> float:
-        """Return the squares, or a deviance as large as those, and that of what was given."""
+        """Return the squares or the deviance, and the squares of what was given."""
         given = 0.0 if of_poses else float(search.weights @ minimum.theta**2)
         if not is_slow:
             return minimum.squares + given

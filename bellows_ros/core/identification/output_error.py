@@ -45,6 +45,7 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import Alignment
 from bellows_ros.core.recording.recording import BodyNoise, Recording, TimeOffset
+from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
@@ -498,10 +499,10 @@ class Registered(NamedTuple):
     def require_world(self) -> None:
         """Refuse a world that is not identifiable, for a method that takes it as exact."""
         if np.any(self.world_std > KINDS['package_world'].max_std):
-            each = [f'{1e3 * x:.2g}' for x in self.world_std]
+            each = [f'{x:.2g}' for x in DISPLAY_FACTORS * self.world_std]
             raise UndeterminedError(
                 'recording.package_world is not identifiable from this recording: the standard '
-                f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} mrad. Tilt '
+                f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} degrees. Tilt '
                 'and turn the tool more, best with three standstills tilted to different sides, '
                 'or set its seven numbers.')
 

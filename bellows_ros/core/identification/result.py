@@ -18,7 +18,7 @@ import numpy as np
 
 NOTE_TEXTS = tomllib.loads(Path(__file__).with_name('notes.toml').read_text())
 NOTES: Mapping[str, str] = NOTE_TEXTS['notes']
-"""What is said of fits, to be filled in."""
+"""Messages about fits, to be filled in."""
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
 """Of entries of K and P: translation, coupling, rotation."""

@@ -451,10 +451,10 @@ class Search(Parametrization):
         report: Report, system: System | None = None,
     ) -> Minimum:
         """
-        Return the root in some directions.
+        Return the root in some directions, or where the poses were likeliest.
 
-        With an unknown acceleration that forgets at a rate (1/s), or where it does not converge,
-        where the poses were likeliest.
+        The latter if the search does not converge, and with an unknown acceleration of the
+        package that forgets at a rate (1/s).
         """
         parts, H, g = system or self.system(theta, forgetting)
         if not np.all(np.isfinite(g)):
@@ -467,7 +467,7 @@ class Search(Parametrization):
             (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
             (0.0, TOLERANCE, MAX_STEPS))
         damping, settled, is_fresh = min_damping, True, True
-        badness = squares if forgetting else deviance
+        objective = squares if forgetting else deviance
         history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
         expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
         largest = MAX_RISE * max(squares(parts), expected)
@@ -481,7 +481,7 @@ class Search(Parametrization):
             length = self.squared_length(step, H)
             is_near = not forgetting and settled and (
                 length < LOOSE_TOLERANCE and damping <= MAX_FINAL_DAMPING)
-            cost = not is_near, length if is_near else badness(parts)
+            cost = not is_near, length if is_near else objective(parts)
             if cost < lowest:
                 best, lowest, best_number = (
                     Minimum(theta, parts, H, is_near, self.noise), cost, number)
@@ -514,7 +514,7 @@ class Search(Parametrization):
             if length < tolerance and settled:
                 break
         is_near = not forgetting and settled and length < LOOSE_TOLERANCE
-        if not is_near and lowest < (True, badness(parts)):
+        if not is_near and lowest < (True, objective(parts)):
             self.restore(best)
             return best
         self.update_noise(parts)

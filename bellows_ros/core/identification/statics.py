@@ -168,7 +168,7 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
         raise UndeterminedError(
             'The cup length needs two or more different masses, held with the tool '
             f'vertical, but there {"is" if different == 1 else "are"} {different}. Record '
-            'standstills with other known masses, and give each its own --mass.')
+            'standstills with other known masses, and give the mass of each.')
     pick = _pick_scatter(measured, groups)
     scattered = np.column_stack([loads, lengths, np.hypot(errors, np.nan_to_num(pick))])
     degree = LINEAR_DEGREE
@@ -191,7 +191,7 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
             f'From {loads.min():.4g} to {loads.max():.4g} N the cup is '
             f'{1e3 * lengths.min():.2f} to {1e3 * lengths.max():.2f} mm long, a stiffness of '
             f'{stiffness:.3g} N/m; expected {MIN_STIFFNESS:g} to {MAX_STIFFNESS:g}. Check each '
-            '--mass (kg) and its order.')
+            'mass (kg) and their order.')
     return CupLength(
         float(coefficients[0]), std, chi2, degrees_of_freedom, stiffness,
         _linear_range(coefficients, float(loads.max())), loads, lengths, errors,

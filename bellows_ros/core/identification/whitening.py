@@ -193,7 +193,8 @@ def whiten(
         for i in range(6):
             B[k, m + i, i] = 1.0
         if k > 0:
-            _propagate(k, path, tool_noise, poses, unknowns, walk, A, C, E, B[k], S, P, T[k])
+            _propagate(k, path, tool_noise, poses, unknowns, walk, (A, C, E),
+                       (B[k], S, P, T[k]))
         _add_tool_noise(k, tool_noise, marker, B[k], S, P)
         i = place[k]
         if i >= 0:
@@ -228,9 +229,10 @@ def with_mean(body: State, S: Any) -> State:
 @array_kernel
 def _propagate(
     k: int, path: Path, tool_noise: ToolNoise, poses: Poses, unknowns: Unknowns, walk: Array,
-    A: Array, C: Array, E: Array, B: Array, S: Array, P: Array, T: Array,
+    derivatives: tuple[Array, Array, Array], states: tuple[Array, Array, Array, Array],
 ) -> None:
     """Propagate states, derivatives and covariance over a step to node k; write its T and B."""
+    (A, C, E), (B, S, P, T) = derivatives, states
     (_, lengths, steps), (_, _, tool_correlations) = path, tool_noise
     (_, _, _, _, variance, correlations), (_, columns, scales, extra, _, _) = poses, unknowns
     n, m, length = len(P), A.shape[1], lengths[k - 1]

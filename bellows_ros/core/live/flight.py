@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import lru_cache
 import math
 from typing import Any, NamedTuple
 
@@ -35,6 +36,8 @@ MAX_TOSS_STEPS = 2_000_000
 COVARIANCE_PERIOD = 10
 """The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
+
+_longest_step = lru_cache(maxsize=1)(largest_step)
 
 
 class Landing(NamedTuple):
@@ -101,7 +104,6 @@ class Flight:
         self._release = release.release_of(values) if self.has_size else release.NO_FLIGHT
         self._ahead = release.latest_release(release.law_of(values)) + EXTRA_TIME
         self._factor = factor_columns(values)
-        self._longest: tuple[ModelTuple | None, float] = None, 0.0
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
         self.forget()
 
@@ -197,7 +199,7 @@ class Flight:
         """
         released, body, landed = 0.0, now.body, math.inf
         if not now.flies:
-            require_steps(seconds / self._longest_step(model), MAX_TOSS_STEPS)
+            require_steps(seconds / _longest_step(model), MAX_TOSS_STEPS)
             switched = (self._switched_ns - now.stamp_ns) / NS_PER_S if self.state else math.inf
             try:
                 released, body, landed, _ = self._toss(
@@ -224,13 +226,7 @@ class Flight:
         return release.toss_along(
             (model, self.grip or release.NO_GRIP, self._release, switched), 0.0, now.tool,
             adapted(model, now.tool, now.body),
-            (*_after_now(tool), until, self._longest_step(model)))
-
-    def _longest_step(self, model: ModelTuple) -> float:
-        """Return the longest integration step (s) of a model."""
-        if self._longest[0] is not model:
-            self._longest = model, largest_step(model)
-        return self._longest[1]
+            (*_after_now(tool), until, _longest_step(model)))
 
     def landing(
         self, model: ModelTuple, prediction: Prediction,
@@ -252,7 +248,7 @@ class Flight:
             From it to the covariance (12, 12) of its state, in body axes.
 
         """
-        longest = STEP_FACTOR * self._longest_step(model)
+        longest = STEP_FACTOR * _longest_step(model)
         if not self.has_size or self.state or self._ahead > MAX_SUBSTEPS * longest:
             return None  # so many steps would hold up the poses
         if self._count % COVARIANCE_PERIOD == 0:
@@ -276,7 +272,7 @@ class Flight:
         """Return the time (s) until the valve should be switched for the target, or None."""
         if not self.has_size or self.state or not self._values['landing.aim']:
             return None
-        if 2.0 * AIM_TIME > MAX_AIM_STEPS * self._longest_step(model):
+        if 2.0 * AIM_TIME > MAX_AIM_STEPS * _longest_step(model):
             return None  # so many steps take too long
         x, y = self._values['landing.target']
         try:

@@ -14,10 +14,10 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Load, Safety
+from bellows_ros.core.live.load import Load, Safety
 from bellows_ros.core.live.predictor import LivePredictor, MESSAGES, RESTARTS
 from bellows_ros.core.live.tool_screening import REFUSALS
-from bellows_ros.core.model.validity_range import Distance
+from bellows_ros.core.model.validity_range import Distance, FLAT_MOMENT_BENDING
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 

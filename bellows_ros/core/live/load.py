@@ -17,9 +17,6 @@ from bellows_ros.core.parameters.checks import ESTIMATE, gravity_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-FLAT_MOMENT_BENDING = 0.6
-"""Bending (rad) beyond which the restoring moment of the model hardly grows (3.17)."""
-
 ALL = -1
 """Stands for the cup, or for all cups of a gripper together."""
 
@@ -160,8 +157,6 @@ class Vacuum:
 
     Attributes
     ----------
-    values : mapping
-        Parameters by name: vacuum.*, cup.layout.
     held : bool
         Whether the package is held; a gripper holds it while any of its cups does.
     pressure : float or None
@@ -171,23 +166,24 @@ class Vacuum:
 
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self) -> None:
         """Start without a pressure."""
-        self.values = values
         self.held = False
         self.open_cups: tuple[int, ...] = ()
         self.pressure: float | None = None
         self._pressures: dict[int, float] = {}  # by cup, of those that hold
         self._measured: set[int] = set()  # cups with a sensor
 
-    def update(self, pressure: float, frame_id: str) -> tuple[tuple[bool, int], ...] | str:
+    def update(
+        self, values: Mapping[str, Any], pressure: float, frame_id: str
+    ) -> tuple[tuple[bool, int], ...] | str:
         """
         Return by a new pressure (Pa) whether cups hold, or why it is refused.
 
-        Each cup by its index in cup.layout, or `ALL`. A frame_id that ends in cup_2 is of this
-        one cup.
+        By the parameters vacuum.* and cup.layout. Each cup by its index there, or `ALL`. A
+        frame_id that ends in cup_2 is of this one cup.
         """
-        cups = len(self.values['cup.layout']) // 3
+        cups = len(values['cup.layout']) // 3
         of_cup = re.search(r'cup_(\d{1,3})$', frame_id) if cups > 1 else None
         cup = int(of_cup[1]) if of_cup else ALL
         if not math.isfinite(pressure):
@@ -197,8 +193,8 @@ class Vacuum:
         if cup >= cups > 1:
             return 'no_such_cup'
         was_held = self.held if cup == ALL else cup in self._pressures
-        is_held = bool(pressure <= self.values['vacuum.detach_above'] if was_held
-                       else pressure < self.values['vacuum.attach_below'])
+        is_held = bool(pressure <= values['vacuum.detach_above'] if was_held
+                       else pressure < values['vacuum.attach_below'])
         if cup == ALL:
             self.held, self.pressure = is_held, pressure
             return ((is_held, ALL),)
@@ -237,7 +233,7 @@ def check_live(values: Mapping[str, Any]) -> None:
     if values['recording.package_world'] == ESTIMATE:
         raise BellowsError(
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
-            'seven numbers, from the file of bellows identify --out.')
+            'seven numbers, from the file that bellows identify wrote.')
     model = prepared(cup_of(values), package_of(values), gravity_of(values))[0]
     load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is measured yet
     try:

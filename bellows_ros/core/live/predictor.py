@@ -22,7 +22,7 @@ from bellows_ros.core.live.load import ALL
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
 from bellows_ros.core.live.uncertainty import Prediction
-from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import trajectory_of
@@ -30,7 +30,7 @@ from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, require_types
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -104,6 +104,7 @@ class LivePredictor:
         coast_limit_ns: int = COAST_LIMIT_NS,
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
+        require_types(cup=(cup, Cup), package=(package, Package))
         require_stiffness(cup.stiffness)
         if twist_frame not in ('world', 'tool'):
             raise BellowsError(f"twist_frame is '{twist_frame}'; expected 'world' or 'tool'.")
@@ -116,7 +117,7 @@ class LivePredictor:
         self.restarts = dict.fromkeys(RESTARTS, 0)
         self.poses_in = self.twists_in = 0
         self.predictions = self.twists_estimated = self.coasted = 0
-        self.attached = True
+        self.attached, self._twists_expected = True, False
         self._vacuum: dict[int, bool] = {}  # whether a cup holds by it, or all together
         self.flight: Flight | None = None
 
@@ -159,7 +160,7 @@ class LivePredictor:
         Return the phase of the prediction at a time on the clock of arrivals.
 
         'detached', 'waiting' (no pose has come yet), 'predicting', 'settling' (predicting, but
-        what the start was off by is still felt), 'coasting' (no pose has come for a moment) or
+        the error of the start has not decayed), 'coasting' (no pose has come for a moment) or
         'lost' (none for longer than can be bridged, or no prediction from it); after the valve
         'released', 'flying' or 'landed'.
         """
@@ -177,6 +178,10 @@ class LivePredictor:
 
     # ---------------------------------------------------------------- control
 
+    def configure(self, coast_limit_ns: int, flight: Flight) -> None:
+        """Set how long pauses are bridged, and what follows the package after the valve."""
+        self.coast_limit_ns, self.flight = coast_limit_ns, flight
+
     def set_model(self, cup: Cup, package: Package) -> None:
         """Continue with another cup or package; pose and motion stay as they are."""
         self.package.set_model(cup, package)
@@ -188,7 +193,12 @@ class LivePredictor:
             self._screen.forget_motion()
         else:
             self._screen.reset()
+            self.pairing.expect = self._twists_expected
         self._forget_motion()
+
+    def expect_twists(self, expected: bool) -> None:
+        """Let poses wait for their twists, or not, until those that come show otherwise."""
+        self._twists_expected = self.pairing.expect = expected
 
     def set_attached(self, attached: bool) -> list[Prediction]:
         """Take up a package, from rest at the next pose, or let it go."""
@@ -243,7 +253,11 @@ class LivePredictor:
 
         """
         self.poses_in += 1
-        reason = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
+        try:
+            reason = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
+        except TypeError:
+            frozen_array(quaternion_xyzw, (4,), 'quaternion_xyzw')
+            raise
         if reason in self._counts:
             self._counts[reason] += 1
             return []
@@ -448,7 +462,7 @@ def predicted_trajectory(
             stamps.append(stamp_ns)
             numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
 
-    live.pairing.expect = bool(messages.is_twist.any())
+    live.expect_twists(bool(messages.is_twist.any()))
     poses, readings = deque(measured), deque(vacuum)
     for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
         if number % MESSAGE_BLOCK == 0:

@@ -137,7 +137,8 @@ class Package:
     Raises
     ------
     BellowsError
-        If the mass is not positive or no rigid body can have the inertia.
+        If the mass is not positive, the centre of mass is farther than 10 m, or no rigid body can
+        have the inertia.
 
     Examples
     --------
@@ -161,6 +162,8 @@ class Package:
         object.__setattr__(self, 'mass', float(frozen_array(self.mass, (), 'package mass')))
         if self.mass <= 0.0:
             raise BellowsError(f'The package mass must be above 0 kg, got {self.mass}.')
+        if np.abs(self.com).max() > 10.0:  # as in the table of parameters
+            raise BellowsError(f'package.com must be within 10 m, got {self.com.tolist()}.')
         structure.check_inertia(self.inertia)
 
     @cached_property
@@ -315,12 +318,12 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
     [0.00438, 0.00654, 0.00984]
 
     """
-    if not min(mass, depth, width, height) > 0.0:
+    box = frozen_array([mass, depth, width, height], (4,), 'mass and sides of a box')
+    if not box.min() > 0.0:
         raise BellowsError(
-            'A box needs mass (kg), depth, width and height (m) above 0, got '
-            f'{mass:g}, {depth:g}, {width:g} and {height:g}.')
-    d2, w2, h2 = depth**2, width**2, height**2
-    return mass / 12.0 * np.diag([h2 + w2, h2 + d2, d2 + w2])
+            f'A box needs mass (kg), depth, width and height (m) above 0, got {box.tolist()}.')
+    d2, w2, h2 = box[1:]**2
+    return np.asarray(box[0] / 12.0 * np.diag([h2 + w2, h2 + d2, d2 + w2]))
 
 
 def parameter_vector(values: Mapping[str, Any]) -> Array:

@@ -1,5 +1,5 @@
 """
-Validity range of a fit: ranges of deflection, rates, frequencies and mass.
+Validity range of a fit: ranges of deflection, rates, frequencies and mass; that of the law.
 
 A model that was fitted to small bending has not been tried at large bending, and so on: outside
 of the envelope a prediction is an extrapolation.
@@ -8,10 +8,12 @@ of the envelope a prediction is an extrapolation.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Context, ROUND_CEILING, ROUND_FLOOR
+import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import frozen_array
+from bellows_ros.core.signals.residuals import DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,9 +23,11 @@ DIRECTIONS = (
     'bending about x', 'bending about y', 'torsion')
 """Names of the coordinates of the lip in the tool: shift (m) and rotation vector (rad)."""
 
-DISPLAY_UNITS = ('mm',) * 3 + ('degrees',) * 3
-SHOWN_PER_SI = np.repeat([1e3, 180.0 / np.pi], 3)
-"""Units of the coordinates in messages, and how many of them make 1 m or 1 rad."""
+TYPICAL_BENDING, FLAT_MOMENT_BENDING, PEAK_MOMENT_BENDING = math.radians(20.0), 0.6, math.pi / 4.0
+"""Bending (rad) of real cups; where the moment of (3.17) hardly grows; where it is largest."""
+
+OVERTURN_ANGLE = 1.5
+"""Rotation (rad) beyond which a package that swings is not followed: no cup goes so far."""
 
 MIN_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
 MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
@@ -178,7 +182,7 @@ def _deflections(valid: Envelope, value: Array) -> list[tuple[float, str]]:
     middle = 0.5 * (valid.deflection_high + valid.deflection_low)
     half = np.maximum(0.5 * (valid.deflection_high - valid.deflection_low), MIN_DEFLECTION)
     size, low, high = (
-        SHOWN_PER_SI * x for x in (value, valid.deflection_low, valid.deflection_high))
+        DISPLAY_FACTORS * x for x in (value, valid.deflection_low, valid.deflection_high))
     return [
         (part, f'{DIRECTIONS[i]} is {size[i]:.3g} {DISPLAY_UNITS[i]}, seen {low[i]:.3g} to '
                f'{high[i]:.3g} {DISPLAY_UNITS[i]}')
@@ -187,9 +191,10 @@ def _deflections(valid: Envelope, value: Array) -> list[tuple[float, str]]:
 
 def _rates(valid: Envelope, value: Array) -> list[tuple[float, str]]:
     """Return distance and phrase for each rate."""
+    rate, largest = (DISPLAY_FACTORS * np.abs(x) for x in (value, valid.rates))
     return [
-        (part, f'the rate of {DIRECTIONS[i]} is {abs(value[i]):.3g} '
-               f'{"m/s" if i < 3 else "rad/s"}, seen up to {valid.rates[i]:.3g}')
+        (part, f'the rate of {DIRECTIONS[i]} is {rate[i]:.3g} {DISPLAY_UNITS[i]}/s, seen up to '
+               f'{largest[i]:.3g}')
         for i, part in enumerate((np.abs(value) / np.maximum(valid.rates, MIN_RATE)).tolist())]
 
 

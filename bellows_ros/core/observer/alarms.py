@@ -79,7 +79,7 @@ NAMED = {
     name: Cause(name, **{**entry, 'steps': tuple(
         tuple(getattr(ekf, row) + place for row, place in step) for step in entry['steps'])})
     for name, entry in TEXTS['causes'].items()}
-ALARM_CAUSES = tuple(NAMED.values())
+ALARM_CAUSES = tuple(sorted(NAMED.values(), key=lambda cause: cause.name == 'cup'))
 """
 The faults that are tested. The last is the loss of one cup of several: each cup that holds has
 its own columns, after all others.

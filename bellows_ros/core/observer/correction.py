@@ -188,6 +188,10 @@ class Track:
         self.rows[0][0] = self.newest_ns = stamp_ns
         self.count = 1
 
+    def advance(self, stamp_ns: int) -> None:
+        """Count a sample that was written to the rows."""
+        self.count, self.newest_ns = self.count + 1, stamp_ns
+
     def after(self, stamp_ns: int) -> int:
         """Return the number of the first sample after a stamp."""
         return int(first_after(self.rows[0], stamp_ns, self.count))

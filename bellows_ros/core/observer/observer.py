@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -88,6 +88,8 @@ class Observer:
     ----------
     values : mapping
         Parameters by name: measured.*, payload.*, package.*_std, cup.*_std, tool_noise.*.
+    alarms : sequence of Alarm
+        Those of an observer before.
 
     Attributes
     ----------
@@ -98,7 +100,7 @@ class Observer:
 
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Mapping[str, Any], alarms: Sequence[Alarm] = ()) -> None:
         """Start without a package."""
         self.sensor = PoseSensor(values)
         self._values = values
@@ -111,7 +113,7 @@ class Observer:
         self._delay_ns = 0  # of the newest measurement, when it came
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # when, if it holds, and its period
-        self.alarms: list[Alarm] = []
+        self.alarms = list(alarms)
         self._of_vacuum: list[Alarm] = []
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
@@ -216,7 +218,7 @@ class Observer:
             stamp_ns, start, end, correction.max_step, correction.reach)
         assert prediction is not None
         self.body = prediction[0]
-        track.count, track.newest_ns = track.count + 1, stamp_ns
+        track.advance(stamp_ns)
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
             self._measurements.append(self._pending.pop(0))
@@ -255,7 +257,8 @@ class Observer:
         """Process a measured pose; return why it is refused, or ''."""
         stamp_ns, verdict = measurement.stamp_ns, ''
         newest_ns = self._track.newest_ns if self._estimates else 0
-        others = self._pending if stamp_ns > newest_ns else self._measurements
+        is_ahead = stamp_ns > newest_ns
+        others = self._pending if is_ahead else self._measurements
         at = bisect_left(others, (stamp_ns,))
         if not self._estimates:
             verdict = 'not_held'
@@ -271,7 +274,7 @@ class Observer:
         others.insert(at, measurement)
         if stamp_ns > self._last_ns[-1]:
             self._last_ns.append(stamp_ns)
-        if others is self._measurements:
+        if not is_ahead:
             self._delay_ns = max(newest_ns - stamp_ns, self._delay_ns // 2)
             self._reprocess(at)
         return ''
@@ -361,8 +364,8 @@ class Observer:
         """
         Return whether the vacuum holds by its last reading; None if there is none to believe.
 
-        A signal that has told the same twice comes in periods: one that is silent tells nothing.
-        One that holds a package which is seen to fall is stuck.
+        A signal that repeats its value is periodic; when overdue it is treated as unknown. One
+        that holds a package which is seen to fall is stuck.
         """
         stamp_ns, is_held, period_ns = self._vacuum or (0, None, 0.0)
         is_silent = self._track.newest_ns - stamp_ns > _silence_ns(period_ns)

@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import table
 from bellows_ros.core.parameters.table import Kind, Parameter, Value
-from bellows_ros.errors import BellowsError, short
+from bellows_ros.errors import BellowsError, NotSetError, short
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -275,11 +275,10 @@ def require(values: Mapping[str, object], required: Iterable[str]) -> None:
         lines = [f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
                  for p in missing]
         names = ', '.join(p.name for p in missing)
-        raise BellowsError(
-            f'Not set, and without a default: {names}. Set it, or give a file (--params FILE; of '
-            "a node --ros-args --params-file FILE), which 'bellows info BAG --write-params FILE' "
-            'writes for a recording; for example:\n\n/**:\n  ros__parameters:\n'
-            + '\n'.join(lines))
+        raise NotSetError(
+            f'Not set, and without a default: {names}. Set it, or give a parameter file that has '
+            "it, which 'bellows info BAG --write-params FILE' writes for a recording; for "
+            'example:\n\n/**:\n  ros__parameters:\n' + '\n'.join(lines))
 
 
 _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {

@@ -14,11 +14,11 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.model import kernels, simulation
+from bellows_ros.core.model import kernels, simulation, validity_range
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.validity_range import beyond, Envelope, parameter_envelope
+from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -28,17 +28,11 @@ SETTLED_ANGLE = math.radians(0.5)
 SETTLING_TIME, MAX_TAIL = 2.0, 30.0
 """... for this time (s); the wait ends at the latest this long (s) after the end."""
 
-OVERTURN_ANGLE = 1.5
-"""The swing after the end is not followed beyond this rotation (rad): no cup goes so far."""
-
 TAIL_STEP = 4e-3
 """Longest integration step (s) after the end, where only the swing matters ..."""
 
 COARSE_STEP_FACTOR = 3.0
 """... or this multiple of the normal step, if shorter: still accurate to 1e-4."""
-
-PEAK_MOMENT_BENDING = 0.25 * math.pi
-"""Bending (rad) at which the cup's restoring moment is largest."""
 
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
 """Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
@@ -61,7 +55,9 @@ def flip_sentence(angle: float, since: str = '') -> str:
     return (
         f'The cup bends by up to {math.degrees(angle):.0f} degrees{since}. Beyond '
         f'{math.degrees(PEAK_MOMENT_BENDING):.0f} the modelled restoring moment falls and the '
-        'package may flip. Real cups bend some 20 degrees; use smaller or slower motions.')
+        'package may flip. Real cups bend some '
+        f'{math.degrees(validity_range.TYPICAL_BENDING):.0f} degrees; use smaller or slower '
+        'motions.')
 
 
 class PlanPrediction(NamedTuple):
@@ -131,8 +127,8 @@ class PlanPrediction(NamedTuple):
 
     def outside(self, values: Mapping[str, Any]) -> tuple[str, ...]:
         """Return a phrase for each validity range among parameters that is exceeded."""
-        valid = parameter_envelope(values)
-        return () if valid is None else beyond(valid, Envelope(
+        valid = validity_range.parameter_envelope(values)
+        return () if valid is None else validity_range.beyond(valid, validity_range.Envelope(
             self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
             np.full(2, values['package.mass'])))
 
@@ -383,7 +379,7 @@ def _simulate_decay(
         load = record_sample(model, grip, tool, body, t + since, wrench, loads, extremes)
         angle = t3.norm(t3.rotation_between(hanging, body[1]))
         update_peak(extremes, 7, t + since, angle)
-        if load > ceiling or angle > OVERTURN_ANGLE or stop[0]:
+        if load > ceiling or angle > validity_range.OVERTURN_ANGLE or stop[0]:
             return math.inf
         if angle > SETTLED_ANGLE:
             settled = math.inf

@@ -20,6 +20,7 @@ from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import resting_on_tool, symmetric_matrix, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
+from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.planning import plan_prediction as planning
 from bellows_ros.core.planning.limits import TooFastError
 from bellows_ros.core.planning.points import body_twists, curve_of
@@ -253,7 +254,7 @@ def inverse(
     tool, package = (
         simulation.trajectory_of(stamps, rows) for rows in (out[index], package[index]))
     if np.sum(tool.rotation[:, :, 2] * package.rotation[:, :, 2], axis=1).min() < math.cos(
-            planning.PEAK_MOMENT_BENDING):
+            PEAK_MOMENT_BENDING):
         raise _too_far()
     return tool, package, smoothed
 
@@ -297,8 +298,9 @@ def _invert(
 def _too_far() -> TooFastError:
     """Return the error for a motion beyond the cup's reach."""
     return TooFastError(
-        'This motion of the package would bend the cup by more than 45 degrees. Give the motion '
-        'more time, by limits for example, or use the method zvd.')
+        'This motion of the package would bend the cup by more than '
+        f'{math.degrees(PEAK_MOMENT_BENDING):.0f} degrees. Give the motion more time, by limits '
+        'for example, or use the method zvd.')
 
 
 def _tool_above(model: ModelTuple, body: Array) -> State:

@@ -339,8 +339,8 @@ def rotation_correlation(
     """
     Return lags (K,), s, of the tool's stamps behind the package's, and the rotations' correlation.
 
-    Their sizes are compared, or their world axes, where the world is one for both. Empty where a
-    body hardly turns, or is recorded too shortly.
+    By their sizes, or in axes of the world, where it is one for both. Empty where a body
+    hardly rotates, or is recorded too shortly.
     """
     rotations = []
     for body in (tool, package):

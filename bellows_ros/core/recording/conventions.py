@@ -19,8 +19,7 @@ MAX_DISTANCE = 2.0
 """Distance (m) of the package from the tool that no cup reaches."""
 
 REACH, MAX_CHANGE = (0.01, 0.5), 0.25
-"""Distances (m) of a package on a cup, and by which part they vary at most: two worlds are no
-other convention."""
+"""Distances (m) of a package on a cup, and by which part they vary at most."""
 
 MAX_MOTION_RATIO = 0.4
 """Part of the motion of the package in the tool that is left with another order, at most ..."""
@@ -31,7 +30,7 @@ MAX_HANGING_TILT, MIN_OTHER_TILT = 0.2, 0.5
 
 
 MAX_PATH_RATIO, MAX_PATH_LENGTH = 100.0, 20.0
-"""Ratio of the paths of two bodies that move together, and a path (m) that no tool travels."""
+"""Ratio of the paths of two bodies that move together, and a path (m) no tool travels."""
 
 MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
 """How alike two bodies turn at least in another order of their quaternions, and which part of the
@@ -64,7 +63,7 @@ def converted(poses: Posed, convention: Convention) -> Posed:
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
-    """Return the conventions of two streams; as they should be where they may be."""
+    """Return the conventions of two streams: the standard ones where they fit."""
     first, last = common_span(tool, package)
     units = Convention(), Convention()
     if last <= first:

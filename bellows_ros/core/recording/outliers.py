@@ -7,7 +7,7 @@ known. What nothing cancels is a step, or, near an end of the recording, the one
 excursion that is visible. Exact repeats of a pose are marked where the body moved.
 
 A body with finite speed cannot jump. How far it does is the least distance, over the time between
-two samples, of two straight continuations: of the samples before, and of the samples after. Honest
+two samples, of two straight continuations: of the samples before, and of the samples after. Real
 motion leaves next to nothing, not even where its velocity or its acceleration changes at once,
 since the continuations meet where it did. Two samples on each side find short excursions,
 `LONG_SIDE` on each side find small ones. Positions (m) and rotation vectors (rad) are treated
@@ -31,7 +31,7 @@ from scipy.ndimage import find_objects, label, median_filter
 
 Indices = Stamps
 
-# Samples on each side of the second, longer look, and how even their times must be.
+# Samples on each side of the second, long window, and how even their times must be.
 LONG_SIDE, MAX_UNEVENNESS = 5, 0.1
 # A jump counts from this many times the median of its surroundings on. Of white noise, the largest
 # in two million samples reaches 4.0.
@@ -41,7 +41,7 @@ QUANTITIES, MIN_JUMP = ('position', 'rotation'), np.array([0.5e-3, 1e-3])
 # Motion whose velocity changes at once is no jump: parabolas through the samples on each side, if
 # they are smooth to this part of the jump, then meet to within that part of it.
 MAX_ROUGHNESS, MEETING_DISTANCE = 0.5, 0.3
-# In the longer look, the lines must fit their samples to this part of the jump.
+# In the long window, the lines must fit their samples to this part of the jump.
 MAX_LINE_MISFIT = 0.6
 # A jump that may be the other end of one that counts may be weaker, by this factor.
 PARTNER_STRENGTH = 0.5

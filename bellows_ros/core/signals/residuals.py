@@ -20,8 +20,9 @@ from scipy.special import chdtrc
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 """The tool-relative coordinates: position of B (m), then its rotation vector (rad), in E axes."""
 
-MILLI_UNITS = ('mm',) * 3 + ('mrad',) * 3
-"""Units in which they are read."""
+DISPLAY_UNITS = ('mm',) * 3 + ('deg',) * 3
+DISPLAY_FACTORS = np.repeat([1e3, np.rad2deg(1.0)], 3)
+"""Units in which a person reads them, and how many of them make 1 m or 1 rad."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from math import pi
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.signals.resampling import filled
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, require_types
 import numpy as np
 from numpy.typing import ArrayLike
 import scipy  # whose parts are loaded as they are used
@@ -124,6 +124,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     (34, [4.0, 0.0, 0.0])
 
     """
+    require_types(trajectory=(trajectory, Trajectory))
     W = weights_for(trajectory, half_window, order)
     count = len(trajectory) - 2 * half_window
     position, rotation = np.empty((count, 3)), np.empty((count, 3, 3))

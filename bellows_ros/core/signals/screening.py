@@ -208,7 +208,7 @@ def _in_place(stamps_ns: Stamps, unusable: dict[str, Mask]) -> Mask:
 
 def _first_is_smaller_loss(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> bool:
     """
-    Return whether what overlaps is rather taken from one part than from the other.
+    Return which part loses the overlapping stamps: whether the first.
 
     Where it costs both about as much, as after a clock was set back, the shorter part decides:
     that is the same for all topics of a recording, as chance is not.

@@ -478,9 +478,7 @@ def _reduced(problem: Sequence['_DropFit'], law: Array) -> tuple[Array, Array]:
 def _of_fixed(problem: Sequence['_DropFit'], law: Array, inverse: Any, fixed_std: Array) -> Array:
     """Return the covariance (8, 8) from fixed numbers of a std (8,), which move the others."""
     free, fixed = problem[0].free, np.flatnonzero(fixed_std).tolist()
-    both = [_DropFit(one.drop, (*free, *fixed)) for one in problem]
-    for each, one in zip(both, problem, strict=True):
-        each.nuisance = one.nuisance
+    both = [_DropFit(one.drop, (*free, *fixed), one.nuisance) for one in problem]
     H, _ = _reduced(both, law)
     moves = np.zeros((8, len(fixed)))
     moves[list(free)] = -inverse @ H[:len(free), len(free):]
@@ -524,15 +522,18 @@ class _DropFit:
     from drop to drop, then the offset of a package at rest, else the state at the start.
     """
 
-    def __init__(self, drop: Drop, free: tuple[int, ...]) -> None:
-        """Begin with nuisance parameters of zero."""
+    def __init__(
+        self, drop: Drop, free: tuple[int, ...], nuisance: Array | None = None
+    ) -> None:
+        """Begin with nuisance parameters of zero where none are given."""
         self.drop, self.free = drop, free
         noise = np.maximum(drop.noise, MIN_NOISE)
         self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
         self._scatter = np.transpose(
             [PRIOR_SCATTER[k] * np.eye(8)[k] for k in free if k in PRIOR_SCATTER])
-        self._scatter_count = self._scatter.shape[1]
-        self.nuisance = np.zeros(self._scatter_count + (6 if drop.stands else 12))
+        count = self._scatter_count = self._scatter.shape[1]
+        self.nuisance = (
+            np.zeros(count + (6 if drop.stands else 12)) if nuisance is None else nuisance)
         self._count = 0
 
     @property

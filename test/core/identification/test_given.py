@@ -246,7 +246,7 @@ def test_what_is_not_known_with_what_was_given_is_no_number():
     found = output_error(
         [measured(9, tool_hz=125.0, **QUIET)], AXISYMMETRIC, TRUTH, given=vague)
     assert np.isinf(found.stiffness_std[np.diag_indices(6)]).all()
-    told = [text for text in found.notes if 'not identifiable with what was given' in text]
+    told = [text for text in found.notes if 'with the given uncertainties' in text]
     assert len(told) == 8 and all('% with exact package' in text for text in told)
 
 

@@ -205,7 +205,7 @@ def test_a_wrong_mass_is_named_as_the_cause():
     assert not found.passed and 'package.mass is likely 1.8 kg instead of 5.4' in found.sentence
     found = check_spring(cup, [upright(hangs, 1800.0)], G)
     assert 'in another unit' in found.sentence
-    with pytest.raises(UndeterminedError, match='--mass'):
+    with pytest.raises(UndeterminedError, match='Check each mass'):
         cup_length_of([upright(0.0478, 1.8), upright(0.0479, 1800.0)], G)
 
 

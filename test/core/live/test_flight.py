@@ -40,7 +40,8 @@ def held_at(held, seconds):
 def played(plan, flight, poses):
     """Play the throw, the valve being switched; return predictions and the states of each."""
     live = LivePredictor(tosses.CUP, tosses.PACKAGE, 9.81, 'tool')
-    live.flight, live.pairing.expect = flight, True
+    live.flight = flight
+    live.expect_twists(True)
     _, o, q, v, w = messages(plan)
     found, states = [], []
     for k in range(poses):

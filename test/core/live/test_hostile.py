@@ -69,7 +69,7 @@ class Attack:
         live = self.live
         ahead_ns = abs(leap) % 10**10
         if kind == 'expect':
-            live.pairing.expect = leap > 0
+            live.expect_twists(leap > 0)
         elif kind == 'wait':
             self.arrival += ahead_ns
         return {

@@ -65,7 +65,8 @@ def is_finite(prediction):
 @pytest.mark.parametrize(('order', 'burst'), [
     (('pose', 'twist'), 1), (('twist', 'pose'), 1), (('pose', 'twist'), 3)])
 def test_equals_the_simulation_whatever_comes_first(messages, predictor, order, burst):
-    out, predictor.pairing.expect = [], True
+    out = []
+    predictor.expect_twists(True)
     for k in range(0, len(messages) - 2, burst):
         for kind in order:
             for j in range(k, k + burst):
@@ -104,7 +105,7 @@ def test_poses_alone_come_close(messages, predictor):
     (1e3, 'twist_too_fast'), (1e150, 'twist_too_fast'), (1e308, 'twist_too_fast'),
     (math.nan, 'twist_nan')])
 def test_absurd_twists_are_refused_and_their_poses_predicted(messages, predictor, speed, reason):
-    predictor.pairing.expect = True
+    predictor.expect_twists(True)
     out = []
     for k in range(40):
         out += messages.pose(predictor, k)
@@ -112,6 +113,8 @@ def test_absurd_twists_are_refused_and_their_poses_predicted(messages, predictor
     out += predictor.flush()
     assert all(map(is_finite, out))
     assert (len(out), predictor.refused[reason]) == (40, 40)
+    predictor.reset()
+    assert predictor.pairing.expect  # again, as it was told
 
 
 def test_model_that_cannot_be_integrated_is_started_from_rest(messages, predictor):
@@ -192,7 +195,7 @@ def test_nothing_is_bridged_without_leave(messages):
 ])
 def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
     live = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame=said)
-    live.pairing.expect = True
+    live.expect_twists(True)
     turn = np.diag([-1.0, -1.0, 1.0])  # a tool that points the other way
     for k in range(len(messages)):
         R = turn @ messages.tool.rotation[k]
@@ -216,7 +219,7 @@ def test_twists_in_a_new_frame_id_are_believed_after_a_while(messages, predictor
 
 
 def test_twists_that_always_come_one_pose_late_are_waited_for(messages, predictor):
-    predictor.pairing.expect = True
+    predictor.expect_twists(True)
     out = list(messages.pose(predictor, 0)) + predictor.flush()
     for k in range(1, 200):
         out += messages.pose(predictor, k)

@@ -123,7 +123,7 @@ def test_the_package_is_where_it_was_said_to_be(driven_as, stamped, every):
     """
     at, step = ahead_of_time(**driven_as), 0.002
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
-    live.pairing.expect = True
+    live.expect_twists(True)
     ahead = PlanTracker(MOVE.plan(500), T0 if stamped else 0)
     flight = Flight(resolve(TOSSED), lambda now: ahead.rest(now) if ahead.is_driven(now) else None)
     times = step * np.arange(round(1.8 / step))

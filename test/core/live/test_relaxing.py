@@ -42,7 +42,7 @@ def test_live_prediction_is_the_simulation_and_creeps_after_a_move():
     tool = SLIDE.plan()
     expected = simulate(RUBBER, PACKAGE, tool, gravity=9.81)
     predictor = live()
-    predictor.pairing.expect = True
+    predictor.expect_twists(True)
     found = []
     for stamp_ns, o, q, v, w in zip(*messages(tool, 10**9, in_world=True), strict=True):
         predictor.on_twist(stamp_ns, v, w)

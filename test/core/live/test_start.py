@@ -71,7 +71,7 @@ def test_after_two_tools_on_one_topic(period_ns, apart, after):
 def test_after_false_twists(period_ns, speed, rate, kind):
     rng = np.random.default_rng(period_ns)
     cell = Cell(period_ns)
-    cell.live.pairing.expect = True
+    cell.live.expect_twists(True)
     for _ in range(max(20, round(1e9 / period_ns))):
         draw = rng.standard_normal((2, 3)) if kind == 'random' else np.eye(2, 3)
         linear, angular = (draw * [[speed], [rate]]).tolist()
@@ -83,7 +83,7 @@ def test_a_package_is_never_further_from_its_tool_than_a_cup_reaches():
     """Whatever has been sent: 15 cm are more than this cup, its length and its sag allow."""
     rng = np.random.default_rng(7)
     live, stamp = LivePredictor(Cup.thesis(), PLATE, 9.81), START
-    live.pairing.expect = True
+    live.expect_twists(True)
     farthest = 0.0
     for _ in range(3000):
         stamp += int(rng.integers(1, 450)) * MS

@@ -176,7 +176,7 @@ def test_a_start_under_a_moving_tool_is_covered_until_it_has_settled(start, twis
     truth = simulate(THESIS, PLATE, tool)
     driven = list(zip(*messages(tool, START), strict=True))
     live = LivePredictor(THESIS, PLATE, 9.81, twist_frame='tool')
-    live.pairing.expect = twists
+    live.expect_twists(twists)
     uncertainty = Uncertainty(live.model, values(position=1e-6, rotation=1e-6))
     parts, phases, off = [], [], []
     for k in range(start, len(tool)):

@@ -89,7 +89,7 @@ def test_distance_is_one_on_the_edge():
     beyond = np.where(np.arange(6) == 4, 0.45, middle)
     far = validity_range.distance(KNOWN, beyond, np.zeros(6), 2.0)
     assert_allclose(far.value, 1.5)
-    assert far.outside == ('bending about y is 25.8 degrees, seen -17.2 to 17.2 degrees',)
+    assert far.outside == ('bending about y is 25.8 deg, seen -17.2 to 17.2 deg',)
 
 
 def test_a_mass_that_is_not_known_is_not_checked():
@@ -111,7 +111,7 @@ def test_beyond_names_what_another_recording_leaves():
     low[5] = -0.2
     wider = Envelope(low, KNOWN.deflection_high, KNOWN.rates, KNOWN.frequencies, [2.0, 2.6])
     assert validity_range.beyond(KNOWN, wider) == (
-        'the mass is 2.6 kg, seen 2', 'torsion is -11.5 degrees, seen -5.73 to 5.73 degrees')
+        'the mass is 2.6 kg, seen 2', 'torsion is -11.5 deg, seen -5.73 to 5.73 deg')
 
 
 def test_a_file_holds_at_least_what_was_seen():

@@ -75,7 +75,7 @@ def test_nothing_seen_changes_nothing():
     model, states = model_tuple(CUP, PACKAGE, 9.81), []
     for stamp_ns, (position, q, linear, angular) in zip(stamps.tolist(), tool, strict=True):
         for live in (alone, watched):
-            live.pairing.expect = True
+            live.expect_twists(True)
             live.on_twist(stamp_ns, linear, angular)
             states += live.on_pose(stamp_ns, 'world', position, q)
     true = states[0].body
@@ -326,7 +326,7 @@ def test_vacuum_of_one_cup_that_breaks_down_in_motion_is_its_loss():
     (alarm,) = made.alarms
     assert (alarm.second, alarm.odds) == ('leak', pytest.approx(1e3))
     assert alarm.message.startswith(
-        'Cup 0 of cup.layout, at x 60 mm, y 40 mm, holds no more (its vacuum breaks down)')
+        'Cup 0 of cup.layout, at x 60 mm, y 40 mm, no longer holds (its vacuum breaks down)')
 
 
 @pytest.mark.parametrize(('before', 'causes'), [(-0.05, ['lost']), (0.0, [])])

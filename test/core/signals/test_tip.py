@@ -71,7 +71,7 @@ def test_live_predictions_are_those_of_the_tip(motion, frame):
     for source, tip in ((motion[0], None), (motion[1], TIP)):
         live = LivePredictor(Cup.thesis(), Package(1.0, 0.01 * np.eye(3), (0, 0, -0.03)), 9.81,
                              frame)
-        live.pairing.expect = True
+        live.expect_twists(True)
         live.tool.set_tip(tip)
         linear, angular = twists_of(source, frame == 'world')
         xyzw = rotation_to_quaternion(source.rotation)

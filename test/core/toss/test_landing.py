@@ -1,13 +1,14 @@
 """How sure a landing is against Monte Carlo, and aiming against a scan of all times."""
 
 
-from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.geometry.jit import as_inputs, COMPILED
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.simulation import row_state, tool_rows
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss import landing
 from bellows_ros.core.toss.landing import TossProblem
-from bellows_ros.core.toss.release import HeldMotion, release_of, toss
+from bellows_ros.core.toss.release import HeldMotion, release_of, toss, toss_with_derivatives
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
@@ -42,6 +43,22 @@ def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, count, inside,
     linear, counted = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(drawn.covariance))
     assert linear[2] < 1e-12  # on the floor
     np.testing.assert_allclose(linear[[0, 1, 3, 4, 5]], counted[[0, 1, 3, 4, 5]], rtol=within)
+
+
+def test_law_counts_in_the_node_as_in_a_plan(case):
+    """Compare one-sided differences from the valve on with central ones of the whole toss."""
+    held, k = case.held, 500
+    _, expected = landing.contributions_to(
+        case, toss(held, case.release, case.switched)).of('release.')
+    by, rows = np.zeros((6, 20)), tool_rows(held.tool)
+    body = held.states[np.searchsorted(held.times, case.switched)]
+    is_sound, _ = toss_with_derivatives(
+        (MODEL, tosses.GRIP, case.release, 0.0), landing.factor_columns(case.values),
+        row_state(rows[k]), row_state(body),
+        (*as_inputs(rows[k + 1:], held.tool.seconds[1:-k]), 0.4, 1e-3), (0, 20), by)
+    found = by[:, 12:] @ by[:, 12:].T
+    assert is_sound
+    np.testing.assert_allclose(found, expected, rtol=5e-3, atol=1e-12)
 
 
 @pytest.mark.parametrize(('target', 'turned'), [
