@@ -98,15 +98,6 @@ def test_a_centre_of_mass_aside_is_found_wherever_the_search_begins(seed, rate_h
     assert np.all(np.abs(off) < 4.0 * np.diag(fitted.stiffness_std))
 
 
-@pytest.mark.stress
-def test_a_turned_marker_of_the_tool_is_found_as_such():
-    laboratory = faulty('marker frame turned', 903)
-    first, *others = diagnosed(laboratory)
-    turn = exp_so3(first.theta[3:]) @ laboratory.turn['tool']
-    assert (first.name, first.value, others) == ('package_marker', 'tool', [])
-    assert np.linalg.norm(log_so3(turn)) < 0.05 * np.linalg.norm(first.theta[3:])
-
-
 def test_a_turn_of_the_tool_is_found_exactly_beside_a_marker_of_the_package_that_is_known():
     """But for that about the axis of the cup, of which the package's would be as likely."""
     laboratory = faulty('marker frame turned', 4101, **QUICK)
