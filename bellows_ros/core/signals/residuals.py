@@ -15,7 +15,7 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.special import chdtrc
+import scipy  # whose parts are loaded as they are used
 
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 """The tool-relative coordinates: position of B (m), then its rotation vector (rad), in E axes."""
@@ -321,4 +321,4 @@ def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
     products = np.array([np.einsum('nc,nc->c', e[k:], e[:-k]) for k in range(1, lags + 1)])
     r = products / np.where(power > 0.0, power, np.nan)
     Q = count * (count + 2) * np.sum(r**2 / pairs[:, None], axis=0)
-    return Whiteness(count, r, Q, chdtrc(lags, Q))
+    return Whiteness(count, r, Q, scipy.special.chdtrc(lags, Q))
