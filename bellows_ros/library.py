@@ -314,7 +314,7 @@ def static_equilibrium(
     is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
     if not (is_rotation and np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0))):
         raise BellowsError(
-            f'T_world_tool must have a rotation, a position and 0, 0, 0, 1, got {T.tolist()}.')
+            f'T_world_tool must be a rotation and a position above 0, 0, 0, 1, got {T.tolist()}.')
     tool = state_row(T[:3, 3], rotation_to_quaternion(R))
     body = equilibrium.static_equilibrium(cup_package.model_tuple(cup, package, gravity), tool)
     return transform(quaternion_to_rotation(np.array(body[1])), np.array(body[0]))

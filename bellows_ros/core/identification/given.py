@@ -258,16 +258,16 @@ def causes(
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
     off = is_off(search, minimum, given)  # few numbers before many
-    falls = scores(search, minimum, [*_candidates(search, stated(given)), *['couplings'] * (
+    decreases = scores(search, minimum, [*_candidates(search, stated(given)), *['couplings'] * (
         not search.structure.couples and not search.structure.places and not off)])
-    falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
+    decreases = {name: fall for name, fall in decreases.items() if np.isfinite(fall)}
     if 'slip' not in search.places and (
-            not minimum.converged or max(falls.values(), default=0.0) > SIGNIFICANT**2
+            not minimum.converged or max(decreases.values(), default=0.0) > SIGNIFICANT**2
             or off):  # a slip moves the com, too
-        search, falls['slip'] = _with_likeliest_slip(search, minimum)
-    if max(falls.values(), default=0.0) < SIGNIFICANT**2:
+        search, decreases['slip'] = _with_likeliest_slip(search, minimum)
+    if max(decreases.values(), default=0.0) < SIGNIFICANT**2:
         return ()
-    tried = _tried(search, minimum, dict(sorted(falls.items(), key=_priced, reverse=True)))
+    tried = _tried(search, minimum, dict(sorted(decreases.items(), key=_priced, reverse=True)))
     best = max(tried, key=lambda freed: _priced((freed.name, freed.gain)))
     if best.gain < SIGNIFICANT**2:
         return ()
@@ -287,7 +287,7 @@ def causes(
     if np.max(np.abs(theta) / std) ** 2 < least:
         return ()
     moved = moved_between((search, minimum), (best.search, best.minimum))
-    gains = falls | {one.name: one.gain for one in tried}
+    gains = decreases | {one.name: one.gain for one in tried}
     similar = SIMILAR.get(best.name, '')
     clear = SIGNIFICANT**2 * quantities.KINDS['com'].size  # as it has more numbers
     instead = similar if gains.get(similar, 0.0) > best.gain - clear else ''
@@ -301,8 +301,8 @@ def causes(
         not others or unexplained < DISTINCT**2 * (best.gain - rival))
     is_material = best.name == 'slip' or moved > MIN_SHIFT or left < DISTINCT or (
         off and not is_off(best.search, best.minimum, given))
-    usual = given.get('package_marker' if best.name in MARKERS else best.name)
-    is_expected = usual is not None and bool(np.all(np.abs(theta) <= 3.0 * usual))
+    expected = given.get('package_marker' if best.name in MARKERS else best.name)
+    is_expected = expected is not None and bool(np.all(np.abs(theta) <= 3.0 * expected))
     certain = is_material and best.minimum.converged and not is_expected and (
         rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
         # what this one does not explain may be of another
@@ -334,7 +334,7 @@ def _candidates(search: Search, without: Sequence[str] = ()) -> list[str]:
     return [name for name in CANDIDATES if name not in taken]
 
 
-def _tried(search: Search, minimum: Minimum, falls: Mapping[str, float]) -> list['_Freed']:
+def _tried(search: Search, minimum: Minimum, decreases: Mapping[str, float]) -> list['_Freed']:
     """
     Return the searches with each of what explains most free, by what it explains from the most on.
 
@@ -342,14 +342,14 @@ def _tried(search: Search, minimum: Minimum, falls: Mapping[str, float]) -> list
     couplings have most numbers they explain a part of anything: they come first, or instead. About
     an implausible cup little is known: from the start worlds are tried beside.
     """
-    tried, least = list[_Freed](), DISTINCT * max(falls.values())
+    tried, least = list[_Freed](), DISTINCT * max(decreases.values())
     is_known = search.is_plausible(minimum)
-    names = list(falls)[:MAX_SEARCHES] if is_known else dict.fromkeys(
-        [*list(falls)[:MAX_TRIED], *(name for name in WORLDS if name in falls)])
+    names = list(decreases)[:MAX_SEARCHES] if is_known else dict.fromkeys(
+        [*list(decreases)[:MAX_TRIED], *(name for name in WORLDS if name in decreases)])
     for name in names:
         settled = [freed for freed in tried if freed.minimum.converged]
         if is_known and settled and (
-                falls[name] < least or name == 'couplings' or len(settled) == MAX_TRIED):
+                decreases[name] < least or name == 'couplings' or len(settled) == MAX_TRIED):
             break
         if is_known and name not in ('slip', 'couplings'):
             tried.append(_freed(search, minimum, name))
@@ -391,8 +391,8 @@ def _reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, .
         if likely and not search.is_plausible(minimum):
             break
         search.restore(minimum)
-        for look in (causes, outlying):
-            reasons = look(search, minimum, given)
+        for test in (causes, outlying):
+            reasons = test(search, minimum, given)
             if any(reason.certain for reason in reasons):
                 return reasons
             likely = likely or reasons
@@ -533,10 +533,10 @@ def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, floa
 
     def fall(slip_ns: int) -> float:
         if slip_ns not in tried:
-            own = copy(search)
-            own.slip_ns = slip_ns
-            tried[slip_ns] = own, float(np.nan_to_num(
-                scores(own, minimum, ['slip'])['slip'], posinf=0.0))
+            with_slip = copy(search)
+            with_slip.slip_ns = slip_ns
+            tried[slip_ns] = with_slip, float(np.nan_to_num(
+                scores(with_slip, minimum, ['slip'])['slip'], posinf=0.0))
         return tried[slip_ns][1]
 
     ends = [segment.path.stamps_ns[[0, -1]].tolist() for segment in search.segments]
@@ -679,13 +679,13 @@ def scores(search: Search, minimum: Minimum, names: Sequence[str]) -> dict[str, 
     _, H, g = wide.system(wide.transferred(search, minimum.theta))
     base = np.arange(len(search.units))
     gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
-    falls = dict[str, float]()
+    decreases = dict[str, float]()
     for name in names:
         place = wide.places[name].ravel()
         S = H[np.ix_(place, place)] - H[np.ix_(place, base)] @ gain[:, place]
         slope = g[place] - H[np.ix_(place, base)] @ gain[:, -1]
-        falls[name] = float(slope @ np.linalg.solve(S, slope))
-    return falls
+        decreases[name] = float(slope @ np.linalg.solve(S, slope))
+    return decreases
 
 
 def moved_between(*ends: tuple[Search, Minimum]) -> float:
