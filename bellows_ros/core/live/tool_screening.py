@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen
@@ -132,19 +133,19 @@ def _pose_step(
     jump, angle_jump = velocity_change * shorter, rate_change * shorter
     jitter, angle_jitter = JITTER * speed, JITTER * angular_speed
     squared = 0.5 * (seconds + shorter) * shorter
-    excess = max(
-        t3.norm(shift) / (SHIFT_TOLERANCE + screening.MAX_TOOL_SPEED * seconds),
-        t3.norm(rotation) / (ROTATION_TOLERANCE + screening.MAX_TOOL_RATE * seconds))
-    suspicion = 0.0
+    excess = pose_distance((t3.norm(shift), t3.norm(rotation)), (
+        SHIFT_TOLERANCE + screening.MAX_TOOL_SPEED * seconds,
+        ROTATION_TOLERANCE + screening.MAX_TOOL_RATE * seconds))
+    suspicion, jumps = 0.0, (jump, angle_jump)
     if period != UNKNOWN_PERIOD:
-        excess = max(
-            excess, jump / (JUMP_TOLERANCE[0] + jitter + MAX_ACCELERATION[0] * squared),
-            angle_jump / (JUMP_TOLERANCE[1] + angle_jitter + MAX_ACCELERATION[1] * squared))
+        excess = max(excess, pose_distance(jumps, (
+            JUMP_TOLERANCE[0] + jitter + MAX_ACCELERATION[0] * squared,
+            JUMP_TOLERANCE[1] + angle_jitter + MAX_ACCELERATION[1] * squared)))
     if period > 0.0:
-        suspicion = max(
-            jump / (SUSPECT_TOLERANCE[0] + jitter + SUSPECT_ACCELERATION[0] * squared),
-            angle_jump / (SUSPECT_TOLERANCE[1] + angle_jitter + SUSPECT_ACCELERATION[1] * squared))
-    return excess, suspicion, (jump, angle_jump), (speed, angular_speed), v, w
+        suspicion = pose_distance(jumps, (
+            SUSPECT_TOLERANCE[0] + jitter + SUSPECT_ACCELERATION[0] * squared,
+            SUSPECT_TOLERANCE[1] + angle_jitter + SUSPECT_ACCELERATION[1] * squared))
+    return excess, suspicion, jumps, (speed, angular_speed), v, w
 
 
 class ToolArrivals:
@@ -327,7 +328,8 @@ class Screen(StampScreen):
         if refused is None or last is None or stamp_ns <= refused.stamp_ns:
             return False
         of_refused, of_accepted = (
-            each._replace(period=0.0).step_to(stamp_ns, o, q).jump for each in (refused, last))
+            pose_distance(each._replace(period=0.0).step_to(stamp_ns, o, q).jump, JUMP_TOLERANCE)
+            for each in (refused, last))
         return of_refused < of_accepted
 
     def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:

@@ -16,6 +16,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.live.tool_screening import TwistSample
 from bellows_ros.core.model.kernels import State
@@ -343,14 +344,12 @@ def with_measured_twist(
     shift = t3.norm(t3.subtract(t3.subtract(o, before[0]), t3.scale(seconds, mean)))
     rotation = t3.rotation_between(before[1], q)
     angle = t3.norm(t3.subtract(rotation, t3.scale(0.5 * seconds, t3.add(before[3], w))))
-    cubed = seconds * seconds * seconds / 12.0
-    excess = max(
-        shift / (SHIFT_TOLERANCE + MAX_JERK * cubed),
-        angle / (ANGLE_TOLERANCE + MAX_ANGULAR_JERK * cubed))
-    suspicion = max(
-        shift / (SHIFT_TOLERANCE + SUSPECT_JERK * cubed),
-        angle / (ANGLE_TOLERANCE + SUSPECT_ANGULAR_JERK * cubed))
-    return (o, q, v, w), excess, suspicion, (shift, angle)
+    cubed, miss = seconds * seconds * seconds / 12.0, (shift, angle)
+    excess = pose_distance(miss, (
+        SHIFT_TOLERANCE + MAX_JERK * cubed, ANGLE_TOLERANCE + MAX_ANGULAR_JERK * cubed))
+    suspicion = pose_distance(miss, (
+        SHIFT_TOLERANCE + SUSPECT_JERK * cubed, ANGLE_TOLERANCE + SUSPECT_ANGULAR_JERK * cubed))
+    return (o, q, v, w), excess, suspicion, miss
 
 
 class ToolMotion:

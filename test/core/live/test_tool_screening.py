@@ -2,7 +2,7 @@
 
 import math
 
-from bellows_ros.core.geometry.tuples import ZERO
+from bellows_ros.core.geometry.tuples import exp_quaternion, quaternion_product, ZERO
 from bellows_ros.core.live import REFUSALS, RESTARTS
 from bellows_ros.core.live.tool_screening import JUMP_RUN, Screen
 from bellows_ros.core.signals.screening import BACKWARD_RUN
@@ -207,3 +207,25 @@ def test_sign_of_a_quaternion_is_no_jump():
     driver = Driver(speed=0.5)
     for _ in range(20):
         assert driver.send(1) + driver.send(1, xyzw=(0.0, 0.0, 0.0, -1.0)) == [GOOD] * 2
+
+
+@pytest.mark.parametrize('noise', [2e-6, 2e-4])
+@pytest.mark.parametrize('period_ns', [2 * MS, 8 * MS])
+def test_a_glitch_costs_the_same_along_each_axis(period_ns, noise):
+    """Neither a good pose nor a restart, where every 20th pose is far off in one of six axes."""
+    costs = {}
+    for axis, glitch in enumerate([0.6, -0.9, 0.6, 1.0, -1.5, 3.0]):
+        screen, rng, verdicts = Screen(), np.random.default_rng(5), []
+        for k in range(800):
+            t = 1e-9 * k * period_ns
+            o = 0.3 * np.sin([2.0 * t, 3.0 * t, t]) + noise * rng.normal(size=3)
+            turn = 0.3 * np.sin([t, 2.0 * t, 3.0 * t]) + noise * rng.normal(size=3)
+            q, off = exp_quaternion(tuple(turn.tolist())), np.zeros(6)
+            if k % 20 == 19:
+                off[axis] = glitch
+            stamp_ns = START + k * period_ns
+            verdicts.append(screen.judge(
+                stamp_ns, 'base', tuple((o + off[:3]).tolist()),
+                quaternion_product(q, exp_quaternion(tuple(off[3:].tolist()))), stamp_ns))
+        costs[axis] = [k for k, verdict in enumerate(verdicts) if verdict]
+    assert costs == dict.fromkeys(range(6), [*range(19, 800, 20)])
