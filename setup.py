@@ -84,14 +84,8 @@ setup(
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: [
-        'py.typed', 'cli/commands.toml', 'core/identification/causes.toml',
-        'core/identification/notes.toml', 'core/identification/quantities.toml',
-        'core/live/messages.toml', 'core/observer/alarms.toml', 'core/parameters/table.toml',
-        'core/recording/warnings.toml',
-        'core/signals/refusals.toml', 'files/bellows_cup.h', 'files/cup.mjcf', 'files/cup.sdf',
-        'files/exports.toml', 'files/motion.script', 'files/units.toml',
-        'nodes/identifier.toml', 'nodes/predictor.toml', 'plots/pictures.toml',
-        'report/page.html', 'report/style.css']},
+        'py.typed', '**/*.toml', 'files/bellows_cup.h', 'files/cup.mjcf', 'files/cup.sdf',
+        'files/motion.script', 'report/page.html', 'report/style.css']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
     install_requires=['numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'PyYAML>=6.0'],

@@ -79,11 +79,31 @@ def require_types(**arguments: tuple[Any, ...]) -> None:
     for name, (value, *types) in arguments.items():
         if not isinstance(value, tuple(types)):
             expected = ' or '.join(each.__name__ for each in types)
-            raise BellowsError(f'{name} must be of type {expected}, got {short(value)}.')
+            raise BellowsError(f'{name} must be of type {expected}, got {shown(value)}.')
 
 
-def short(value: object, max_length: int = 80) -> str:
-    """Return a value as printable text of at most this many characters."""
-    text = value if isinstance(value, str) else repr(value)
-    text = ''.join(c if c.isprintable() else '?' for c in text[:max_length + 1])
-    return text if len(text) <= max_length else text[:max_length - 3] + '...'
+def shown(text: object, length: int = 80, allowed: str = '') -> str:
+    r"""
+    Return foreign text, as of a file, a message or a URDF, so that it can be shown anywhere.
+
+    Parameters
+    ----------
+    text : object
+        A string, or what has a representation.
+    length : int
+        Largest number of characters of the result; a longer text ends with '...'.
+    allowed : str
+        Control characters to keep, as a line break.
+
+    Returns
+    -------
+    str
+        All characters but the printable and allowed ones are escaped, as \x1b, so that none
+        controls a terminal, breaks a line of a log, or has no encoding.
+
+    """
+    text = text if isinstance(text, str) else repr(text)
+    text = ''.join(
+        c if c.isprintable() or c in allowed else c.encode('unicode_escape').decode()
+        for c in text[:length + 1])
+    return text if len(text) <= length else text[:length - 3] + '...'

@@ -6,20 +6,24 @@ from functools import cache
 import subprocess
 import sys
 
+SENTENCES = 'report.sentences'
+"""A module of `report` that stands below `workflows`, and makes sentences of their findings."""
+
 # What each room may import of this package beside itself and what all may use.
 ALLOWED = {
     '': {'library'},
     'errors': set(),
+    SENTENCES: {'core'},
     'version': set(),
     'library': {'core', 'files', 'workflows', 'plots'},
     'core': set(),
     'files': {'core'},
-    'workflows': {'core', 'files'},
-    'nodes': {'core', 'files', 'workflows', 'report'},
-    'plots': {'core', 'files', 'workflows'},
-    'report': {'core', 'files', 'workflows', 'plots'},
-    'cli': {'core', 'files', 'workflows', 'plots', 'report', 'nodes'},
-    'demo': {'core', 'files', 'workflows', 'nodes', 'cli', 'plots', 'report'},
+    'workflows': {'core', 'files', SENTENCES},
+    'nodes': {'core', 'files', 'workflows', 'report', SENTENCES},
+    'plots': {'core', 'files', 'workflows', SENTENCES},
+    'report': {'core', 'files', 'workflows', 'plots', SENTENCES},
+    'cli': {'core', 'files', 'workflows', 'plots', 'report', 'nodes', SENTENCES},
+    'demo': {'core', 'files', 'workflows', 'nodes', 'cli', 'plots', 'report', SENTENCES},
 }
 FOR_ALL = {'errors', 'version'}
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
@@ -48,7 +52,7 @@ and only some types need it. A command of a node limits the threads of NumPy bef
 The others load ROS or matplotlib, which are optional, or what few runs need.
 """
 CORE_NEEDS = {'numpy', 'scipy', 'numba', 'llvmlite', 'bellows_ros'}
-MOST_MODULES = 61  # of the package, folders not counted, for a plain `bellows identify`
+MOST_MODULES = 63  # of the package, folders not counted, for a plain `bellows identify`
 
 
 CORE = (
@@ -76,7 +80,13 @@ def name_of(file, root):
 
 def room_of(file, root):
     """Return the room a source file stands in: 'core', 'errors', or '' for the package itself."""
-    return '.'.join(name_of(file, root).split('.')[1:2])
+    return room_named(name_of(file, root))
+
+
+def room_named(name):
+    """Return the room in which an imported name of the package stands."""
+    inside = name.removeprefix('bellows_ros.')
+    return SENTENCES if inside.startswith(SENTENCES) else '.'.join(name.split('.')[1:2])
 
 
 @cache
@@ -115,8 +125,8 @@ def test_rooms_import_only_what_lies_below_them(root):
     """Find no import that points upward or sideways."""
     wrong = []
     for file, name in imported(root):
-        room, path, parts = room_of(file, root), str(file.relative_to(root)), name.split('.')
-        target = parts[1] if parts[0] == 'bellows_ros' and len(parts) > 1 else room
+        room, path = room_of(file, root), str(file.relative_to(root))
+        target = room_named(name) if name.startswith('bellows_ros.') else room
         if target in ALLOWED and target not in ALLOWED[room] | {room} | FOR_ALL:
             wrong.append((path, name))
     assert wrong == []

@@ -5,8 +5,9 @@ from collections.abc import Iterator
 import math
 
 from bellows_ros.core.identification.comparison import Change
-from bellows_ros.errors import short
-from bellows_ros.report import display_unit, formatted, listed, with_error
+from bellows_ros.errors import shown
+from bellows_ros.report.sentences import listed
+from bellows_ros.report.text import display_unit, formatted, with_error
 from bellows_ros.workflows.compare import compare_files, ResultComparison
 
 from .console import Console
@@ -32,7 +33,7 @@ def print_result(result: ResultComparison, console: Console) -> None:
         console.line()
         console.line('Made differently:')
         for difference in result.settings:
-            values = ('-' if value is None else short(value, SETTING_WIDTH)
+            values = ('-' if value is None else shown(value, SETTING_WIDTH)
                       for value in (difference.before, difference.after))
             console.paragraph(f'  {difference.name}: {" -> ".join(values)}')
 

@@ -21,7 +21,7 @@ import time
 from types import FrameType
 from typing import Any, TextIO
 
-from bellows_ros.errors import BellowsError, NotSetError
+from bellows_ros.errors import BellowsError, NotSetError, shown
 
 # Exit codes.
 OK = 0
@@ -33,6 +33,8 @@ STDOUT = '-'
 """As of `files.atomic`."""
 
 WIDTH, MIN_WIDTH = 79, 40
+MAX_TEXT = 100_000
+"""Length of a printed text, characters: more than any result, less than floods a terminal."""
 GUTTER, INDENTED = 2, 2  # of tables, characters
 BAR = 24  # characters
 REDRAW_INTERVAL = 0.1  # s, between two drawings of the progress
@@ -200,9 +202,7 @@ NEGATIVE_ZERO = re.compile(r'(?<![\w.+-])-(?=0(?:\.0+)?(?![\d.eE]))')
 
 def printable(text: str, allowed: str = '') -> str:
     """Escape the control characters of a string, as names may be hostile; write -0.0 as 0.0."""
-    return ''.join(
-        c if c.isprintable() or c in allowed else c.encode('unicode_escape').decode()
-        for c in NEGATIVE_ZERO.sub('', text))
+    return shown(NEGATIVE_ZERO.sub('', text), MAX_TEXT, allowed)
 
 
 def _is_terminal(stream: TextIO) -> bool:

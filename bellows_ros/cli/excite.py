@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR, parameter_units
 from bellows_ros.files.safe_yaml import load
-from bellows_ros.report import column, with_error
+from bellows_ros.report.text import column, with_error
 from bellows_ros.workflows.excite import DesignedMotion, excite, write_motion
 
 from .console import Console

@@ -6,7 +6,8 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import Values
-from bellows_ros.report import column, display_unit, formatted, listed, many, print_identification
+from bellows_ros.report.sentences import listed, many
+from bellows_ros.report.text import column, display_unit, formatted, print_identification
 from bellows_ros.workflows.identification import Identification, save
 from bellows_ros.workflows.identify import identify
 

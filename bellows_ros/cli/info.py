@@ -8,7 +8,7 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.alignment import MIN_REST
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files.atomic import write_text
-from bellows_ros.report import many
+from bellows_ros.report.sentences import many
 from bellows_ros.workflows.info import Info, info, TopicInfo
 
 from . import options

@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from bellows_ros.report import display_unit, with_error
+from bellows_ros.report.text import display_unit, with_error
 from bellows_ros.workflows.plan import plan, PlanReport, write_prediction
 
 from .console import Console

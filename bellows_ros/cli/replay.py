@@ -7,7 +7,7 @@ from functools import partial
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import atomic, parameter_files, Values
-from bellows_ros.report import print_replay
+from bellows_ros.report.text import print_replay
 from bellows_ros.workflows import plot, replay
 
 from . import options

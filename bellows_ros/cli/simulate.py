@@ -5,7 +5,7 @@ from collections import Counter
 import math
 
 from bellows_ros.files.safe_yaml import load
-from bellows_ros.report import many
+from bellows_ros.report.sentences import many
 from bellows_ros.workflows.simulate import simulate_recording, SimulationReport
 
 from . import options

@@ -9,7 +9,7 @@ from bellows_ros.core.identification.statics import SpringCheck
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError
-from bellows_ros.report import column, display_unit
+from bellows_ros.report.text import column, display_unit
 from bellows_ros.version import __version__
 from bellows_ros.workflows import static
 from bellows_ros.workflows.static import StaticBag, StaticResult

@@ -5,7 +5,7 @@ import math
 
 from bellows_ros.plots.animation import write_steering
 from bellows_ros.plots.style import FILMS
-from bellows_ros.report import formatted
+from bellows_ros.report.text import formatted
 from bellows_ros.workflows import plan, steer
 
 from .console import Console

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS, DISPLAY_UNITS
-from bellows_ros.report import formatted, print_relaxation
+from bellows_ros.report.text import formatted, print_relaxation
 from bellows_ros.workflows.identification import excitation_json
 from bellows_ros.workflows.structures import StructureAdvice, structures
 

@@ -5,7 +5,7 @@ import math
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.toss.landing import coverage
-from bellows_ros.report import column, display_unit, formatted, with_error
+from bellows_ros.report.text import column, display_unit, formatted, with_error
 from bellows_ros.workflows.toss import toss_plan, TossResult, write_toss
 import numpy as np
 

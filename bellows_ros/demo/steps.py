@@ -21,7 +21,7 @@ from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bags, parameter_files, Values
 from bellows_ros.nodes.command import require_ros
 from bellows_ros.plots import pictures, style
-from bellows_ros.report import percent, print_cup
+from bellows_ros.report.text import percent, print_cup
 from bellows_ros.workflows import identification, identify
 from bellows_ros.workflows.recordings import load as load_recording
 import numpy as np

@@ -15,7 +15,7 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.planning.points import JointPath, require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
-from bellows_ros.errors import BellowsError, short
+from bellows_ros.errors import BellowsError, shown
 from bellows_ros.files import Values
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np
@@ -206,11 +206,11 @@ def require_frame(frame_id: str, values: Values) -> None:
     wanted = values['plan.frame']
     if frame_id in (values['frames.tool'], values['frames.lip'], values['frames.package']):
         raise BellowsError(
-            f"The plan is in frame '{short(frame_id)}', which moves; expected one in which "
+            f"The plan is in frame '{shown(frame_id)}', which moves; expected one in which "
             "gravity keeps its direction, such as the arm's base. Transform the plan.")
     if wanted and frame_id not in ('', wanted):
         raise BellowsError(
-            f"The plan is in frame '{short(frame_id)}'; expected plan.frame, '{wanted}'. "
+            f"The plan is in frame '{shown(frame_id)}'; expected plan.frame, '{wanted}'. "
             'Transform the plan, or set plan.frame.')
 
 

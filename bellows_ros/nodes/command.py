@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 from bellows_ros.core import configure_process
 from bellows_ros.version import __version__
 
-from ..errors import BellowsError, install, NotSetError, short
+from ..errors import BellowsError, install, NotSetError, shown
 
 NO_ROS = (
     "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
@@ -99,7 +99,7 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     try:
         if before_ros:
             raise BellowsError(
-                f"Unknown argument '{short(before_ros[0])}'. Parameters and remappings follow "
+                f"Unknown argument '{shown(before_ros[0])}'. Parameters and remappings follow "
                 f'--ros-args, for example: {name} --ros-args --params-file FILE. See '
                 f'{name} --help.')
         require_ros()
@@ -191,7 +191,7 @@ def _initialise(argv: Sequence[str]) -> None:
             'failed to initialize rcl: ')
         hint = ' Write every number of a list as 2.0, not 2.' if 'of same type' in why else ''
         raise BellowsError(
-            f'ROS cannot start with these arguments: {short(why, 400)}.{hint}') from None
+            f'ROS cannot start with these arguments: {shown(why, 400)}.{hint}') from None
 
 
 def predictor() -> int:

@@ -26,7 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 
 from ..core.geometry.arrays import Mask
-from ..errors import short
+from ..errors import shown
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -70,7 +70,7 @@ class GuardedNode(Node):
             return
         with suppress(Exception):  # a failure to log one must not end the node either
             self.get_logger().error(
-                f'A callback failed at {place}: {type(error).__name__}: {short(str(error))}. The '
+                f'A callback failed at {place}: {type(error).__name__}: {shown(str(error))}. The '
                 'node continues, and only counts further failures there. Please report it, with '
                 'the traceback from --log-level debug.')
             self.get_logger().debug(''.join(traceback.format_exception(error)))

@@ -12,7 +12,7 @@ from rclpy.parameter_service import ParameterService
 
 from .guarding import GuardedNode
 from ..core.parameters import checks, table
-from ..errors import BellowsError, short
+from ..errors import BellowsError, shown
 
 ParameterValues = dict[str, Any]
 """Dotted names to values as `core.parameters.checks.validate` returns them."""
@@ -86,7 +86,7 @@ class TableNode(GuardedNode):
         except (RuntimeError, ParameterException) as error:  # the bases of rcl's and rclpy's
             why = ' '.join(str(error).partition(', at /')[0].split())
             raise BellowsError(
-                f"ROS cannot create the node '{user}': {short(why, 400)}.") from None
+                f"ROS cannot create the node '{user}': {shown(why, 400)}.") from None
         self._read_only = read_only
         try:
             overridden = {

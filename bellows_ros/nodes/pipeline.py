@@ -42,7 +42,7 @@ from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
 from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S, tip_of
 from ..core.signals.transforms import Chain
-from ..errors import BellowsError, short
+from ..errors import BellowsError, shown
 
 TICK = 0.02
 """Time (s) between two checks for missing messages; each costs as much as a message."""
@@ -629,8 +629,8 @@ class Observing:
         self._pipeline.advance(live.on_measured, stamp_ns, frame_id, *pose, covariance)
         if frame_id != live.frame_id and not observer.sensor.has_own_world:
             node.get_logger().warning(
-                f"package/measured is in frame '{short(frame_id)}', the tool in "
-                f"'{short(live.frame_id)}', so its poses are not used. Set "
+                f"package/measured is in frame '{shown(frame_id)}', the tool in "
+                f"'{shown(live.frame_id)}', so its poses are not used. Set "
                 'recording.package_world to the pose of the first frame in the second, as '
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)

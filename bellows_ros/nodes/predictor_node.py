@@ -25,7 +25,7 @@ from ..core.live import health
 from ..core.live.load import check_live
 from ..core.model.grip import grip_of
 from ..core.parameters import checks
-from ..errors import BellowsError, short
+from ..errors import BellowsError, shown
 
 REPORT_PERIOD = 1.0
 
@@ -108,7 +108,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
             self.configure()
         except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
             kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
-            self._failure = f'{kind}{short(str(error), 1000)}'
+            self._failure = f'{kind}{shown(str(error), 1000)}'
             self.get_logger().error(f'Cannot be configured: {self._failure}')
             self.release_resources()
             return TransitionCallbackReturn.FAILURE
@@ -128,7 +128,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         for name in self._parameter_overrides:
             if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
                 self.get_logger().warning(
-                    f"The QoS override '{short(name)}' matches no topic of this node.")
+                    f"The QoS override '{shown(name)}' matches no topic of this node.")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let publishers publish and callbacks work; start from rest at the next tool pose."""
@@ -194,7 +194,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         if any(wanted.label == label if wanted.label else wanted.id == number
                for number, label, *_ in allowed):
             return self._change_state_unchecked(request, response)
-        name = short(wanted.label) or wanted.id
+        name = shown(wanted.label) or wanted.id
         self.get_logger().warning(
             f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
             f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')

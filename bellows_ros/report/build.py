@@ -19,7 +19,7 @@ from bellows_ros.plots.style import inline_svg, THEMES
 from bellows_ros.workflows import identification, plot, recordings, replay
 import numpy as np
 
-from . import print_identification, print_replay
+from .text import print_identification, print_replay
 
 
 def page(title: str, subtitle: str, sections: Iterable[str]) -> str:

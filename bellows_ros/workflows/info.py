@@ -22,7 +22,7 @@ from bellows_ros.core.recording import alignment, conventions, preparation, reco
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
-from bellows_ros.errors import short
+from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results, Values
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.workflows.recordings import within_interval
@@ -234,12 +234,12 @@ def info(path: File, span: Values = MappingProxyType({})) -> Info:
 
 def _frames_note(path: File) -> str:
     """Return which frames move in the transforms, and how to make a recording with poses."""
-    moving = list(map(short, plans.moving_frames(plans.read_transforms(path))))
+    moving = list(map(shown, plans.moving_frames(plans.read_transforms(path))))
     if len(moving) > MAX_FRAMES:
         moving[MAX_FRAMES:] = [f'and {len(moving) - MAX_FRAMES} more']
     return (
         f'It has transforms instead of poses. Frames that move: {", ".join(moving) or "none"}. '
-        f"Make a recording with poses: 'bellows convert {short(os.fspath(path))} "
+        f"Make a recording with poses: 'bellows convert {shown(os.fspath(path))} "
         "--tool-frame FRAME --package-frame FRAME --out with_poses'.")
 
 
@@ -346,7 +346,7 @@ def _registration_settings(
 
 def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
     """Return why two topics are of two worlds or two clocks, '' where they are not."""
-    frames = short(tool.frame_id), short(package.frame_id)
+    frames = shown(tool.frame_id), shown(package.frame_id)
     if all(frames) and frames[0] != frames[1]:
         return f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'."
     first, last = common_span(tool, package)

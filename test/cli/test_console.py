@@ -5,7 +5,7 @@ import math
 import os
 
 from bellows_ros.cli.console import aligned, Console
-from bellows_ros.report import column, with_error
+from bellows_ros.report.text import column, with_error
 import pytest
 
 ROWS = [['axis', *(f'column {k}' for k in range(8))]] + [

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report import build as pages
-from bellows_ros.report import print_identification
 from bellows_ros.report.build import identification_report
+from bellows_ros.report.text import print_identification
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
 import numpy as np

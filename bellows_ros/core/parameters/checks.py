@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import table
 from bellows_ros.core.parameters.table import Kind, Parameter, Value
-from bellows_ros.errors import BellowsError, NotSetError, short
+from bellows_ros.errors import BellowsError, NotSetError, shown
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -179,7 +179,7 @@ def convert(parameter: Parameter, value: object) -> Value:
     """
     if parameter.kind == 'bool':
         if not isinstance(value, bool | np.bool_):
-            raise _refuse(parameter, short(value))
+            raise _refuse(parameter, shown(value))
         return bool(value)
     if parameter.kind == 'string':
         return _text(parameter, value)
@@ -214,7 +214,7 @@ def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
             abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE):
         raise BellowsError(
             f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
-            f"length 1, {f'or {ESTIMATE}, ' if estimated else ''}or '', got {short(value)}. "
+            f"length 1, {f'or {ESTIMATE}, ' if estimated else ''}or '', got {shown(value)}. "
             f'{parameter.description}')
     pose[3:] /= length
     return pose_text(pose)
@@ -229,20 +229,20 @@ def _items(parameter: Parameter, value: object) -> list[object]:
     if isinstance(value, str):  # which `ros2 param set` makes of a list of 0 and 0.5
         numbers = parameter.kind == 'double_array'
         hint = '. Write every number with a decimal point: 0.0, not 0' if numbers else ''
-        raise _refuse(parameter, f"the text '{short(value)}'{hint}")
-    raise _refuse(parameter, short(value))
+        raise _refuse(parameter, f"the text '{shown(value)}'{hint}")
+    raise _refuse(parameter, shown(value))
 
 
 def _text(parameter: Parameter, value: object, where: str = '') -> str:
     """Return a string, one of the choices if there are any, without control characters."""
     if not isinstance(value, str):
-        raise _refuse(parameter, f'{short(value)} ({type(value).__name__}){where}')
+        raise _refuse(parameter, f'{shown(value)} ({type(value).__name__}){where}')
     if any(ord(c) < 32 or ord(c) == 127 for c in value):  # no file, topic or frame has them
-        raise _refuse(parameter, f"a control character in '{short(value)}'{where}")
+        raise _refuse(parameter, f"a control character in '{shown(value)}'{where}")
     if not value and (where or parameter.required_text):
         raise _refuse(parameter, f'an empty text{where}')
     if parameter.choices and value not in parameter.choices:
-        raise _refuse(parameter, f"'{short(value)}'{where}")
+        raise _refuse(parameter, f"'{shown(value)}'{where}")
     return value
 
 
@@ -252,8 +252,8 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     kinds = (int, np.integer) if is_integer else (int, float, np.integer, np.floating)
     if isinstance(value, bool) or not isinstance(value, kinds):
         is_text = isinstance(value, str)
-        raise _refuse(parameter, (f"the text '{short(value)}'{where}" if is_text else
-                                  f'{short(value)} ({type(value).__name__}){where}'))
+        raise _refuse(parameter, (f"the text '{shown(value)}'{where}" if is_text else
+                                  f'{shown(value)} ({type(value).__name__}){where}'))
     low = -math.inf if parameter.minimum is None else parameter.minimum
     high = math.inf if parameter.maximum is None else parameter.maximum
     above = -math.inf if parameter.above is None else parameter.above
@@ -264,7 +264,7 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     if not fits:
         large = parameter.unit and (value > high or -value > high)
         unit = f' (is it in {parameter.unit}?)' if large else ''
-        raise _refuse(parameter, f'{short(value)}{where}{unit}')
+        raise _refuse(parameter, f'{shown(value)}{where}{unit}')
     return int(value) if is_integer else float(value)
 
 
@@ -360,7 +360,7 @@ class Settings:
         if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
             what = f"Setting '{path}'" if path else 'The file'
             raise self.error(
-                '', f'{what} must hold names and values, got {short(repr(values), 60)}.')
+                '', f'{what} must hold names and values, got {shown(repr(values), 60)}.')
         self._values: Mapping[str, object] = values
         self._asked: list[str] = []
         self._blocks: dict[str, Settings] = {}
@@ -452,7 +452,7 @@ class Settings:
     def refuse(self, name: str, expected: str, got: object) -> BellowsError:
         """Return the error for a setting that is not what it must be."""
         return self.error(
-            name, f"Setting '{self.name(name)}' must be {expected}, got {short(repr(got), 60)}.")
+            name, f"Setting '{self.name(name)}' must be {expected}, got {shown(repr(got), 60)}.")
 
     def error(self, name: str, message: str) -> BellowsError:
         """Return an error on a setting, which begins with where it stands."""

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from bellows_ros.core.model import structure
-from bellows_ros.errors import BellowsError, short
+from bellows_ros.errors import BellowsError, shown
 import numpy as np
 
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
@@ -187,7 +187,7 @@ def lookup(name: str) -> Parameter:
     named = NAMED_CUP.fullmatch(name)
     if named and named[2] != 'name' and f'cup.{named[2]}' in PARAMETERS:
         return replace(PARAMETERS[f'cup.{named[2]}'], name=name)
-    raise BellowsError(f"Unknown parameter '{short(name)}'. {_hint(name, named)}")
+    raise BellowsError(f"Unknown parameter '{shown(name)}'. {_hint(name, named)}")
 
 
 def _hint(name: str, named: re.Match[str] | None) -> str:

@@ -9,7 +9,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.signals.resampling import common_span, resample
 from bellows_ros.core.signals.trajectory import Posed, PoseStream, Trajectory
-from bellows_ros.errors import short
+from bellows_ros.errors import shown
 import numpy as np
 
 SAMPLES = 300
@@ -157,7 +157,7 @@ def convention_sentence(
             wrong.setdefault(convention, []).append(stream.name)
     if not wrong:
         return ''
-    source = first = short(os.fspath(bag)) or 'RECORDING'
+    source = first = shown(os.fspath(bag)) or 'RECORDING'
     commands = []
     for number, (convention, topics) in enumerate(wrong.items(), 1):
         out = f"{first.rstrip('/')}_converted{number if number > 1 else ''}"

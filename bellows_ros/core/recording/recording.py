@@ -20,7 +20,7 @@ from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.resampling import ArrivalStamps, cubic, MAD_TO_STD, resample, Timing
 from bellows_ros.core.signals.savgol import savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
-from bellows_ros.errors import BellowsError, short, UndeterminedError
+from bellows_ros.errors import BellowsError, shown, UndeterminedError
 import numpy as np
 
 HALF_WINDOW, ORDER = 4, 4
@@ -678,7 +678,7 @@ def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
     """
     if tool.frame_id and package.frame_id and tool.frame_id != package.frame_id:
         raise BellowsError(
-            f"The poses of '{tool.name}' are in frame '{short(tool.frame_id)}', those of "
-            f"'{package.name}' in '{short(package.frame_id)}', and the transform between the two "
+            f"The poses of '{tool.name}' are in frame '{shown(tool.frame_id)}', those of "
+            f"'{package.name}' in '{shown(package.frame_id)}', and the transform between the two "
             f'is unknown. Set recording.package_world: {ESTIMATE} to estimate it, or give its '
             "seven numbers (x y z qx qy qz qw); '0 0 0 0 0 0 1' if both names mean one frame.")

@@ -1,0 +1,233 @@
+"""Numbers, lists, and results as the commands print them and the pages show them."""
+
+from collections.abc import Sequence
+import math
+from typing import Protocol, TYPE_CHECKING
+
+from bellows_ros.core.identification.result import Fit, UNITS
+from bellows_ros.core.identification.validation import MAX_NRMSE
+from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
+from bellows_ros.workflows.recordings import offset_sentence
+
+from .sentences import listed, many, sentence
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.identification import Identification
+    from bellows_ros.workflows.replay import Observed, Replay
+
+
+def with_error(value: float, error: float, unit: str = '') -> str:
+    """
+    Return a value to the decimal place of its standard error's second figure, the error, the unit.
+
+    With an infinite error the value is meaningless, and not shown.
+    """
+    if math.isinf(error):
+        return 'not identifiable'
+    if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
+        return f'{value:.5g} {unit}'.rstrip()
+    value_text, error_text = column([value, error], error)
+    return f'{value_text} ± {error_text} {unit}'.rstrip()
+
+
+def column(values: Sequence[float], error: float | None = None) -> list[str]:
+    """
+    Return numbers with the same decimals: as many as show two figures of an error.
+
+    Without one, of the smallest number that is not below a hundredth of the largest.
+    """
+    sizes = [abs(value) for value in values if math.isfinite(value) and value]
+    least = error or min((size for size in sizes if size >= 0.01 * max(sizes)), default=1.0)
+    decimals = max(0, 1 - math.floor(math.log10(least)))
+    return [f'{value:z.{decimals}f}' for value in values]
+
+
+def formatted(
+    value: float | None, form: str = '.3g', unit: str = '', factor: float = 1.0,
+    unknown: str = '-',
+) -> str:
+    """Return a number times a factor with its unit, or a dash if unknown."""
+    if value is None or not math.isfinite(value):
+        return unknown
+    return f'{factor * value:{form}} {unit}'.rstrip()
+
+
+def percent(ratio: float, decimals: int = 2) -> str:
+    """Return a ratio in percent, or a dash if nothing moved."""
+    return formatted(ratio, f'.{decimals}f', '%', 100.0)
+
+
+def display_unit(unit: str) -> tuple[float, str]:
+    """Return factor and name of the unit in which a small quantity is printed."""
+    if unit == 'kg':
+        return 1e3, 'g'
+    if unit == 'rad':
+        return float(DISPLAY_FACTORS[3]), DISPLAY_UNITS[3]
+    return (1e3, f'm{unit}') if unit in ('m', 's', 'N s') else (1.0, unit)
+
+
+class Writer(Protocol):
+    """The console of a command, or a section of a page."""
+
+    def line(self, text: str = '', style: str = '') -> None:
+        """Write a line, or leave one empty."""
+
+    def paragraph(self, *texts: str, style: str = '') -> None:
+        """Write sentences."""
+
+    def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
+        """Write rows in columns."""
+
+    def warn(self, *texts: str) -> None:
+        """Write warnings."""
+
+
+def print_identification(result: 'Identification', out: Writer) -> None:
+    """Print the cup, and the samples and findings behind it."""
+    fit, verdict = result.fit, result.verdict
+    sentences = verdict.sentences if verdict else ()
+    if verdict:
+        out.paragraph(*verdict.cause, *verdict.doubts)
+    out.paragraph(*result.refusals, style='red')
+    found = 'No cup' if result.refusals else 'Cup'
+    out.line(f'{found} identified from {listed(result.bags)}', 'bold')
+    out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
+    out.line()
+    for simulated in verdict.simulated if verdict else ():
+        if not all(map(math.isfinite, simulated.rms)):
+            out.paragraph(simulated.sentence)
+            continue
+        out.table([
+            ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, DISPLAY_UNITS, strict=True))),
+            *((name, *(f'{x:.3g}' for x in DISPLAY_FACTORS * values))
+              for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
+            right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
+    if fit.converged:
+        if result.refusals:
+            out.line('K and P of the refused fit, for diagnosis only:')
+        print_cup(fit, out)
+    _print_samples(result, out)
+    if fit.converged:
+        out.paragraph(sentence('report', 'condition', number=fit.condition_number))
+    out.paragraph(*result.findings[len(sentences):])
+    out.warn(*result.warnings)
+
+
+def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
+    """Print K and P with standard errors, a line per direction; with couplings all entries."""
+    structure = structure_named(fit.structure)
+    exact, given = fit.exactly_given, fit.from_given is not None
+    matrices = (('stiffness K', 'K', fit.stiffness, exact.stiffness_std, fit.stiffness_std),
+                ('damping P', 'P', fit.damping, exact.damping_std, fit.damping_std))
+    columns: list[list[str]] = []
+    for title_of, name, *of_name in matrices:
+        ends = [[M[axes[0], axes[0]] for M in of_name] for axes in structure.tied_axes]
+        columns.append([title_of, *(
+            with_error(value, error, UNITS[name][2 * (axes[0] > 2)])
+            for axes, (value, error, _) in zip(structure.tied_axes, ends, strict=True))])
+        columns.append(['incl. given quantities', *(
+            _in_percent(both, value) for value, _, both in ends)])
+    names = ['axis', *(', '.join(AXES[axis] for axis in axes) for axes in structure.tied_axes)]
+    for part in (columns[:2], columns[2:]) if given else (columns[::2],):
+        out.table(list(zip(names, *part, strict=True)), title=title)
+    if given:
+        out.paragraph(sentence('report', 'two_errors'))
+    print_relaxation(fit.relaxation, fit.relaxation_std, out)
+    for _, name, matrix, _, std in matrices if structure.couples else ():
+        linear, coupling, angular = UNITS[name]
+        rows: list[tuple[str, ...]] = [('', *AXES)]
+        for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True):
+            rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
+                                 for value, error in zip(values, errors, strict=True))))
+        out.table(rows, right=True, title=f'{name} in {linear}, {coupling} and {angular}:')
+
+
+def _in_percent(error: float, value: float) -> str:
+    """Return a standard error as a part of its value, '' where that is not identifiable."""
+    if not (math.isfinite(error) and value):
+        return ''
+    percent = 100.0 * error / abs(value)
+    return f'± {percent:.2g} %' if percent < 99.5 else f'± {percent:.0f} %'
+
+
+def print_relaxation(
+    strengths: tuple[float, float], errors: tuple[float, float], out: Writer
+) -> None:
+    """Print how the rubber relaxes, if it does."""
+    if any(strengths):
+        out.paragraph(sentence('report', 'relaxation', strengths=[
+            f'r{branch} = {with_error(strength, std)}' for branch, (strength, std) in enumerate(
+                zip(strengths, errors, strict=True), 1)]))
+
+
+def _print_samples(result: 'Identification', out: Writer) -> None:
+    """Print how many samples were used, and what was wrong with the poses of each topic."""
+    fit = result.fit
+    out.paragraph(sentence(
+        'report', 'samples', used=fit.samples_used, rejected=fit.samples_rejected))
+    for stream in (part.report[name] for part in result.parts
+                   for name in ('tool_pose', 'package_pose')):
+        counts = {f'{reason.replace("_", " ")} message': len(indices)
+                  for reason, indices in stream['refused'].items()}
+        counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps']),
+                   'interpolated pose': stream['interpolated_poses']}
+        faults = [many(count, what) for what, count in counts.items() if count]
+        if faults:
+            rejected = many(stream['filtered_samples_left_out'], 'filtered sample')
+            out.paragraph(f'  {stream["topic"]}: {", ".join(faults)}; {rejected} near these')
+
+
+def print_replay(result: 'Replay', out: Writer, limit: float = MAX_NRMSE) -> None:
+    """Print the errors per axis and their meaning."""
+    rest = result.validation.start == 'equilibrium'
+    out.line(f'Replay of {result.bag}', 'bold')
+    out.paragraph(
+        '(package relative to the tool, predicted minus measured; from '
+        f'{"static equilibrium" if rest else "the measured state"})', style='dim')
+    out.table(_error_rows(result), right=True)
+    out.paragraph(sentence('report', 'legend'), style='dim')
+    out.line()
+    validation = result.validation
+    out.paragraph(
+        validation.verdict(limit),
+        *([sentence('report', 'one_step', chi2=validation.one_step.chi2)]
+          if validation.one_step else []),
+        sentence('report', 'compared', samples=validation.scores.samples),
+        *([result.margin.sentence] if result.margin else []),
+        *offset_sentence(result.bag, result.time_offset))
+    if result.live:
+        out.paragraph(sentence('report', 'live', counts=', '.join(
+            f'{count} {name}' for name, count in result.live.counts.items())))
+    if result.observed:
+        _print_observed(result.observed, out)
+    out.warn(*result.warnings)
+
+
+def _print_observed(observed: 'Observed', out: Writer) -> None:
+    """Print the gain by measured poses, and alarms."""
+    errors = [column((DISPLAY_FACTORS * estimate.scores.rms).tolist())
+              for estimate in observed.estimates.values()]
+    out.table([('axis', *observed.estimates), *(
+        (f'{name:2} {DISPLAY_UNITS[i]}', *(rms[i] for rms in errors))
+        for i, name in enumerate(AXES))], right=True, title=f'With {observed.topic}, RMS error')
+    out.paragraph(observed.sentence)
+    for line in observed.alarm_lines:
+        out.warn(f'Alarm at {line}')
+
+
+def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
+    """Return a row for each axis: errors, the part due to noise, and whether they are white."""
+    validation, live = result.validation, result.live
+    white = validation.one_step.whiteness.verdicts if validation.one_step else ('-',) * 6
+    rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
+    scores = validation.scores
+    errors = [
+        ('-',) * 6 if error is None else column((DISPLAY_FACTORS * error).tolist()) for error in (
+            scores.rms, live.scores.rms if live else None, validation.noise, scores.largest)]
+    for i, name in enumerate(AXES):
+        rows.append((
+            f'{name:2} {DISPLAY_UNITS[i]}', *(error[i] for error in errors),
+            percent(validation.scores.nrmse[i], 1) + (' ' if validation.moves[i] else '*'),
+            white[i].removesuffix(' white')))
+    return rows
