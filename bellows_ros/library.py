@@ -17,6 +17,7 @@ from bellows_ros.core.model import cup_package, equilibrium, simulation
 from bellows_ros.core.model.cup_package import box_inertia, Cup, cup_of, Package, package_of
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types
@@ -594,13 +595,11 @@ def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
     return workflow.replay(recording, _parameters(parameters), observe=topic)
 
 
-def _parameters(
-    source: Parameters, names: Sequence[str] = PACKAGE_PARAMETERS
-) -> Mapping[str, object]:
+def _parameters(source: Parameters, names: Sequence[str] = PACKAGE_PARAMETERS) -> Values:
     """Return parameters by name; refuse them if one of the names is missing."""
     require_types(parameters=(source, Mapping, str, os.PathLike))
-    values, what = (source, 'The mapping of parameters') if isinstance(source, Mapping) else (
-        read_parameters(source), f"Parameter file '{source}'")
+    values, what = (Values(source), 'The mapping of parameters') if isinstance(
+        source, Mapping) else (Values(read_parameters(source)), f"Parameter file '{source}'")
     if missing := [name for name in names if name not in values]:
         raise BellowsError(f'{what} lacks {", ".join(missing)}. Add parameters_of(cup, package), '
                            'or give a file that has them.')

@@ -5,6 +5,7 @@ import math
 from time import process_time
 from typing import Any
 
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.steering import METHODS, steer
@@ -36,12 +37,12 @@ def run(short: bool) -> dict[str, Any]:
     return {'seconds': interleaved(subjects, 3 if short else 25, process_time)}
 
 
-PARAMETERS = {
+PARAMETERS = Values({
     'cup.stiffness': CUP.stiffness.ravel(), 'cup.damping': CUP.damping.ravel(),
     'cup.stiffness_std': 0.004 * CUP.stiffness.ravel(),
     'cup.damping_std': 0.02 * CUP.damping.ravel(),
     'package.mass': PACKAGE.mass, 'package.com': PACKAGE.com,
     'package.inertia': PACKAGE.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
     'package.mass_std': 0.005, 'package.com_std': np.full(3, 5e-4),
-    'package.inertia_std': np.array([1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0])}
+    'package.inertia_std': np.array([1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0])})
 """Of cup and package, as an identification leaves them."""

@@ -1,11 +1,11 @@
 """Identify a cup's stiffness and damping from recordings."""
 
 import argparse
+from collections.abc import Mapping
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import Values
 from bellows_ros.report.sentences import listed, many
 from bellows_ros.report.text import column, display_unit, formatted, print_identification
 from bellows_ros.workflows.identification import Identification, save
@@ -57,7 +57,7 @@ def _next(arguments: argparse.Namespace, result: Identification) -> tuple[str, .
 
 
 def _release(
-    arguments: argparse.Namespace, settings: Values, console: Console
+    arguments: argparse.Namespace, settings: Mapping[str, Any], console: Console
 ) -> options.Outcome:
     """Identify the valve and write."""
     if excluded := [

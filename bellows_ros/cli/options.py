@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.parameters import checks, table
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import atomic, bag_folder, File, parameter_files, results, Values
+from bellows_ros.files import atomic, bag_folder, File, parameter_files, results
 from bellows_ros.version import __version__
 
 from .console import Binary, Console, Folder, NOT_USABLE, OK, Output, STDOUT
@@ -137,7 +137,7 @@ def read_settings(
     return values
 
 
-def inputs_of(values: Values) -> list[str]:
+def inputs_of(values: Mapping[str, Any]) -> list[str]:
     """Return the input files that parameters name."""
     return [file for name in INPUTS for file in values.get(name, ())]
 

@@ -1,12 +1,12 @@
 """List all parameters, or write a parameter file to fill in."""
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 import textwrap
+from typing import Any
 
 from bellows_ros.core.parameters.table import lookup, Parameter, PARAMETERS
-from bellows_ros.files import Values
 from bellows_ros.files.parameter_files import format_parameters
 
 from . import options
@@ -53,7 +53,9 @@ def template(parameters: Iterable[Parameter]) -> str:
     return template_with(required, values, ['Parameters of bellows_ros at their defaults.'])
 
 
-def template_with(required: list[Parameter], values: Values, header: Sequence[str]) -> str:
+def template_with(
+    required: list[Parameter], values: Mapping[str, Any], header: Sequence[str]
+) -> str:
     """Return a parameter file with values, and required ones as comments to fill in."""
     text = format_parameters(values, header)
     head, body = text.split(SECTION, 1)

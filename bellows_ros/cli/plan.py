@@ -35,7 +35,7 @@ def print_result(report: PlanReport, console: Console) -> None:
             f'{report.driven[0].seconds[-1]:.3f} s; --out writes that motion.')
     if not report.warnings:
         console.line('The grip holds' + (
-            ', within the validity range.' if any(source.values['envelope.rates']) else
+            ', within the validity range.' if any(source.values.envelope.rates) else
             '. The validity range of the cup is unknown.'), 'green')
 
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import Values
 from bellows_ros.plots import animation, pictures, style
 from bellows_ros.workflows import plot, replay
 

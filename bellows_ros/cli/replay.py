@@ -1,12 +1,13 @@
 """Predict a recording with a cup, and report how well it does."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import atomic, parameter_files, Values
+from bellows_ros.files import atomic, parameter_files
 from bellows_ros.report.text import print_replay
 from bellows_ros.workflows import plot, replay
 
@@ -16,7 +17,7 @@ from .console import Console
 PERCENT = 100.0
 
 
-def _check(arguments: argparse.Namespace, settings: Values) -> None:
+def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
     """Refuse what cannot be drawn or written, before any work."""
     if arguments.report:
         require_pictures()

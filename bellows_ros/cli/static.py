@@ -30,8 +30,8 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
             f'{len(masses)} masses are given for {len(named)} recordings. Give --mass once for '
             'each BAG, in the same order, or not at all.')
     each = [{'package.mass': mass} for mass in masses] or [{}] * len(named)
-    bags: list[StaticBag] = list(zip(map(str, named), each, strict=True)) or (
-        static.static_bags(resolve(settings)))
+    bags: list[StaticBag] = [
+        *zip(map(str, named), each, strict=True)] or [*static.static_bags(resolve(settings))]
     options.require_named_outputs(arguments, [bag for bag, _ in bags])
     result = static.static_check(bags, settings, console.progress)
     if arguments.out:

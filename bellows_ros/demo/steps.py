@@ -1,7 +1,7 @@
 """The steps of the demonstration, with the node predictor in another process."""
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 import signal
@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from bellows_ros.cli.console import Console, NOT_USABLE, OK, Progress, run_guarded
 from bellows_ros.core.identification.result import Fit
@@ -18,7 +18,7 @@ from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import bags, parameter_files, Values
+from bellows_ros.files import bags, parameter_files
 from bellows_ros.nodes.command import require_ros
 from bellows_ros.plots import pictures, style
 from bellows_ros.report.text import percent, print_cup
@@ -97,7 +97,8 @@ def run(bags: Path, out: Path, console: Console) -> int:
 
 
 def _predict_live(
-    bag: Path, settings: Values, parameters: Sequence[Path], out: Path, progress: Progress,
+    bag: Path, settings: Mapping[str, Any], parameters: Sequence[Path], out: Path,
+    progress: Progress,
 ) -> 'Exchange':
     """
     Play a recording's tool-arm messages to the node predictor at recorded speed.

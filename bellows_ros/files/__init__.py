@@ -1,17 +1,12 @@
 """Files in, core types out: recordings, parameter files and results."""
 
-from collections.abc import Mapping
 import os
 from pathlib import Path
-from typing import Any
 
 from bellows_ros.errors import BellowsError
 
 File = str | os.PathLike[str]
 """The name of a file or folder."""
-
-Values = Mapping[str, Any]
-"""Parameters by dotted name."""
 
 
 def read_text(path: File, largest: int, what: str = 'File') -> str:

@@ -17,9 +17,10 @@ from typing import Any
 
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, safe_yaml, Values
+from bellows_ros.files import File, safe_yaml
 from bellows_ros.files.atomic import write_text
 import yaml
 
@@ -101,7 +102,7 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     return values
 
 
-def write_parameters(path: File, values: Values, header: Sequence[str] = ()) -> None:
+def write_parameters(path: File, values: Mapping[str, Any], header: Sequence[str] = ()) -> None:
     """
     Write a parameter file that all ROS nodes take with --params-file, whole or not at all.
 
@@ -131,7 +132,7 @@ def write_parameters(path: File, values: Values, header: Sequence[str] = ()) -> 
     write_text(path, format_parameters(values, header))
 
 
-def format_parameters(values: Values, header: Sequence[str] = ()) -> str:
+def format_parameters(values: Mapping[str, Any], header: Sequence[str] = ()) -> str:
     """Return the text of a parameter file; see `write_parameters`."""
     checked = {name: validate(name, value) for name, value in values.items()}
     # A line break in a comment must not end it.
@@ -256,7 +257,7 @@ def cup_names(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(match[1] for match in matches if match))
 
 
-def with_chosen_cup(values: Values) -> dict[str, Any]:
+def with_chosen_cup(values: Values) -> Values:
     """
     Return parameter values with those of the cup named by cup.name in the place of cup.*.
 
@@ -271,7 +272,7 @@ def with_chosen_cup(values: Values) -> dict[str, Any]:
     """
     name = values.get('cup.name', '')
     if not name:
-        return dict(values)
+        return values
     prefix = f'cups.{name}.'
     cups = cup_names(values)
     if name in cups and f'{prefix}stiffness' not in values:
@@ -288,4 +289,4 @@ def with_chosen_cup(values: Values) -> dict[str, Any]:
         f'cup.{key.removeprefix(prefix)}': value
         for key, value in values.items() if key.startswith(prefix)}
     others = {key: value for key, value in values.items() if not key.startswith('envelope.')}
-    return {**others, **chosen}
+    return Values({**others, **chosen})

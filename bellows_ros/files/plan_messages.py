@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.points import JointPath, require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, shown
-from bellows_ros.files import Values
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np
 
@@ -203,8 +203,8 @@ def require_frame(frame_id: str, values: Values) -> None:
         If plan.frame names another one, or the frame is that of the tool, the lip or the package.
 
     """
-    wanted = values['plan.frame']
-    if frame_id in (values['frames.tool'], values['frames.lip'], values['frames.package']):
+    wanted = values.plan.frame
+    if frame_id in (values.frames.tool, values.frames.lip, values.frames.package):
         raise BellowsError(
             f"The plan is in frame '{shown(frame_id)}', which moves; expected one in which "
             "gravity keeps its direction, such as the arm's base. Transform the plan.")

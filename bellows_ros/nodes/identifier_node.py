@@ -53,7 +53,7 @@ class IdentifierNode(TableNode):
         super().__init__('identifier', read_only=True, results=RESULT_NAMES, **options)
         self.finished: Future = Future()
         self._stage = ''
-        if not self.values['bags']:
+        if not self.values.bags:
             self.destroy_node()
             raise BellowsError(
                 'The parameter bags is empty. Name one or more recordings, for example '
@@ -70,9 +70,9 @@ class IdentifierNode(TableNode):
             if page:
                 write_page(result, page)
             cup = self._show(result)
-            if self.values['predictor']:
+            if self.values.predictor:
                 self._set_on_predictor(cup)
-            if self.values['exit_when_done']:
+            if self.values.exit_when_done:
                 self.finished.set_result(None)
             else:
                 self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
@@ -95,7 +95,8 @@ class IdentifierNode(TableNode):
         cup = {name: checks.validate(name, value) for name, value in result.parameters().items()
                if name.startswith(CUP_PREFIXES)}
         cup.setdefault('cup.relaxation', (0.0, 0.0))  # of a cup that does not relax, K is of this
-        self.values = {**self.values, **{name: cup[name] for name in RESULT_NAMES if name in cup}}
+        self.values = self.values.replaced(
+            {name: cup[name] for name in RESULT_NAMES if name in cup})
         for name in RESULT_NAMES:
             self.declare_from_table(name, self.values[name])
         for name in ('cup.stiffness', 'cup.damping'):
@@ -107,7 +108,7 @@ class IdentifierNode(TableNode):
 
     def _set_on_predictor(self, cup: Mapping[str, table.Value]) -> None:
         """Set the cup on the predictor as soon as it is there, and log the answer."""
-        name = str(self.values['predictor'])
+        name = str(self.values.predictor)
         client = AsyncParameterClient(self, name)
         deadline = time.monotonic() + PREDICTOR_TIMEOUT
 

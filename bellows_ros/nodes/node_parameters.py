@@ -12,10 +12,8 @@ from rclpy.parameter_service import ParameterService
 
 from .guarding import GuardedNode
 from ..core.parameters import checks, table
+from ..core.parameters.values import Values
 from ..errors import BellowsError, shown
-
-ParameterValues = dict[str, Any]
-"""Dotted names to values as `core.parameters.checks.validate` returns them."""
 
 QOS_PREFIX = 'qos_overrides.'
 ATOMIC_PREFIXES = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')
@@ -95,7 +93,7 @@ class TableNode(GuardedNode):
                 if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
             self.overridden = frozenset(overridden)
             required = [p.name for p in table.parameters_for(user) if p.default is None]
-            self.values: ParameterValues = checks.resolve(
+            self.values: Values = checks.resolve(
                 overridden, () if overridden.get('package.files') else required)
             self.check_values(self.values)
             for name, value in self.values.items():
@@ -106,7 +104,7 @@ class TableNode(GuardedNode):
             raise
         self._parameter_service = AtomicParameterService(self)
 
-    def check_values(self, values: ParameterValues) -> None:
+    def check_values(self, values: Values) -> None:
         """Raise BellowsError if values that are allowed one by one contradict each other."""
 
     def on_values(self, names: list[str]) -> None:
@@ -147,7 +145,8 @@ class TableNode(GuardedNode):
             if not all(p.name for p in changing):
                 raise BellowsError(
                     "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
-            new = {**previous, **{name: checks.validate(name, ours[name]) for name in ours}}
+            new = previous.replaced(
+                {name: checks.validate(name, ours[name]) for name in ours})
             self.check_values(new)  # before rclpy, whose messages are shorter
             result = super().set_parameters_atomically(changing)
             if result.successful and ours:

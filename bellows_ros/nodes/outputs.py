@@ -5,7 +5,7 @@ Markers for RViz are the package as a box of its mass and inertia, the cup, and 
 toss, the path of the flight and the ellipse of the landing.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 import importlib.util
 import time
@@ -27,6 +27,7 @@ from ..core.geometry.arrays import Array
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import flight, load, Prediction, uncertainty
 from ..core.model import cup_package, kernels, structure
+from ..core.parameters.values import Values
 from ..core.signals.trajectory import NS_PER_S
 from ..core.toss.landing import ellipse
 from ..core.toss.release import flight_path
@@ -151,9 +152,9 @@ class Outputs:
         self._state = Topic(node, String, 'package/state', LATCHED)
         self._ok = Topic(node, Bool, 'package/ok', LATCHED)
         self._tf: Topic | None = None
-        if values['frames.tf'] and importlib.util.find_spec('tf2_msgs') is None:
+        if values.frames.tf and importlib.util.find_spec('tf2_msgs') is None:
             node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')
-        elif values['frames.tf']:
+        elif values.frames.tf:
             from tf2_msgs.msg import TFMessage
 
             self._tf = Topic(node, TFMessage, '/tf')
@@ -184,7 +185,7 @@ class Outputs:
         if not self._is_late:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
         self._is_due = not (
-            self._is_late if self._pipeline.values['coast.poses'] else prediction.coasting)
+            self._is_late if self._pipeline.values.coast.poses else prediction.coasting)
         if self._is_due:
             conversions.write_pose(
                 self.pose.message, stamp_ns, self._pipeline.live.frame_id, *prediction[1:3])
@@ -196,11 +197,11 @@ class Outputs:
         """Send all else of the prediction that was published last, and its safety factors."""
         values = self._pipeline.values
         if self._is_due:
-            self._twist.send(conversions.write_twist, values['frames.package'], prediction)
-            self._wrench.send(conversions.write_wrench, values['frames.lip'], prediction)
+            self._twist.send(conversions.write_twist, values.frames.package, prediction)
+            self._wrench.send(conversions.write_wrench, values.frames.lip, prediction)
             if factors:
                 self._safety.send(
-                    conversions.write_safety, prediction.stamp_ns, values['frames.lip'],
+                    conversions.write_safety, prediction.stamp_ns, values.frames.lip,
                     tuple(min(factor, MAX_FACTOR) for factor in (*factors, min(factors))))
         if not self._is_late:
             self._publish_continuing(prediction)
@@ -208,7 +209,7 @@ class Outputs:
     def _publish_continuing(self, prediction: Prediction) -> None:
         """Publish the outputs that continue while the tool is extrapolated."""
         live, values, stamp_ns = self._pipeline.live, self._pipeline.values, prediction.stamp_ns
-        frame_id, package = live.frame_id, values['frames.package']
+        frame_id, package = live.frame_id, values.frames.package
         if self._odometry.subscribed:
             has_covariance = self._odometry.is_ready and not prediction.flies
             self._odometry.send(
@@ -216,7 +217,7 @@ class Outputs:
                 self.uncertainty.root(prediction) if has_covariance else uncertainty.UNKNOWN_ROOT)
         if self._deflection.subscribed and not prediction.flies:
             self._deflection.send(
-                conversions.write_pose, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX,
+                conversions.write_pose, stamp_ns, values.frames.lip + NOMINAL_SUFFIX,
                 load.deflection(live.model, prediction)[0], load.deflection_rotation(prediction))
         if self._markers.subscribed and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.fill(frame_id, live.model, prediction))
@@ -263,7 +264,7 @@ COASTING = (0.6, 0.6, 0.6, 0.5)
 class Markers:
     """Markers that are filled in again for each picture."""
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Values) -> None:
         """Size the box."""
         self._box = marker(0, Marker.CUBE, load.equivalent_box(values))
         self._cup = marker(1, Marker.LINE_LIST, (CUP_WIDTH, 0.0, 0.0))
@@ -356,7 +357,7 @@ class Tossing:
         self.flight = flight.Flight(
             pipeline.values, pipeline.planning.rest, lambda: pipeline.load.grip)
         # ticks are not exact
-        self._period_ns = round(0.9e9 / pipeline.values['landing.rate'])
+        self._period_ns = round(0.9e9 / pipeline.values.landing.rate)
         self.flight.warm_up(pipeline.live.model)
 
     def publish(self, held: Prediction) -> None:

@@ -17,6 +17,7 @@ import time
 from typing import Any
 
 from bellows_ros.core.parameters.checks import gravity_of
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.files.parameter_files import with_chosen_cup
 from geometry_msgs.msg import InertiaStamped, TwistStamped
 import numpy as np
@@ -29,7 +30,6 @@ from std_srvs.srv import Trigger
 
 from .conversions import quaternion_xyzw, read_pose, stamp_to_ns, TOOL_POSES, vector, write_payload
 from .guarding import GuardedNode
-from .node_parameters import ParameterValues
 from .outputs import Outputs, QUEUE, Topic, Tossing
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
@@ -87,14 +87,14 @@ class Pipeline:
     def __init__(self, node: Any) -> None:
         """Prepare the model, compile all it needs, and only then make the topics."""
         self.node, self.latest = node, None
-        self.values: ParameterValues = with_chosen_cup(node.values)
+        self.values: Values = with_chosen_cup(node.values)
         self.compute, self._reported = health.window(), Counter[str]()
         self._ticked_ns = 0
         self._was_late = self._is_compiling = False
         self._arrival_at_last_tick: int | None = None
         values = self.values
         cup = cup_of(values)
-        model = cup, package_of(values), gravity_of(values), values['tool_twist.frame']
+        model = cup, package_of(values), gravity_of(values), values.tool_twist.frame
         warm_up(*model)
         self._compiled = {len(cup.as_tuple)}
         self.live = LivePredictor(*model)
@@ -102,10 +102,10 @@ class Pipeline:
         self.load = load.Load(values)
         self.outputs = Outputs(self)
         self._publish_secondary_guarded = node.guarded(self._publish_secondary)
-        if values['tool_pose.type'] == 'tf':
+        if values.tool_pose.type == 'tf':
             self.pose_in: SensorInput = TransformInput(node, values, self.process_pose)
         else:
-            kind, parts = TOOL_POSES[values['tool_pose.type']]
+            kind, parts = TOOL_POSES[values.tool_pose.type]
             self.pose_in = SensorInput(node, kind, 'tool_arm/pose', lambda message: (
                 self.process_pose(*read_pose(message, parts))))
         self.twist_in = SensorInput(
@@ -278,10 +278,10 @@ class Pipeline:
     def use_values(self) -> None:
         """Use the node's parameters, without cups that do not hold; the package moves on."""
         values = with_chosen_cup(self.node.values)
-        opened = {*values['cup.open'], *map(
+        opened = {*values.cup.open, *map(
             float, {*self.attachment.vacuum.open_cups, *self.observing.lost_cups})}
-        if len(opened - {-1.0}) < len(values['cup.layout']) // 3:  # else none holds: see detached
-            values = {**values, 'cup.open': tuple(opened)}
+        if len(opened - {-1.0}) < len(values.cup.layout) // 3:  # else none holds: see detached
+            values = values.replaced({'cup.open': tuple(opened)})
         cup, package = cup_of(values), package_of(values)
         if len(cup.as_tuple) not in self._compiled:  # relaxing or not, it is compiled anew
             if not self._is_compiling:
@@ -296,11 +296,11 @@ class Pipeline:
         self.live.set_model(cup, package)
         self._apply()
 
-    def _compile(self, values: ParameterValues) -> None:
+    def _compile(self, values: Values) -> None:
         """Compile for a cup of another kind, in a thread; the next tick goes on with it."""
         cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
         try:
-            warm_up(cup, package, gravity, values['tool_twist.frame'])
+            warm_up(cup, package, gravity, values.tool_twist.frame)
             uncertainty.warm_up_uncertainty(cup.relaxation)
             model = model_tuple(cup, package, gravity)
             flight.Flight(values).warm_up(model)
@@ -318,7 +318,7 @@ class Pipeline:
         self.planning.use_values()
         if live.flight is None or not live.flight.state:
             self.tossing.use_values()
-        live.configure(round(values['coast.limit'] * NS_PER_S), self.tossing.flight)
+        live.configure(round(values.coast.limit * NS_PER_S), self.tossing.flight)
 
 
 class SensorInput:
@@ -429,7 +429,7 @@ class TransformInput(SensorInput):
     """
 
     def __init__(
-        self, node: GuardedNode, values: Mapping[str, Any], on_pose: Callable[..., None]
+        self, node: GuardedNode, values: Values, on_pose: Callable[..., None]
     ) -> None:
         """Listen to transforms, and to the static ones, which come once."""
         if importlib.util.find_spec('tf2_msgs') is None:
@@ -439,7 +439,7 @@ class TransformInput(SensorInput):
         from tf2_msgs.msg import TFMessage
 
         self._on_pose = on_pose
-        self._chain = Chain(values['frames.world'], values['frames.tool'])
+        self._chain = Chain(values.frames.world, values.frames.tool)
         super().__init__(node, TFMessage, '/tf', self._on_moving)
         self._static = SensorInput(
             node, TFMessage, '/tf_static', partial(self._add, static=True),
@@ -495,8 +495,8 @@ class Attachment:
         """Offer the services, and listen to the vacuum if the parameters say so."""
         self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
         self.vacuum = load.Vacuum()
-        self._kind = values['vacuum.signal']
-        self.held = values['package.attached'] and self._kind == 'none'
+        self._kind = values.vacuum.signal
+        self.held = values.package.attached and self._kind == 'none'
         for service, held, words in (
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
@@ -584,7 +584,7 @@ class Observing:
         """Subscribe; nothing changes before the first message."""
         self._pipeline, node = pipeline, pipeline.node
         self._live: LivePredictor = pipeline.live
-        kind = pipeline.values['measured.type']
+        kind = pipeline.values.measured.type
         self._with_covariance = kind != 'pose'
         message_type, self._parts = TOOL_POSES[kind]
         self._is_warm, self._reported = False, 0
@@ -637,7 +637,7 @@ class Observing:
         self.log_alarms()
         if payload := self._observer and self._observer.payload:
             self._estimated.send(
-                write_payload, self._pipeline.values['frames.lip'], payload)
+                write_payload, self._pipeline.values.frames.lip, payload)
 
     def on_vacuum(self, held: bool, cup: int) -> None:
         """Join the vacuum, or that of one cup, with what a camera sees."""

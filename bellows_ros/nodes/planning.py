@@ -161,7 +161,7 @@ class Planning:
         """Go on with other values."""
         self._coarse = COARSE_STEP_FACTOR * largest_step(self._live.model)
         # poses come at their rate
-        self._period_ns = round(0.9e9 / self._pipeline.values['plan.rate'])
+        self._period_ns = round(0.9e9 / self._pipeline.values.plan.rate)
 
     def _warm_up(self) -> None:
         """Compile the answers to a plan and to a request, by making one of each."""
@@ -240,11 +240,11 @@ class Planning:
         frame, states, values = self._live.frame_id, run.states(), self._pipeline.values
         times = run.tool.stamps_ns - run.tool.stamps_ns[0]
         count = thin_out(
-            times, states, values['plan.points_rate'], values['tool_twist.frame'] == 'world')
+            times, states, values.plan.points_rate, values.tool_twist.frame == 'world')
         times, states = times[:count], states[:count]
         if self._plan_out.subscribed:
             self._plan_out.publish(plan_messages.encode_multi_dof(PlanMessage(
-                stamp_ns, frame, (values['frames.package'],), times, states[:, :7],
+                stamp_ns, frame, (values.frames.package,), times, states[:, :7],
                 states[:, 7:])))
         if self._path_out.subscribed:
             self._path_out.publish(
@@ -259,7 +259,7 @@ class Planning:
             return outcome
         safety, outside = outcome.smallest_safety, outcome.outside(values)
         message = ' '.join(filter(None, (
-            safety_sentence(*safety, 0.0, values['safety.least']) if outcome.grip else '',
+            safety_sentence(*safety, 0.0, values.safety.least) if outcome.grip else '',
             f'Outside the validity range: {"; ".join(outside)}.' if outside else '',
             outcome.flips)))
         released = outcome.grip is not None and safety[0] < 1.0
@@ -297,7 +297,7 @@ class Planning:
             self._node.get_logger().warning(
                 f'A request on package/predict_at was refused. {error}', throttle_duration_sec=1.0)
             return
-        self._at.send(write_odometry, live.frame_id, self._pipeline.values['frames.package'],
+        self._at.send(write_odometry, live.frame_id, self._pipeline.values.frames.package,
                       Prediction(stamp_ns, *body[:4], ZERO, ZERO), UNKNOWN_ROOT)
 
 
@@ -333,10 +333,10 @@ class PlanReader:
         values = self._pipeline.values
         message = plan_messages.decode_multi_dof(data)
         self._require_frame(message.frame_id)
-        of_package = message.names[:1] == (values['frames.package'],)
+        of_package = message.names[:1] == (values.frames.package,)
         plan, tip = plan_of(
             message.times_ns, message.poses, message.twists, message.accelerations,
-            values['tool_twist.frame']), tip_of(values)
+            values.tool_twist.frame), tip_of(values)
         if tip is None or of_package:
             return message, plan, of_package
         return message, at_tip(plan.trajectory(), tip), False
@@ -344,12 +344,12 @@ class PlanReader:
     def of_joints(self, message: JointTrajectory) -> tuple[JointPlan, Trajectory, Joints]:
         """Return a plan, the motion of E by it, and its joints."""
         values = self._pipeline.values
-        if not (self._urdf and values['tool_link']):
+        if not (self._urdf and values.tool_link):
             what = 'tool_link is not set' if self._urdf else 'there is no robot_description'
             raise BellowsError(
                 f'It is one of joints, but {what}; expected both. Publish the URDF of the arm, '
                 'and set tool_link to the link at the tool tip.')
-        arm: Arm = read_arm(self._urdf, values['tool_link']).with_tip(tip_of(values))
+        arm: Arm = read_arm(self._urdf, values.tool_link).with_tip(tip_of(values))
         self._require_frame(arm.root)
         plan = plan_messages.joint_plan(message)
         return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[4:])
@@ -403,7 +403,7 @@ class Steering(Answers):
             raise BellowsError(
                 f'It takes {plan.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
                 'Split the motion, or use bellows steer.')
-        tool = steer(self._pipeline.live.model, plan, self._pipeline.values['steer.method'],
+        tool = steer(self._pipeline.live.model, plan, self._pipeline.values.steer.method,
                      of_package).tool
         if self.worker.stop[0]:
             raise BellowsError('The steering was stopped before its end.')
@@ -416,7 +416,7 @@ class Steering(Answers):
         tool = self._steered(plan.trajectory() if isinstance(plan, ToolRows) else plan, of_package)
         self._tool.publish(plan_messages.encode_multi_dof(plan_messages.plan_message(
             from_tip(tool, tip_of(values)), message.stamp_ns, message.frame_id, 'tool',
-            values['tool_twist.frame'])))
+            values.tool_twist.frame)))
 
     def _steer_joints(self, message: JointTrajectory) -> None:
         """Publish a motion, steered, in the same joints; slower where their speeds need that."""

@@ -5,6 +5,7 @@ from threading import Timer
 import time
 from typing import Any
 
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.files.parameter_files import with_chosen_cup
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
@@ -19,7 +20,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from .node_parameters import ParameterValues, QOS_PREFIX, TableNode
+from .node_parameters import QOS_PREFIX, TableNode
 from .pipeline import Pipeline
 from ..core.live import health
 from ..core.live.load import check_live
@@ -88,7 +89,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
             post_callback=self.guarded(self._on_clock_jump))
         self.create_timer(REPORT_PERIOD, lambda: self.diagnostics.report(),
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
-        if not self.values['autostart']:
+        if not self.values.autostart:
             self.get_logger().info('Unconfigured: waits for its lifecycle manager (autostart).')
             return
         for step in (self.trigger_configure, self.trigger_activate):
@@ -210,19 +211,19 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
     def _log_model(self, pipeline: Pipeline) -> None:
         """Log the cup and the package that are used."""
         log, values = self.get_logger().info, pipeline.values
-        name = values['cup.name']
+        name = values.cup.name
         if name:
             log(f"Using the cup '{name}'.")
         if thesis := [text for key, text in CUP_DEFAULTS.items()
                       if not {key, key.replace('cup', f'cups.{name}')} & self.overridden]:
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
-        log(f"Package of {values['package.mass']:g} kg.")
+        log(f'Package of {values.package.mass:g} kg.')
         for sentence in checks.implausible(values):
             self.get_logger().warning(sentence)
         log(f'Listens to {pipeline.pose_in.topic} and {pipeline.twist_in.topic}, publishes '
             f'{pipeline.outputs.pose.name}.')
-        if grip_of(values, 0.0 if values['vacuum.signal'] == 'pressure' else None) is None:
+        if grip_of(values, 0.0 if values.vacuum.signal == 'pressure' else None) is None:
             log('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
 
     def _on_clock_jump(self, jump: Any) -> None:
@@ -241,9 +242,9 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
             response.message = 'Starts from static equilibrium at the next tool pose.'
         return response
 
-    def check_values(self, values: ParameterValues) -> None:
+    def check_values(self, values: Values) -> None:
         """Refuse impossible cups and packages, and settings without effect."""
-        name = values['cup.name']
+        name = values.cup.name
         for key in CUP_DEFAULTS if name else ():
             if values[key] != self.values[key]:
                 raise BellowsError(
@@ -311,7 +312,7 @@ class Diagnostics:
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
         lines = [health.prediction_status(
             'prediction', state, live.phase(time.monotonic_ns()),
-            pipeline.values['cup.name'] or 'cup.*', health.taken(pipeline.compute),
+            pipeline.values.cup.name or 'cup.*', health.taken(pipeline.compute),
             {**live.counts, **failures}, restarts, live.tool.verdict,
             pipeline.outputs.uncertainty.available, above)]
         if state != 'active':

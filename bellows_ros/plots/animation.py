@@ -80,8 +80,8 @@ def write_steering(path: File, report: steer.SteerReport, note: str, speed: floa
             tool, package, outline = (body.select(seconds <= last)
                                       for body in (motion.along, package, motion.reference))
             views.append(View(name, plot.Scene(
-                seconds[seconds <= last], tool, package, outline, values['cup.length'],
-                np.array(values['package.com']), np.array(equivalent_box(values))), PLAN_ZOOM))
+                seconds[seconds <= last], tool, package, outline, values.cup.length,
+                np.array(values.package.com), np.array(equivalent_box(values))), PLAN_ZOOM))
     _write(path, views, 'The motion as planned and steered; the reference as an outline', note,
            'light', recordings.no_progress, speed)
 

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.identification import samples, validation
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
-from bellows_ros.files import atomic, File, results, Values
+from bellows_ros.files import atomic, File, results
 from bellows_ros.plots import pictures
 from bellows_ros.plots.style import inline_svg, THEMES
 from bellows_ros.workflows import identification, plot, recordings, replay
@@ -107,7 +108,7 @@ def identification_report(result: identification.Identification) -> str:
     for replayed in result.validations:
         sections.append(_motion(f'Not used in the fit: {replayed.bag}', replayed))
     parameters = dict(zip(
-        map(str, result.values['bags']), recordings.values_of_each(result.cup_values()),
+        map(str, result.values.bags), recordings.values_of_each(result.cup_values()),
         strict=True))
     for recording in result.recordings:
         sections.append(_simulated(parameters[recording.name], recording))
@@ -178,7 +179,7 @@ def _figures(replayed: replay.Replay) -> Iterator[Any]:
         validation.one_step.whiteness if validation.one_step else validation.whiteness, bag)
 
 
-def _origin(provenance: Mapping[str, Any], settings: Values) -> str:
+def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     """Return a section with digests, versions and settings."""
     section = Section('Provenance')
     section.table([('', 'path', 'file', 'bytes', 'SHA-256'), *(

@@ -80,14 +80,13 @@ def compare_files(before: File, after: File) -> ResultComparison:
     """
     contents = [results.read_result(path) for path in (before, after)]
     with results.content_of(before, after):
-        values: dict[str, Any] = dict(
-            checks.resolve(contents[0]['settings'], checks.PACKAGE_PARAMETERS))
+        values = checks.resolve(contents[0]['settings'], checks.PACKAGE_PARAMETERS)
         one, other = map(_fitted, contents)
         (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
         return ResultComparison(
             (os.fspath(before), os.fspath(after)),
             comparison.compare_fits(
-                one, other, cup_package.package_of(values), values['gravity.magnitude']),
+                one, other, cup_package.package_of(values), values.gravity.magnitude),
             tuple(Difference(name, old.get(name), new.get(name))
                   for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
             tuple(name for name, content in again.items() if content in used.values()))

@@ -14,7 +14,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import pose_rows, PoseStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import bag_writer, bags, File, plans, results, trajectory_files, Values
+from bellows_ros.files import bag_writer, bags, File, plans, results, trajectory_files
 from bellows_ros.files.bag_folder import Channel
 from bellows_ros.files.bag_writer import POSE
 from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_interval
@@ -255,7 +255,7 @@ def _copied_topics(bag: File, types: Collection[str], without: Collection[str] =
 
 def to_bag(
     bodies: Sequence[Body], out: File, storage: str = 'mcap',
-    replace: bool = False, span: Values = FULL_RANGE,
+    replace: bool = False, span: Mapping[str, Any] = FULL_RANGE,
 ) -> Conversion:
     """
     Write bodies as a recording.
@@ -320,7 +320,9 @@ def _topic_of(name: str) -> str:
     return f'/{word}/pose' if not word[0].isdigit() else f'/body_{word}/pose'
 
 
-def to_tum(bag: File, out: File, topic: str = '', span: Values = FULL_RANGE) -> Conversion:
+def to_tum(
+    bag: File, out: File, topic: str = '', span: Mapping[str, Any] = FULL_RANGE
+) -> Conversion:
     """
     Write the poses of a topic of a recording as a TUM file.
 

@@ -14,12 +14,13 @@ from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR, parameter
 from bellows_ros.core.model import cup_package, grip
 from bellows_ros.core.model.structure import fitted_structure, Structure
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.recipe import sensor_from
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_writer, File, plan_messages, trajectory_files, Values
+from bellows_ros.files import atomic, bag_writer, File, plan_messages, trajectory_files
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows import CommandResult, plan
@@ -124,7 +125,7 @@ def _rounded_up(factor: float) -> str:
 
 
 def excite(
-    settings: Values, limits: Mapping[str, Any], duration: float,
+    settings: Mapping[str, Any], limits: Mapping[str, Any], duration: float,
     urdf: str = '', beside: Sequence[File] = (), seed: int = 0,
     progress: Progress = no_progress, with_series: bool = False, hold: float = motion_design.HOLD,
 ) -> DesignedMotion:
@@ -168,9 +169,9 @@ def excite(
     ):
         if not valid:
             raise BellowsError(words)
-    values: dict[str, Any] = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
-    arm = arm_of(urdf, values['tool_link']) if urdf else None
-    bounds, block = motion_design.limits_from(limits, float(values['safety.least']), arm)
+    values = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
+    arm = arm_of(urdf, values.tool_link) if urdf else None
+    bounds, block = motion_design.limits_from(limits, float(values.safety.least), arm)
     tracking = tracking_from(block)
     structure = fitted_structure(values)
     cup, package = cup_package.one_cup_of(values), cup_package.package_of(values)
@@ -239,12 +240,12 @@ def write_motion(
         If an output exists, or cannot be written.
 
     """
-    frame = str(result.values['plan.frame']) or 'world'
+    frame = str(result.values.plan.frame) or 'world'
     motion = result.design.motion
 
     def plan_of(each: Motion) -> plan_messages.PlanMessage:
         return plan_messages.plan_message(
-            each.at_rate(POINT_RATE), 0, frame, 'tool', result.values['tool_twist.frame'])
+            each.at_rate(POINT_RATE), 0, frame, 'tool', result.values.tool_twist.frame)
 
     def write(file: File, each: Motion) -> None:
         bag_writer.write_bag(file, [bag_writer.Encoded(

@@ -11,10 +11,11 @@ from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UN
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, table
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, parameter_files, results, Values
+from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
@@ -135,17 +136,16 @@ class Identification(CommandResult):
         """K, P, length and relaxation."""
         return cup_package.cup_of(self.cup_values())
 
-    def cup_values(self) -> dict[str, Any]:
+    def cup_values(self) -> Values:
         """Return the parameters of the run with the cup, and the estimated worlds."""
         worlds = [part.package_world for part in self.parts if part.package_world]
         best = min(worlds, key=lambda world: float(np.sum(world.std)), default=None)
-        return {
-            **self.values,
+        return self.values.replaced({
             **({'recording.package_world': checks.pose_text(best.pose)} if best else {}),
             'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
             'cup.damping': tuple(self.fit.damping.ravel().tolist()),
             'cup.length': self.cup_length,
-            'cup.relaxation': self.fit.relaxation}
+            'cup.relaxation': self.fit.relaxation})
 
     def parameters(self) -> dict[str, Any]:
         """
@@ -296,7 +296,7 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
            f'{standstills.chi2:.2g}): {narrowed}.')
     if static.length:
         yield f'Cup length by the loads alone: {static.length.text}.'
-    if result.values['static.length']:
+    if result.values.static.length:
         yield (f'Cup length with the fit: {1e3 * standstills.length:.3f} ± '
                f'{1e3 * standstills.length_std:.3f} mm.')
 

@@ -19,10 +19,11 @@ from bellows_ros.core.identification.reduction import AnyRecording, reduced, who
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures, UnexplainedError
-from bellows_ros.files import bag_folder, Values
+from bellows_ros.files import bag_folder
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
@@ -57,7 +58,7 @@ NOT_FITTED = "The cup was not fitted; 'bellows identify --force' fits it all the
 
 
 def identify(
-    settings: Values, progress: Progress = no_progress,
+    settings: Mapping[str, Any], progress: Progress = no_progress,
     parameter_files: Sequence[str | os.PathLike[str]] = (), jobs: int | None = None,
     dask: str = '', force: bool = False, poses: Mapping[str, Poses] | None = None
 ) -> identification.Identification:
@@ -95,16 +96,16 @@ def identify(
     values = resolved(settings)
     structure.fitted_structure(values)
     static = None
-    if values['static.bags']:
-        static = read_standstills({**values, **FULL_RANGE}, progress)
-    effective = {**values, 'cup.length': static.cup_length} if static else values
-    keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
+    if values.static.bags:
+        static = read_standstills(values.replaced({**FULL_RANGE}), progress)
+    effective = values.replaced({'cup.length': static.cup_length}) if static else values
+    keep = values.fit.method != 'least_squares' or values.fit.relaxation != 'off' or any(
         values[name] for name in RECORDING_USERS)
 
     parts, failed = read_all(effective, keep, progress, jobs, dask, poses)
     if methods.are_differentiable(parts, effective):
         parts = methods.with_relaxation(parts, effective)
-    if values['fit.method'] == 'output_error' and not force:
+    if values.fit.method == 'output_error' and not force:
         _require_no_facts(whole_recordings(parts), effective, progress)
     return _identify(
         values, effective, parts, static, progress, failed=tuple(failed),
@@ -118,22 +119,23 @@ def _require_no_facts(
     recordings: Sequence[Recording], values: Values, progress: Progress
 ) -> None:
     """Refuse recordings that are wrong without any fit; say what else is wrong with them."""
-    if causes.facts(recordings, values['cup.length']):
+    if causes.facts(recordings, values.cup.length):
         progress(CAUSE_TESTS, FIT_BEGINS)
-        verdict = verdict_of(None, recordings, values['cup.length'], values)
+        verdict = verdict_of(None, recordings, values.cup.length, values)
         raise UnexplainedError(' '.join([*(verdict.cause if verdict else ()), NOT_FITTED]))
 
 
-def resolved(settings: Values) -> dict[str, Any]:
+def resolved(settings: Mapping[str, Any]) -> Values:
     """Return all parameters of a run, or raise BellowsError where something is missing."""
     required = () if settings.get('package.files') else checks.RECORDING_PARAMETERS
-    values: dict[str, Any] = checks.resolve(settings, required)
-    free = values['fit.free']
-    values['fit.time_offset'] = values['fit.time_offset'] or 'time_offset' in free
-    if not values['recording.package_world'] and 'package_world' in free:
-        values['recording.package_world'] = checks.ESTIMATE
+    values = checks.resolve(settings, required)
+    free = values.fit.free
+    if 'time_offset' in free:
+        values = values.replaced({'fit.time_offset': True})
+    if not values.recording.package_world and 'package_world' in free:
+        values = values.replaced({'recording.package_world': checks.ESTIMATE})
     structure.given_structure(values)
-    if values['output.report']:
+    if values.output.report:
         require_pictures()
     for wrong, words in _mistakes(values):
         if wrong:
@@ -143,25 +145,25 @@ def resolved(settings: Values) -> dict[str, Any]:
 
 def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     """Yield what is wrong with parameters together, if it is, and what to do about it."""
-    free = sorted(set(values['fit.free']) - REGISTRATION_NAMES)
+    free = sorted(set(values.fit.free) - REGISTRATION_NAMES)
     names = f'fit.free: {", ".join(free)}: '
-    yield (free and values['fit.method'] == 'least_squares',
+    yield (free and values.fit.method == 'least_squares',
            f'{names}they need fit.method: output_error. Set it.')
-    yield ({*free} - {'length', 'package_marker'} and values['package.files'],
+    yield ({*free} - {'length', 'package_marker'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')
-    yield ('length' in free and values['static.length'],
+    yield ('length' in free and values.static.length,
            f'{names}static.length estimates the length from standstills. Use one of the two.')
-    bags, validation = values['bags'], values['validation.bags']
+    bags, validation = values.bags, values.validation.bags
     used = {os.path.realpath(bag) for bag in bags}
     repeated = [bag for bag in validation if os.path.realpath(bag) in used]
     missing = [name for name in checks.PACKAGE_PARAMETERS if name not in values]
     yield (not bags, 'No recording is given: the parameter bags is empty. Name at least one '
            'rosbag2 folder, or a .mcap or .db3 file.')
-    yield (values['static.length'] and not values['static.bags'],
+    yield (values.static.length and not values.static.bags,
            'static.length is set, but static.bags is empty: the length comes from standstills '
            'with two or more masses. Name their recordings in static.bags.')
-    yield (values['output.report'] and len(bags) > MAX_PAGE_RECORDINGS,
+    yield (values.output.report and len(bags) > MAX_PAGE_RECORDINGS,
            f'A report shows at most {MAX_PAGE_RECORDINGS} recordings, got {len(bags)}. Leave the '
            'report out.')
     yield (repeated,
@@ -171,7 +173,7 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
            f'{", ".join(missing)} in addition to package.files.')
 
 
-def _assumed(settings: Values) -> tuple[str, ...]:
+def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a warning if the cup's length is neither given nor estimated."""
     if 'cup.length' in settings or settings.get('static.length'):
         return ()
@@ -214,7 +216,7 @@ def read_part(
     else:
         recording = reading.load(path or bag, values, name=bag, with_digest=True)
     if causes.misread(recording):
-        verdict = verdict_of(None, [recording], values['cup.length'], values)
+        verdict = verdict_of(None, [recording], values.cup.length, values)
         raise BellowsError(' '.join(verdict.cause if verdict else ()))
     part = reduced(recording, values)
     return recording if bag in keep else part
@@ -229,9 +231,9 @@ def read_all(
 
     They are read by processes or a cluster, or one after the other: then all must be usable.
     """
-    bags = [os.fspath(bag) for bag in values['bags']]
+    bags = [os.fspath(bag) for bag in values.bags]
     task = partial(read_part, keep=frozenset(bags if keep else bags[:MAX_TESTED]), poses=poses)
-    work = [(n, bag, dict(each)) for n, (bag, each) in
+    work = [(n, bag, each) for n, (bag, each) in
             enumerate(zip(bags, reading.values_of_each(values), strict=True))]
     if jobs is None and not dask:
         parts = list[Any]()
@@ -272,7 +274,7 @@ def _identify(
     estimated of the package or the cup's length replaces what was given, in the recordings, too.
     """
     progress('fitting', FIT_BEGINS)
-    length = static.length if static and values['static.length'] else None
+    length = static.length if static and values.static.length else None
     try:
         result = methods.fit(
             parts, effective,
@@ -289,10 +291,10 @@ def _identify(
     recordings = whole_recordings(parts)
     progress(CAUSE_TESTS, FIT_ENDS)
     verdict = verdict_of(
-        fit, recordings, fit.standstills.length if fit.standstills else effective['cup.length'],
+        fit, recordings, fit.standstills.length if fit.standstills else effective.cup.length,
         effective)
     selected = None
-    if values['fit.compare_structures']:
+    if values.fit.compare_structures:
         progress('comparing structures', FIT_ENDS)
         selected = selection(recordings, effective, verdict)
     identified = identification.Identification(
@@ -302,7 +304,7 @@ def _identify(
     if static:
         identified = replace(identified, static=with_spring(
             static._replace(cup_length=identified.cup_length), identified.cup,
-            values['gravity.magnitude']))
+            values.gravity.magnitude))
     identified = replace(identified, validations=tuple(_validated(identified, progress)))
     progress('done', 1.0)
     return identified
@@ -312,7 +314,7 @@ def _consistency(
     parts: Sequence[AnyRecording], values: Values, progress: Progress
 ) -> 'Consistency | None':
     """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
-    if not values['fit.compare_recordings'] or len(parts) < 2:
+    if not values.fit.compare_recordings or len(parts) < 2:
         return None
 
     def alone(part: AnyRecording, name: str) -> Fit:
@@ -328,7 +330,7 @@ def _validated(
     result: identification.Identification, progress: Progress
 ) -> 'Iterator[Replay]':
     """Yield the free simulations of the validation recordings, if the cup is usable."""
-    for bag in result.values['validation.bags'] if result.fit.usable else ():
+    for bag in result.values.validation.bags if result.fit.usable else ():
         progress(f'validating on {bag}', FIT_ENDS)
         from bellows_ros.workflows.replay import replay
 

@@ -23,7 +23,7 @@ from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import shown
-from bellows_ros.files import bags, File, messages, plans, results, Values
+from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.workflows.recordings import within_interval
 import numpy as np
@@ -183,7 +183,7 @@ class Info(NamedTuple):
     package: Guess | None
     twist: Guess | None
     rest_s: float | None
-    settings: Values
+    settings: Mapping[str, Any]
     notes: tuple[str, ...]
 
     @property
@@ -197,7 +197,7 @@ class Info(NamedTuple):
         return results.with_units({**self._asdict(), 'valve': self.valve})
 
 
-def info(path: File, span: Values = MappingProxyType({})) -> Info:
+def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     """
     Describe a recording and propose the settings that read it.
 
@@ -285,7 +285,7 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
 
 def _with_roles(
     path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
-    twists: Mapping[str, TwistStream], span: Values, notes: list[str]
+    twists: Mapping[str, TwistStream], span: Mapping[str, Any], notes: list[str]
 ) -> Info:
     """Return the recording with roles, settings and notes."""
     pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]

@@ -16,6 +16,7 @@ from bellows_ros.core.model.cup_package import contributions, cup_of, model_tupl
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.limits import Fastest, fastest
 from bellows_ros.core.planning.plan_prediction import MAX_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
@@ -24,7 +25,7 @@ from bellows_ros.core.signals import resampling, savgol, trajectory
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, tip_of, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError, require_types
-from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results, Values
+from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
 from bellows_ros.files.bag_writer import POSE, TWIST
 from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.trajectory_files import read_trajectory
@@ -86,7 +87,7 @@ class Source:
     moves: str = ''
     recorded_ns: Stamps | None = None
     path: str = ''
-    values: Values = field(default_factory=dict)
+    values: Values = field(default_factory=lambda: Values({}))
     joints: Joints | None = None
 
     @property
@@ -102,9 +103,9 @@ class Source:
     @cached_property
     def gravity(self) -> Array:
         """Acceleration (3,) in the frame of the plan, m/s^2."""
-        world = 'z_up' if self.recorded_ns is None else self.values['recording.world']
-        R_model_plan = alignment.world_rotation(world, self.values['gravity.direction'])
-        return np.asarray(R_model_plan.T @ [0.0, 0.0, -self.values['gravity.magnitude']])
+        world = 'z_up' if self.recorded_ns is None else self.values.recording.world
+        R_model_plan = alignment.world_rotation(world, self.values.gravity.direction)
+        return np.asarray(R_model_plan.T @ [0.0, 0.0, -self.values.gravity.magnitude])
 
     @cached_property
     def model(self) -> ModelTuple:
@@ -171,7 +172,7 @@ class PlanReport(CommandResult):
     @property
     def least(self) -> float:
         """Safety factor that is needed."""
-        return float(self.source.values['safety.least'])
+        return float(self.source.values.safety.least)
 
     @property
     def holds(self) -> bool:
@@ -231,7 +232,7 @@ class PlanReport(CommandResult):
 
 
 def plan(
-    path: MotionSource, settings: Values, urdf: str = '',
+    path: MotionSource, settings: Mapping[str, Any], urdf: str = '',
     topic: str = '', seek_fastest: bool = False,
 ) -> PlanReport:
     """
@@ -279,7 +280,7 @@ def plan(
             raise BellowsError(
                 'The shortest safe time cannot be found, because the plan begins or ends in '
                 'motion. Give a plan from rest to rest.')
-        shortest = fastest(values, model, grip, source.tool, float(values['safety.least']))
+        shortest = fastest(values, model, grip, source.tool, float(values.safety.least))
     return PlanReport(source, prediction, std, prediction.outside(values), shortest, seek_fastest)
 
 
@@ -329,7 +330,9 @@ def extended(tool: Trajectory, seconds: float) -> Trajectory:
 # -------------------------------------------------------------------------------------- reading
 
 
-def plan_with_cup(path: MotionSource, settings: Values, urdf: str = '', topic: str = '') -> Source:
+def plan_with_cup(
+    path: MotionSource, settings: Mapping[str, Any], urdf: str = '', topic: str = ''
+) -> Source:
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
     values = with_chosen_cup(checks.resolve(settings, checks.PACKAGE_PARAMETERS))
     require_types(motion=(path, str, os.PathLike, Trajectory))
@@ -392,21 +395,21 @@ def _source_of_plan(
     """Return a plan of points of the tool or of an arm's joints."""
     stamps = read.times_ns + (read.stamp_ns or START_NS)
     if isinstance(read, plan_messages.JointPlan):
-        arm = plans.arm_of(urdf, values['tool_link'], recording).with_tip(tip_of(values))
+        arm = plans.arm_of(urdf, values.tool_link, recording).with_tip(tip_of(values))
         tool, joints = plan_of_joints(arm, read.names, stamps, *read[4:])
         return Source(tool, arm.root, joints=joints)
     tool = plan_of(stamps, read.poses, read.twists, read.accelerations,
-                   values['tool_twist.frame']).trajectory()
+                   values.tool_twist.frame).trajectory()
     moves = (*read.names, '')[0]
-    if moves != values['frames.package']:
+    if moves != values.frames.package:
         tool = at_tip(tool, tip_of(values))
     return Source(tool, read.frame_id, moves=moves)
 
 
 def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
     """Return the tool's motion in a motion file."""
-    recipe = read_recipe(content, np.array(values['package.com']))
-    R_world_level = alignment.levelling(values['gravity.direction']).T  # z of a motion file is up
+    recipe = read_recipe(content, np.array(values.package.com))
+    R_world_level = alignment.levelling(values.gravity.direction).T  # z of a motion file is up
     motion = recipe.motion
     count = max(2, math.ceil(motion.duration * MOTION_RATE))
     stamps = recipe.start_ns + np.round(
@@ -425,15 +428,15 @@ def _checked_motion(
 
 def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> Source:
     """Return the tool's motion in a recording, of poses, joints or transforms."""
-    wanted = {'tool_pose': topic or values['topics.tool_pose'],
-              'tool_twist': values['topics.tool_twist']}
+    wanted = {'tool_pose': topic or values.topics.tool_pose,
+              'tool_twist': values.topics.tool_twist}
     contents = bags.read_contents(path, wanted)
     poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
     name, rates, axes = 'The motion', None, 'tool'
     if not isinstance(poses, PoseStream):
-        if not values['tool_link']:
+        if not values.tool_link:
             raise contents.problems['tool_pose']
-        read = plans.joints_or_tf(path, urdf, values['tool_link'])
+        read = plans.joints_or_tf(path, urdf, values.tool_link)
         rates, twists = read.twists, None
         poses = PoseStream(
             'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
@@ -457,11 +460,11 @@ def _with_rates(
         six = np.stack([
             np.interp(poses.stamps_ns - first, twists.stamps_ns - first, column)
             for column in np.hstack([twists.linear, twists.angular]).T], axis=1)
-        return poses, six, values['tool_twist.frame']
+        return poses, six, values.tool_twist.frame
     rate = resampling.timing(poses.stamps_ns)
     half_window = max(4, round(preparation.AUTOMATIC_HALF_WINDOW * rate.rate_hz))
     grid = resampling.on_grid(poses, rate)
-    smooth = savgol.savgol(grid, half_window, values['filter.tool.order'])
+    smooth = savgol.savgol(grid, half_window, values.filter.tool.order)
     return smooth, smooth.twist, 'tool'
 
 
@@ -497,13 +500,13 @@ def write_prediction(
         If the output exists, or cannot be written.
 
     """
-    frame, axes = source.frame_id or 'world', source.values['tool_twist.frame']
+    frame, axes = source.frame_id or 'world', source.values.tool_twist.frame
     stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
     tip = trajectory.from_tip(tool, tip_of(source.values))
     plan = plan_messages.plan_message(tip, 0, frame, 'tool', axes)
     package = plan_messages.plan_message(
         simulation.ToolRows(stamps, states).trajectory(), start, frame,
-        source.values['frames.package'], axes)
+        source.values.frames.package, axes)
     joints = []
     if source.joints is not None:
         motion = source.joints.along(tool, source.tool)

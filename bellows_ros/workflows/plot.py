@@ -11,11 +11,12 @@ from bellows_ros.core.identification.result import POSE_UNITS, WRENCH_UNITS
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.core.model import cup_package, kernels
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals import residuals, trajectory
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, Values
+from bellows_ros.files import File
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.recordings import load, NO_INERTIA
 from bellows_ros.workflows.replay import Live, Margins, predicted_live
@@ -169,11 +170,11 @@ Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
 
 
 def recorded(
-    bag: File, settings: Values, needs_package: bool
-) -> tuple[dict[str, Any], Recording]:
+    bag: File, settings: Mapping[str, Any], needs_package: bool
+) -> tuple[Values, Recording]:
     """Return all parameters, and a recording; without package.com, B is where it is tracked."""
     given = settings if needs_package else {**NO_PACKAGE, **settings}
-    values: dict[str, Any] = resolve(given, PACKAGE_PARAMETERS)
+    values = resolve(given, PACKAGE_PARAMETERS)
     return values, load(bag, values)
 
 
@@ -210,7 +211,7 @@ def loads(values: Values, recording: Recording) -> Loads:
     """Return the load of the cup in a recording, by inverse dynamics, and its deflection."""
     cup, package = cup_package.cup_of(values), cup_package.package_of(values)
     o, R, v = samples.lip_relative(recording.tool, recording.package, package.com)
-    at_lip = samples.needed_wrench(package, recording.package, values['gravity.magnitude'])
+    at_lip = samples.needed_wrench(package, recording.package, values.gravity.magnitude)
     T_middle_lip = np.eye(4)
     T_middle_lip[2, 3] = -cup.length / 2.0
     to_middle = wrench_transform(T_middle_lip)

@@ -10,6 +10,7 @@ from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.identification import causes
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import conventions
 from bellows_ros.core.recording import recording as prepared
@@ -19,7 +20,7 @@ from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
-from bellows_ros.files import bag_folder, bags, File, parameter_files, Values
+from bellows_ros.files import bag_folder, bags, File, parameter_files
 import numpy as np
 
 Progress = Callable[..., None]
@@ -81,8 +82,8 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
     roles = ('tool_pose', 'package_pose', 'tool_twist')
     contents = bags.read_contents(path, {role: values[f'topics.{role}'] for role in roles})
     for problem in contents.problems.values():
-        remedy = OTHER_TOPICS if isinstance(problem, NoTopicError) and values['bags'][1:] and (
-            name in map(str, values['bags'])) else ''
+        remedy = OTHER_TOPICS if isinstance(problem, NoTopicError) and values.bags[1:] and (
+            name in map(str, values.bags)) else ''
         raise type(problem)(f'{problem}{remedy}')
     recording = prepare_streams(contents.streams, settings, values, name)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
@@ -92,7 +93,7 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
         digest=bag_folder.recording_digest(path, files) if with_digest else '')
 
 
-def interval_masks(all_stamps: Sequence[Stamps], values: Values) -> list[Mask]:
+def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:
     """
     Return masks of the stamps from recording.start to recording.end.
 
@@ -125,7 +126,7 @@ def interval_masks(all_stamps: Sequence[Stamps], values: Values) -> list[Mask]:
     return chosen
 
 
-def within_interval(streams: Mapping[str, Any], values: Values) -> dict[str, Any]:
+def within_interval(streams: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return streams by role from recording.start to recording.end; see `interval_masks`."""
     if not any(values.get(name) for name in FULL_RANGE):
         return dict(streams)
@@ -152,15 +153,15 @@ def prepare_streams(
     tool, package, twist = streams['tool_pose'], streams['package_pose'], streams.get('tool_twist')
     if values.get('tool_pose.offset'):
         tool, twist = trajectory.streams_at_tip(
-            tool, twist, trajectory.tip_of(values), values['tool_twist.frame'] == 'world')
-    if values['recording.package_world'] == '':
+            tool, twist, trajectory.tip_of(values), values.tool_twist.frame == 'world')
+    if values.recording.package_world == '':
         prepared.require_one_frame(tool, package)
     elif tool.frame_id != package.frame_id and (
             wrong := conventions.convention_sentence(tool, package, name)):
         raise UnexplainedError(wrong)  # no world is found from such poses
-    world = values['recording.package_world']
-    if values['fit.time_offset'] or world == checks.ESTIMATE or (
-            'package_marker' in values['fit.free']):
+    world = values.recording.package_world
+    if values.fit.time_offset or world == checks.ESTIMATE or (
+            'package_marker' in values.fit.free):
         payload, inertia = settings.payload, np.diag(settings.payload.inertia)
         if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
             raise UnexplainedError(causes.finding_sentence(
@@ -236,10 +237,11 @@ def values_of_each(values: Values, bags_in: str = 'bags') -> list[Values]:
             f'{FILES_OF[bags_in]} has {len(files)} files for {len(bags)} recordings. Name one for '
             f'each recording in {bags_in}, in the same order, or none.')
     if bags_in == 'static.bags':
-        values = {'package.inertia': NO_INERTIA, **values}
+        values = Values({'package.inertia': NO_INERTIA, **values})
     each: list[Values] = [
-        {**values, **{name: value for name, value in parameter_files.read_parameters(file).items()
-                      if name in checks.PACKAGE_PARAMETERS or name.startswith(RECORDING_PREFIXES)}}
+        values.replaced({
+            name: value for name, value in parameter_files.read_parameters(file).items()
+            if name in checks.PACKAGE_PARAMETERS or name.startswith(RECORDING_PREFIXES)})
         for file in files] or [values for _ in bags]
     for bag, parameters in zip(bags, each, strict=True):
         missing = [name for name in checks.RECORDING_PARAMETERS if name not in parameters]
@@ -254,15 +256,15 @@ def prepare_settings(values: Values) -> PrepareSettings:
     """Return the settings of the preparation, from parameters."""
     checks.require(values, checks.RECORDING_PARAMETERS)
     return PrepareSettings(
-        world=values['recording.world'],
+        world=values.recording.world,
         gravity_direction=values['gravity.direction'],
-        package_frame=values['recording.package_frame'],
-        align_at_rest=values['recording.align_at_rest'],
-        rest_duration=values['recording.rest_duration'],
+        package_frame=values.recording.package_frame,
+        align_at_rest=values.recording.align_at_rest,
+        rest_duration=values.recording.rest_duration,
         payload=cup_package.package_of(values),
-        gravity=values['gravity.magnitude'],
-        tool_half_window=values['filter.tool.half_window'],
-        tool_order=values['filter.tool.order'],
-        package_half_window=values['filter.package.half_window'],
-        package_order=values['filter.package.order'],
-        tool_twist_frame=values['tool_twist.frame'])
+        gravity=values.gravity.magnitude,
+        tool_half_window=values.filter.tool.half_window,
+        tool_order=values.filter.tool.order,
+        package_half_window=values.filter.package.half_window,
+        package_order=values.filter.package.order,
+        tool_twist_frame=values.tool_twist.frame)

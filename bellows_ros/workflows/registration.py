@@ -8,6 +8,7 @@ from bellows_ros.core.identification import output_error
 from bellows_ros.core.model.cup_package import one_cup_of
 from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
@@ -15,7 +16,6 @@ from bellows_ros.core.recording.recording import PrepareSettings, Recording, Tim
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import UndeterminedError
-from bellows_ros.files import Values
 import numpy as np
 
 NO_OFFSET = (
@@ -31,7 +31,7 @@ def registered_recording(
     """Return prepared streams, in the world of the tool and on its clock."""
     failures = []
     for rough_s in frames.rough_offsets(
-            tool.trajectory(), package.trajectory()) if values['fit.time_offset'] else (0.0,):
+            tool.trajectory(), package.trajectory()) if values.fit.time_offset else (0.0,):
         try:
             return _registered(
                 trajectory.earlier(tool, rough_s), package,
@@ -46,9 +46,9 @@ def _registered(
     values: Values, rough_s: float,
 ) -> Recording:
     """Return prepared streams, where the clocks differ by about rough_s, s."""
-    estimate = values['recording.package_world'] == checks.ESTIMATE
+    estimate = values.recording.package_world == checks.ESTIMATE
     # At rest no marker can be aligned with a world that is unknown.
-    marked = 'package_marker' in values['fit.free'] or estimate and settings.align_at_rest
+    marked = 'package_marker' in values.fit.free or estimate and settings.align_at_rest
     pose, alignment = _first_guess(tool, package, settings, values, marked)
 
     def filtered(alignment: frames.Alignment | None) -> Recording:
@@ -58,12 +58,12 @@ def _registered(
 
     recording = filtered(alignment)
     names = [name for name, free in (
-        ('time_offset', values['fit.time_offset']), ('package_world', estimate),
+        ('time_offset', values.fit.time_offset), ('package_world', estimate),
         ('package_marker', marked)) if free]
     changes = dict[str, Any]()
     result = output_error.registered(
         recording, given_structure(values), one_cup_of(values), names)
-    if values['fit.method'] == 'least_squares':
+    if values.fit.method == 'least_squares':
         result.require_world()
     if result.world is not None and pose is not None:
         pose = frames.shifted_pose(pose, settings.R_world_recorded, result.middle, result.world)
@@ -72,7 +72,7 @@ def _registered(
     if result.offset is not None:
         recording = with_tool_earlier(recording, result.offset.value)
         changes['time_offset'] = TimeOffset(rough_s + result.offset.value, result.offset.std)
-    elif values['fit.time_offset']:
+    elif values.fit.time_offset:
         changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
     return replace(recording, report=replace(recording.report, **changes))
 
@@ -81,12 +81,12 @@ def _first_guess(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Values, marked: bool,
 ) -> tuple[Array | None, frames.Alignment | None]:
     """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
-    world, com = values['recording.package_world'], settings.payload.com
+    world, com = values.recording.package_world, settings.payload.com
     estimate = world == checks.ESTIMATE
     pose = None if estimate or not world else frames.pose_of(world)
     if not (marked or estimate):
         return pose, None
-    poses = tool.trajectory(), package.trajectory(), values['cup.length']
+    poses = tool.trajectory(), package.trajectory(), values.cup.length
     if marked:
         guess, grip = frames.hand_eye(*poses, com)
         return guess if estimate else pose, grip

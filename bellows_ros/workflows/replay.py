@@ -25,12 +25,13 @@ from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.observer.observer import Calibration, Observer, Payload
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
 from bellows_ros.core.recording.recording import Recording, require_one_frame, TimeOffset
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
-from bellows_ros.files import bags, File, messages, results, Values
+from bellows_ros.files import bags, File, messages, results
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
@@ -130,7 +131,7 @@ class Observed(NamedTuple):
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None
     calibration: Calibration | None
-    parameters: Values
+    parameters: Mapping[str, Any]
     alarm_calibration: AlarmCalibration | None
 
     @property
@@ -263,7 +264,7 @@ class Replay(CommandResult):
             None if validation.start == 'equilibrium' else validation.state)
         return Margins(
             self.recording.since_start(validation.tool.stamps_ns), along.values[:, 4:6],
-            along.std[:, 4:6], smallest, float(self.values['safety.least']))
+            along.std[:, 4:6], smallest, float(self.values.safety.least))
 
     @property
     def sentence(self) -> str:
@@ -305,7 +306,7 @@ class Replay(CommandResult):
 
 
 def replay(
-    bag: File, settings: Values, progress: Progress = no_progress, observe: str = '',
+    bag: File, settings: Mapping[str, Any], progress: Progress = no_progress, observe: str = '',
     calibrate_alarms: bool = False,
 ) -> Replay:
     """
@@ -335,7 +336,7 @@ def replay(
 
     """
     require_types(recording=(bag, str, os.PathLike))
-    values: dict[str, Any] = checks.resolve(settings, checks.RECORDING_PARAMETERS)
+    values = checks.resolve(settings, checks.RECORDING_PARAMETERS)
     progress(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)
     causes = corrected(recording)[0]
@@ -359,7 +360,7 @@ def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
     losses = [seconds for seconds, alarm in camera.alarms if alarm.cause == 'lost']
     hint = _mass_hint(free.values, free.recording)
     if not losses:
-        is_known = camera.alarms or free.values['payload.estimate']
+        is_known = camera.alarms or free.values.payload.estimate
         return tuple(text for text in free.warnings if text not in hint or not is_known)
     return (
         f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
@@ -381,7 +382,7 @@ def validated(values: Values, recording: Recording) -> Replay:
         *recording.report.warnings, *validation.warnings]
     valid = validity_range.parameter_envelope(values)
     outside = validity_range.beyond(
-        valid, reduction.envelope_of(recording, values['cup.length'])) if valid else []
+        valid, reduction.envelope_of(recording, values.cup.length)) if valid else []
     if outside:
         more = f'; and {len(outside) - MAX_LISTED} more' if len(outside) > MAX_LISTED else ''
         warnings.append(
@@ -390,7 +391,7 @@ def validated(values: Values, recording: Recording) -> Replay:
     warnings += checks.implausible(values)
     if is_worse:
         warnings += _mass_hint(values, recording)
-    return Replay(recording.name, dict(values), recording, validation, tuple(warnings))
+    return Replay(recording.name, values, recording, validation, tuple(warnings))
 
 
 STRETCH_RATIOS = (0.7, 1.4)
@@ -401,15 +402,15 @@ def _mass_hint(values: Values, recording: Recording) -> tuple[str, ...]:
     """Return the mass that the mean stretch of the cup stands for, where it is another."""
     relative = residuals.relative_coordinates(
         recording.measured_tool, recording.measured_package)[recording.measured]
-    lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ np.array(values['package.com'])
-    stretch = float(np.mean(-lip[:, 2])) - float(values['cup.length'])
+    lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ np.array(values.package.com)
+    stretch = float(np.mean(-lip[:, 2])) - float(values.cup.length)
     stiffness = cup_of(values).stiffness[2, 2]
-    gravity, stated = values['gravity.magnitude'], values['package.mass']
+    gravity, stated = values.gravity.magnitude, values.package.mass
     mass, std = stiffness * stretch / gravity, given_std(values)
     off = stretch - stated * gravity / stiffness
     if not mass > 0.0 or STRETCH_RATIOS[0] < mass / stated < STRETCH_RATIOS[1]:
         return ()
-    is_expected = abs(off) < 3.0 * np.hypot(values['cup.length_std'], std['com'][2])
+    is_expected = abs(off) < 3.0 * np.hypot(values.cup.length_std, std['com'][2])
     return (f'On average the cup is stretched by {1e3 * stretch:.2g} mm: ' + (
         f'package.com or cup.length is off by {1e3 * abs(off):.2g} mm, or package.mass is '
         f'{mass:.2g} kg instead of {stated:g}.' if is_expected else
@@ -434,8 +435,8 @@ def predicted_live(
 
     """
     messages = messages or tool_messages(recording, values)
-    warm_up(cup_of(values), package_of(values), values['gravity.magnitude'],
-            values['tool_twist.frame'])
+    warm_up(cup_of(values), package_of(values), values.gravity.magnitude,
+            values.tool_twist.frame)
     live = live_predictor(values)
     start = time.perf_counter()
     predicted = predicted_trajectory(live, messages, progress)
@@ -451,7 +452,7 @@ def predicted_live(
 
 def tool_messages(recording: Recording, values: Values) -> Messages:
     """Return the tool's poses and twists in the order of their stamps, in frames of the model."""
-    R_model_tool = world_rotation(values['recording.world'], values['gravity.direction'])
+    R_model_tool = world_rotation(values.recording.world, values.gravity.direction)
     poses = recording.alignment.tool(in_world(recording.tool_pose.trajectory(), R_model_tool))
     poses = poses.select(recording.report.tool.outliers.good)
     twists, stamps_ns = recording.tool_twist, poses.stamps_ns
@@ -463,7 +464,7 @@ def tool_messages(recording: Recording, values: Values) -> Messages:
     numbers[~is_twist, 3:] = lie.rotation_to_quaternion(poses.rotation)
     if twists is not None:
         axes = R_model_tool  # from recorded axes to those of tool_twist.frame
-        if values['tool_twist.frame'] == 'tool':
+        if values.tool_twist.frame == 'tool':
             axes = recording.alignment.R_tool_markers_tool.T
         numbers[is_twist, :3] = lie.apply(axes, twists.linear)
         numbers[is_twist, 3:6] = lie.apply(axes, twists.angular)
@@ -530,13 +531,13 @@ def observed(
     stream = bags.read_streams(bag, {'measured': topic})['measured']
     assert isinstance(stream, PoseStream)
     estimated, pose = recording.report.package_world, IDENTITY_POSE
-    if world := values['recording.package_world']:
+    if world := values.recording.package_world:
         pose = estimated.pose if estimated else pose_of(world)
     else:
         require_one_frame(recording.tool_pose, stream)
-    R_model_tool = world_rotation(values['recording.world'], values['gravity.direction'])
+    R_model_tool = world_rotation(values.recording.world, values.gravity.direction)
     pose = _transformed_pose(pose, R_model_tool)
-    values = {**values, 'recording.package_world': checks.pose_text(pose)}
+    values = values.replaced({'recording.package_world': checks.pose_text(pose)})
     observer = Observer(values)
     covariances = [None] * len(stream) if stream.covariance is None else stream.covariance
     position, q = stream.position.tolist(), lie.rotation_to_quaternion(stream.rotation).tolist()
@@ -613,7 +614,7 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
     It is on the topic that the node listens to, of vacuum.signal, in whichever namespace.
     """
     vacuum, readings = Vacuum(), list[tuple[int, bool, int]]()
-    if (signal := values['vacuum.signal']) == 'none':
+    if (signal := values.vacuum.signal) == 'none':
         return []
     kind, name = {'bool': (messages.BOOL, 'vacuum/held'),
                   'pressure': ('sensor_msgs/msg/FluidPressure', 'vacuum/pressure')}[signal]
@@ -639,8 +640,8 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
 def live_predictor(values: Values) -> LivePredictor:
     """Return a predictor of the cup and the package."""
     return LivePredictor(
-        cup_of(values), package_of(values), values['gravity.magnitude'],
-        values['tool_twist.frame'])
+        cup_of(values), package_of(values), values.gravity.magnitude,
+        values.tool_twist.frame)
 
 
 def _last_measured(

@@ -17,6 +17,7 @@ from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.plan_prediction import flip_sentence
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
@@ -26,7 +27,7 @@ from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
 from bellows_ros.core.toss import landing, release
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_writer, File, messages, Values
+from bellows_ros.files import atomic, bag_writer, File, messages
 from bellows_ros.workflows.plan import bending, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
@@ -90,7 +91,7 @@ class SimulationReport(NamedTuple):
 
 
 def simulate_recording(
-    parameters: Values, motion: Mapping[str, object], out: File,
+    parameters: Mapping[str, Any], motion: Mapping[str, object], out: File,
     progress: Progress = no_progress, replace: bool = False, plan: File = ''
 ) -> SimulationReport:
     """
@@ -124,8 +125,8 @@ def simulate_recording(
         or the output exists or cannot be written. Nothing is written then.
 
     """
-    values: dict[str, Any] = resolve(parameters, PACKAGE_PARAMETERS)
-    R_world_level = levelling(values['gravity.direction']).T
+    values = resolve(parameters, PACKAGE_PARAMETERS)
+    R_world_level = levelling(values.gravity.direction).T
     recipe = read_recipe(motion, package_of(values).com)
     if plan:
         tool = in_world(read_plan(plan, values).tool, R_world_level.T)
@@ -170,7 +171,7 @@ def _smallest_margin(values: Values, truth: Truth, recipe: Recipe) -> Margin | N
     grip = grip_of(values)
     if grip is None:
         return None
-    model = model_tuple(cup_of(values), package_of(values), values['gravity.magnitude'])
+    model = model_tuple(cup_of(values), package_of(values), values.gravity.magnitude)
     seconds, held = truth.tool.seconds, truth.held.copy()
     for off in recipe.releases:
         held &= (seconds <= off) | (seconds > off + recipe.pickup)
@@ -181,7 +182,7 @@ def _smallest_margin(values: Values, truth: Truth, recipe: Recipe) -> Margin | N
 def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> Truth:
     """Simulate at all sampling times of both streams, and as finely in between as truth needs."""
     motion, cup, package = recipe.motion, cup_of(values), package_of(values)
-    model = model_tuple(cup, package, values['gravity.magnitude'])
+    model = model_tuple(cup, package, values.gravity.magnitude)
     rate = max(MIN_RATE, SAMPLES_PER_PERIOD * motion.highest_frequency,
                SAMPLES_PER_STABLE_STEP / largest_step(model))
     count = motion.duration * (rate + recipe.tool.rate_hz + recipe.package.rate_hz)
@@ -201,7 +202,7 @@ def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedu
             'Check the units of the motion: m, rad and s.')
     if not recipe.releases:
         always = np.ones(len(tool), dtype=bool)
-        hanging = simulate(cup, package, tool, gravity=values['gravity.magnitude'])
+        hanging = simulate(cup, package, tool, gravity=values.gravity.magnitude)
         return Truth(tool, hanging, always, always)
     normal = generator(recipe.seed, 'release').standard_normal(
         (len(recipe.releases), len(release.RELEASE_NAMES)))

@@ -1,6 +1,6 @@
 """Static recordings: the cup's length, and a check of its spring."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 import os
 from typing import Any, NamedTuple
@@ -8,16 +8,17 @@ from typing import Any, NamedTuple
 from bellows_ros.core.identification import statics
 from bellows_ros.core.model.cup_package import Cup, cup_of
 from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
-from bellows_ros.files import File, parameter_files, results, Values
+from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
 import numpy as np
 
-StaticBag = tuple[str, Values]
+StaticBag = tuple[str, Mapping[str, Any]]
 """A recording, and the parameters that hold for it alone, such as its package."""
 
 LENGTHS_AGREE_WITHIN = 3e-4
@@ -164,7 +165,7 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
 
     """
     result = _read(static_bags(values), values, lambda what, part: progress(what, 0.0))
-    if not values['static.length']:
+    if not values.static.length:
         return result
     if result.length is None:
         raise BellowsError(f'static.length is set, but: {result.no_length}')
@@ -173,14 +174,14 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
     return result._replace(cup_length=result.length.length)
 
 
-def static_bags(values: Values) -> list[StaticBag]:
+def static_bags(values: Values) -> list[tuple[str, Values]]:
     """Return the recordings of the parameter `static.bags`, each with its parameters."""
     each = reading.values_of_each(values, 'static.bags')
-    return list(zip(map(os.fspath, values['static.bags']), each, strict=True))
+    return list(zip(map(os.fspath, values.static.bags), each, strict=True))
 
 
 def static_check(
-    bags: Sequence[StaticBag], settings: Values, progress: Progress = no_progress
+    bags: Sequence[StaticBag], settings: Mapping[str, Any], progress: Progress = no_progress
 ) -> StaticResult:
     """
     Find the standstills of recordings and the cup length, and check the spring.
@@ -204,7 +205,7 @@ def static_check(
     """
     if not bags:
         raise BellowsError('No static recording is given. Name one or more rosbag2 folders.')
-    each: list[StaticBag] = [
+    each = [
         (bag, resolve({'package.inertia': NO_INERTIA, **settings, **of_bag}, PACKAGE_PARAMETERS))
         for bag, of_bag in bags]
     values = each[0][1]
@@ -212,7 +213,7 @@ def static_check(
     if result.length is not None and 'cup.length' not in settings:
         result = result._replace(cup_length=result.length.length)
     if 'cup.stiffness' in settings:
-        return with_spring(result, cup_of(values), values['gravity.magnitude'])
+        return with_spring(result, cup_of(values), values.gravity.magnitude)
     if result.length is None:
         raise BellowsError(f'{result.no_length} To check the spring instead, give cup.stiffness.')
     return result
@@ -224,24 +225,24 @@ def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
     return result._replace(spring=statics.check_spring(cup, result.standstills, gravity))
 
 
-def _read(each: Sequence[StaticBag], values: Values, progress: Progress) -> StaticResult:
+def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress) -> StaticResult:
     """Return the result of recordings, each with its parameters; twists do not matter at rest."""
     recordings = list[Recording]()
     for number, (bag, parameters) in enumerate(each):
         progress(f'reading {bag}', number / len(each))
-        if parameters['recording.package_world'] == ESTIMATE:
+        if parameters.recording.package_world == ESTIMATE:
             raise BellowsError(
                 f"'{bag}' has only standstills, which do not give recording.package_world. Set "
                 'its seven numbers: they are in the cup file of an identification with a motion.')
-        at_rest = {**parameters, 'topics.tool_twist': '', 'fit.time_offset': False}
+        at_rest = parameters.replaced({'topics.tool_twist': '', 'fit.time_offset': False})
         recordings.append(reading.load(bag, at_rest, with_digest=True))
         for _, sentence in reading.duplicates((each.name, each.digest) for each in recordings):
             raise BellowsError(sentence)
-    result = StaticResult(tuple(recordings), None, '', values['cup.length'],
-                          instant=1.0 + sum(values['cup.relaxation']))
+    result = StaticResult(tuple(recordings), None, '', values.cup.length,
+                          instant=1.0 + sum(values.cup.relaxation))
     try:
         return result._replace(length=statics.cup_length_of(
-            result.standstills, values['gravity.magnitude']))
+            result.standstills, values.gravity.magnitude))
     except UndeterminedError as error:
         return result._replace(no_length=str(error))
 

@@ -17,7 +17,7 @@ from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.planning.steering import hanging, METHODS, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import File, results, safe_yaml, Values
+from bellows_ros.files import File, results, safe_yaml
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import extended, MotionSource, NO_FACTOR, plan_with_cup, Source
 import numpy as np
@@ -146,7 +146,7 @@ class SteerReport(CommandResult):
 
 
 def steer_plan(
-    path: MotionSource, settings: Values, method: str,
+    path: MotionSource, settings: Mapping[str, Any], method: str,
     limits: File | Mapping[str, object] = '', urdf: str = '', topic: str = '',
 ) -> SteerReport:
     """
@@ -173,7 +173,7 @@ def steer_plan(
     bounds = read_limits(
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
     source = plan_with_cup(path, settings, urdf, topic)
-    model, of_package = source.model, source.moves == source.values['frames.package']
+    model, of_package = source.model, source.moves == source.values.frames.package
     bound = bool(limits) or source.joints is not None
     scale, limit = _slowdown(source, method, of_package, bounds) if bound else (1.0, '')
     reference = timed(source.tool, scale)

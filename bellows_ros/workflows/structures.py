@@ -1,5 +1,6 @@
 """Compare the structures of K and P on recordings; find what is identifiable from them."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -7,8 +8,9 @@ from bellows_ros.core.identification import methods, structure_selection
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.reduction import reduced
 from bellows_ros.core.model.cup_package import is_gripper
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.files import results, Values
+from bellows_ros.files import results
 from bellows_ros.workflows.identification import excitation_json, selection_json
 from bellows_ros.workflows.identify import FIT_ENDS, read_all, resolved
 from bellows_ros.workflows.recordings import no_progress, Progress
@@ -54,7 +56,7 @@ class StructureAdvice(NamedTuple):
             'settings': dict(self.values)})
 
 
-def structures(settings: Values, progress: Progress = no_progress) -> StructureAdvice:
+def structures(settings: Mapping[str, Any], progress: Progress = no_progress) -> StructureAdvice:
     """
     Find what is identifiable from the recordings of the parameter `bags`; compare structures.
 
@@ -75,9 +77,9 @@ def structures(settings: Values, progress: Progress = no_progress) -> StructureA
     read: list[Recording] = read_all(values, True, progress)[0]
     recordings = methods.with_relaxation(read, values)
     if any(recordings[0].relaxation.strengths):  # least squares alone is biased by noise
-        better = methods.fit(recordings, {
-            **values, 'fit.method': 'output_error',
-            'fit.structure': 'layout' if is_gripper(values) else 'axisymmetric'}, progress).fit
+        better = methods.fit(recordings, values.replaced({
+            'fit.method': 'output_error',
+            'fit.structure': 'layout' if is_gripper(values) else 'axisymmetric'}), progress).fit
         if better.converged:
             relaxation = recordings[0].relaxation._replace(
                 strengths=better.relaxation, covariance=np.diag(np.square(better.relaxation_std)))

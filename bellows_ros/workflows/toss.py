@@ -1,5 +1,6 @@
 """Predict the landing of a planned toss and its covariance; identify the release from drops."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 import os
@@ -11,13 +12,14 @@ from bellows_ros.core.model import grip, simulation
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters import checks, table
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.plan_prediction import flip_sentence
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
 from bellows_ros.core.toss.release import HeldMotion, law_of, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
-from bellows_ros.files import bags, File, messages, results, Values
+from bellows_ros.files import bags, File, messages, results
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
 import numpy as np
@@ -153,9 +155,9 @@ class TossResult(CommandResult):
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
                 'the valve, whatever the load; release.tau has no effect.')
         if landing.beyond_masses(values):
-            lightest, heaviest = values['release.mass_range']
+            lightest, heaviest = values.release.mass_range
             warnings.append(
-                f'package.mass is {values["package.mass"]:.3g} kg, but release.* was '
+                f'package.mass is {values.package.mass:.3g} kg, but release.* was '
                 f'identified with packages of {lightest:.3g} to {heaviest:.3g} kg: the release is '
                 'extrapolated, and its uncertainty enlarged. Identify it with drops of this mass.')
         if self.aim is not None and not self.reached:
@@ -191,7 +193,7 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
 
 
 def toss_plan(
-    path: plan.MotionSource, parameters: Values, switched: float | None,
+    path: plan.MotionSource, parameters: Mapping[str, Any], switched: float | None,
     target: tuple[float, float] | None = None, target_rotation: Array | None = None,
     monte_carlo: int = 0, progress: Progress = no_progress, urdf: str = '', topic: str = ''
 ) -> TossResult:
@@ -344,7 +346,9 @@ class ReleaseResult(NamedTuple):
             'settings': self.values})
 
 
-def identify_release(settings: Values, progress: Progress = no_progress) -> ReleaseResult:
+def identify_release(
+    settings: Mapping[str, Any], progress: Progress = no_progress
+) -> ReleaseResult:
     """
     Identify the law of release from the drops in the recordings that `bags` names.
 
@@ -365,12 +369,12 @@ def identify_release(settings: Values, progress: Progress = no_progress) -> Rele
     from bellows_ros.workflows.identify import resolved
 
     values = resolved(settings)
-    names = tuple(os.fspath(bag) for bag in values['bags'])
+    names = tuple(os.fspath(bag) for bag in values.bags)
     drops, used, left_out = list[release_fit.Drop](), list[str](), list[str]()
     for number, (bag, parameters) in enumerate(zip(names, values_of_each(values), strict=True)):
         progress(f'looking for drops in {bag}', 0.5 * number / len(names))
         model = model_tuple(
-            cup_of(parameters), package_of(parameters), parameters['gravity.magnitude'])
+            cup_of(parameters), package_of(parameters), parameters.gravity.magnitude)
         valve = _valve_times(bag, parameters)
         usable, not_used = release_fit.drops_of(
             load(bag, parameters), model, grip.grip_of(parameters), valve)
@@ -386,7 +390,7 @@ def identify_release(settings: Values, progress: Progress = no_progress) -> Rele
     progress('done', 1.0)
     result = ReleaseResult(fit, names, tuple(used), tuple(left_out), values)
     try:
-        checks.resolve({**values, **result.parameters()})
+        checks.resolve(values.replaced(result.parameters()))
     except BellowsError as error:
         raise UnexplainedError(f'The best law of release is not allowed: {error}') from None
     return result
@@ -394,7 +398,7 @@ def identify_release(settings: Values, progress: Progress = no_progress) -> Rele
 
 def _valve_times(bag: str, values: Values) -> list[int]:
     """Return when the valve is switched off, ns as received."""
-    topic = values['topics.valve']
+    topic = values.topics.valve
     switched = sorted(
         (log_ns, on) for _, log_ns, data in bags.messages_of(bag, (messages.BOOL,), topic)
         if (on := messages.decode_bool(data)) is not None) if topic else []

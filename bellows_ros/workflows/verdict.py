@@ -15,11 +15,11 @@ from bellows_ros.core.identification.search import MISFIT_CHI2
 from bellows_ros.core.identification.validation import validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, is_gripper, Package
 from bellows_ros.core.model.structure import given_structure, Structure
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import Values
 import numpy as np
 
 MAX_TESTED = 3
@@ -263,9 +263,10 @@ def verdict_of(
     if not tested:
         return None
     package = tested[0].payload
-    given = {**values, 'package.mass': package.mass, 'package.com': package.com,
-             'package.inertia': np.diag(package.inertia)}
-    simulated = {**values, 'cup.length': length}
+    given = values.replaced({
+        'package.mass': package.mass, 'package.com': package.com,
+        'package.inertia': np.diag(package.inertia)})
+    simulated = values.replaced({'cup.length': length})
     verdict = FitVerdict((), causes.Diagnosis(0.0, ()), given)
     if fit is not None:
         verdict = _judged(verdict, fit, tested, length, values)
@@ -366,12 +367,12 @@ def selection(
 ) -> structure_selection.StructureSelection:
     """Compare the structures, with a verdict where none fits; that of the fit where given."""
     compared = structure_selection.select_structure(
-        [samples_of(recording) for recording in recordings], values['cup.length'],
+        [samples_of(recording) for recording in recordings], values.cup.length,
         [recording.noise for recording in recordings],
-        given_structure({**values, 'fit.structure': 'layout'})
+        given_structure(values.replaced({'fit.structure': 'layout'}))
         if is_gripper(values) else None)
-    if verdict and values['fit.structure'] == compared.advised:
+    if verdict and values.fit.structure == compared.advised:
         return compared.judged(verdict.diagnosis, ())
-    advised = verdict_of(None, recordings, values['cup.length'],
-                         {**values, 'fit.structure': compared.advised})
+    advised = verdict_of(None, recordings, values.cup.length,
+                         values.replaced({'fit.structure': compared.advised}))
     return compared.judged(advised.diagnosis, advised.cause) if advised else compared

@@ -9,14 +9,14 @@ import logging
 import os
 from typing import Any
 
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError, install
-from bellows_ros.files import Values
 from bellows_ros.workflows.recordings import Failed
 
 ANSWER_TIMEOUT = 10.0
 """Longest wait (s) for an answer of the Dask scheduler."""
 
-Work = tuple[int, str, dict[str, Any]]
+Work = tuple[int, str, Values]
 """Index in the parameter `bags`, recording, and its parameters."""
 Task = Callable[..., Any]
 """Processes a recording (name, parameters, perhaps path)."""

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.points import plan_of
 import numpy as np
 
@@ -14,11 +15,11 @@ CUP = Cup(
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.0, 0.0, -0.03))
 GRIP = (60e3 * np.pi * 0.02 ** 2, 0.02, 0.5)
 GRAVITY = np.array([0.0, 0.0, -9.81])
-VALUES = {
+VALUES = Values({
     'cup.stiffness': CUP.stiffness.ravel().tolist(), 'cup.damping': CUP.damping.ravel().tolist(),
     'cup.length': CUP.length, 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
     'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
-}
+})
 """Cup and package as parameters."""
 
 

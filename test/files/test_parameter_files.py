@@ -147,7 +147,7 @@ def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
 
 
 def test_every_parameter_is_written_with_its_sentence_and_unit():
-    values = {**resolve(PACKAGE), 'recording.package_frame': 'com', **LISTS}
+    values = resolve(PACKAGE).replaced({'recording.package_frame': 'com', **LISTS})
     text = ' '.join(format_parameters(values).split())
     for parameter in PARAMETERS.values():
         sentence = ' # '.join(parameter.description.split())

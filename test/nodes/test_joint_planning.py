@@ -57,7 +57,7 @@ def message(position=POSITION, names=ARM.moving):
 @pytest.fixture
 def planner(make_partner):
     """Give a predictor that knows the arm."""
-    return JointPlanner(make_partner({**VALUES, 'tool_link': 'tool'}), UR5E)
+    return JointPlanner(make_partner(VALUES.replaced({'tool_link': 'tool'})), UR5E)
 
 
 def test_a_plan_of_joints_is_answered_and_steered_in_them(planner):

@@ -226,7 +226,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
     What a node would do for messages is called here, as nothing else runs.
     """
     monkeypatch.setattr(flight, 'AIM_TIME', 0.04)
-    partner = make_partner({**VALUES, 'package.size': [0.1] * 3, 'landing.height': -1.0})
+    partner = make_partner(VALUES.replaced({'package.size': [0.1] * 3, 'landing.height': -1.0}))
     node, tried = partner.predictor, 0
     set_on(node, 'landing.aim', True)
     pipeline, planning = node.pipeline, node.pipeline.planning.plans

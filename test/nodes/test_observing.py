@@ -5,6 +5,7 @@ import time
 from bellows_ros.core.live.health import Level
 from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.equilibrium import moved_by
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.nodes.conversions import TOOL_POSES
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, PoseStamped
@@ -23,7 +24,7 @@ TURN = 0.1  # rad, by which the measured package begins beside its rest
 def swinging():
     """Give the states of a package that swings under a tool that stands still."""
     tool = [(ORIGIN, UPRIGHT, ORIGIN, ORIGIN)] * 120
-    package = package_of(PACKAGE)
+    package = package_of(Values(PACKAGE))
     rest = truth(tool[:1], package, Cup.thesis())[0]
     start = moved_by(rest, np.r_[0.0, 0.0, 0.0, 0.0, TURN, np.zeros(7)])
     return truth(tool, package, Cup.thesis(), start)

@@ -23,8 +23,9 @@ from ..core import plans
 from ..core.planning.test_steering import Smooth
 from ..core.plans import CUP, GRIP, Move, PACKAGE
 
-VALUES = {**plans.VALUES, 'cup.lip_radius': 0.02, 'vacuum.holding': 60e3,
-          'tool_twist.frame': 'tool', 'coast.limit': 0.0}
+VALUES = plans.VALUES.replaced({
+    'cup.lip_radius': 0.02, 'vacuum.holding': 60e3, 'tool_twist.frame': 'tool',
+    'coast.limit': 0.0})
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 MOVE = Move([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
 
@@ -188,7 +189,8 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     """With E turned and beside the frame that poses, plans and answers are of."""
     T_flange_E = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x
     T_flange_E[:3, 3] = 0.02, -0.03, 0.1
-    planner = Planner(make_partner({**VALUES, 'tool_pose.offset': '0.02 -0.03 0.1 1 0 0 0'}))
+    planner = Planner(make_partner(
+        VALUES.replaced({'tool_pose.offset': '0.02 -0.03 0.1 1 0 0 0'})))
     move = Smooth([0.3, 0.0, 0.0], [0.0, 0.2, 0.0], 0.6)
     plan = message(move)
     of_flange = message(move, twists=None, poses=in_frame(plan.poses, np.linalg.inv(T_flange_E)))

@@ -252,7 +252,7 @@ def test_exchanged_topics_are_refused_before_the_fit(shipped):
     exchanged = {'topics.tool_pose': values['topics.package_pose'], 'topics.tool_twist': '',
                  'topics.package_pose': values['topics.tool_pose']}
     with pytest.raises(BellowsError, match=r'topics\.package_pose'):
-        identify({**values, **exchanged})
+        identify(values.replaced(exchanged))
 
 
 def test_a_wrong_length_is_suspected(shipped):

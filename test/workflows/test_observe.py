@@ -8,6 +8,7 @@ from bellows_ros.core.geometry.lie import (
     transform,
 )
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import pose_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
@@ -67,7 +68,7 @@ def filmed(root, known, true_cup, tmp_path_factory):
 def test_both_are_better_than_either(filmed):
     """Grip the package 10 mm beside its middle: the camera says so, and the model its noise."""
     bag, values = filmed
-    wrong = {**values, 'package.com': (0.01, 0.0, -0.03), 'payload.estimate': True}
+    wrong = values.replaced({'package.com': (0.01, 0.0, -0.03), 'payload.estimate': True})
     found = replay(bag, wrong, observe=CAMERA).observed
     alone, camera, both = (name.scores.rms for name in found.estimates.values())
     size = [np.linalg.norm(rms[:3]) for rms in (alone, camera, both)]
@@ -100,10 +101,10 @@ def seen_in(bag, recording, settings):
 def test_calibration_leads_to_where_the_camera_is(filmed):
     """Find the pose of a camera whose world was given 19 mm and 37 mrad beside where it is."""
     bag, values = filmed
-    settings = resolve({**values, 'measured.calibrate': True})
+    settings = resolve(values.replaced({'measured.calibrate': True}))
     recording = load(bag, settings)
-    settings['recording.package_world'] = text_of(transform(
-        exp_so3(np.array([0.02, -0.01, 0.03])), np.array([0.015, -0.01, 0.005])))
+    settings = settings.replaced({'recording.package_world': text_of(transform(
+        exp_so3(np.array([0.02, -0.01, 0.03])), np.array([0.015, -0.01, 0.005])))})
     found = seen_in(bag, recording, settings).parameters
     world = pose_of(found['recording.package_world'])
     at = recording.measured_package.position
@@ -123,7 +124,7 @@ def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):
         write_bag(tmp_path / name, [*of(streams, 'tool', 'package'), poses(
             'camera', camera.stamps_ns + late_ns, camera.position, camera.rotation, frame_id)])
         return replay(
-            tmp_path / name, {**values, 'topics.tool_twist': ''}, observe=CAMERA).observed
+            tmp_path / name, values.replaced({'topics.tool_twist': ''}), observe=CAMERA).observed
 
     early = seen('early', late_ns=-3_600_000_000_000)
     assert early.counts == {'not_held': len(camera.stamps_ns)}
@@ -136,7 +137,8 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
     """Correct by them in whichever axes they come, not by measured.noise, and refuse a bad one."""
     bag, values = filmed
     streams = read_streams(bag, SEEN)
-    values = {**values, 'topics.tool_twist': '', 'recording.start': 2.0, 'recording.end': 6.0}
+    values = values.replaced(
+        {'topics.tool_twist': '', 'recording.start': 2.0, 'recording.end': 6.0})
 
     def seen(name, sizes, T=None, **changes):
         T = np.eye(4) if T is None else T
@@ -152,7 +154,7 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
         write_bag(tmp_path / name, [
             *of(streams, 'tool'), package,
             Encoded('/' + SEEN['camera'], POSE_COVARIANCE, own.stamps_ns, data)])
-        settings = resolve({**values, **changes})
+        settings = resolve(values.replaced({**changes}))
         found = seen_in(tmp_path / name, load(tmp_path / name, settings), settings)
         assert found.counts['covariance'] == 1
         return found.estimates['both'].scores.rms
@@ -187,7 +189,7 @@ def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
         position[:, 2] -= falls * 4.9 * np.square(np.maximum(own.stamps_ns - at_ns, 0) * 1e-9)
         seen = own.stamps_ns < at_ns + (320_000_000 if falls else 10**15)
         recorded.append(poses(role, own.stamps_ns[seen], position[seen], own.rotation[seen]))
-    values = {**values, 'topics.tool_twist': '', 'recording.start': 3.0}
+    values = values.replaced({'topics.tool_twist': '', 'recording.start': 3.0})
     write_bag(tmp_path / 'dropped', recorded)
     found = replay(tmp_path / 'dropped', values, observe=CAMERA)
     (seconds, alarm), = found.observed.alarms
@@ -196,7 +198,7 @@ def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
     assert f'The package is lost {seconds:.2f} s after' in found.warnings[0]
     assert not any('package.mass' in warning for warning in found.warnings)
     pressures = streams['tool'].stamps_ns[::20]
-    values['vacuum.signal'] = 'pressure'
+    values = values.replaced({'vacuum.signal': 'pressure'})
     write_bag(tmp_path / 'heard', [*recorded, breaking(pressures, at_ns)])
     (seconds, alarm), = replay(
         tmp_path / 'heard', values, observe=CAMERA).observed.alarms
@@ -219,8 +221,8 @@ def test_alarms_are_calibrated_on_sound_work(root, known, true_cup, tmp_path):
     write_bag(bag, [*of(streams, 'tool', 'package'), poses(
         'camera', package.stamps_ns[which], package.position[which] + n[:, :3] * noise[0],
         package.rotation[which] @ exp_so3(n[:, 3:] * noise[1]))])
-    values = {
-        **true_cup, **known, 'topics.tool_twist': '', 'measured.noise': (1e-3, 5e-3)}
+    values = Values({
+        **true_cup, **known, 'topics.tool_twist': '', 'measured.noise': (1e-3, 5e-3)})
     found = replay(bag, values, observe=CAMERA, calibrate_alarms=True).observed
     calibration = found.alarm_calibration
     # some 13 s hold some 60 independent values in each of three axes
@@ -231,4 +233,4 @@ def test_alarms_are_calibrated_on_sound_work(root, known, true_cup, tmp_path):
     assert calibration.after.per_hour < min(calibration.before.per_hour, 100.0)
     assert calibration.after.per_hour < calibration.after.at_most
     with pytest.raises(BellowsError, match=r'\b118 .* 300\b'):
-        replay(bag, {**values, 'recording.end': 4.0}, observe=CAMERA, calibrate_alarms=True)
+        replay(bag, values.replaced({'recording.end': 4.0}), observe=CAMERA, calibrate_alarms=True)

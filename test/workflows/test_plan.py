@@ -32,7 +32,8 @@ from ..files.recordings import header, POSE, serialized, TWIST
 from ..files.yaml_plans import cartesian, plan_messages
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
-VALUES = {**plans.VALUES, 'cup.lip_radius': 0.025, 'vacuum.holding': 6e4, 'package.mass_std': 0.01}
+VALUES = plans.VALUES.replaced({
+    'cup.lip_radius': 0.025, 'vacuum.holding': 6e4, 'package.mass_std': 0.01})
 T0 = 1_700_000_000_000_000_000
 FIGURES = ('smallest_safety_factor', 'peak_bending', 'peak_force', 'peak_moment', 'swing_left')
 
@@ -58,7 +59,7 @@ def bag_of(path, kind, data, topic='/plan'):
 
 def figures(path, **options):
     """Return what is said of a plan."""
-    return plan(path, {**VALUES, **options.pop('values', {})}, **options).as_json()
+    return plan(path, VALUES.replaced(options.pop('values', {})), **options).as_json()
 
 
 @pytest.fixture(scope='module')
@@ -197,16 +198,17 @@ def test_a_part_of_a_plan_is_taken(tmp_path):
     times, poses, _ = samples()
     write_bag(tmp_path / 'poses', [as_messages('/tool_arm/pose', POSE, T0 + times, poses, 'base')])
     plan_bag = bag_of(tmp_path / 'plan', MULTI_DOF, encode_multi_dof(message(stamp_ns=T0)))
-    values = resolve({**VALUES, 'topics.tool_twist': ''}, ())
+    values = resolve(VALUES.replaced({'topics.tool_twist': ''}), ())
     for path in (tmp_path / 'poses', plan_bag):
         whole = read_plan(path, values).tool
-        part = read_plan(path, {**values, 'recording.start': 0.1, 'recording.end': 0.3}).tool
+        part = read_plan(
+            path, values.replaced({'recording.start': 0.1, 'recording.end': 0.3})).tool
         inside = (whole.stamps_ns >= T0 + 10**8) & (whole.stamps_ns <= T0 + 3 * 10**8)
         np.testing.assert_array_equal(part.stamps_ns, whole.stamps_ns[inside])
         assert part.stamps_ns[0] == T0 + 10**8 and part.stamps_ns[-1] == T0 + 3 * 10**8
         np.testing.assert_array_equal(part.position, whole.position[inside])
     with pytest.raises(BellowsError, match=r'1.*recording\.start'):
-        read_plan(plan_bag, {**values, 'recording.start': 0.1, 'recording.end': 0.103})
+        read_plan(plan_bag, values.replaced({'recording.start': 0.1, 'recording.end': 0.103}))
 
 
 def test_fastest_and_curves(bag, tmp_path):
@@ -219,7 +221,7 @@ def test_fastest_and_curves(bag, tmp_path):
     assert_allclose(1 / report.prediction.loads[:, 0].max(),
                     report.curves.values[:len(report.prediction.loads), 4].min())
     with pytest.raises(BellowsError, match=r'cup\.lip_radius.*vacuum\.holding'):
-        plan(bag, {**VALUES, 'cup.lip_radius': 0.0}, seek_fastest=True)
+        plan(bag, VALUES.replaced({'cup.lip_radius': 0.0}), seek_fastest=True)
     half = message(**{name: getattr(message(), name)[:80]
                       for name in ('times_ns', 'poses', 'twists')})
     thrown = bag_of(tmp_path / 'half', MULTI_DOF, encode_multi_dof(half))

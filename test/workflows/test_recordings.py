@@ -31,7 +31,7 @@ def behind(root, tmp_path_factory):
 def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):
     """Find poses and twists, in all forms they are kept in, where they were before."""
     there = load(root / 'bags/validation', values)
-    moved = load(behind, {**values, 'fit.time_offset': True})
+    moved = load(behind, values.replaced({'fit.time_offset': True}))
     offset = moved.report.time_offset
     assert abs(offset.value - 0.0123) < max(4.0 * offset.std, 2e-5)
     assert offset.std < 5e-5
@@ -45,8 +45,8 @@ def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):
 
 
 def test_a_recording_that_tells_no_offset_is_used_as_it_is_stamped(root, values):
-    recording = load(
-        root / 'bags/static', {**values, 'fit.time_offset': True, 'recording.end': 1.9})  # at rest
+    at_rest = values.replaced({'fit.time_offset': True, 'recording.end': 1.9})
+    recording = load(root / 'bags/static', at_rest)
     assert recording.report.time_offset is None
     assert any('stamps were used unchanged' in warning for warning in recording.report.warnings)
 
@@ -54,7 +54,7 @@ def test_a_recording_that_tells_no_offset_is_used_as_it_is_stamped(root, values)
 def test_a_part_of_a_recording_is_what_lies_there(root, values):
     bag = root / 'bags/validation'
     whole = load(bag, values)
-    part = load(bag, {**values, 'recording.start': 2.0, 'recording.end': 5.0})
+    part = load(bag, values.replaced({'recording.start': 2.0, 'recording.end': 5.0}))
     first = whole.tool_pose.stamps_ns[0]
     for stream in ('tool_pose', 'package_pose', 'tool_twist'):
         stamps = getattr(whole, stream).stamps_ns
@@ -63,4 +63,4 @@ def test_a_part_of_a_recording_is_what_lies_there(root, values):
     assert 2.5 < part.tool.seconds[-1] <= 3.0
     for start, end in ((3.0, 2.0), (1e5, 0.0)):
         with pytest.raises(BellowsError, match=r'recording\.start'):
-            load(bag, {**values, 'recording.start': start, 'recording.end': end})
+            load(bag, values.replaced({'recording.start': start, 'recording.end': end}))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.toss.landing import coverage, SECOND_ORDER
 from bellows_ros.errors import NoTopicError
 from bellows_ros.files.parameter_files import read_parameters
@@ -14,11 +15,11 @@ import numpy as np
 import pytest
 
 BAGS = Path(__file__).parents[2] / 'bags'
-VALUES = {
+VALUES = Values({
     **read_parameters(BAGS / 'tossing.yaml'), 'release.delay': 0.012, 'release.delay_std': 5e-4,
     'release.tau': 0.015, 'release.impulse': 0.05, 'release.impulse_std': 0.005,
     'release.blow_off': 0.0, 'release.opening': 0.0, 'release.sticking': 0.0,
-}
+})
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason='twenty interpreted fits take too long; see numba')
@@ -42,7 +43,7 @@ def recorded(tmp_path_factory):
 def test_finds_the_valve_that_was_simulated(recorded):
     """Within its own standard errors; the numbers of a cup that opens are not needed."""
     bag, late = recorded
-    found = identify_release({**VALUES, 'bags': [str(bag)]})
+    found = identify_release(VALUES.replaced({'bags': [str(bag)]}))
     fit = found.fit
     assert len(fit.drops) == 6 and not found.warnings
     assert fit.free == (0, 1, 2)
@@ -54,15 +55,15 @@ def test_finds_the_valve_that_was_simulated(recorded):
     content = found.parameters()
     assert content['release.delay_std'] == pytest.approx(np.hypot(fit.std[0], fit.scatter[0]))
     assert content['release.mass_range'] == (1.8, 1.8)
-    assert resolve({**VALUES, **content})
+    assert resolve(VALUES.replaced(content))
 
 
 def test_says_first_that_no_valve_was_recorded_and_needs_no_grip(recorded):
     """Without a topic it is refused; without a grip tau is not identifiable."""
-    values = {**VALUES, 'bags': [str(recorded[0])]}
+    values = VALUES.replaced({'bags': [str(recorded[0])]})
     with pytest.raises(NoTopicError, match='topics.valve'):
-        identify_release({**values, 'topics.valve': '/another'})
-    loose = identify_release({**values, 'vacuum.holding': 0.0})
+        identify_release(values.replaced({'topics.valve': '/another'}))
+    loose = identify_release(values.replaced({'vacuum.holding': 0.0}))
     assert loose.fit.free == (0, 2)
     assert loose.fit.law[0] == pytest.approx(np.mean(recorded[1]), abs=3e-3)
 
@@ -85,8 +86,8 @@ def test_a_cup_that_opens_is_simulated_and_found(tmp_path):
            'release.damping': 30.0, 'release.sticking': 2.0, 'release.delay_std': 5e-4,
            **{f'release.{name}_std': 0.0 for name in (
                'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking')}}
-    drawn = simulated({**VALUES, **law}, 4, tmp_path / 'bag')
-    found = identify_release({**VALUES, 'bags': [str(tmp_path / 'bag')]})
+    drawn = simulated(VALUES.replaced(law), 4, tmp_path / 'bag')
+    found = identify_release(VALUES.replaced({'bags': [str(tmp_path / 'bag')]}))
     assert set(found.fit.free) >= {0, 3, 4, 5, 6, 7}
     assert found.fit.chi2 == pytest.approx(1.0, abs=0.4)  # one mass does not tell all numbers
     late = [toss.release_time - toss.valve_time for toss in drawn]

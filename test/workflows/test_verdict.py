@@ -8,6 +8,7 @@ from bellows_ros.core.identification.methods import fit, with_relaxation
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.workflows import verdict
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.verdict import FitVerdict, Simulated
@@ -25,7 +26,8 @@ def test_what_filters_take_is_not_doubted(off, left, said):
     rms = noise * np.where(np.arange(6) == 4, off, 1.0)
     finding = cause('structure', [], left, certain=False)._replace(datum=False)
     found = FitVerdict(
-        (Simulated('recording', rms, noise, 100.0 * noise, ()),), Diagnosis(2.7, (finding,)), {})
+        (Simulated('recording', rms, noise, 100.0 * noise, ()),), Diagnosis(2.7, (finding,)),
+        Values({}))
     assert len(found.cause) == bool(said) and said in ' '.join(found.cause)
 
 
@@ -40,7 +42,7 @@ def cause(name, theta, left=0.3, certain=True):
 
 def judged(*causes, chi2=1.0):
     """Return a verdict on a fit with these causes, one beside the other."""
-    return FitVerdict((), Diagnosis(9.0, causes[:1], causes[1:]), {}, chi2, EXPECTED)
+    return FitVerdict((), Diagnosis(9.0, causes[:1], causes[1:]), Values({}), chi2, EXPECTED)
 
 
 def test_what_is_off_no_more_than_expected_comes_last():
@@ -82,7 +84,7 @@ def test_a_fit_that_leaves_more_than_noise_is_refused_whatever_its_structure(
     monkeypatch.setattr(verdict, '_simulated', lambda cup, own, others: Simulated(
         own.name, off * noise, noise, 100.0 * noise, ()))
     laboratory = Laboratory(4, seconds=4.0)
-    values = {**parameters(laboratory), 'fit.structure': 'full'}
+    values = parameters(laboratory).replaced({'fit.structure': 'full'})
     made = replace(made_for(laboratory, structure='full'), method=method, residual_rms=noise,
                    chi2=chi2, robust_chi2=chi2)
     found = verdict.verdict_of(made, laboratory.recordings(), laboratory.length, values)
@@ -141,7 +143,7 @@ def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
     if not refused:
         off = np.abs(np.diag(found.stiffness) - laboratory.K) / np.diag(found.stiffness_std)
         assert np.all(off < 4.0)
-        stated = {**values, 'package.com_std': (aside,) * 3}
+        stated = values.replaced({'package.com_std': (aside,) * 3})
         said = verdict.verdict_of(found, recordings, laboratory.length, stated)
         (name, (com, off, _)), *_ = said.found.items()
         assert name == 'package.com' and float(off.removesuffix(' mm')) > 800.0 * aside

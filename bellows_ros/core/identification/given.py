@@ -26,7 +26,7 @@ from copy import copy
 from dataclasses import replace
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
@@ -45,6 +45,7 @@ from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.model.cup_package import package_of
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -59,19 +60,19 @@ PACKAGE_STD: Mapping[str, float] = {'mass': 0.01, 'inertia': 0.05, 'com': 2e-3}
 """Standard deviations of a package where none is stated: parts of mass and inertia, and m."""
 
 
-def given_std(values: Mapping[str, Any]) -> dict[str, Array]:
+def given_std(values: Values) -> dict[str, Array]:
     """Return the standard deviations of what was given, by names of `KINDS`, SI units."""
-    marker = np.repeat(values['recording.marker_std'], 3)
-    stds = {'length': np.array([values['cup.length_std']]), 'package_marker': marker,
-            'time_offset': np.array([values['recording.clock_std']])}
-    if values['recording.package_world']:
+    marker = np.repeat(values.recording.marker_std, 3)
+    stds = {'length': np.array([values.cup.length_std]), 'package_marker': marker,
+            'time_offset': np.array([values.recording.clock_std])}
+    if values.recording.package_world:
         stds['package_world'] = marker
     if all(name in values for name in PACKAGE_PARAMETERS):
         payload = package_of(values)
         stated = {
-            'mass': np.array([values['package.mass_std'] / payload.mass]),
-            'com': np.array(values['package.com_std']),
-            'inertia': np.array(values['package.inertia_std'][:3]) / np.diag(payload.inertia)}
+            'mass': np.array([values.package.mass_std / payload.mass]),
+            'com': np.array(values.package.com_std),
+            'inertia': np.array(values.package.inertia_std[:3]) / np.diag(payload.inertia)}
         stds |= {name: std if np.any(std) else np.full(len(std), PACKAGE_STD[name])
                  for name, std in stated.items()}
     return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}

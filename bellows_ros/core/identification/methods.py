@@ -1,11 +1,11 @@
 """The fit of a cup to recordings, by the method in `fit.method`."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import math
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares, reduction
@@ -20,6 +20,7 @@ from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.identification.statics import joined_with_standstills, Length
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
 from bellows_ros.core.model.structure import given_structure, STRUCTURES
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, Noise, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -61,7 +62,7 @@ class Result(NamedTuple):
 
 def fit(
     recordings: Sequence[AnyRecording],
-    values: Mapping[str, Any],
+    values: Values,
     progress: Progress | None = None,
     standstills: Sequence[Standstill] = (),
     length_std: float = 0.0,
@@ -119,15 +120,15 @@ def fit(
     if result.method == 'least_squares':
         result = _with_relaxation_of(
             replace(result, notes=(*result.notes, *_noise_warning(recordings))), recordings)
-    if values['fit.time_offset']:
+    if values.fit.time_offset:
         result = _with_offsets(result, [part.time_offset for part in parts])
     if standstills:
         jacobian = np.zeros(len(result.labels))
         if length_std > 0.0:
             jacobian = _length_jacobian(whole_recordings(recordings), values)
-        length = Length(values['cup.length'], length_std, jacobian)
+        length = Length(values.cup.length, length_std, jacobian)
         result = joined_with_standstills(
-            result, standstills, length, values['gravity.magnitude'], one_cup_of(values).stiffness,
+            result, standstills, length, values.gravity.magnitude, one_cup_of(values).stiffness,
             given_structure(values).places)
     return Result(result, excitation)
 
@@ -152,20 +153,20 @@ def _noise_warning(recordings: Sequence[AnyRecording]) -> Iterator[str]:
         yield NOTES['correlated'].format(names=', '.join(names))
 
 
-def are_differentiable(parts: Sequence[AnyRecording], values: Mapping[str, Any]) -> bool:
+def are_differentiable(parts: Sequence[AnyRecording], values: Values) -> bool:
     """Return whether accelerations follow from the poses of recordings, with markers as given."""
     rates = [body.timing.rate_hz for part in whole_recordings(parts)
              for body in (part.report.tool, part.report.package)]
-    return 'package_marker' not in values['fit.free'] and (
+    return 'package_marker' not in values.fit.free and (
         min(rates, default=LOW_RATE_HZ) >= LOW_RATE_HZ)
 
 
 def fitted(
-    recordings: Sequence[AnyRecording], values: Mapping[str, Any],
+    recordings: Sequence[AnyRecording], values: Values,
     progress: Progress | None = None,
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
-    if values['fit.method'] == 'least_squares':
+    if values.fit.method == 'least_squares':
         return least_squares.least_squares(
             [reduced(recording, values).statistics for recording in recordings])
     return by_output_error(whole_recordings(recordings), values, progress)
@@ -181,7 +182,7 @@ def _report(progress: Progress, iteration: Iteration) -> None:
 
 
 def by_output_error(
-    recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress | None = None,
+    recordings: Sequence[Recording], values: Values, progress: Progress | None = None,
     exactly: bool = False,
 ) -> Fit:
     """
@@ -199,15 +200,15 @@ def by_output_error(
         statistics_of = (reduced(recording, values).statistics for recording in recordings)
         start = start_cup(list(statistics_of), start)
     named = tuple(dict.fromkeys([
-        *values['fit.free'], *['time_offset'] * values['fit.time_offset'],
+        *values.fit.free, *['time_offset'] * values.fit.time_offset,
         *['package_world'] * any(report.package_world for report in reports)]))
     free = weak_prior([*named, *['relaxation'] * any(strengths)])
     return output_error(
         measured, structure, start, progress and partial(_report, progress), free, named,
-        values['fit.relaxation'], {} if exactly else given_std(values), given)
+        values.fit.relaxation, {} if exactly else given_std(values), given)
 
 
-def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[T]:
+def with_relaxation(recordings: Sequence[T], values: Values) -> list[T]:
     """
     Return recordings of one cup with its relaxation, where fit.relaxation asks for it.
 
@@ -218,16 +219,16 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
 
     """
     whole = whole_recordings(recordings)
-    if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
+    if values.fit.relaxation == 'off' or values.fit.free or len(whole) < len(recordings):
         return list(recordings)
     structure = given_structure(values)
     # One rubber, one law: a richer structure is no better.
     simplest = structure if structure.places else STRUCTURES['axisymmetric']
     relaxation = least_squares.relaxation_of(
         [samples_of(recording).thinned(reduction.MAX_STORED) for recording in whole],
-        [recording.noise for recording in whole], values['cup.length'], simplest)
+        [recording.noise for recording in whole], values.cup.length, simplest)
     if relaxation is None:
-        if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
+        if values.fit.relaxation == 'on' and values.fit.method == 'least_squares':
             raise UndeterminedError(NOTES['not_relaxing'])
         return list(recordings)
     if simplest is not structure:
@@ -260,26 +261,26 @@ def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
         delay + offset.value for delay, offset in zip(result.delays, removed, strict=True)))
 
 
-def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any]) -> Array:
+def _length_jacobian(recordings: Sequence[Recording], values: Values) -> Array:
     """Return the derivatives (2 n,) of the parameters that least squares finds by cup.length."""
     structure = given_structure(values)
     ends = [
         least_squares.least_squares([
-            reduction.statistics(samples_of(recording), values['cup.length'] + step, structure)
+            reduction.statistics(samples_of(recording), values.cup.length + step, structure)
             for recording in recordings]).parameters for step in (LENGTH_STEP, -LENGTH_STEP)]
     return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
 
-def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, Any]:
+def with_freed(values: Values, freed: Sequence[Freed]) -> Values:
     """Return parameters with the estimates of fit.free."""
     change = {quantity.name: quantity.change for quantity in freed}
-    result = {**values, 'cup.length': values['cup.length'] + sum(change.pop('length', ()))}
+    result = values.replaced({'cup.length': values.cup.length + sum(change.pop('length', ()))})
     if change:
         package = varied(package_of(values), **change)
         entries = package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        result |= {
+        result = result.replaced({
             'package.mass': package.mass, 'package.com': tuple(package.com.tolist()),
-            'package.inertia': tuple(entries.tolist())}
+            'package.inertia': tuple(entries.tolist())})
     return result
 
 

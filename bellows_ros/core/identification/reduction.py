@@ -22,6 +22,7 @@ from bellows_ros.core.identification.samples import Equations, LipMotion, Moment
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.model.validity_range import Envelope
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import recording as measured
 from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Recording
 from bellows_ros.core.signals.residuals import Spectrum
@@ -349,7 +350,7 @@ def whole_recordings(recordings: Sequence[AnyRecording]) -> list[Recording]:
     return [recording for recording in recordings if isinstance(recording, Recording)]
 
 
-def reduced(recording: AnyRecording, values: Mapping[str, Any]) -> ReducedRecording:
+def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
     """
     Return a recording reduced with the structure and the cup length that parameters name.
 
@@ -363,7 +364,7 @@ def reduced(recording: AnyRecording, values: Mapping[str, Any]) -> ReducedRecord
     """
     if isinstance(recording, ReducedRecording):
         return recording
-    length, structure = values['cup.length'], given_structure(values)
+    length, structure = values.cup.length, given_structure(values)
     return recording.cached(
         ('reduced', length, structure), lambda: _reduced(recording, length, structure))
 

@@ -1,10 +1,10 @@
 """The package from the valve on: held until the cup lets go, flying, landed. Pure code, no ROS."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import scale, ZERO
@@ -14,6 +14,7 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import Grip, grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.toss import release
 from bellows_ros.core.toss.free_flight import COARSE_ROTATION_PER_STEP, flight, upward
@@ -92,7 +93,7 @@ class Flight:
     """
 
     def __init__(
-        self, values: Mapping[str, Any],
+        self, values: Values,
         future: Callable[[Prediction], ToolRows | None] = lambda now: None,
         grip: Callable[[], Grip | None] | None = None,
     ) -> None:
@@ -100,7 +101,7 @@ class Flight:
         self._values, self._future = values, future
         of_values = grip_of(values)
         self._grip_now = grip or (lambda: of_values)
-        self.has_size = min(values['package.size']) > 0.0
+        self.has_size = min(values.package.size) > 0.0
         self._release = release.release_of(values) if self.has_size else release.NO_FLIGHT
         self._ahead = release.latest_release(release.law_of(values)) + EXTRA_TIME
         self._factor = factor_columns(values)
@@ -111,7 +112,7 @@ class Flight:
         """Compile all that a toss needs."""
         if not self.has_size:
             return
-        high = scale(self._release.height + 1.0 + 2.0 * max(self._values['package.size']),
+        high = scale(self._release.height + 1.0 + 2.0 * max(self._values.package.size),
                      upward(model[2]))
         still = Prediction(1, high, *ORIGIN[1:], ZERO, ZERO, (high, *ORIGIN[1:]))
         landing = self.landing(model, still, lambda _: np.zeros((12, 12)))
@@ -159,7 +160,7 @@ class Flight:
             np.concatenate(each.tool) for each in (before, now)]))
         released, body, landed, _ = self._toss(
             model, before, tool, (self._switched_ns - before.stamp_ns) / NS_PER_S, duration)
-        if released < 0.0 and self._values['release.opening'] == 0.0:
+        if released < 0.0 and self._values.release.opening == 0.0:
             return now
         if released < 0.0:
             since_valve = (now.stamp_ns - self._switched_ns) / NS_PER_S
@@ -270,11 +271,11 @@ class Flight:
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
         """Return the time (s) until the valve should be switched for the target, or None."""
-        if not self.has_size or self.state or not self._values['landing.aim']:
+        if not self.has_size or self.state or not self._values.landing.aim:
             return None
         if 2.0 * AIM_TIME > MAX_AIM_STEPS * _longest_step(model):
             return None  # so many steps take too long
-        x, y = self._values['landing.target']
+        x, y = self._values.landing.target
         try:
             tool = at_constant_velocity(prediction, self._future(prediction), 2.0 * AIM_TIME)
             held = HeldMotion(model, self.grip, tool, prediction.body, 2.0 * AIM_TIME)

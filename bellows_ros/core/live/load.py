@@ -1,9 +1,8 @@
 """Vacuum, holding margin and distance from the validity range, live; checks of values."""
 
-from collections.abc import Mapping
 import math
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
@@ -14,6 +13,7 @@ from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safet
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
 from bellows_ros.core.model.validity_range import Distance, distance, parameter_envelope
 from bellows_ros.core.parameters.checks import ESTIMATE, gravity_of
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -45,14 +45,14 @@ def lip_position(model: ModelTuple, prediction: Prediction) -> Vector:
     return t3.subtract(prediction.position, t3.apply(R, model[1][1]))
 
 
-def equivalent_box(values: Mapping[str, Any]) -> Vector:
+def equivalent_box(values: Values) -> Vector:
     """
     Return the sides (m) of the homogeneous box with a package's mass and moments (A.2).
 
     Along x, y, z of B; products of inertia are left out, and sides are 1 mm to 10 m long.
     """
-    xx, yy, zz = values['package.inertia'][:3]
-    squares = 6.0 * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz]) / values['package.mass']
+    xx, yy, zz = values.package.inertia[:3]
+    squares = 6.0 * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz]) / values.package.mass
     x, y, z = np.sqrt(squares.clip(1e-6, 100.0)).tolist()
     return x, y, z
 
@@ -88,11 +88,11 @@ class Load:
 
     """
 
-    def __init__(self, values: Mapping[str, Any], pressure: float | None = None) -> None:
+    def __init__(self, values: Values, pressure: float | None = None) -> None:
         """Set the limits."""
         self._values = values
         self.set_pressure(pressure)
-        self.required = float(values['safety.least'])
+        self.required = float(values.safety.least)
         self._envelope = parameter_envelope(values)
         self._clear()
 
@@ -105,7 +105,7 @@ class Load:
     def set_pressure(self, pressure: float | None) -> None:
         """Store the absolute pressure (Pa) in the cup, if it is measured."""
         self.pressure = pressure
-        below = None if pressure is None else self._values['vacuum.ambient'] - pressure
+        below = None if pressure is None else self._values.vacuum.ambient - pressure
         self.grip = grip_of(self._values, below)
 
     @property
@@ -140,7 +140,7 @@ class Load:
         rotation = t3.rotation_between(prediction.tool[1], prediction.quaternion_xyzw)
         now = distance(
             self._envelope, (*shift, *rotation), (*linear, *angular),
-            self._values['package.mass'])
+            self._values.package.mass)
         if self._distance is None or now.value > self._distance.value:
             self._distance = now
 
@@ -175,7 +175,7 @@ class Vacuum:
         self._measured: set[int] = set()  # cups with a sensor
 
     def update(
-        self, values: Mapping[str, Any], pressure: float, frame_id: str
+        self, values: Values, pressure: float, frame_id: str
     ) -> tuple[tuple[bool, int], ...] | str:
         """
         Return by a new pressure (Pa) whether cups hold, or why it is refused.
@@ -183,7 +183,7 @@ class Vacuum:
         By the parameters vacuum.* and cup.layout. Each cup by its index there, or `ALL`. A
         frame_id that ends in cup_2 is of this one cup.
         """
-        cups = len(values['cup.layout']) // 3
+        cups = len(values.cup.layout) // 3
         of_cup = re.search(r'cup_(\d{1,3})$', frame_id) if cups > 1 else None
         cup = int(of_cup[1]) if of_cup else ALL
         if not math.isfinite(pressure):
@@ -193,8 +193,8 @@ class Vacuum:
         if cup >= cups > 1:
             return 'no_such_cup'
         was_held = self.held if cup == ALL else cup in self._pressures
-        is_held = bool(pressure <= values['vacuum.detach_above'] if was_held
-                       else pressure < values['vacuum.attach_below'])
+        is_held = bool(pressure <= values.vacuum.detach_above if was_held
+                       else pressure < values.vacuum.attach_below)
         if cup == ALL:
             self.held, self.pressure = is_held, pressure
             return ((is_held, ALL),)
@@ -210,7 +210,7 @@ class Vacuum:
         return (is_held, cup), (True, ALL)
 
 
-def check_live(values: Mapping[str, Any]) -> None:
+def check_live(values: Values) -> None:
     """
     Refuse values with which the live predictor cannot compute, though each of them is allowed.
 
@@ -225,17 +225,17 @@ def check_live(values: Mapping[str, Any]) -> None:
         With what does not fit, or cannot be computed.
 
     """
-    low, high = values['vacuum.attach_below'], values['vacuum.detach_above']
+    low, high = values.vacuum.attach_below, values.vacuum.detach_above
     if low > high:
         raise BellowsError(
             f'vacuum.attach_below is {low:g} Pa, above vacuum.detach_above, {high:g} Pa. The '
             'pressure falls when a package is picked up, so attach_below must be the lower one.')
-    if values['recording.package_world'] == ESTIMATE:
+    if values.recording.package_world == ESTIMATE:
         raise BellowsError(
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
             'seven numbers, from the file that bellows identify wrote.')
     model = prepared(cup_of(values), package_of(values), gravity_of(values))[0]
-    load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is measured yet
+    load = Load(values, values.vacuum.ambient)  # compiled even if no vacuum is measured yet
     try:
         with np.errstate(all='ignore'):
             load.watch_force(model, STILL)

@@ -22,11 +22,11 @@ are thrown about later as no arm moves, the prediction is wrong by an amount tha
 the package's modes. Until then it settles (`Settling`).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
@@ -39,6 +39,7 @@ from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Strains
 from bellows_ros.core.model.structure import composition, places_of
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -133,11 +134,11 @@ class Uncertainty:
 
     """
 
-    def __init__(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
+    def __init__(self, model: ModelTuple, values: Values) -> None:
         """Set the uncertainties; the model is linearised at the first prediction."""
         self.available = True
         self._model = model
-        self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
+        self._noise = np.repeat([values.tool_noise.position, values.tool_noise.rotation], 3)
         std = parameter_std(values)[:42]  # of the upper triangles of K and of P of one cup
         of_gripper = np.kron(np.eye(2), composition(places_of(values)))
         self._factor = (of_gripper * std)[:, std > 0.0]

@@ -1,6 +1,6 @@
 """Cup and package as frozen data, the regressor, and what their uncertain parameters do."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, InitVar, replace
 from functools import cached_property
 from typing import Any
@@ -10,6 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import kernels, structure
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple
 from bellows_ros.core.model.structure import matrix, SINGLE, UPPER
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -172,13 +173,13 @@ class Package:
         return package_tuple(self.mass, self.com, self.inertia)
 
 
-def is_gripper(values: Mapping[str, Any]) -> bool:
+def is_gripper(values: Values) -> bool:
     """Return whether parameter values describe cups other than one at E that holds."""
     return bool(any(values.get('cup.layout', ())) or any(
         index >= 0.0 for index in values.get('cup.open', ())))
 
 
-def cup_of(values: Mapping[str, Any]) -> Cup:
+def cup_of(values: Values) -> Cup:
     """Return the cup that parameter values describe (see `parameters`), composed of several."""
     return gripper_of(one_cup_of(values), structure.places_of(values))
 
@@ -191,11 +192,11 @@ def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     return replace(one, stiffness=K, damping=P)
 
 
-def one_cup_of(values: Mapping[str, Any]) -> Cup:
+def one_cup_of(values: Values) -> Cup:
     """Return the cup that parameter values describe, whatever cup.layout is."""
     return Cup(
-        structure.matrix(values['cup.stiffness']), structure.matrix(values['cup.damping']),
-        length=values['cup.length'],
+        structure.matrix(values.cup.stiffness), structure.matrix(values.cup.damping),
+        length=values.cup.length,
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
         relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES))
 
@@ -214,12 +215,12 @@ def varied(
         package.com + np.asarray(com), is_checked=False)
 
 
-def package_of(values: Mapping[str, Any]) -> Package:
+def package_of(values: Values) -> Package:
     """Return the package that parameter values describe (see `parameters`)."""
     return Package(
-        mass=values['package.mass'],
-        inertia=structure.inertia_matrix(values['package.inertia']),
-        com=values['package.com'])
+        mass=values.package.mass,
+        inertia=structure.inertia_matrix(values.package.inertia),
+        com=np.array(values.package.com))
 
 
 def package_tuple(mass: float, com: Array, inertia: Array) -> PackageTuple:
@@ -326,14 +327,14 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
     return np.asarray(box[0] / 12.0 * np.diag([h2 + w2, h2 + d2, d2 + w2]))
 
 
-def parameter_vector(values: Mapping[str, Any]) -> Array:
+def parameter_vector(values: Values) -> Array:
     """Return the numbers (52,) of parameter values: K and P, mass, com, inertia; SI units."""
     return np.concatenate([
-        matrix(values['cup.stiffness'])[UPPER], matrix(values['cup.damping'])[UPPER],
-        [values['package.mass']], values['package.com'], values['package.inertia']])
+        matrix(values.cup.stiffness)[UPPER], matrix(values.cup.damping)[UPPER],
+        [values.package.mass], values.package.com, values.package.inertia])
 
 
-def parameter_std(values: Mapping[str, Any]) -> Array:
+def parameter_std(values: Values) -> Array:
     """
     Return the standard deviations (52,) of the numbers.
 
@@ -342,8 +343,9 @@ def parameter_std(values: Mapping[str, Any]) -> Array:
     """
     root = [np.sqrt(np.diag(matrix(values[kind]))) for kind in ('cup.stiffness', 'cup.damping')]
     limit = np.concatenate([np.outer(each, each)[UPPER] for each in root])
-    std = parameter_vector({name.removesuffix('_std'): each for name, each in values.items()
-                            if name.endswith('_std')})
+    std = parameter_vector(Values({
+        name.removesuffix('_std'): each for name, each in values.items()
+        if name.endswith('_std')}))
     return np.concatenate([np.minimum(std[:42], limit), std[42:]])
 
 
@@ -363,7 +365,7 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
 
 
 def perturbed(
-    values: Mapping[str, Any], model: ModelTuple
+    values: Values, model: ModelTuple
 ) -> Iterator[tuple[str, ModelTuple, ModelTuple]]:
     """Yield name and models with a number `PERTURBATION` sigma up and down, where sigma > 0."""
     numbers, places = parameter_vector(values), structure.places_of(values)
@@ -374,7 +376,7 @@ def perturbed(
 
 
 def contributions(
-    values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], Array]
+    values: Values, model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> tuple[list[str], Array]:
     """
     Return the contribution of each uncertain parameter to the standard deviations of figures.
@@ -407,7 +409,7 @@ def contributions(
 
 
 def mean_square(
-    values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], float]
+    values: Values, model: ModelTuple, compute: Callable[[ModelTuple], float]
 ) -> float:
     """
     Return the mean square of a vector over the uncertain parameters; see `contributions`.

@@ -10,9 +10,8 @@ s (f, m) still holds with the same V; infinite where no size of the wrench lets 
 the grip is lost.
 """
 
-from collections.abc import Mapping
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
@@ -22,6 +21,7 @@ from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, State, Strains, Wrench
 from bellows_ros.core.model.simulation import row_state
 from bellows_ros.core.model.structure import is_single, places_of
+from bellows_ros.core.parameters.values import Values
 import numpy as np
 
 Grip = tuple[float, float, float, *tuple[Array, ...]]
@@ -198,7 +198,7 @@ def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
         float(seconds[row]))
 
 
-def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | None:
+def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
     """
     Return the grip in parameter values, or None if it is incomplete.
 
@@ -210,12 +210,12 @@ def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | No
         Pressure below ambient (Pa) as it is measured, instead of vacuum.holding.
 
     """
-    radius = float(values['cup.lip_radius'])
-    pressure = float(values['vacuum.holding']) if vacuum is None else max(vacuum, 0.0)
+    radius = float(values.cup.lip_radius)
+    pressure = float(values.vacuum.holding) if vacuum is None else max(vacuum, 0.0)
     if radius == 0.0 or (vacuum is None and pressure == 0.0):
         return None
-    area = float(values['cup.suction_area']) or math.pi * radius * radius
-    grip, places = (pressure * area, radius, float(values['cup.friction'])), places_of(values)
+    area = float(values.cup.suction_area) or math.pi * radius * radius
+    grip, places = (pressure * area, radius, float(values.cup.friction)), places_of(values)
     return grip if is_single(places) else (*grip, places)
 
 

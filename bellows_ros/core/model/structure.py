@@ -12,14 +12,14 @@ Checks of parameter values: a 6x6 matrix is 36 numbers, row-major; an inertia is
 ixy, ixz, iyz]; units are SI.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement
-from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, transform
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -71,7 +71,7 @@ def positions_of(layout: Sequence[float]) -> Array:
     return places
 
 
-def places_of(values: Mapping[str, Any]) -> Array:
+def places_of(values: Values) -> Array:
     """
     Return x, y, z (m) in E and the index, from 0, of each cup that holds (n, 4).
 
@@ -311,7 +311,7 @@ def structure_named(name: str) -> Structure:
     return STRUCTURES.get(name, OF_LAYOUT)
 
 
-def given_structure(values: Mapping[str, Any]) -> Structure:
+def given_structure(values: Values) -> Structure:
     """
     Return the structure of parameter values, with the places of the cups where they are needed.
 
@@ -321,7 +321,7 @@ def given_structure(values: Mapping[str, Any]) -> Structure:
         If fit.structure is none, or is layout without several cups in cup.layout.
 
     """
-    structure = structure_named(values['fit.structure'])
+    structure = structure_named(values.fit.structure)
     if structure is not OF_LAYOUT:
         return structure
     places = places_of(values)
@@ -333,7 +333,7 @@ def given_structure(values: Mapping[str, Any]) -> Structure:
     return replace(structure, places=tuple(map(tuple, places.tolist())))
 
 
-def fitted_structure(values: Mapping[str, Any]) -> Structure:
+def fitted_structure(values: Values) -> Structure:
     """Return the structure of a fit; BellowsError for that of a single cup with cup.layout."""
     structure = given_structure(values)
     if any(values.get('cup.layout', ())) and not structure.places:

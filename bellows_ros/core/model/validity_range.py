@@ -5,7 +5,7 @@ A model that was fitted to small bending has not been tried at large bending, an
 of the envelope a prediction is an extrapolation.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Context, ROUND_CEILING, ROUND_FLOOR
 import math
@@ -13,6 +13,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import frozen_array
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -169,7 +170,7 @@ def beyond(valid: Envelope, other: Envelope) -> tuple[str, ...]:
         *max(_mass(valid, mass) for mass in other.mass.tolist())]).outside
 
 
-def parameter_envelope(values: Mapping[str, Any]) -> Envelope | None:
+def parameter_envelope(values: Values) -> Envelope | None:
     """Return the envelope in parameter values, or None if all are zero: unknown."""
     ranges = {name: np.array(values.get(f'envelope.{name}', ())) for name in FIELDS}
     if not any(part.any() for part in ranges.values()):

@@ -12,6 +12,7 @@ from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import STATE
 from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.special import gammaincinv
@@ -59,9 +60,10 @@ class SoundWork(Observer):
 
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Values) -> None:
         """Start without poses."""
-        super().__init__({**values, 'alarm.false_per_hour': 0.0, 'measured.calibrate': True})
+        super().__init__(values.replaced(
+            {'alarm.false_per_hour': 0.0, 'measured.calibrate': True}))
         self.squares: list[Array] = []
         self._places: list[tuple[float, float, float]] = []
 
@@ -173,7 +175,7 @@ class AlarmCalibration:
 
 
 def calibrated_alarms(
-    run: Replayer, values: Mapping[str, Any], seconds: float, with_covariance: bool
+    run: Replayer, values: Values, seconds: float, with_covariance: bool
 ) -> AlarmCalibration:
     """
     Estimate what alarms must allow for, and count false alarms with and without it.
@@ -195,13 +197,13 @@ def calibrated_alarms(
         If alarms are turned off, or the recording is too short.
 
     """
-    allowed = float(values['alarm.false_per_hour'])
+    allowed = float(values.alarm.false_per_hour)
     if allowed == 0.0:
         raise BellowsError(
             'alarm.false_per_hour is 0: there are no alarms to calibrate. Set how many false '
             'alarms per hour are acceptable.')
-    noise = INITIAL_NOISE_FACTOR * np.array(values['measured.noise'])
-    estimated = {**values, 'measured.noise': tuple(noise.tolist())}
+    noise = INITIAL_NOISE_FACTOR * np.array(values.measured.noise)
+    estimated = values.replaced({'measured.noise': tuple(noise.tolist())})
     for _ in range(ITERATIONS):
         work = SoundWork(estimated)
         run(work)
@@ -209,22 +211,22 @@ def calibrated_alarms(
             raise BellowsError(
                 f'The recording has {len(work.squares)} usable measured poses; calibrating alarms '
                 f'takes at least {MIN_POSES}. Record sound work for longer, best several minutes.')
-        estimated['measured.memory'] = work.memory
-        estimated['measured.noise'] = tuple(
-            np.multiply(estimated['measured.noise'], work.noise_factors).tolist())
-    estimated['measured.offset_std'] = work.offset_std
-    estimated['measured.latency_std'] = work.latency_std
+        estimated = estimated.replaced({
+            'measured.memory': work.memory, 'measured.noise': tuple(
+                np.multiply(estimated.measured.noise, work.noise_factors).tolist())})
+    estimated = estimated.replaced({
+        'measured.offset_std': work.offset_std, 'measured.latency_std': work.latency_std})
     names = ('measured.noise', 'measured.memory', 'measured.offset_std', 'measured.latency_std')
     return AlarmCalibration(
         {name: estimated[name] for name in names[with_covariance:]}, allowed,
         _rate(run, values, seconds), _rate(run, estimated, seconds))
 
 
-def _rate(run: Replayer, values: Mapping[str, Any], seconds: float) -> Rate:
+def _rate(run: Replayer, values: Values, seconds: float) -> Rate:
     """Return the false alarms to expect in sound work like that of a recording."""
-    allowed = values['alarm.false_per_hour']
+    allowed = values.alarm.false_per_hour
     for more in (1.0, RATE_FACTOR):
-        observer = Observer({**values, 'alarm.false_per_hour': more * allowed})
+        observer = Observer(values.replaced({'alarm.false_per_hour': more * allowed}))
         run(observer)
         count, hours = len(observer.alarms), more * seconds / 3600.0
         if count:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import math
 from typing import Any
 
@@ -23,6 +22,7 @@ from bellows_ros.core.observer.measurement import (
     OUT_OF_REACH,
     OUTSIDE,
 )
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -89,10 +89,10 @@ NO_CUPS: Array = np.zeros((0, NUMBERS))
 """A gripper of one cup: if that is lost, the package is."""
 
 
-def walk_variances(values: Mapping[str, Any], model: ModelTuple) -> Array:
+def walk_variances(values: Values, model: ModelTuple) -> Array:
     """Return the variances (12,) that wrench bias and pose of the camera gain in 1 s."""
     weight = model[1][0] * math.hypot(*model[2])
-    camera = np.divide(values['measured.offset_std'], math.sqrt(CAMERA_WALK_TIME))
+    camera = np.divide(values.measured.offset_std, math.sqrt(CAMERA_WALK_TIME))
     bias = BIAS_WALK * weight * np.array([1.0, WALK_ARM])
     walk: Array = np.square(np.repeat([*bias, *camera], 3))
     return walk
@@ -106,7 +106,7 @@ def first_memory(time_constant: float) -> Array:
     return memory
 
 
-def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
+def prior_std(values: Values, model: ModelTuple) -> Array:
     """Return the standard deviations (n,) of the error at the start."""
     (_, _, *blocks), (mass, *_), gravity = (model[0][:4], *model[1:])
     weight = mass * math.hypot(*gravity)
@@ -115,14 +115,14 @@ def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
         np.minimum(np.sqrt(C @ np.square(np.reshape(values[f'cup.{name}_std'], (6, 6))[UPPER]))
                    / np.maximum(np.r_[matrix[0][::4], matrix[2][::4]], 1e-12), 1.0)
         for name, matrix in zip(('stiffness', 'damping'), blocks, strict=True))
-    inertia = np.array(values['package.inertia_std'][:3])
-    mass, com = values['package.mass_std'] / mass, values['package.com_std']
-    if values['payload.estimate']:
+    inertia = np.array(values.package.inertia_std[:3])
+    mass, com = values.package.mass_std / mass, list(values.package.com_std)
+    if values.payload.estimate:
         mass, com = mass or MASS_SHARE, [each or COM_UNCERTAIN for each in com]
     bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
-    marker = camera = math.sqrt(0.5) * np.repeat(values['measured.offset_std'], 3)
-    latency = values['measured.latency_std']
-    if values['measured.calibrate']:
+    marker = camera = math.sqrt(0.5) * np.repeat(values.measured.offset_std, 3)
+    latency = values.measured.latency_std
+    if values.measured.calibrate:
         camera = np.maximum(camera, np.repeat(UNCALIBRATED[:2], 3))
         latency = max(latency, UNCALIBRATED[2])
     std: Array = np.r_[
@@ -231,7 +231,7 @@ class Correction:
     """
 
     def __init__(
-        self, values: Mapping[str, Any], marker: Any, model: ModelTuple, max_step: float,
+        self, values: Values, marker: Any, model: ModelTuple, max_step: float,
         reach: float,
     ) -> None:
         """Set what is uncertain."""
@@ -242,12 +242,12 @@ class Correction:
         self.prior, self._walk = prior_std(values, model), walk_variances(values, model)
         self._marker, places = marker, places_of(values)
         self._cups = cups_of(model, places)
-        allowed = values['alarm.false_per_hour']
+        allowed = values.alarm.false_per_hour
         self.alarms = alarms.Alarms(
             allowed, len(self.prior), marker[2], places) if allowed > 0.0 else None
         self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
-        self.first_memory = first_memory(values['measured.memory'])
-        noise = values['tool_noise.position'], values['tool_noise.rotation']
+        self.first_memory = first_memory(values.measured.memory)
+        noise = values.tool_noise.position, values.tool_noise.rotation
         self._tool_noise = np.repeat(np.maximum(noise, LEAST_TOOL_NOISE), 3)
 
     def start(

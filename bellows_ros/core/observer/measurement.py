@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
@@ -15,6 +14,7 @@ from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import COM, NOISE, STATE, with_theta, wrench_bias
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.screening import why_no_pose
 import numpy as np
 
@@ -71,16 +71,16 @@ class PoseSensor:
 
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Values) -> None:
         """Set the measured frame, and the noise for messages without covariance."""
-        self.noise = np.diag(np.repeat(np.square(values['measured.noise']), 3))
-        of_lip = values['measured.frame'] == 'lip'
-        x, y, z, *rotation = values['measured.offset']
+        self.noise = np.diag(np.repeat(np.square(values.measured.noise), 3))
+        of_lip = values.measured.frame == 'lip'
+        x, y, z, *rotation = values.measured.offset
         self.marker: Marker = (
             (x, y, z), t3.exp_quaternion((rotation[0], rotation[1], rotation[2])), of_lip,
-            float(values['measured.jitter']))
-        world = values['recording.package_world'] or '0 0 0 0 0 0 1'
-        self.has_own_world = bool(values['recording.package_world'])
+            float(values.measured.jitter))
+        world = values.recording.package_world or '0 0 0 0 0 0 1'
+        self.has_own_world = bool(values.recording.package_world)
         x, y, z, qx, qy, qz, qw = map(float, world.split())
         self._origin: Vector = x, y, z
         self._world: Quaternion = qx, qy, qz, qw

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Matrix, Vector
@@ -23,6 +23,7 @@ from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.correction import Correction, MOTION_ROWS, PACKAGE_ROWS, Track
 from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE, STATE
 from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
+from bellows_ros.core.parameters.values import Values
 import numpy as np
 
 MAX_DELAY_NS = 500_000_000
@@ -100,7 +101,7 @@ class Observer:
 
     """
 
-    def __init__(self, values: Mapping[str, Any], alarms: Sequence[Alarm] = ()) -> None:
+    def __init__(self, values: Values, alarms: Sequence[Alarm] = ()) -> None:
         """Start without a package."""
         self.sensor = PoseSensor(values)
         self._values = values
@@ -174,7 +175,7 @@ class Observer:
     @property
     def payload(self) -> Payload | None:
         """The estimated payload, if it is estimated."""
-        if not self._estimates or not self._values['payload.estimate']:
+        if not self._estimates or not self._values.payload.estimate:
             return None
         mass, com, inertia, _ = self.model[1]
         std = np.sqrt(np.diag(self._estimates[-1].covariance)[ekf.MASS:ekf.MASS + 4])
@@ -184,7 +185,7 @@ class Observer:
     @property
     def calibration(self) -> Calibration | None:
         """By how much the camera is off, if that is estimated."""
-        if not self._estimates or not self._values['measured.calibrate']:
+        if not self._estimates or not self._values.measured.calibrate:
             return None
         last, latency = self._estimates[-1], ekf.LATENCY
         errors = last.theta[ekf.CAMERA - STATE:latency + 1 - STATE]
@@ -383,7 +384,7 @@ def _silence_ns(period_ns: float) -> float:
     return max(SILENT_PERIODS * period_ns, SILENT_NS)
 
 
-def warm_up_observer(values: Mapping[str, Any], model: ModelTuple) -> None:
+def warm_up_observer(values: Values, model: ModelTuple) -> None:
     """Compile all that an observer needs, with a model."""
     observer = Observer(values)
     observer.set_model(model, math.inf, math.inf)

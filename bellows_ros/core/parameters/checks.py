@@ -10,6 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import table
 from bellows_ros.core.parameters.table import Kind, Parameter, Value
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError, NotSetError, shown
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,7 +84,7 @@ def validate(name: str, value: object) -> Value:
     return normal
 
 
-def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[str, Value]:
+def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Values:
     """
     Check all values and fill in the defaults.
 
@@ -96,7 +97,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
 
     Returns
     -------
-    dict
+    Values
         Every parameter of the table in the table's order, without those that have no default and
         were not given.
 
@@ -109,7 +110,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
     given = {name: validate(name, value) for name, value in values.items()}
     require(given, required)
     filled = {**{name: p.default for name, p in table.PARAMETERS.items()}, **given}
-    resolved = {name: value for name, value in filled.items() if value is not None}
+    resolved = Values({name: value for name, value in filled.items() if value is not None})
     for body in ('filter.tool', 'filter.package'):
         half_window, order = resolved[f'{body}.half_window'], resolved[f'{body}.order']
         if isinstance(half_window, int) and isinstance(order, int) and 0 < 2 * half_window < order:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
@@ -12,6 +12,7 @@ from bellows_ros.core.model.equilibrium import largest_step, nominal_system_matr
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.parameters.checks import Settings
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.plan_prediction import COARSE_STEP_FACTOR, PlanSimulation
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
@@ -181,7 +182,7 @@ class Fastest(NamedTuple):
 
 
 def fastest(
-    values: Mapping[str, Any], model: ModelTuple, grip: Grip, tool: Trajectory, required: float
+    values: Values, model: ModelTuple, grip: Grip, tool: Trajectory, required: float
 ) -> Fastest | None:
     """
     Return the shortest time scale at which safety factor minus two sigma stays at `required`.

@@ -5,7 +5,7 @@ A plan is a `Trajectory` of E with body twists; the tool moves between its point
 Hermite curve, and stands still after the last one. Loads are 1 / safety factor of the grip.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import copy
 import math
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_f
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -125,12 +126,12 @@ class PlanPrediction(NamedTuple):
             'swing_left': peak['swing'] if self.ends_at_rest else math.nan,
             'settled_after': self.settled_after if self.ends_at_rest else math.nan}
 
-    def outside(self, values: Mapping[str, Any]) -> tuple[str, ...]:
+    def outside(self, values: Values) -> tuple[str, ...]:
         """Return a phrase for each validity range among parameters that is exceeded."""
         valid = validity_range.parameter_envelope(values)
         return () if valid is None else validity_range.beyond(valid, validity_range.Envelope(
             self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
-            np.full(2, values['package.mass'])))
+            np.full(2, values.package.mass)))
 
 
 class PlanSimulation:

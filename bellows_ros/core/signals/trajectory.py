@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -358,7 +359,7 @@ def _require_rotations(rotation: Array, of: str) -> None:
                 'Normalise the quaternions before converting them.')
 
 
-def tip_of(values: Mapping[str, Any]) -> Array | None:
+def tip_of(values: Values) -> Array | None:
     """Return the pose (4, 4) of E in the frame of the tool's poses, None where that is E."""
     text = values.get('tool_pose.offset', '')
     if not text:

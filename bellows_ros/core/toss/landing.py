@@ -6,7 +6,6 @@ the rotation vector from a nominal landing, in world axes (rad). Each toss lands
 instant, so that the shift along the flight is projected out.
 """
 
-from collections.abc import Mapping
 from contextlib import suppress
 import math
 from typing import Any, NamedTuple
@@ -16,6 +15,7 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.structure import places_of
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.toss import release as toss_release
 from bellows_ros.core.toss.release import HeldMotion, Law, Release, RELEASE_NAMES, Toss, toss
 from bellows_ros.errors import NoLandingError, NoReleaseError, UnstableError
@@ -68,7 +68,7 @@ class Contributions(NamedTuple):
 class TossProblem(NamedTuple):
     """A toss, and all that it depends on."""
 
-    values: Mapping[str, Any]
+    values: Values
     held: HeldMotion
     release: Release
     switched: float
@@ -97,7 +97,7 @@ def as_law(numbers: Array) -> Law:
     return law  # type: ignore[no-any-return]
 
 
-def release_factor(values: Mapping[str, Any]) -> Array:
+def release_factor(values: Values) -> Array:
     """
     Return L (8, 8) with the covariance L L^T of the law's numbers; 0 of those without effect.
 
@@ -105,24 +105,24 @@ def release_factor(values: Mapping[str, Any]) -> Array:
     """
     std = np.array([float(values[f'{name}_std']) for name in RELEASE_NAMES])
     std *= 1.0 + EXTRAPOLATION * beyond_masses(values)
-    if not values['release.opening']:
+    if not values.release.opening:
         std[3:] = 0.0
-    C = np.reshape(values['release.correlation'], (8, 8))
+    C = np.reshape(values.release.correlation, (8, 8))
     size, axes = np.linalg.eigh(C)  # rounded numbers need not be positive definite
     return np.asarray(std[:, None] * np.linalg.cholesky(
         C if size[0] > 0.0 else (axes * np.maximum(size, 1e-9)) @ axes.T))
 
 
-def factor_columns(values: Mapping[str, Any]) -> toss_release.Factor:
+def factor_columns(values: Values) -> toss_release.Factor:
     """Return the columns of `release_factor` as the kernels take them."""
     columns: Any = tuple(map(as_law, release_factor(values).T))
     return columns  # type: ignore[no-any-return]
 
 
-def beyond_masses(values: Mapping[str, Any]) -> float:
+def beyond_masses(values: Values) -> float:
     """Return by how much the package is beyond release.mass_range, as a logarithm; 0 inside."""
-    lightest, heaviest = values['release.mass_range']
-    mass = float(values['package.mass'])
+    lightest, heaviest = values.release.mass_range
+    mass = float(values.package.mass)
     if not lightest:
         return 0.0
     return max(0.0, math.log(lightest / mass), math.log(mass / heaviest))

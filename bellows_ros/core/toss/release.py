@@ -16,7 +16,6 @@ flies without air, and lands when a corner of its box is at the floor's height, 
 gravity.
 """
 
-from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ from bellows_ros.core.model import equilibrium, kernels, simulation
 from bellows_ros.core.model.grip import Grip, largest_peel_load
 from bellows_ros.core.model.kernels import ModelTuple, State, ToolSegment
 from bellows_ros.core.model.simulation import body_row, row_state, ToolRows, write_row
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss import free_flight
 from bellows_ros.errors import BellowsError, NoLandingError
@@ -536,7 +536,7 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
     return Toss(released, body, landing, landed)
 
 
-def release_of(values: Mapping[str, Any]) -> Release:
+def release_of(values: Values) -> Release:
     """
     Return release and landing as the parameter values describe them.
 
@@ -546,18 +546,18 @@ def release_of(values: Mapping[str, Any]) -> Release:
         Without the size of the package.
 
     """
-    size = values['package.size']
+    size = values.package.size
     if not min(size) > 0.0:
         raise BellowsError(
             f'package.size is {list(size)}; expected three sides above 0 m, since the landing '
             'depends on the corners. Set it, for '
             'example package.size: [0.3, 0.2, 0.15].')
     x, y, z = (0.5 * float(side) for side in size)
-    a, b, c = (float(value) for value in values['package.size_center'])
-    return Release(law_of(values), ((x, y, z), (a, b, c)), float(values['landing.height']))
+    a, b, c = (float(value) for value in values.package.size_center)
+    return Release(law_of(values), ((x, y, z), (a, b, c)), float(values.landing.height))
 
 
-def law_of(values: Mapping[str, Any]) -> Law:
+def law_of(values: Values) -> Law:
     """
     Return the law of release as the parameter values describe it.
 

@@ -12,6 +12,7 @@ from bellows_ros.core.model.cup_package import varied
 from bellows_ros.core.model.simulation import row_state, simulate, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -259,15 +260,17 @@ def test_what_the_recording_does_not_know_better_stays_as_given():
 
 
 def test_what_is_stated_wins_over_the_ordinary():
-    vague = given_std({**SAID, 'package.com_std': (1e-3, 0.0, 5e-3), 'cup.length_std': 0.0})
+    vague = given_std(
+        SAID.replaced({'package.com_std': (1e-3, 0.0, 5e-3), 'cup.length_std': 0.0}))
     assert_allclose(vague['com'], [1e-3, 1e-9, 5e-3])
     assert 'length' not in vague and stated(vague) == ['com'] and stated(USUAL) == []
     assert_allclose(vague['mass'], PACKAGE_STD['mass'])
     assert 'package_world' not in USUAL
-    assert 'package_world' in given_std({**SAID, 'recording.package_world': '0 0 0 0 0 0 1'})
+    assert 'package_world' in given_std(
+        SAID.replaced({'recording.package_world': '0 0 0 0 0 0 1'}))
 
 
 def test_what_is_given_of_half_a_package_is_nothing():
     """Know no standard deviation of a package whose inertia is not given."""
-    half = {name: value for name, value in SAID.items() if name != 'package.inertia'}
+    half = Values({name: value for name, value in SAID.items() if name != 'package.inertia'})
     assert not {'mass', 'com', 'inertia'} & set(given_std(half))

@@ -10,6 +10,7 @@ from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import composition, given_structure, STRUCTURES
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import BodyNoise, PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
@@ -24,8 +25,8 @@ from ..motions import noisy
 ONE = Cup(np.diag([900.0, 900.0, 1500.0, 1.2, 1.2, 0.5]),
           np.diag([12.0, 12.0, 9.0, 0.02, 0.02, 0.02]), 0.0481)
 PLACES = np.array([[0.06, 0.05, 0.0], [-0.06, 0.03, 0.0], [0.01, -0.07, 0.0]])
-LAYOUT = given_structure({
-    'fit.structure': 'layout', 'cup.layout': tuple(PLACES.ravel())})
+LAYOUT = given_structure(Values({
+    'fit.structure': 'layout', 'cup.layout': tuple(PLACES.ravel())}))
 NUMBERS = LAYOUT.parameters(ONE.stiffness, ONE.damping)
 HZ, DURATION = 500.0, 6.0
 
@@ -99,4 +100,4 @@ def test_a_structure_of_cups_is_their_composition():
 @pytest.mark.parametrize('layout', [(0.0, 0.0, 0.0), (0.05, 0.0), (0.05, 0.0, 0.0) * 2])
 def test_a_layout_of_one_cup_or_none_is_refused(layout):
     with pytest.raises(BellowsError, match=r'cup\.layout'):
-        given_structure({'fit.structure': 'layout', 'cup.layout': layout})
+        given_structure(Values({'fit.structure': 'layout', 'cup.layout': layout}))

@@ -53,7 +53,7 @@ def test_strengths_and_static_stiffness_are_found():
     assert max(found.std) < 0.02
     assert not found.assumed
     for structure in ('axisymmetric', 'axisymmetric_coupled'):
-        values = {**VALUES, 'fit.structure': structure}
+        values = VALUES.replaced({'fit.structure': structure})
         (own,) = with_relaxation([recording], values)
         cup = fit([own], values).fit
         assert cup.relaxation == found.strengths
@@ -70,7 +70,7 @@ def test_a_cup_that_does_not_relax_is_not_said_to(seed, kept):
     assert found_in(recording) is None
     assert with_relaxation([recording], VALUES)[0] is recording
     with pytest.raises(UndeterminedError, match=r'fit\.relaxation'):
-        with_relaxation([recording], {**VALUES, 'fit.relaxation': 'on'})
+        with_relaxation([recording], VALUES.replaced({'fit.relaxation': 'on'}))
 
 
 def test_without_a_hold_the_slow_branch_is_assumed_and_uncertain():

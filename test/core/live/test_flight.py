@@ -157,8 +157,8 @@ def test_says_when_to_release_for_a_target(plan):
     now = held_at(held, 0.3)
     steady = HeldMotion(MODEL, tosses.GRIP, at_constant_velocity(now, None, 0.8), now.body, 0.8)
     target = toss(steady, release_of(VALUES), 0.123).landing[0][:2]
-    aimed = Flight({**VALUES, 'landing.aim': True, 'landing.target': target})
+    aimed = Flight(VALUES.replaced({'landing.aim': True, 'landing.target': target}))
     assert aimed.time_to_target(MODEL, now) == pytest.approx(0.123, abs=1e-4)
     assert Flight(VALUES).time_to_target(MODEL, now) is None
-    unknown = Flight({**VALUES, 'package.size': (0.0, 0.0, 0.0)})
+    unknown = Flight(VALUES.replaced({'package.size': (0.0, 0.0, 0.0)}))
     assert unknown.landing(MODEL, now, lambda _: np.zeros((12, 12))) is None

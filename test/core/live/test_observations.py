@@ -11,6 +11,7 @@ from bellows_ros.core.live.load import ALL, Load, Vacuum
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -54,7 +55,7 @@ def test_pressure_switch_has_hysteresis():
     assert [update(p, '') for p in (math.nan, -70.0, 0.0)] == [
         'nan', 'negative', ((True, ALL),)]
     with pytest.raises(BellowsError):
-        loads.check_live({'vacuum.attach_below': 2.0, 'vacuum.detach_above': 1.0})
+        loads.check_live(Values({'vacuum.attach_below': 2.0, 'vacuum.detach_above': 1.0}))
 
 
 def test_vacuum_of_each_cup():
@@ -111,7 +112,8 @@ def test_smallest_margin_and_largest_distance_are_kept():
 
 def test_box_of_an_inertia_is_the_box():
     inertia = box_inertia(3.0, 0.2, 0.3, 0.1)
-    values = {'package.mass': 3.0, 'package.inertia': (*np.diag(inertia), 0.0, 0.0, 0.0)}
+    values = Values({
+        'package.mass': 3.0, 'package.inertia': (*np.diag(inertia), 0.0, 0.0, 0.0)})
     assert_allclose(loads.equivalent_box(values), (0.2, 0.3, 0.1))
 
 
@@ -126,7 +128,7 @@ def test_the_safety_factor_follows_the_measured_vacuum():
     load.set_pressure(101325.0 - 3e4)
     assert_allclose(load.watch_force(MODEL, case), (1.0, 1.5))
     assert Load(values, load.pressure).watch_force(MODEL, case) == load.watch_force(MODEL, case)
-    assert Load({**values, 'cup.lip_radius': 0.0}).grip is None
+    assert Load(values.replaced({'cup.lip_radius': 0.0})).grip is None
 
 
 def of_input(optional=False, **changes):

@@ -20,7 +20,7 @@ from ..plans import CUP, Move, PACKAGE, VALUES
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 T0 = 1_700_000_000_000_000_000
-TOSSED = {**VALUES, 'package.size': [0.1, 0.1, 0.1], 'landing.height': -9.0}
+TOSSED = VALUES.replaced({'package.size': [0.1, 0.1, 0.1], 'landing.height': -9.0})
 MOVE = Move([0.5, -0.2, 0.1], [0.2, 0.0, 0.6], 0.8)
 
 

@@ -4,6 +4,7 @@ import math
 
 from bellows_ros.core.model.grip import grip_of, margin, safety_factors
 from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.parameters.values import Values
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -103,13 +104,13 @@ def test_infinite_where_the_cup_is_pushed():
 
 
 def test_the_grip_of_parameters():
-    values = {name: p.default for name, p in PARAMETERS.items()}
+    values = Values({name: p.default for name, p in PARAMETERS.items()})
     assert grip_of(values) is None
-    values['cup.lip_radius'] = 0.02
+    values = values.replaced({'cup.lip_radius': 0.02})
     assert grip_of(values) is None
     assert_allclose(grip_of(values, 5e4), (5e4 * math.pi * 4e-4, 0.02, 0.5))
     assert grip_of(values, -100.0)[0] == 0.0  # heard, and above ambient
-    values.update({'vacuum.holding': 6e4, 'cup.suction_area': 1e-3})
+    values = values.replaced({'vacuum.holding': 6e4, 'cup.suction_area': 1e-3})
     assert_allclose(grip_of(values), (60.0, 0.02, 0.5))
 
 

@@ -21,14 +21,14 @@ from .. import plans
 from ..plans import CUP, GRIP, Move, PACKAGE
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
-VALUES = {
-    **plans.VALUES, 'cup.stiffness_std': 0.01 * CUP.stiffness.ravel(),
+VALUES = plans.VALUES.replaced({
+    'cup.stiffness_std': 0.01 * CUP.stiffness.ravel(),
     'cup.damping_std': 0.05 * CUP.damping.ravel(),
     'package.mass_std': 0.01, 'package.com_std': (0.001, 0.001, 0.001),
     'package.inertia_std': (1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0),
-}
-EXACT = {**VALUES, **{name: np.zeros_like(value) for name, value in VALUES.items()
-                      if name.endswith('_std')}}
+})
+EXACT = VALUES.replaced({
+    name: np.zeros_like(value) for name, value in VALUES.items() if name.endswith('_std')})
 
 
 def shake(size, duration=2.0, cycles=6):
@@ -100,7 +100,7 @@ def test_each_number_is_changed_in_its_place():
 
 
 def test_an_entry_of_which_nothing_is_known_counts_whole():
-    unknown = {**EXACT, 'cup.stiffness_std': np.full(36, 1e9)}
+    unknown = EXACT.replaced({'cup.stiffness_std': np.full(36, 1e9)})
     assert_allclose(parameter_std(unknown)[0], 5400.0)
     assert_allclose(parameter_std(unknown)[2], np.sqrt(5400.0 * 9200.0))
 

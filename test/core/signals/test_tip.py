@@ -4,6 +4,7 @@ from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion, trans
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.parameters.checks import validate
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import Arm, Joint
 from bellows_ros.core.signals.trajectory import (
     at_tip,
@@ -20,7 +21,7 @@ import pytest
 
 from ..cases import ShakenTool
 
-TIP = tip_of({'tool_pose.offset': '0.02 -0.01 0.15 1 0 0 0'})
+TIP = tip_of(Values({'tool_pose.offset': '0.02 -0.01 0.15 1 0 0 0'}))
 
 
 @pytest.fixture(scope='module')
@@ -105,4 +106,4 @@ def test_refuses_what_is_no_pose():
     for wrong in ('estimate', '0 0 0', '0 0 0 2 0 0 0'):
         with pytest.raises(BellowsError, match=r'tool_pose\.offset'):
             validate('tool_pose.offset', wrong)
-    assert tip_of({'tool_pose.offset': ''}) is None
+    assert tip_of(Values({'tool_pose.offset': ''})) is None

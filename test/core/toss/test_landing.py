@@ -110,10 +110,10 @@ def test_what_cannot_be_tossed_is_counted(case):
 
 def test_a_mass_beyond_the_drops_makes_the_law_of_release_less_certain():
     """Not within their range, twice as far in the logarithm twice as much more."""
-    values = {**resolve(tosses.values()), 'release.opening': 0.02, 'release.closing': 20.0,
-              'release.closing_std': 0.5}
+    values = resolve({**tosses.values(), 'release.opening': 0.02, 'release.closing': 20.0,
+                      'release.closing_std': 0.5})
     inside, near, far = (
-        np.diag(landing.release_factor({**values, 'release.mass_range': (0.1, heaviest)}))
+        np.diag(landing.release_factor(values.replaced({'release.mass_range': (0.1, heaviest)})))
         for heaviest in (2.0, 1.8 / 1.1, 1.8 / 1.21))
     np.testing.assert_allclose(inside, np.diag(landing.release_factor(values)))
     np.testing.assert_allclose(far - inside, 2.0 * (near - inside), rtol=1e-9)

@@ -148,5 +148,5 @@ def test_the_lightest_and_the_heaviest_left_out_are_where_their_uncertainty_says
     assert (np.abs(errors) < 1.96 * std).all()
     assert std[0, 0] < 0.015 and std[0, 1] < 0.25
     inside = drops.at_the_end(data, by_mass[left_out], np.array(found.law), release_factor(
-        {**values, 'package.mass': 0.714}))[1]
+        values.replaced({'package.mass': 0.714})))[1]
     assert (std > 1.5 * inside).all()

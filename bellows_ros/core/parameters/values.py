@@ -1,0 +1,62 @@
+"""Values of parameters, read by attribute: `values.package.mass`; mypy checks names and types."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from bellows_ros.errors import NotSetError
+
+
+class Group:
+    """Parameters with one prefix, as attributes; a group within a group is an attribute, too."""
+
+    def __init__(self, prefix: str) -> None:
+        """Begin an empty group; `prefix` ends with a dot."""
+        self._prefix = prefix
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise for a parameter without a value."""
+        if name.startswith('_'):
+            raise AttributeError(name)
+        raise NotSetError(f"'{self._prefix}{name}' is not set, and has no default. Set it.")
+
+
+class Values(Group, Mapping[str, Any]):
+    """
+    Immutable values of parameters, by dotted name or by attribute.
+
+    The types of the attributes stand in `values.pyi`, which `make reference` writes from the
+    table. A parameter without a value is no key, and raises `NotSetError` as an attribute.
+
+    Parameters
+    ----------
+    items : mapping
+        Checked values by dotted name, as `checks.resolve` returns them.
+
+    """
+
+    def __init__(self, items: Mapping[str, Any]) -> None:
+        """Sort the values into groups."""
+        super().__init__('')
+        self._items = dict(items)
+        for name, value in self._items.items():
+            *prefixes, leaf = name.split('.')
+            group: Group = self
+            for prefix in prefixes:
+                group = vars(group).setdefault(prefix, Group(f'{group._prefix}{prefix}.'))
+            vars(group)[leaf] = value
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the value of a dotted name."""
+        return self._items[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the dotted names."""
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        """Return the number of values."""
+        return len(self._items)
+
+    def replaced(self, items: Mapping[str, Any]) -> 'Values':
+        """Return a copy with other values of some names."""
+        return Values({**self._items, **items})
