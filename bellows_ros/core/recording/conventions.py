@@ -1,5 +1,6 @@
 """Units and quaternion orders in which poses of tool and package fit together."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 import os
@@ -26,7 +27,7 @@ MAX_MOTION_RATIO = 0.4
 
 MAX_HANGING_TILT, MIN_OTHER_TILT = 0.2, 0.5
 """... or how far from hanging it is at most where it hangs, and beyond which it does not (see
-`_motion`): poses of two worlds come near to hanging by chance."""
+`motion_in_tool`): poses of two worlds come near to hanging by chance."""
 
 
 MAX_PATH_RATIO, MAX_PATH_LENGTH = 100.0, 20.0
@@ -72,22 +73,22 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     bodies = [resample(body.trajectory(), np.unique(stamps)) for body in (tool, package)]
     if len({tool.frame_id, package.frame_id} - {''}) > 1:
         return _of_two_worlds(bodies)
-    if _distance(bodies, units)[0] > MAX_DISTANCE:
+    if distance_of(bodies, units)[0] > MAX_DISTANCE:
         both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
         units = min((each for each in both if _is_on_cup(bodies, each)),
-                    key=lambda each: _distance(bodies, each)[1], default=units)
+                    key=lambda each: distance_of(bodies, each)[1], default=units)
     if not _is_on_cup(bodies, units):
         return units
     orders = [(units[0]._replace(w_first=a), units[1]._replace(w_first=b))
               for a, b in product((False, True), repeat=2)]
-    motions = [_motion(bodies, each) for each in orders]
+    motions = [motion_in_tool(bodies, each) for each in orders]
     best = min(range(4), key=lambda i: sum(motions[i]))
     (moves, tilt), (moves_read, tilt_read) = motions[best], motions[0]
     upright = moves < moves_read and tilt < MAX_HANGING_TILT and MIN_OTHER_TILT < tilt_read
     return orders[best] if moves < MAX_MOTION_RATIO * moves_read or upright else units
 
 
-def _of_two_worlds(bodies: list[Trajectory]) -> tuple[Convention, Convention]:
+def _of_two_worlds(bodies: Sequence[Trajectory]) -> tuple[Convention, Convention]:
     """Return the conventions with which two bodies move and turn alike, each in its world."""
     lengths = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
                for body in bodies]
@@ -95,7 +96,7 @@ def _of_two_worlds(bodies: list[Trajectory]) -> tuple[Convention, Convention]:
              for x in lengths]
     turns = [[lie.log_so3(R[len(R) // 2].T @ R) for R in (body.rotation, reordered(body.rotation))]
              for body in bodies]  # from the middle of the path
-    alike = {(a, b): _similarity(turns[0][a], turns[1][b])
+    alike = {(a, b): similarity(turns[0][a], turns[1][b])
              for a, b in ((0, 0), (1, 0), (0, 1))}
     a, b = max(alike, key=lambda order: alike[order])
     if alike[a, b] < MIN_SIMILARITY or (
@@ -104,21 +105,21 @@ def _of_two_worlds(bodies: list[Trajectory]) -> tuple[Convention, Convention]:
     return units[0]._replace(w_first=bool(a)), units[1]._replace(w_first=bool(b))
 
 
-def _similarity(first: Array, second: Array) -> float:
+def similarity(first: Array, second: Array) -> float:
     """Return how alike vectors (N, 3) are that may be turned against each other: 1 if equal."""
     U, sizes, V = np.linalg.svd(first.T @ second)
     sizes[2] *= np.sign(np.linalg.det(U @ V))
     return float(sizes.sum() / max(np.linalg.norm(first) * np.linalg.norm(second), 1e-12))
 
 
-def _is_on_cup(bodies: list[Trajectory], units: tuple[Convention, Convention]) -> bool:
+def _is_on_cup(bodies: Sequence[Trajectory], units: tuple[Convention, Convention]) -> bool:
     """Return whether the bodies are apart as tool and package, in some units."""
-    distance, change = _distance(bodies, units)
+    distance, change = distance_of(bodies, units)
     return REACH[0] < distance < REACH[1] and change < MAX_CHANGE
 
 
-def _distance(
-    bodies: list[Trajectory], units: tuple[Convention, Convention]
+def distance_of(
+    bodies: Sequence[Trajectory], units: tuple[Convention, Convention]
 ) -> tuple[float, float]:
     """Return the median distance of the bodies, m, and by which part it varies."""
     tool, package = map(converted, bodies, units)
@@ -127,7 +128,9 @@ def _distance(
     return float(middle), float((high - low) / max(middle, 1e-12))
 
 
-def _motion(bodies: list[Trajectory], given: tuple[Convention, Convention]) -> tuple[float, float]:
+def motion_in_tool(
+    bodies: Sequence[Trajectory], given: tuple[Convention, Convention]
+) -> tuple[float, float]:
     """
     Return how the package moves in the tool, and how far it is from hanging along its z axis.
 

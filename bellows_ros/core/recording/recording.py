@@ -450,6 +450,21 @@ class Relaxation(NamedTuple):
         return tuple(np.sqrt(np.diag(self.covariance)).tolist())
 
 
+MAX_BRIDGED_GAP = 0.15
+"""Longest gap of the tool that interpolation bridges to 1 mm in a motion of 10 mm at 3 Hz, s."""
+
+MIN_SEGMENT = 1.0
+"""Shortest segment that is used, s."""
+
+
+class Span(NamedTuple):
+    """First and last stamp (ns) of a segment, and its samples among the common stamps."""
+
+    first_ns: int
+    last_ns: int
+    samples: slice
+
+
 NO_RELAXATION = Relaxation((0.0, 0.0), np.zeros((2, 2)), np.zeros((8, 2)))
 
 
@@ -587,6 +602,25 @@ class Recording:
     def measured(self) -> Mask:
         """Which unfiltered samples of both bodies are valid (N,)."""
         return self.measured_tool.valid & self.measured_package.valid
+
+    @cached_property
+    def segments(self) -> tuple[Span, ...]:
+        """
+        Segments between gaps of the tool that cannot be bridged, each with an own first state.
+
+        In a gap of the package alone its motion follows from the tool's. Segments without a pose
+        of the package are left out.
+        """
+        stamps, common = self.aligned_tool.stamps_ns, self.measured_tool.stamps_ns
+        stamps = stamps[self.aligned_tool.valid & (stamps >= common[0]) & (stamps <= common[-1])]
+        cuts = np.flatnonzero(np.diff(stamps) > MAX_BRIDGED_GAP * trajectory.NS_PER_S)
+        spans = [Span(first, last, slice(*np.searchsorted(common, [first, last + 1]).tolist()))
+                 for first, last in zip(stamps[np.append(0, cuts + 1)].tolist(),
+                                        stamps[np.append(cuts, -1)].tolist(), strict=True)]
+        return tuple(
+            span for span in spans
+            if span.last_ns - span.first_ns >= MIN_SEGMENT * trajectory.NS_PER_S
+            and self.measured_package.valid[span.samples].any())
 
     @cached_property
     def noise(self) -> FilterNoise:

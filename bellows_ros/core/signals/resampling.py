@@ -38,6 +38,17 @@ MAD_TO_STD = 1.4826
 MAX_RELATIVE_JITTER = 0.1
 """Jitter in parts of the period that is worth a look."""
 
+RESOLUTION_SAMPLES, RESOLUTION_WINDOW = 4000, 100
+"""Number of stamps whose resolution is examined, and of steps that are compared with a line."""
+
+STEP_TOLERANCE, MAX_STEP_SIZES = 5.0, 30
+"""Difference of equal steps, us, and number of different steps of rounded stamps."""
+
+TICK_TOLERANCE, MAX_ROUNDING, MIN_CHANGES = 0.02, 1.3, 5
+"""Tolerance of multiples of the resolution, largest distance of rounded stamps from a line, in
+parts of it, and number of unusual steps in a window, of which lost samples make fewer or move
+later stamps farther."""
+
 GAP_SAMPLES, MAX_GAPS, LOST_PERIODS = 30, 200, 0.65
 """Samples compared on both sides of a gap, most gaps, and periods that tell that one is lost."""
 
@@ -130,6 +141,28 @@ def timing(stamps_ns: Stamps) -> Timing:
     long = np.flatnonzero(steps > result.longest_step_ns)
     return replace(result, gaps=tuple(
         Gap(int(stamps_ns[i]), float(steps[i] / NS_PER_S)) for i in long))
+
+
+def resolution(stamps_ns: Stamps) -> float:
+    """Return to how many seconds stamps of a uniform rate are rounded, 0 if finely enough."""
+    steps = np.diff(stamps_ns[:RESOLUTION_SAMPLES]) / 1e3  # us
+    if len(steps) < 2 * RESOLUTION_WINDOW:
+        return 0.0
+    sizes = np.unique(np.rint(steps))
+    sizes = sizes[np.diff(sizes, prepend=-np.inf) > STEP_TOLERANCE]
+    if not 2 <= len(sizes) <= MAX_STEP_SIZES:
+        return 0.0
+    tick = float(np.min(np.diff(sizes)))
+    is_multiple = np.abs(steps / tick - np.rint(steps / tick)) < TICK_TOLERANCE
+    if tick < MAX_RELATIVE_JITTER * np.median(steps) or np.mean(~is_multiple) > TICK_TOLERANCE:
+        return 0.0
+    n = RESOLUTION_WINDOW
+    parts = steps[:len(steps) // n * n].reshape(-1, n)
+    off_line = np.cumsum(parts - parts.mean(axis=1, keepdims=True), axis=1)
+    changes = np.abs(parts - np.median(parts, axis=1, keepdims=True)) > STEP_TOLERANCE
+    rounded = (np.count_nonzero(changes, axis=1) >= MIN_CHANGES) & (
+        np.ptp(off_line, axis=1) < MAX_ROUNDING * tick)
+    return 1e-6 * tick if 2 * np.count_nonzero(rounded) > len(parts) else 0.0
 
 
 def _period(steps: Stamps) -> float:

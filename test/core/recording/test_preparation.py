@@ -276,3 +276,34 @@ def test_a_stray_pose_hours_away_costs_itself(at):
     assert found.report.tool.marked == 1
     assert len(found.aligned_tool) == len(package) - 1
     assert np.count_nonzero(found.valid) >= len(package) - 52
+
+
+def lost(poses, *spans):
+    """Return a stream without the poses of spans, s from its first stamp."""
+    seconds = (poses.stamps_ns - poses.stamps_ns[0]) * 1e-9
+    kept = ~np.any([(seconds > first) & (seconds < last) for first, last in spans], axis=0)
+    return replace(poses, stamps_ns=poses.stamps_ns[kept], position=poses.position[kept],
+                   rotation=poses.rotation[kept])
+
+
+@pytest.mark.parametrize(('tool_gaps', 'package_gaps', 'expected'), [
+    ((), (), [(0.0, 20.0)]),
+    (((8.0, 8.1),), ((5.0, 9.0),), [(0.0, 20.0)]),
+    (((8.0, 8.3),), (), [(0.0, 8.0), (8.3, 20.0)]),
+    (((8.0, 8.3), (8.8, 9.2), (15.0, 18.0)), (), [(0.0, 8.0), (9.2, 15.0), (18.0, 20.0)]),
+    (((8.0, 8.3), (12.0, 12.3)), ((8.0, 12.3),), [(0.0, 8.0), (12.3, 20.0)])])
+def test_segments_end_at_gaps_of_the_tool_that_cannot_be_bridged(
+        tool_gaps, package_gaps, expected):
+    tool, package = (
+        PoseStream(f'/{name}', 'world', body.stamps_ns, body.position, body.rotation)
+        for name, body in zip(('tool', 'package'), held(3), strict=True))
+    first = int(tool.stamps_ns[0])
+    recording = prepare(
+        lost(tool, *tool_gaps) if tool_gaps else tool,
+        lost(package, *package_gaps) if package_gaps else package, PrepareSettings())
+    assert_allclose([[(s.first_ns - first) * 1e-9, (s.last_ns - first) * 1e-9]
+                     for s in recording.segments], expected, atol=0.1)
+    stamps = recording.measured_tool.stamps_ns
+    for segment in recording.segments:
+        inside = stamps[segment.samples]
+        assert segment.first_ns <= inside[0] <= inside[-1] <= segment.last_ns

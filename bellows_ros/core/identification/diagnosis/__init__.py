@@ -1,0 +1,1 @@
+"""Diagnosis of recordings and of given quantities."""

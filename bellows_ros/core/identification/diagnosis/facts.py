@@ -1,0 +1,407 @@
+"""
+Faults of a recording that its poses and stamps show without a fit.
+
+Each test takes milliseconds. Tool and package on a cup move nearly as one rigid body; a fault of
+one of the two poses breaks this relation in a manner of its own.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import permutations, product
+from types import MappingProxyType
+from typing import NamedTuple
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.recording import alignment, conventions
+from bellows_ros.core.recording.outliers import repeats_in_motion
+from bellows_ros.core.signals import resampling
+from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+SAMPLES = 300
+"""Number of pairs of poses that are compared."""
+
+MAX_REPEAT_PART = 0.05
+"""Part of the poses that may repeat the pose before in motion: single lost messages."""
+
+MIN_FROZEN_PART, MIN_SHIFT = 0.95, 5e-3
+"""Part of the steps with a new position and an old rotation, and motion (m), of a frozen one."""
+
+FIXED = np.repeat([1e-4, 5e-4], 3)
+"""Deflection (m, rad; standard deviation) below which no cup can be identified."""
+
+AT_REST = np.repeat([5e-4, 5e-3], 3)
+"""Motion (m, rad; standard deviation) of a body at rest."""
+
+MOVING = np.repeat([0.02, 0.1], 3)
+"""Motion (m, rad; standard deviation) of a tool that shakes its package."""
+
+NOISE_DEVIATIONS = 2.0
+"""Standard deviation of motion over noise, below which a body only seems to move."""
+
+MAX_MISFIT_RATIO, MAX_MISFIT = 0.4, 0.6
+"""Part of the relative motion (rad, and 1 for the distance) that remains with a corrected
+convention, and its largest value, of bodies on one cup."""
+
+SIMPLER, OPPOSITE, DISSIMILAR = 0.9, -0.8, 0.5
+"""Ratio of misfits below which a later candidate replaces the one before, correlation of two
+rotations of which one is inverse, and ratio of misfits between two kinds of candidates."""
+
+AXIS_ROTATIONS = [
+    axes for order in permutations(np.eye(3)) for signs in product((1.0, -1.0), repeat=3)
+    if np.linalg.det(axes := np.multiply(order, np.array(signs)[:, None])) > 0.0][1:]
+"""Rotations (3, 3) of axes onto axes."""
+
+MIN_RIGID_SIMILARITY = 0.8
+"""Similarity of the rotations of two bodies on one cup."""
+
+MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
+"""Similarity of the rotations in two worlds with a corrected convention, and the remaining part of
+the dissimilarity."""
+
+MIN_FRAME_ANGLE = np.deg2rad(30.0)
+"""Rotation (rad) between two frames that no misplaced camera or marker explains."""
+
+MAX_RESIDUAL_RATIO, MAX_RESIDUAL = 0.3, 0.02
+"""Part of the residual of rigid motion that remains with other axes, and that residual (m)."""
+
+MIN_SPREAD_RATIO = 0.05
+"""Extent of a path in its third direction over the first, from which its handedness is known."""
+
+MAX_UP = -0.5
+"""Vertical component of the tool's z axis (median) below which it points out of the arm."""
+
+MAX_TICK_PART, TICK_TOLERANCE, TICKS = 0.1, 0.02, 2000
+"""Resolution of stamps in periods that shifts no pose noticeably, tolerance in ticks, and number
+of steps that are examined."""
+
+
+Bodies = tuple[Trajectory, Trajectory]
+
+
+class Fact(NamedTuple):
+    """
+    A fault that is seen without a fit.
+
+    Parameters
+    ----------
+    code : str
+        Its name in the texts of the room 'facts'.
+    body : str
+        'tool', 'package', 'both', or '' where the poses do not show which.
+    numbers : mapping of str to float
+        Sizes in SI units.
+
+    """
+
+    code: str
+    body: str = ''
+    numbers: Mapping[str, float] = MappingProxyType({})
+
+
+def facts_of(
+    tool: PoseStream, package: PoseStream, R_world_recorded: Array | None = None
+) -> tuple[Fact, ...]:
+    """
+    Return the faults of the poses of a tool and its package, the most fundamental ones first.
+
+    Parameters
+    ----------
+    tool, package : PoseStream
+        As recorded, in one frame or in two.
+    R_world_recorded : ndarray (3, 3), optional
+        Rotation from the tool's recorded axes to a world with z up; z is up where left out.
+
+    """
+    found = [*_of_streams(tool, package)]
+    first, last = common_span(tool, package)
+    stamps = np.unique(np.linspace(0, max(last - first, 0), SAMPLES).astype(np.int64)) + first
+    if last <= first:
+        return (*found, *_of_gravity(tool.rotation, np.eye(3) if R_world_recorded is None
+                                     else R_world_recorded))
+    one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2
+    bodies = resample(tool.trajectory(), stamps), resample(package.trajectory(), stamps)
+    motion = _of_motion(tool, package, bodies, one_frame)
+    if motion or any(fact.code == 'frozen_orientation' for fact in found):
+        return (*found, *motion)
+    for test in (_of_frames, _of_conventions):
+        if wrong := tuple(test(tool, package, bodies, one_frame)):
+            return (*found, *wrong)
+    R = np.eye(3) if R_world_recorded is None else R_world_recorded
+    return (*found, *_of_arrangement(bodies, one_frame, R))
+
+
+def _of_streams(tool: PoseStream, package: PoseStream) -> Iterator[Fact]:
+    """Yield the faults of each topic alone."""
+    for body, stream in (('tool', tool), ('package', package)):
+        if (repeats := repeats_in_motion(stream)) > MAX_REPEAT_PART * len(stream):
+            yield Fact('repeated_poses', body, {'count': repeats, 'poses': len(stream)})
+        tick = resampling.resolution(stream.stamps_ns)
+        repeated = len(stream.refused.get('duplicate_stamp', ()))
+        if tick or repeated > MAX_REPEAT_PART * (len(stream) + repeated):
+            yield Fact('quantised_stamps', body, {
+                'tick': tick or float(np.median(np.diff(stream.stamps_ns))) / NS_PER_S,
+                'repeated': repeated, 'poses': len(stream) + repeated})
+        other = package if body == 'tool' else tool
+        if (part := _frozen_part(stream)) > MIN_FROZEN_PART and (
+                body == 'package' or _deviation(other.trajectory())[3:].max() > MOVING[3]):
+            yield Fact('frozen_orientation', body, {'part': part})
+
+
+def _frozen_part(stream: PoseStream) -> float:
+    """Return the part of the steps of a moving body whose rotation is exactly the one before."""
+    moves = np.any(stream.position[1:] != stream.position[:-1], axis=1)
+    if not moves.any() or np.ptp(stream.position, axis=0).max() < MIN_SHIFT:
+        return 0.0
+    same = np.all(stream.rotation[1:] == stream.rotation[:-1], axis=(1, 2))
+    return float(np.mean(same[moves]))
+
+
+def _deviation(body: Trajectory) -> Array:
+    """Return the robust standard deviation (6,) of a body's pose, m and rad."""
+    middle = body.rotation[len(body) // 2].T
+    moved = np.hstack([body.position, lie.log_so3(middle @ body.rotation)])
+    return np.asarray(0.5 * np.subtract(*np.percentile(moved, (84, 16), axis=0)))
+
+
+def _of_motion(
+    tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
+) -> tuple[Fact, ...]:
+    """Return that the package is fixed to its tool, or that it rests while the tool moves."""
+    tool_motion, package_motion = map(_deviation, bodies)
+    if np.all(tool_motion < MOVING):
+        return ()
+    if np.all(package_motion < np.maximum(AT_REST, NOISE_DEVIATIONS * _noise(package))):
+        return (Fact('package_at_rest', 'package', {
+            'position': float(package_motion[:3].max()),
+            'rotation': float(package_motion[3:].max())}),)
+    hand, eye = tool.trajectory(), package.trajectory()
+    if not one_frame:
+        try:
+            R = alignment.rotation_of(*(body.rotation for body in bodies))
+        except BellowsError:  # the tool hardly rotates
+            return ()
+        eye = replace(eye, position=lie.apply(R, eye.position) + _rigid_motion(*bodies, R)[0][3:],
+                      rotation=R @ eye.rotation)
+    relative = _seen_from(hand, eye)
+    if len(relative) < SAMPLES // 2:
+        return ()
+    noise, deviation = _noise(relative), _deviation(relative)
+    distance = float(np.median(np.linalg.norm(relative.position, axis=1)))
+    if distance < conventions.MAX_DISTANCE and np.all(
+            deviation < np.maximum(FIXED, NOISE_DEVIATIONS * noise)) and np.all(
+            noise < MOVING / 10.0):
+        return (Fact('one_body' if distance < 1e-3 else 'package_on_tool', 'package', {
+            'distance': distance, 'position': float(deviation[:3].max()),
+            'rotation': float(deviation[3:].max())}),)
+    return ()
+
+
+def _seen_from(tool: Trajectory, package: Trajectory) -> Trajectory:
+    """Return the package in the axes of the tool, in groups of three poses in a row."""
+    first, last = common_span(tool, package)
+    inside = np.flatnonzero((package.stamps_ns >= first) & (package.stamps_ns <= last))
+    starts = inside[:-2][::max(len(inside) // (2 * SAMPLES), 1)]
+    package = package.select(np.unique((starts[:, None] + np.arange(3)).ravel()))
+    tool = resample(tool, package.stamps_ns)
+    back = np.swapaxes(tool.rotation, 1, 2)
+    return Trajectory(package.stamps_ns, lie.apply(back, package.position - tool.position),
+                      back @ package.rotation)
+
+
+def _noise(body: PoseStream | Trajectory) -> Array:
+    """Return the standard deviation (6,) of white noise, from differences of second order."""
+    if len(body) < 3:
+        return np.zeros(6)
+    step = max(len(body) // (10 * SAMPLES), 1)
+    at = np.arange(0, len(body) - 2, step)
+    R = np.swapaxes(body.rotation[at + 1], 1, 2)
+    change = np.hstack([
+        body.position[at] - 2.0 * body.position[at + 1] + body.position[at + 2],
+        lie.log_so3(R @ body.rotation[at]) + lie.log_so3(R @ body.rotation[at + 2])])
+    return np.asarray(MAD_TO_STD / np.sqrt(6.0) * np.median(np.abs(change), axis=0))
+
+
+def _conjugated(body: Trajectory) -> Trajectory:
+    """Return poses with inverse rotations."""
+    return replace(body, rotation=np.swapaxes(body.rotation, 1, 2))
+
+
+def _inverted(body: Trajectory) -> Trajectory:
+    """Return the inverse poses."""
+    back = np.swapaxes(body.rotation, 1, 2)
+    return replace(body, position=-lie.apply(back, body.position), rotation=back)
+
+
+def _of_conventions(
+    tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
+) -> Iterator[Fact]:
+    """Yield units, orders of quaternions and inverse poses, if with these both move as one."""
+    orders = conventions.conventions_of(tool, package)
+    names = ('tool', 'package')
+    yield from (Fact('millimetres', body) for body, order in zip(names, orders, strict=True)
+                if order.millimetres)
+    is_w_first = [order.w_first for order in orders]
+    if one_frame:
+        fact, misfit = _of_one_frame(bodies)
+        if any(is_w_first):
+            read = (conventions.converted(*each) for each in zip(bodies, orders, strict=True))
+            if not misfit < DISSIMILAR * _misfit(*read):
+                fact = None
+        if fact:
+            yield fact
+        else:
+            yield from (Fact('quaternion_order', body) for body, wrong in zip(
+                names, is_w_first, strict=True) if wrong)
+        return
+    plain, inverse = _similarities(bodies)
+    if any(is_w_first) or inverse > MIN_SIMILARITY and (
+            1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain)):
+        yield Fact('inverse_rotation', _worse_body(bodies))
+
+
+def _of_one_frame(bodies: Bodies) -> tuple[Fact | None, float]:
+    """Return the fault of poses in one frame whose correction fits best, and its misfit."""
+    tool, package = bodies
+    tried = list[tuple[Fact, Trajectory, Trajectory]]()
+    for code, change in (('conjugated', _conjugated), ('inverted', _inverted)):
+        one, other = change(tool), change(package)
+        tried += [(Fact(code, 'package'), tool, other), (Fact(code, 'tool'), one, package),
+                  (Fact(code, 'both'), one, other)]
+    is_inverse = _correlation(bodies) < OPPOSITE
+    if is_inverse:
+        tried = [each for each in tried if each[0].body != 'both']
+    else:
+        for axes in AXIS_ROTATIONS:
+            angle = float(np.linalg.norm(lie.log_so3(axes)))
+            one, other = (replace(body, rotation=axes @ body.rotation) for body in bodies)
+            tried.append((Fact('rotation_frame', 'both', {'angle': angle}), one, other))
+        for signs in 1.0 - 2.0 * np.eye(3):
+            one, other = (replace(body, position=body.position * signs) for body in bodies)
+            tried.append((Fact('left_handed', 'both'), one, other))
+    before, least = _misfit(*bodies), float('inf')
+    fact: Fact | None = None
+    for candidate, one, other in tried:
+        if (misfit := _misfit(one, other)) < SIMPLER * least:
+            fact, least = candidate, misfit
+    limit = before if is_inverse else min(MAX_MISFIT_RATIO * before, MAX_MISFIT)
+    return (fact, least) if least < limit else (None, float('inf'))
+
+
+def _correlation(bodies: Bodies) -> float:
+    """Return the correlation of the rotations of two bodies about axes of one world."""
+    a, b = (lie.log_so3(body.rotation @ body.rotation[len(body) // 2].T) for body in bodies)
+    return float(np.sum(a * b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
+
+
+def _similarities(bodies: Bodies) -> tuple[float, float]:
+    """Return the similarity of two rotations in two worlds, as read and if one is inverse."""
+    a, b = (lie.log_so3(body.rotation[len(body) // 2].T @ body.rotation) for body in bodies)
+    R = bodies[1].rotation
+    inverse = lie.log_so3(R[len(R) // 2] @ np.swapaxes(R, 1, 2))
+    return conventions.similarity(a, b), conventions.similarity(a, inverse)
+
+
+def _worse_body(bodies: Bodies) -> str:
+    """Return the body whose inverse rotations make the motion rigid, '' if both do alike."""
+    tool, package = bodies
+    residuals = []
+    for each in ((_conjugated(tool), package), (tool, _conjugated(package))):
+        R = alignment.rotation_of(*(body.rotation for body in each))
+        residuals.append(_best_axes(*each, R, 1.0)[0])
+    of_tool, of_package = residuals
+    return 'tool' if of_tool < 0.5 * of_package else (
+        'package' if of_package < 0.5 * of_tool else '')
+
+
+def _misfit(tool: Trajectory, package: Trajectory) -> float:
+    """Return the motion of a package in its tool, of its distance and rad; infinite if far."""
+    bodies, plain = (tool, package), (conventions.Convention(), conventions.Convention())
+    distance, change = conventions.distance_of(bodies, plain)
+    if not (1e-3 < distance < conventions.REACH[1] and change < conventions.MAX_CHANGE):
+        return float('inf')
+    offset = lie.apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
+    hangs = np.median(offset[:, 2]) < 0.0
+    return (1.0 if hangs else 1.0 / SIMPLER**2) * conventions.motion_in_tool(bodies, plain)[0]
+
+
+def _rigid_motion(tool: Trajectory, package: Trajectory, X: Array) -> tuple[Array, float]:
+    """Return c and t (6,) with o + R c nearest to X p + t, and the RMS distance, m."""
+    A = np.concatenate(
+        [tool.rotation, -np.tile(np.eye(3), (len(tool), 1, 1))], axis=2).reshape(-1, 6)
+    b = (lie.apply(X, package.position) - tool.position).ravel()
+    constants = np.linalg.lstsq(A, b, rcond=1e-6)[0]
+    return constants, float(np.sqrt(3.0 * np.mean((b - A @ constants)**2)))
+
+
+def _of_frames(
+    tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
+) -> Iterator[Fact]:
+    """Yield that positions are in a left-handed frame, or in another one than the rotations."""
+    try:
+        A = alignment.rotation_of(*(body.rotation for body in bodies))
+    except BellowsError:  # the tool hardly rotates
+        return
+    plain, inverse = _similarities(bodies)
+    if plain < MIN_RIGID_SIMILARITY or 1.0 - plain > DISSIMILAR * (1.0 - inverse):
+        return
+    extents = np.linalg.svd(bodies[1].position - bodies[1].position.mean(axis=0))[1]
+    if not extents[0] > MIN_SHIFT or extents[2] < MIN_SPREAD_RATIO * extents[0]:
+        return
+    before = _rigid_motion(*bodies, A)[1]
+    (proper, turned), (mirrored, _) = (
+        _best_axes(*bodies, A, handed) for handed in (1.0, -1.0))
+    if mirrored < min(MAX_RESIDUAL_RATIO * min(before, proper), MAX_RESIDUAL):
+        yield Fact('left_handed')
+    elif proper < min(MAX_RESIDUAL_RATIO * before, MAX_RESIDUAL):
+        angle = float(np.linalg.norm(lie.log_so3(turned @ A.T)))
+        if angle > MIN_FRAME_ANGLE:
+            yield Fact('rotation_frame', _wrongly_turned(*bodies, A) if one_frame else '',
+                       {'angle': angle})
+
+
+def _best_axes(
+    tool: Trajectory, package: Trajectory, A: Array, handed: float
+) -> tuple[float, Array]:
+    """Return the least residual (m) of rigid motion, and the orthogonal X of this handedness."""
+    p = package.position - package.position.mean(axis=0)
+    c, X = np.zeros(3), A
+    for _ in range(8):
+        o = tool.position + lie.apply(tool.rotation, c)
+        U, _, V = np.linalg.svd((o - o.mean(axis=0)).T @ p)
+        X = U @ np.diag([1.0, 1.0, handed * np.sign(np.linalg.det(U @ V))]) @ V
+        rest, turns = lie.apply(X, p) - tool.position, tool.rotation - tool.rotation.mean(axis=0)
+        c = np.linalg.lstsq(turns.reshape(-1, 3), (rest - rest.mean(axis=0)).ravel(),
+                            rcond=1e-6)[0]
+    return _rigid_motion(tool, package, X)[1], X
+
+
+def _wrongly_turned(tool: Trajectory, package: Trajectory, A: Array) -> str:
+    """Return the body whose rotations are in another frame: that of the better correction."""
+    other = _misfit(replace(tool, rotation=A.T @ tool.rotation), package)
+    return 'tool' if other < _misfit(tool, replace(package, rotation=A @ package.rotation)) else (
+        'package')
+
+
+def _of_arrangement(bodies: Bodies, one_frame: bool, R: Array) -> Iterator[Fact]:
+    """Yield exchanged topics, or a z axis of the tool that points out of the arm."""
+    tool, package = bodies
+    offset = package.position - tool.position
+    if one_frame and np.median(np.linalg.norm(offset, axis=1)) < conventions.REACH[1]:
+        back = np.swapaxes(tool.rotation, 1, 2)
+        in_tool = float(np.median(lie.apply(back, offset)[:, 2]))
+        upward = float(np.median(offset @ R[2]))
+        if in_tool > 0.0 and upward > 0.0:
+            yield Fact('exchanged', 'both', {'in_tool': in_tool, 'upward': upward})
+            return
+    yield from _of_gravity(tool.rotation, R)
+
+
+def _of_gravity(rotation: Array, R: Array) -> Iterator[Fact]:
+    """Yield that the z axis of the tool points down, out of the arm."""
+    up = float(np.median(rotation[:, :, 2] @ R[2]))
+    if up < MAX_UP:
+        yield Fact('tool_z', 'tool', {'angle': float(np.arccos(np.clip(up, -1.0, 1.0)))})

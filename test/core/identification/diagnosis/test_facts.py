@@ -1,0 +1,194 @@
+"""Each fault of the poses or stamps is seen without a fit, and none in sound ones."""
+
+from dataclasses import replace
+import time
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.lie import apply, exp_so3
+from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
+from bellows_ros.core.signals.trajectory import PoseStream
+import numpy as np
+import pytest
+
+from ...recording.tracking import START
+
+MIRROR = np.diag([1.0, -1.0, 1.0])
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+OUT = np.diag([1.0, -1.0, -1.0])
+
+
+def waves(rng, t, hz, size):
+    """Give six coordinates (N, 6) that oscillate at two frequencies each, at most as large."""
+    return sum(np.sin(2.0 * np.pi * rng.uniform(*hz, 6) * t + rng.uniform(0.0, 6.0, 6))
+               for _ in range(2)) * 0.5 * np.array(size)
+
+
+def streams(seed):
+    """Give a tool that moves and tilts widely, and the package that sways below it, with noise."""
+    rng = np.random.default_rng(seed)
+    stamps = START + np.arange(1200) * 8_333_333
+    t = (stamps[:, None] - START) * 1e-9
+    tool, sway = waves(rng, t, (0.15, 0.5), [0.3, 0.2, 0.2, 0.5, 0.5, 0.6]), waves(
+        rng, t, (1.0, 3.0), [5e-3, 5e-3, 3e-3, 0.1, 0.1, 0.1])
+    R, o = exp_so3(tool[:, 3:]), tool[:, :3] + [0.5, 0.1, 0.8]
+    below = o + apply(R, sway[:, :3] + [0.0, 0.0, -0.07])
+    return [PoseStream(
+        f'/{name}', 'world', stamps, position + 1e-4 * rng.normal(size=(len(t), 3)),
+        rotation @ exp_so3(3e-4 * rng.normal(size=(len(t), 3))))
+        for name, position, rotation in (
+            ('tool', o, R), ('package', below, R @ exp_so3(sway[:, 3:])))]
+
+
+def apart(tool, package, seed):
+    """Give the package as a camera sees its marker, in a world of its own."""
+    R, marker = exp_so3(np.random.default_rng(seed).normal(size=(2, 3)))
+    origin = package.position + package.rotation @ [0.1, 0.02, 0.0]
+    return tool, replace(
+        package, frame_id='camera', rotation=R @ package.rotation @ marker,
+        position=apply(R, origin) + [1.0, 2.0, 0.5])
+
+
+def changed(body, position=None, rotation=None):
+    """Give a stream with other positions or rotations."""
+    return replace(body, position=body.position if position is None else position,
+                   rotation=body.rotation if rotation is None else rotation)
+
+
+def conjugated(body):
+    return changed(body, rotation=np.swapaxes(body.rotation, 1, 2))
+
+
+def inverted(body):
+    back = np.swapaxes(body.rotation, 1, 2)
+    return changed(body, -apply(back, body.position), back)
+
+
+def w_first(body):
+    return changed(body, rotation=lie.quaternion_to_rotation(
+        np.roll(lie.rotation_to_quaternion(body.rotation), 1, axis=1)))
+
+
+def still(body):
+    rng = np.random.default_rng(0)
+    return changed(body, body.position[0] + 1e-4 * rng.normal(size=body.position.shape),
+                   body.rotation[0] @ exp_so3(3e-4 * rng.normal(size=body.position.shape)))
+
+
+def on_tool(tool):
+    rng = np.random.default_rng(1)
+    return replace(
+        tool, name='/package', position=tool.position + tool.rotation @ [0.02, 0.0, 0.03]
+        + 1e-4 * rng.normal(size=tool.position.shape),
+        rotation=tool.rotation @ exp_so3(3e-4 * rng.normal(size=tool.position.shape)))
+
+
+def repeated(body, times=4):
+    kept = np.arange(len(body)) // times * times
+    return changed(body, body.position[kept], body.rotation[kept])
+
+
+def rounded(body, tick_ns):
+    stamps, first = np.unique(body.stamps_ns // tick_ns * tick_ns, return_index=True)
+    lost = tuple(sorted(set(range(len(body))) - set(first.tolist())))
+    return replace(
+        body, stamps_ns=stamps, position=body.position[first], rotation=body.rotation[first],
+        refused={'duplicate_stamp': lost} if lost else {})
+
+
+def frozen(body):
+    return changed(body, rotation=np.tile(body.rotation[:1], (len(body), 1, 1)))
+
+
+def rotated(body):
+    return changed(body, rotation=Y_UP @ body.rotation)
+
+
+def mirrored(body):
+    return changed(body, body.position @ MIRROR, MIRROR @ body.rotation @ MIRROR)
+
+
+FAULTS = {
+    'repeats': (lambda t, p: (t, repeated(p)), 'repeated_poses', 'package'),
+    'quantised': (lambda t, p: (rounded(t, 5_000_000), p), 'quantised_stamps', 'tool'),
+    'slow clock': (lambda t, p: (t, rounded(p, 40_000_000)), 'quantised_stamps', 'package'),
+    'frozen package': (lambda t, p: (t, frozen(p)), 'frozen_orientation', 'package'),
+    'frozen tool': (lambda t, p: (frozen(t), p), 'frozen_orientation', 'tool'),
+    'on the tool': (lambda t, p: (t, on_tool(t)), 'package_on_tool', 'package'),
+    'one body': (lambda t, p: (t, replace(t, name='/other')), 'one_body', 'package'),
+    'on the table': (lambda t, p: (t, still(p)), 'package_at_rest', 'package'),
+    'conjugated package': (lambda t, p: (t, conjugated(p)), 'conjugated', 'package'),
+    'conjugated tool': (lambda t, p: (conjugated(t), p), 'conjugated', 'tool'),
+    'conjugated both': (lambda t, p: (conjugated(t), conjugated(p)), 'conjugated', 'both'),
+    'inverted package': (lambda t, p: (t, inverted(p)), 'inverted', 'package'),
+    'inverted tool': (lambda t, p: (inverted(t), p), 'inverted', 'tool'),
+    'inverted both': (lambda t, p: (inverted(t), inverted(p)), 'inverted', 'both'),
+    'axes of the package': (lambda t, p: (t, rotated(p)), 'rotation_frame', 'package'),
+    'axes of the tool': (lambda t, p: (rotated(t), p), 'rotation_frame', 'tool'),
+    'axes of both': (lambda t, p: (rotated(t), rotated(p)), 'rotation_frame', 'both'),
+    'left-handed package': (lambda t, p: (t, mirrored(p)), 'left_handed', ''),
+    'left-handed tool': (lambda t, p: (mirrored(t), p), 'left_handed', ''),
+    'left-handed positions': (lambda *both: tuple(
+        changed(body, body.position @ MIRROR) for body in both), 'left_handed', 'both'),
+    'millimetres': (lambda t, p: (t, changed(p, 1e3 * p.position)), 'millimetres', 'package'),
+    'w first': (lambda t, p: (t, w_first(p)), 'quaternion_order', 'package'),
+    'exchanged': (lambda t, p: (p, t), 'exchanged', 'both'),
+    'z of the tool': (lambda t, p: (changed(t, rotation=t.rotation @ OUT), p), 'tool_z', 'tool')}
+
+TWO_FRAMES = {
+    **{name: FAULTS[name][1:] for name in (
+        'repeats', 'quantised', 'slow clock', 'frozen package', 'frozen tool', 'on the table',
+        'left-handed package', 'left-handed tool', 'millimetres', 'z of the tool')},
+    **dict.fromkeys(('conjugated package', 'conjugated tool', 'inverted package', 'w first'),
+                    ('inverse_rotation', None)),
+    'axes of the package': ('rotation_frame', '')}
+"""Code and body (None: any) of the faults that are seen although the package is in two worlds."""
+
+
+@pytest.mark.parametrize('name', FAULTS)
+@pytest.mark.parametrize('seed', [3, 4])
+def test_each_fault_is_seen_in_one_frame(name, seed):
+    make, code, body = FAULTS[name]
+    assert [(fact.code, fact.body) for fact in facts_of(*make(*streams(seed)))] == [(code, body)]
+
+
+@pytest.mark.parametrize('name', TWO_FRAMES)
+@pytest.mark.parametrize('seed', [3, 4])
+def test_faults_are_seen_in_two_frames(name, seed):
+    code, body = TWO_FRAMES[name]
+    (fact,) = facts_of(*FAULTS[name][0](*apart(*streams(seed), seed)))
+    assert fact.code == code
+    assert body in (fact.body, None)
+
+
+@pytest.mark.parametrize('seed', range(3, 13))
+def test_sound_poses_have_no_fault_in_one_frame_or_two(seed):
+    both = streams(seed)
+    assert facts_of(*both) == facts_of(*apart(*both, seed)) == ()
+
+
+def test_numbers_are_in_si_units():
+    tool, package = streams(3)
+    (fact,) = facts_of(rounded(tool, 5_000_000), package)
+    assert fact.numbers == {'tick': pytest.approx(5e-3), 'repeated': 0, 'poses': len(tool)}
+    (fact,) = facts_of(tool, rounded(package, 40_000_000))
+    assert fact.numbers['tick'] == pytest.approx(0.04)
+    assert fact.numbers['repeated'] == pytest.approx(0.79 * len(package), rel=0.02)
+    (fact,) = facts_of(tool, rotated(package))
+    assert fact == Fact('rotation_frame', 'package', {'angle': pytest.approx(np.pi / 2, abs=0.1)})
+    (fact,) = facts_of(replace(tool, rotation=tool.rotation @ OUT), package)
+    assert fact.numbers['angle'] > 2.0
+
+
+def test_stamps_that_do_not_overlap_leave_what_each_stream_shows():
+    tool, package = streams(3)
+    later = replace(package, stamps_ns=package.stamps_ns + 10**12)
+    assert facts_of(tool, later) == ()
+    assert facts_of(tool, frozen(later)) == (Fact('frozen_orientation', 'package', {'part': 1.0}),)
+
+
+def test_a_few_milliseconds_of_processor_time_are_enough():
+    both = streams(3)
+    began = time.process_time()
+    for _ in range(5):
+        facts_of(*both)
+    assert time.process_time() - began < 2.0
