@@ -183,7 +183,9 @@ def graph_of(root, room='*'):
 
 
 def floor(name):
-    """Return the place of a module's room in the order of core, 0 for core itself."""
+    """Return the place of a module's room in the order of core, 0 for core itself and values."""
+    if name == 'bellows_ros.core.parameters.values':
+        return 0
     return sum(CORE.index(room) + 1 for room in name.split('.')[2:3])
 
 
