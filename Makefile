@@ -110,7 +110,7 @@ bags: $(VENV)/ready  ## make the recordings in bags/ again
 venv: $(VENV)/ready  ## only make the environment
 
 .PHONY: extras
-extras: $(VENV)/extras-ready  ## add the viewer Rerun, ffmpeg, a notebook kernel and MuJoCo for their tests
+extras: $(VENV)/extras-ready  ## add ffmpeg, a notebook kernel and MuJoCo for their tests
 
 .PHONY: release
 release: $(VENV)/ready  ## build sdist and wheel, install each in an empty environment, and use it
@@ -144,8 +144,8 @@ $(VENV)/docs-ready: setup.py | $(VENV)/ready
 
 # What only some tests need, and is too heavy for everyone.
 $(VENV)/extras-ready: setup.py | $(VENV)/ready
-	@.ci/install $(BIN)/python 'a viewer, ffmpeg, a notebook kernel, MuJoCo' \
-	    --editable '.[notebook,video,view]' 'mujoco>=3.1'
+	@.ci/install $(BIN)/python 'ffmpeg, a notebook kernel, MuJoCo' \
+	    --editable '.[notebook,video]' 'mujoco>=3.1'
 	@touch $@
 
 .venv-oldest/ready: setup.py .ci/oldest.txt

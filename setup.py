@@ -19,8 +19,6 @@ EXTRAS = {
     'complete': ['argcomplete>=2'],
     # The program ffmpeg, for animations as .mp4 where the system has none (170 MB).
     'video': ['imageio-ffmpeg>=0.5'],
-    # The viewer Rerun, for `bellows replay --view` (600 MB with what it needs).
-    'view': ['rerun-sdk>=0.41'],
     # What runs notebooks/; open them with any Jupyter.
     'notebook': ['ipykernel>=6.29', 'nbclient>=0.10', 'matplotlib>=3.8'],
     'docs': ['sphinx>=7.2', 'myst-parser>=3', 'furo>=2024.1'],

@@ -58,7 +58,6 @@ PACKAGES = {
     'ros': "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
     'plot': 'matplotlib',
     'video': 'imageio-ffmpeg',
-    'view': 'rerun-sdk',
     'parallel': 'joblib',
     'dask': 'distributed'}
 

@@ -1,15 +1,14 @@
 """Predict a recording with a cup, and report how well it does."""
 
 import argparse
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import atomic, parameter_files
 from bellows_ros.report.text import print_replay
-from bellows_ros.workflows import plot, replay
+from bellows_ros.workflows import replay
 
 from . import options
 from .console import Console
@@ -21,10 +20,6 @@ def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
     """Refuse what cannot be drawn or written, before any work."""
     if arguments.report:
         require_pictures()
-    if arguments.view is not None:
-        from bellows_ros.plots.viewer import require_viewer
-
-        require_viewer(arguments.view)
     if arguments.calibrate_alarms and not arguments.observe:
         raise BellowsError(
             '--calibrate-alarms takes the poses of a camera. Give their topic with --observe.')
@@ -49,32 +44,18 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
         from bellows_ros.report.build import replay_report
 
         atomic.write_text(arguments.report, replay_report(result, arguments.params))
-    view = None
-    if arguments.view is not None and result.live:
-        from bellows_ros.plots.viewer import open_view, write_view
-
-        shown = plot.with_bodies(result.values, result.recording, result.live)
-        if arguments.view:
-            write_view(arguments.view, shown, result.bag)
-        else:
-            view = partial(open_view, shown, result.bag)
     failing = result.validation.failing(limit)
     worse = failing if arguments.limit is not None else result.validation.worse_than_noise
     return options.Outcome(
-        (result, limit, view), not worse,
-        ('Open it with:', f'  rerun {arguments.view}') if arguments.view else (),
+        (result, limit), not worse,
         content=result.as_json(limit, arguments.params) if arguments.json else {})
 
 
-def print_result(
-    shown: tuple[replay.Replay, float, Callable[[], None] | None], console: Console
-) -> None:
-    """Print the errors, with their limit, and how fast the prediction was; open the viewer."""
-    result, limit, view = shown
+def print_result(shown: tuple[replay.Replay, float], console: Console) -> None:
+    """Print the errors with their limit, and the speed of the live prediction."""
+    result, limit = shown
     print_replay(result, console, limit)
     if result.live:
         console.paragraph(
             f'The live prediction took {result.live.took:.2f} s, '
             f'{result.live.real_time_factor:.0f} times faster than real time.')
-    if view:
-        view()

@@ -1,4 +1,4 @@
-"""Pictures, made with matplotlib (extra `plot`), and a view in Rerun (extra `view`)."""
+"""Pictures, made with matplotlib (extra `plot`)."""
 
 from typing import Any
 

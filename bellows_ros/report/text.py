@@ -110,6 +110,11 @@ def print_identification(result: 'Identification', out: Writer) -> None:
     _print_samples(result, out)
     if fit.converged:
         out.paragraph(sentence('report', 'condition', number=fit.condition_number))
+    if result.selection:
+        out.table([('structure', 'parameters', 'held-out error', 'usable'), *(
+            (each.structure, str(each.parameters), percent(each.held_out),
+             'yes' if each.usable else 'no') for each in result.selection.candidates)],
+            right=True, title='Structures of K and P')
     out.paragraph(*result.findings[len(sentences):])
     out.warn(*result.warnings)
 

@@ -170,7 +170,6 @@ RESULTS = (
     '--calibrate-alarms --set measured.calibrate=true',
     'replay bags/validation --params bags/tossing.yaml --observe /package/pose '
     '--set package.mass=2.2',
-    'structures bags/identification --params bags/package.yaml',
     'static bags/static --params bags/cup.yaml',
     'plan bags/transport.yaml --params bags/tossing.yaml --fastest',
     'steer bags/transport.yaml --method inverse --params bags/tossing.yaml',

@@ -105,7 +105,6 @@ READ = [
     'compare fit.json fit.json --json fit.json',
     'replay recording CUP --report cup.yaml',
     'plot motion recording CELL --out x.png --json package.yaml',
-    'replay recording CUP --view recording/view.rrd',
     'convert poses.tum --topic /p --out poses.tum',
     'export cup.yaml --to sdf --out cup.yaml',
 ]
@@ -137,7 +136,6 @@ NOT_ALLOWED = [
     ('IDENTIFY --set fit.structur=full', "--set fit.structur: ... 'fit.structure'"),
     ('STATIC m0 m1 --mass 1', '1 masses ... 2 recordings ... --mass'),
     ('identify MANY CELL --jobs 1 --report new.html', '20 recordings ... 21'),
-    ('replay recording CUP --view a.png', '.rrd'),
     ('info recording --from soon', '--from: recording.start'),
     ('STEER zv transport.yaml --limits safe.yaml', 'cup.lip_radius'),
     ('EXCITE misspelt.yaml --time 6', "'bendig' ... 'bending'"),

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 import json
-import os
 import re
 
 from bellows_ros.core.signals.residuals import AXES
@@ -83,33 +82,3 @@ def test_a_bad_prediction_is_a_no_and_names_its_cause(changes, named, code, bell
                    *(part for change in changes for part in ('--set', change)), cwd=workshop)
     assert done.returncode == code
     assert re.search(named, ' '.join(done.stderr.split()))
-
-
-@pytest.mark.extras
-def test_a_file_is_written_for_the_viewer(succeed, workshop, tmp_path):
-    pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
-    done = succeed('replay', 'recording', '--params', 'cup.yaml', '--view', tmp_path / 'a.rrd',
-                   '--json', '-', cwd=workshop)
-    assert json.loads(done.stdout)['live']['samples'] > 1000
-    assert f'rerun {tmp_path / "a.rrd"}' in done.stderr
-    assert (tmp_path / 'a.rrd').read_bytes().startswith(b'RRF')
-
-
-def test_what_the_viewer_lacks_is_named_before_any_work(bellows, workshop, tmp_path):
-    (tmp_path / 'rerun.py').write_text("raise ImportError('not here')\n")
-    (tmp_path / 'out').mkdir()
-    paths = filter(None, [str(tmp_path), os.environ.get('PYTHONPATH')])
-    done = bellows('replay', 'recording', '--params', 'cup.yaml', '--view',
-                   tmp_path / 'out' / 'a.rrd', cwd=workshop, PYTHONPATH=os.pathsep.join(paths))
-    assert (done.returncode, done.stdout) == (2, ''), done.stderr
-    assert 'pip install rerun-sdk' in done.stderr
-    assert 'Traceback' not in done.stderr and list((tmp_path / 'out').iterdir()) == []
-
-
-@pytest.mark.extras
-def test_without_a_display_another_way_to_view_is_named(bellows, workshop):
-    pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
-    done = bellows('replay', 'recording', '--params', 'cup.yaml', '--view', cwd=workshop,
-                   DISPLAY='', WAYLAND_DISPLAY='', WAYLAND_SOCKET='')
-    assert done.returncode == 2 and '--view replay.rrd' in done.stderr, done.stderr
-    assert 'Traceback' not in done.stderr

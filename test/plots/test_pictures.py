@@ -4,11 +4,12 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.grip import Margin
 from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
-from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
+from bellows_ros.plots.animation import bellows_rings, FRAMES_PER_SECOND, write_animation
 from bellows_ros.plots.pictures import (
     deflection_figure,
     margin_figure,
@@ -155,3 +156,13 @@ def test_the_whole_box_is_in_the_picture(replayed, tmp_path):
             red = pixels[..., 0] - pixels[..., 1] > 60
             assert red.any()
             assert not (red[0].any() or red[-1].any() or red[:, 0].any() or red[:, -1].any())
+
+
+def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip():
+    """Leave along one z axis and arrive along the other."""
+    R = exp_so3([0.2, 0.1, 0.0])
+    lip = np.array([0.005, 0.0, -0.045])
+    rings = bellows_rings(np.zeros(3), np.eye(3), lip, R)
+    centres = rings[:, :-1].mean(axis=1)
+    np.testing.assert_allclose(centres[[0, -1]], [np.zeros(3), lip], atol=1e-12)
+    np.testing.assert_allclose((rings[-1] - lip) @ R[:, 2], 0.0, atol=1e-12)

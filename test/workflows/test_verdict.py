@@ -11,11 +11,11 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.workflows import verdict
 from bellows_ros.workflows.recordings import load
-from bellows_ros.workflows.verdict import FitVerdict, Simulated
+from bellows_ros.workflows.verdict import FitVerdict, selection, Simulated
 import numpy as np
 import pytest
 
-from ..core.identification.laboratory import Laboratory, parameters
+from ..core.identification.laboratory import FAULTS, Laboratory, parameters
 
 
 @pytest.mark.parametrize(('off', 'left', 'said'), [
@@ -159,3 +159,15 @@ def test_a_wrong_setting_is_named_though_it_looks_like_rubber(root, known, name,
     recordings = with_relaxation([load(root / 'bags' / 'identification', values)], values)
     said = verdict.verdict_of(None, recordings, values['cup.length'], values)
     assert (said.causing[0].name, said.causing[0].certain) == (named, True)
+
+
+@pytest.mark.parametrize(('fault', 'word'), [
+    ('soft spring', 'not linear'), ('length', 'cup.length'), ('', '')])
+def test_the_cause_is_named_if_no_structure_fits(fault, word):
+    """Find a cup that is not linear, and a wrong length; accept a sound recording."""
+    laboratory = Laboratory(74102 if fault else 74100, rate_hz=240.0)
+    FAULTS.get(fault, [lambda own: None])[0](laboratory)
+    found = selection([laboratory.recording()], parameters(laboratory))
+    assert found.fits is not bool(fault)
+    assert found.advice[0].startswith('No structure fits' if fault else 'Use fit.structure')
+    assert word in found.advice[0]
