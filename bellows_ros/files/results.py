@@ -32,8 +32,8 @@ UNIT_OF: Mapping[str, Any] = {
        for name, units in (('stiffness', UNITS['K']), ('damping', UNITS['P']),
                            ('landing_covariance', ('m^2', 'm rad', 'rad^2')))},
     **dict.fromkeys(
-        ('rms largest motion noise_rms lip creep measured predicted shake_rms '
-         'deflection').split(), POSE_UNITS),
+        'rms largest motion noise_rms lip creep measured predicted deflection'.split(),
+        POSE_UNITS),
     **{name: unit for unit, names in tomllib.loads(
         Path(__file__).with_name('units.toml').read_text()).items() for name in names.split()},
     **dict.fromkeys(('release_twist', 'landing_twist'), [*3 * ['m/s'], *3 * ['rad/s']]),
@@ -90,7 +90,8 @@ def read_result(path: File) -> dict[str, Any]:
     except RecursionError:
         raise BellowsError(f"Result '{path}' is nested too deeply to be read.") from None
     except ValueError as error:
-        raise BellowsError(f"Result '{path}' is not JSON: {error}. Give what 'bellows identify "
+        what = f'line {error.lineno}' if isinstance(error, json.JSONDecodeError) else error
+        raise BellowsError(f"Result '{path}' is not JSON ({what}). Give what 'bellows identify "
                            "--json' wrote.") from None
     if not isinstance(content, dict) or 'stiffness' not in content:
         raise BellowsError(

@@ -1,122 +1,109 @@
-"""Whether two result files, or the recordings of one fit, are of the same cup."""
+"""Comparison of fits: of two result files, and of the recordings of one fit."""
 
 from collections.abc import Callable, Mapping, Sequence
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification import comparison
+from bellows_ros.core.identification.comparison import Consistency, Estimates, same_cup
 from bellows_ros.core.identification.reduction import AnyRecording
-from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.model import cup_package
+from bellows_ros.core.identification.result import Fit, parameter_units
 from bellows_ros.core.model.structure import structure_named
-from bellows_ros.core.parameters import checks
 from bellows_ros.files import File, results
+from bellows_ros.report.sentences import sentence
 import numpy as np
 
-NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
-                'cup.damping')
-"""Settings that do not affect the fit."""
 
-
-class Difference(NamedTuple):
-    """A setting or a version that differs; None if a fit lacks it."""
-
-    name: str
-    before: Any
-    after: Any
-
-
-class ResultComparison(NamedTuple):
+class ComparedFits(NamedTuple):
     """
-    Two result files compared.
+    Comparison of two or more fits.
 
     Parameters
     ----------
-    paths : tuple of two str
-        The files.
-    fits : FitComparison
-        What differs in numbers.
-    settings : tuple of Difference
-        What differs in settings, method, recordings and versions.
+    names : tuple of str
+        Names of the fits.
+    consistency : Consistency
+        Test for one cup.
     shared : tuple of str
-        Recordings that both fits have used: they are not independent then.
+        Recordings of both fits, if there are two: such fits are not independent.
 
     """
 
-    paths: tuple[str, str]
-    fits: comparison.FitComparison
-    settings: tuple[Difference, ...]
-    shared: tuple[str, ...]
+    names: tuple[str, ...]
+    consistency: Consistency
+    shared: tuple[str, ...] = ()
+
+    @property
+    def differs(self) -> bool:
+        """Whether the fits are of different cups."""
+        return self.consistency.differs
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The verdict, after a warning of shared recordings."""
+        numbers = self.consistency.numbers
+        return (
+            *([sentence('comparison', 'shared', recordings=self.shared)] if self.shared else ()),
+            sentence('comparison', self.consistency.code, names=self.names,
+                     name=self.names[numbers['fit']], **numbers))
+
+    def rows(self) -> list[tuple[str, str, float, float, float, float, float]]:
+        """Return label, unit, values, standard errors and difference in standard errors of two."""
+        found = self.consistency
+        (before, after), (before_std, after_std) = found.values, found.std
+        with np.errstate(divide='ignore', invalid='ignore'):
+            difference = (after - before) / np.hypot(before_std, after_std)
+        return list(zip(
+            found.structure.labels, parameter_units(found.structure), before.tolist(),
+            before_std.tolist(), after.tolist(), after_std.tolist(), difference.tolist(),
+            strict=True))
+
+    def verdict_json(self) -> dict[str, Any]:
+        """Return the test for one cup."""
+        return {
+            'one_cup': not self.differs, 'verdict': self.sentences[-1],
+            **results.attributes(self.consistency, 'probability', 'probability_stiffness',
+                                 'probability_damping', 'deviations')}
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file."""
-        derived = ('percent', 'standard_errors', 'p_value', 'significant')
+        """Return the content of the JSON file of two fits, in SI units."""
+        names = ('name', 'unit', 'before', 'before_std', 'after', 'after_std', 'standard_errors')
         return results.with_units({
-            'before': self.paths[0],
-            'after': self.paths[1],
-            **results.attributes(self.fits, 'matters', 'significant', 'p_value', 'shake_rms'),
-            **{name: [{**each._asdict(), **results.attributes(each, *derived)} for each in changes]
-               for name, changes in (
-                   ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
-            'settings': self.settings,
+            'before': self.names[0], 'after': self.names[1], **self.verdict_json(),
+            'parameters': [dict(zip(names, row, strict=True)) for row in self.rows()],
             'shared_recordings': self.shared})
 
 
-def compare_files(before: File, after: File) -> ResultComparison:
+def compare_files(before: File, after: File) -> ComparedFits:
     """
-    Compare two result files of identifications.
-
-    Parameters
-    ----------
-    before, after : path
-        JSON files that `bellows identify` has written. The package of the first is held in both
-        predictions.
+    Compare two JSON files that `bellows identify` has written.
 
     Raises
     ------
     BellowsError
-        If a file is not such a result, or a cup cannot hold the package.
+        If a file is not such a result.
 
     """
     contents = [results.read_result(path) for path in (before, after)]
     with results.content_of(before, after):
-        values = checks.resolve(contents[0]['settings'], checks.PACKAGE_PARAMETERS)
-        one, other = map(_fitted, contents)
-        (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
-        return ResultComparison(
-            (os.fspath(before), os.fspath(after)),
-            comparison.compare_fits(
-                one, other, cup_package.package_of(values), values.gravity.magnitude),
-            tuple(Difference(name, old.get(name), new.get(name))
-                  for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
-            tuple(name for name, content in again.items() if content in used.values()))
+        used, again = map(_digests, contents)
+        shared = tuple(name for name, digests in again.items() if digests in used.values())
+        return ComparedFits(
+            (os.fspath(before), os.fspath(after)), same_cup([*map(_estimates, contents)]), shared)
 
 
-def _fitted(content: Mapping[str, Any]) -> comparison.Fitted:
-    """Return structure, cup and covariance of a result."""
+def _estimates(content: Mapping[str, Any]) -> Estimates:
     structure = structure_named(content['structure'])
     labels, rows = (content['parameters'][key] for key in ('labels', 'covariance'))
     covariance = np.array([[np.inf if x is None else float(x) for x in row] for row in rows])
     order = [labels.index(label) for label in structure.labels]
     K, P = (np.array(content[key], dtype=float) for key in ('stiffness', 'damping'))
-    relaxation, length = content.get('relaxation', (0.0, 0.0)), float(content['cup_length'])
-    cup = cup_package.Cup(K, P, length, tuple(relaxation))
-    return comparison.Fitted(structure, cup, covariance[np.ix_(order, order)])
+    for name, matrix in (('stiffness', K), ('damping', P)):
+        if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
+            raise ValueError(f'{name} is no matrix of shape (6, 6) of finite numbers')
+    return Estimates(structure, structure.parameters(K, P), covariance[np.ix_(order, order)])
 
 
-def _described(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return, by name, how a fit was made: settings, versions, content of recordings."""
-    settings, versions = content['settings'], content['provenance']['versions']
-    return {
-        **{name: value for name, value in settings.items() if not name.startswith(NOT_COMPARED)},
-        **{name: content.get(name) for name in ('method', 'structure', 'samples_used')},
-        **{f'version of {name}': version for name, version in versions.items()},
-        **{f'content of {path}': ' '.join(digest[:12] for digest in digests)
-           for path, digests in _contents(content).items()}}
-
-
-def _contents(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """Return the digests of the files of a fit's recordings, by name."""
+def _digests(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     return {
         recording['path']: tuple(file['sha256'] for file in recording['files'])
         for recording in content['provenance']['recordings']}
@@ -124,9 +111,12 @@ def _contents(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 def consistency(
     parts: Sequence[AnyRecording], fit_alone: Callable[[AnyRecording, str], Fit]
-) -> comparison.Consistency:
-    """Return whether each recording alone, fitted under its name, gives the same cup."""
+) -> ComparedFits:
+    """Return the comparison of single fits to recordings, each fitted under its name."""
     differ = len({part.payload.mass for part in parts}) > 1
     names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
              for part in parts]
-    return comparison.same_cup([*map(fit_alone, parts, names)], names)
+    fits = [*map(fit_alone, parts, names)]
+    return ComparedFits(tuple(names), same_cup([
+        Estimates(structure_named(fit.structure), fit.parameters, fit.covariance)
+        for fit in fits]))

@@ -24,8 +24,8 @@ from bellows_ros.workflows.verdict import FitVerdict
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
-    from bellows_ros.core.identification.comparison import Consistency
     from bellows_ros.core.identification.structure_selection import StructureSelection
+    from bellows_ros.workflows.compare import ComparedFits
     from bellows_ros.workflows.replay import Replay
 
 NORMAL_95 = 1.959963984540054
@@ -78,7 +78,7 @@ class Identification(CommandResult):
         The recordings that were used.
     recordings : tuple of Recording
         These recordings themselves, where something needed them.
-    consistency : Consistency or None
+    consistency : ComparedFits or None
         Whether the recordings are of one cup, where that was asked for.
     static : StaticResult or None
         The recordings of standstills, where there are any.
@@ -103,7 +103,7 @@ class Identification(CommandResult):
     values: Values
     parts: tuple[reduction.ReducedRecording, ...]
     recordings: tuple[Recording, ...] = ()
-    consistency: 'Consistency | None' = None
+    consistency: 'ComparedFits | None' = None
     static: StaticResult | None = None
     selection: 'StructureSelection | None' = None
     validations: tuple['Replay', ...] = ()
@@ -175,7 +175,7 @@ class Identification(CommandResult):
             *self._free_sentences(),
             *_standstill_sentences(self),
             *((spring.sentence,) if spring else ()),
-            *((consistency.verdict,) if consistency and not consistency.differs else ()),
+            *(consistency.sentences if consistency and not consistency.differs else ()),
             *(self.selection.advice if self.selection else ()),
             *(text for each in self.validations for text in (
                 *offset_sentence(each.bag, each.time_offset), each.sentence)))
@@ -223,7 +223,7 @@ class Identification(CommandResult):
             *(f"Recording '{bag}' was left out: {reason}" for bag, reason in self.failed),
             *self.assumed,
             *self._fit_warnings(),
-            *((consistency.verdict,) if consistency and consistency.differs else ()),
+            *(consistency.sentences if consistency and consistency.differs else ()),
             *(static.warnings if static else ()),
             *(text for part in self.parts for text in part.report['warnings']),
             *(f'{each.bag}: {text}' for each in self.validations for text in each.warnings))
@@ -245,7 +245,7 @@ class Identification(CommandResult):
             'verdict': self.verdict,
             'recordings': [part.report for part in self.parts],
             'static': self.static,
-            'one_cup': self.consistency,
+            'one_cup': self.consistency and self.consistency.verdict_json(),
             'excitation': excitation_json(self.excitation),
             'structures': self.selection and selection_json(self.selection),
             'validations': self.validations,

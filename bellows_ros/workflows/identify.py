@@ -33,7 +33,7 @@ from bellows_ros.workflows.workers import on_cores, on_dask
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
-    from bellows_ros.core.identification.comparison import Consistency
+    from bellows_ros.workflows.compare import ComparedFits
     from bellows_ros.workflows.replay import Replay
 
 Poses = Mapping[str, PoseStream]
@@ -312,7 +312,7 @@ def _identify(
 
 def _consistency(
     parts: Sequence[AnyRecording], values: Values, progress: Progress
-) -> 'Consistency | None':
+) -> 'ComparedFits | None':
     """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
     if not values.fit.compare_recordings or len(parts) < 2:
         return None

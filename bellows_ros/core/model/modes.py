@@ -1,0 +1,93 @@
+"""Natural frequencies and damping ratios of a package on its cup."""
+
+from typing import NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import adjoint, transform
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.model.kernels import ORIGIN
+import numpy as np
+from scipy.linalg import block_diag
+
+MIN_FREQUENCY_SEPARATION = 0.02
+"""Relative difference of natural frequencies below which mode shapes are not unique."""
+
+AXES_PART = 1e-6
+"""Fraction of the damping's trace that aligns degenerate mode shapes with the axes."""
+
+DIRECTIONS = ('lateral', 'lateral', 'axial', 'bending', 'bending', 'torsion')
+"""Names of the six axes' directions."""
+
+
+class Mode(NamedTuple):
+    """
+    A mode of small motions about static equilibrium.
+
+    Parameters
+    ----------
+    direction : str
+        Direction with most of the elastic energy.
+    frequency : float
+        Natural frequency, Hz.
+    damping : float
+        Damping ratio.
+
+    """
+
+    direction: str
+    frequency: float
+    damping: float
+
+
+def modes(cup: Cup, package: Package, gravity: float) -> list[Mode]:
+    """
+    Return the six modes about static equilibrium under an upright tool at rest, lowest first.
+
+    The damping ratio is phi^T C phi / (2 omega) with shapes phi of unit modal mass: exact for
+    proportional damping, of first order otherwise. The direction is judged in the middle of the
+    cup, the place of its spring (3.13). Modes of coinciding frequencies have no unique shapes:
+    they get those that damping does not couple.
+
+    Parameters
+    ----------
+    cup : Cup
+        Stiffness, damping and length.
+    package : Package
+        The load.
+    gravity : float
+        m/s^2, along -z of the world.
+
+    Raises
+    ------
+    BellowsError
+        If the cup cannot hold the package.
+
+    """
+    model = model_tuple(cup, package, gravity)
+    jacobian = linearise(model, ORIGIN, static_equilibrium(model, ORIGIN))
+    mass = block_diag(package.mass * np.eye(3), package.inertia)
+    inverse = np.linalg.inv(np.linalg.cholesky(mass))
+    stiffness = -inverse @ (mass @ jacobian.body_pose) @ inverse.T
+    damping = -inverse @ (mass @ jacobian.body_twist) @ inverse.T
+    middle_body = adjoint(transform(np.eye(3), package.com - [0.0, 0.0, 0.5 * cup.length]))
+    found = []
+    for shape in _shapes(0.5 * (stiffness + stiffness.T), 0.5 * (damping + damping.T)).T:
+        omega = float(np.sqrt(max(shape @ stiffness @ shape, 0.0)))
+        ratio = float(shape @ damping @ shape) / (2.0 * omega) if omega else float('inf')
+        middle = middle_body @ (inverse.T @ shape)
+        energy = dict.fromkeys(DIRECTIONS, 0.0)
+        for direction, part in zip(DIRECTIONS, middle * (cup.stiffness @ middle), strict=True):
+            energy[direction] += abs(part)
+        found.append(Mode(max(energy, key=energy.__getitem__), omega / (2.0 * np.pi), ratio))
+    return found
+
+
+def _shapes(stiffness: Array, damping: Array) -> Array:
+    squares, vectors = np.linalg.eigh(stiffness)
+    apart = np.diff(squares) > 2.0 * MIN_FREQUENCY_SEPARATION * np.abs(squares[1:])
+    axes = np.diag(np.arange(6.0)) * AXES_PART * float(np.trace(damping))
+    for group in np.split(np.arange(6), np.flatnonzero(apart) + 1):
+        inside = vectors[:, group]
+        vectors[:, group] = inside @ np.linalg.eigh(inside.T @ (damping + axes) @ inside)[1]
+    return np.asarray(vectors)
