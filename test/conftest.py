@@ -24,7 +24,7 @@ from bellows_ros.demo import isolate
 import hypothesis
 import pytest
 
-from .kernels import compile_all
+from . import kernels
 
 configure_process()
 
@@ -40,6 +40,15 @@ RESTING = {
     'package': {'rate_hz': 100.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}},
 }
 """A motion that holds a package upright, then tilted twice."""
+
+LIMIT = pytest.StashKey[float]()
+"""Processor time of a test, s."""
+
+WAIT_FACTOR = 10.0
+"""Ratio of the longest time of a test to its processor time, for waiting on a busy machine."""
+
+LONGEST_TURN = 0.1
+"""Longest wait (s) that counts at once: a process that is not run for a while loses no time."""
 
 NOT_IN_A_COPY = shutil.ignore_patterns(
     '.*_cache', '.git', '.hypothesis', '.venv*', '__pycache__', '*.egg-info', 'bags', 'build',
@@ -83,16 +92,40 @@ def pytest_configure(config):
             f'{BOOTSTRAPPED} is set, but not by this Python ({sys.executable}): the ROS libraries '
             f'cannot be found. Start again with: env -u {BOOTSTRAPPED} {sys.executable} -m pytest')
     if config.getoption('numprocesses', None) and 'PYTEST_XDIST_WORKER' not in os.environ:
-        compile_all()
+        kernels.compile_all()
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Give tests that share what is made once in their module to one worker."""
+    """
+    Give tests that share what is made once in their module to one worker, and set their limits.
+
+    The limit of a test (s) counts processor time, as a busy machine makes any other pass; where a
+    test waits for ever, so much more time ends it.
+    """
     for item in items:
+        marker = item.get_closest_marker('timeout')
+        item.stash[LIMIT] = float(marker.args[0] if marker else item.config.getini('timeout'))
+        item.add_marker(
+            pytest.mark.timeout(WAIT_FACTOR * item.stash[LIMIT], func_only=True), append=False)
         made = item._fixtureinfo.name2fixturedefs  # type: ignore[attr-defined]
         if any(of[-1].scope == 'module' for of in made.values()):
             item.add_marker(pytest.mark.xdist_group(str(item.path)))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """Let a test fail that takes more processor time than its limit."""
+    def fail(*_):
+        pytest.fail(f'It takes more than {item.stash[LIMIT]:g} s of processor time.')
+
+    before = signal.signal(signal.SIGPROF, fail)
+    signal.setitimer(signal.ITIMER_PROF, item.stash[LIMIT])
+    try:
+        return (yield)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def pytest_report_header():
@@ -107,6 +140,24 @@ def pytest_report_header():
 def pytest_unconfigure():
     """Remove the logs."""
     LOGS.cleanup()
+
+
+@pytest.fixture(scope='session')
+def predictor_kernels():
+    """Compile what predicts, outside the limit of a test."""
+    kernels.compile_model()
+
+
+@pytest.fixture(scope='session')
+def rubber_kernels():
+    """Compile what predicts with a cup that relaxes, outside the limit of a test."""
+    kernels.compile_plans(kernels.RUBBER)
+
+
+@pytest.fixture(scope='session')
+def observer_kernels():
+    """Compile what observes, outside the limit of a test."""
+    kernels.compile_observer()
 
 
 @pytest.fixture(scope='session')
@@ -196,14 +247,15 @@ class Ros:
         Spin until the condition holds, and tell whether it did before the timeout (s).
 
         Waits for events, not for time: it returns as soon as the condition holds, and the timeout
-        is long, as it costs only where something fails.
+        is long, as it costs only where something fails. Pauses of this process do not count.
         """
-        deadline = time.monotonic() + timeout
+        left = timeout
         while not condition():
-            left = deadline - time.monotonic()
             if left <= 0.0:
                 return False
-            self.executor.spin_once(timeout_sec=min(left, 0.1))
+            before = time.monotonic()
+            self.executor.spin_once(timeout_sec=LONGEST_TURN)
+            left -= min(time.monotonic() - before, LONGEST_TURN)
         return True
 
 

@@ -256,7 +256,7 @@ def listener(ros, monkeypatch):
 
 
 @pytest.fixture
-def make_predictor(ros):
+def make_predictor(ros, predictor_kernels):
     """Give a function that makes a predictor node with the given parameters, and spins it."""
     from bellows_ros.nodes.predictor_node import PredictorNode
 

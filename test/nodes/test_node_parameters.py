@@ -140,8 +140,8 @@ def test_a_cup_of_a_gripper_is_opened_and_closed_live(node, caller):
 
 @pytest.mark.parametrize(('name', 'value', 'named'), [
     ('', 1.0, ''), ('package.com', '[0, 0, -0.05]', '0.0, not 0'),
-    ('package.mass', '2,5', "the text '2,5'"), ('cup.name', 'a\x1b[31mb', "'a?[31mb'"),
-    ('x\x1b[31m\n', 1.0, "'x?[31m?'")])
+    ('package.mass', '2,5', "the text '2,5'"), ('cup.name', 'a\x1b[31mb', r"'a\x1b[31mb'"),
+    ('x\x1b[31m\n', 1.0, r"'x\x1b[31m\n'")])
 def test_what_is_wrong_with_a_value_is_named(name, value, named, node, caller):
     """In both services, in printable characters."""
     before = node.values
@@ -218,7 +218,8 @@ def ends(parameter):
     return [(value * of).tolist() for value in values]
 
 
-@pytest.mark.timeout(400)  # it compiles the kernels of a cup that relaxes, too
+@pytest.mark.timeout(400)
+@pytest.mark.usefixtures('rubber_kernels')
 def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
     """
     Predict, plan, aim and report with each, or change nothing and name what is wrong.
