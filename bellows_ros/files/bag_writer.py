@@ -17,7 +17,6 @@ from bellows_ros.files import atomic, bag_folder, bags, File, mcap, messages
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # With zstd: chunks inside an MCAP file, messages in a database.
 _ZSTD = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
@@ -54,7 +53,7 @@ def as_messages(
     Parameters
     ----------
     topic, type_name : str
-        The type is one of `messages.LAYOUTS`, for instance 'geometry_msgs/msg/PoseStamped'.
+        The type is one of `messages.MOTIONS`, for instance 'geometry_msgs/msg/PoseStamped'.
     stamps_ns : int array (N,)
         Header stamps, ns; any order.
     values : array (N, 7), (N, 6) or (N, 13)
@@ -76,10 +75,10 @@ def as_messages(
     log_times = stamps if log_times_ns is None else np.asarray(log_times_ns)
     if min(stamps.min(initial=0), log_times.min(initial=0)) < 0:
         raise BellowsError(f"Topic '{topic}' has times before 1970.")
-    layout, order = messages.LAYOUTS[type_name], np.argsort(log_times, kind='stable')
+    order = np.argsort(log_times, kind='stable')
+    names = (frame_id, child_frame_id)[:messages.LAYOUTS[type_name].strings]
     return Encoded(topic, type_name, log_times[order], messages.encode(
-        stamps[order], np.asarray(values)[order], (frame_id, child_frame_id)[:layout.strings],
-        layout))
+        stamps[order], np.asarray(values)[order], names, type_name))
 
 
 def write_bag(

@@ -164,7 +164,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
     bag, wanted = _Bag(path), {absolute(name) for name in names}
 
     def chosen(topic: Channel) -> bool:
-        readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
+        readable = topic.type_name in messages.MOTIONS and topic.encoding == 'cdr'
         return readable and (not wanted or topic.name in wanted)
 
     stored = list(map(Message._make, bag.messages(chosen)))
@@ -393,7 +393,7 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
 
 def _decompressed(topic: Channel, data: bytes) -> bytes:
     """Return a compressed message; a damaged one is empty then, which is counted later."""
-    is_layout = topic.type_name in messages.LAYOUTS
+    is_layout = topic.type_name in messages.MOTIONS
     with suppress(DamagedError):
         return bag_folder.decompressed(
             'zstd', data, messages.MAX_MESSAGE_BYTES if is_layout else MAX_PLAN_BYTES)

@@ -1,16 +1,18 @@
 """
-Messages of recordings: decoding, encoding, and conversion to streams.
+The codec of frequent messages, for recordings and topics, and their conversion to streams.
 
-These messages are a header, one or two strings, and a fixed row of doubles; messages whose first
-bytes and strings agree therefore lie in memory as one array. Everything else about CDR is not
-needed here.
+These messages are a header, one or two frame names, and a fixed row of doubles, in CDR. Messages
+with equal first bytes and names therefore form one array in memory: recordings are decoded as
+arrays (`decode`, `encode`), topics one message at a time (`Decoder`, `pack`), both by `LAYOUTS`.
 
-What cannot be used is left out of a stream, and counted by reason.
+Unusable messages are left out of a stream, and counted by reason.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 import struct
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
@@ -21,36 +23,51 @@ import numpy as np
 
 Indices = Stamps
 
-# A stamped pose or twist is at most this long; longer ones are not decoded.
 MAX_MESSAGE_BYTES = 4096
-
-_STAMP_AT, _STRINGS_AT = 4, 12
-_MAX_PADDING = 3  # at the end, to a multiple of four
+"""Maximum size of a decoded message, bytes."""
 
 HEAD = b'\0\1\0\0'
-"""Plain CDR, little-endian."""
+"""Encapsulation of plain CDR in little-endian order."""
+
+NO_STAMP = 0
+"""Stamp (ns) of a message whose nanoseconds exceed a second; it is rejected as a stamp."""
 
 BOOL = 'std_msgs/msg/Bool'
 """Type of the messages of a valve."""
+
+POSE = 'geometry_msgs/msg/PoseStamped'
+TWIST = 'geometry_msgs/msg/TwistStamped'
+WRENCH = 'geometry_msgs/msg/WrenchStamped'
+VECTOR = 'geometry_msgs/msg/Vector3Stamped'
+INERTIA = 'geometry_msgs/msg/InertiaStamped'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+TRANSFORM = 'geometry_msgs/msg/TransformStamped'
+TRANSFORMS = 'tf2_msgs/msg/TFMessage'
+
+_STAMP_AT, _STRINGS_AT = 4, 12
+_MAX_PADDING = 3  # at the end, to a multiple of four
 
 
 @dataclass(frozen=True)
 class Layout:
     """
-    The fields after the stamp of a message type.
+    The fields of a message type.
 
     Parameters
     ----------
     strings : int
-        Number of frame names.
+        Number of frame names after the stamp.
     doubles : int
-        Number of doubles after them.
+        Number of doubles after the names.
     pose : slice or None
-        Where among the doubles x, y, z and the quaternion (x, y, z, w) are.
+        Position of x, y, z and the quaternion (x, y, z, w) among the doubles.
     twist : slice or None
-        Where among the doubles the linear and the angular velocity are.
+        Position of the linear and the angular velocity among the doubles.
     pose_covariance : int
-        Doubles after the pose that are its covariance.
+        Number of doubles after the pose that are its covariance.
+    in_list : bool
+        Whether the message is a list, here of one item.
 
     """
 
@@ -59,17 +76,102 @@ class Layout:
     pose: slice | None = None
     twist: slice | None = None
     pose_covariance: int = 0
+    in_list: bool = False
 
 
 # A pose has 7 doubles, a twist 6, and the covariance behind either 36.
 _POSE = slice(0, 7)
 
 LAYOUTS: Mapping[str, Layout] = {
-    'geometry_msgs/msg/PoseStamped': Layout(1, 7, _POSE),
-    'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(1, 43, _POSE, pose_covariance=36),
-    'geometry_msgs/msg/TransformStamped': Layout(2, 7, _POSE),
-    'geometry_msgs/msg/TwistStamped': Layout(1, 6, twist=slice(0, 6)),
-    'nav_msgs/msg/Odometry': Layout(2, 85, _POSE, twist=slice(43, 49), pose_covariance=36)}
+    POSE: Layout(1, 7, _POSE),
+    POSE_WITH_COVARIANCE: Layout(1, 43, _POSE, pose_covariance=36),
+    TRANSFORM: Layout(2, 7, _POSE),
+    TWIST: Layout(1, 6, twist=slice(0, 6)),
+    ODOMETRY: Layout(2, 85, _POSE, twist=slice(43, 49), pose_covariance=36),
+    WRENCH: Layout(1, 6),
+    VECTOR: Layout(1, 3),
+    INERTIA: Layout(1, 10),
+    TRANSFORMS: Layout(2, 7, in_list=True)}
+
+MOTIONS = frozenset(name for name, layout in LAYOUTS.items() if layout.pose or layout.twist)
+"""Types that hold a pose or a twist."""
+
+
+Decoded = tuple[int, tuple[str, ...], Any]
+"""Stamp (ns; `NO_STAMP` if invalid), frame names and doubles of a message."""
+
+
+class Decoder:
+    """
+    Decodes messages of one type one at a time.
+
+    A message with the frame names of its predecessor is unpacked by a single call.
+
+    Parameters
+    ----------
+    kind : str
+        One of `LAYOUTS` that is no list.
+
+    """
+
+    def __init__(self, kind: str) -> None:
+        """Expect no names yet."""
+        self._kind, self._sizes, self._strings = kind, range(0), b''
+        self._names: tuple[str, ...] = ()
+        self._unpack: Callable[[bytes], tuple[Any, ...]] = struct.Struct('').unpack_from
+
+    def __call__(self, data: bytes) -> Decoded | None:
+        """Return the content of a message; None unless it is whole, and plain CDR as `HEAD`."""
+        if len(data) in self._sizes:
+            content = self._unpack(data)
+            head, sec, nanosec, strings = content[:4]
+            if strings == self._strings and head == HEAD:
+                stamp_ns = sec * NS_PER_S + nanosec if nanosec < NS_PER_S else NO_STAMP
+                return stamp_ns, self._names, content[4:]
+        names, end = _strings(data, LAYOUTS[self._kind].strings)
+        if not end or data[:_STAMP_AT] != HEAD:
+            return None
+        form, *_ = _form(self._kind, names)
+        sizes, strings = range(form.size, form.size + _MAX_PADDING + 1), data[_STRINGS_AT:end]
+        if len(data) not in sizes:
+            return None
+        self._names, self._sizes, self._unpack = names, sizes, form.unpack_from
+        self._strings = strings  # with any bytes in its gaps
+        return self(data)
+
+
+@lru_cache(maxsize=64)
+def _form(kind: str, names: tuple[str, ...]) -> tuple[struct.Struct, bytes, bytes]:
+    """Return the form of messages with these names, their first bytes, and those of the names."""
+    layout = LAYOUTS[kind]
+    data = head = with_number(HEAD, 1) if layout.in_list else HEAD
+    data += bytes(_STRINGS_AT - _STAMP_AT)
+    at = len(data)
+    for name in names:
+        data = with_text(data, name)
+    padding = _doubles_at(len(data)) - len(data)
+    return (struct.Struct(f'<{len(head)}siI{len(data) - at}s{padding}x{layout.doubles}d'), head,
+            data[at:])
+
+
+def pack(kind: str, names: tuple[str, ...], stamp_ns: int, *doubles: float) -> bytes:
+    """
+    Encode a message, as ROS does.
+
+    Parameters
+    ----------
+    kind : str
+        One of `LAYOUTS`.
+    names : tuple of str
+        frame_id, and child_frame_id if the type has one.
+    stamp_ns : int
+        ns.
+    doubles : float
+        All other fields, in their order.
+
+    """
+    form, head, strings = _form(kind, names)
+    return form.pack(head, *divmod(stamp_ns, NS_PER_S), strings, *doubles)
 
 
 def decode(
@@ -227,7 +329,7 @@ def _dtype(order: str, doubles_at: int, size: int, layout: Layout) -> np.dtype[n
         'itemsize': size})
 
 
-def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layout) -> np.ndarray:
+def encode(stamps_ns: Indices, values: Array, names: tuple[str, ...], kind: str) -> np.ndarray:
     """
     Encode messages of one type, little-endian.
 
@@ -236,26 +338,21 @@ def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layo
     stamps_ns : int array (N,)
         Header stamps, ns.
     values : array (N, D)
-        Pose, then twist, as far as the type has them; what else it has (covariances) is zero.
-    names : sequence of str
-        frame_id, and child_frame_id where the type has one.
-    layout : Layout
-        Of the type.
+        Pose, then twist, if the type has them; its covariances are zero.
+    names : tuple of str
+        frame_id, and child_frame_id if the type has one.
+    kind : str
+        One of `MOTIONS`.
 
     Returns
     -------
     array (N,) of raw bytes
 
     """
-    head = HEAD
-    for name in names:
-        head = with_text(head, name)
-    strings = head[_STAMP_AT:]
-    doubles_at = _doubles_at(_STRINGS_AT + len(strings))
-    size = doubles_at + 8 * layout.doubles
-    message = (HEAD + bytes(_STRINGS_AT - _STAMP_AT) + strings).ljust(size, b'\0')
-    raw = np.tile(np.frombuffer(message, f'V{size}'), len(stamps_ns))
-    rows = raw.view(_dtype('<', doubles_at, size, layout))
+    layout = LAYOUTS[kind]
+    message = pack(kind, names, 0, *np.zeros(layout.doubles))
+    raw = np.tile(np.frombuffer(message, f'V{len(message)}'), len(stamps_ns))
+    rows = raw.view(_dtype('<', len(message) - 8 * layout.doubles, len(message), layout))
     rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, NS_PER_S)
     rows['doubles'][:, np.r_[*filter(None, (layout.pose, layout.twist))]] = values
     return raw

@@ -29,11 +29,10 @@ from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from rclpy.validate_topic_name import validate_topic_name
 from std_srvs.srv import Trigger
 
-from .conversions import read_pose, TOOL_POSES
+from .conversions import reader
 
 SEND_QUEUE = 10_000
 """Length of the queues: nothing is lost while a process is busy."""
@@ -311,12 +310,11 @@ def converse(
     if not answered:
         raise BellowsError('The predictor did not answer. See its log.')
     arrived_ns, data, poses_ns = zip(*answered, strict=True)
-    stamps_ns, _, position, xyzw = zip(*(
-        read_pose(deserialize_message(each, PoseStamped), TOOL_POSES['pose'][1])
-        for each in data), strict=True)
+    stamps_ns, _, numbers = zip(*map(reader(PoseStamped), data), strict=True)
+    poses = np.array(numbers)
     return Exchange(
         Counter(names[message.topic.name] for message in messages), Trajectory(
-            np.array(stamps_ns), np.array(position), quaternion_to_rotation(np.array(xyzw))),
+            np.array(stamps_ns), poses[:, :3], quaternion_to_rotation(poses[:, 3:])),
         np.subtract(arrived_ns, poses_ns) / NS_PER_S)
 
 

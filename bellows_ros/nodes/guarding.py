@@ -7,12 +7,12 @@ more time than the callback itself; one that is woken by events does not.
 """
 
 from collections import Counter
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial, wraps
 import gc
 from pathlib import Path
-from threading import Condition, Thread
+from threading import Condition, Thread, Timer
 import time
 import traceback
 from typing import Any
@@ -35,6 +35,9 @@ OVERRIDABLE = (
     QoSPolicyKind.DURABILITY)
 """Durability is for a vacuum switch that publishes only when it changes."""
 
+
+COMPILE_TIME = 1.0
+"""Work that takes longer compiles something, s."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Late subscribers get the newest message, too."""
@@ -88,6 +91,16 @@ class GuardedNode(Node):
                 return otherwise()
 
         return call
+
+    @contextmanager
+    def noticed(self, text: str) -> Iterator[None]:
+        """Log a text if the work takes long enough to compile something."""
+        notice = Timer(COMPILE_TIME, self.get_logger().info, (text,))
+        notice.start()
+        try:
+            yield
+        finally:
+            notice.cancel()
 
     def in_background(self, work: Callable[[], None]) -> None:
         """Run long work, such as compiling, in a thread that ends with the process."""

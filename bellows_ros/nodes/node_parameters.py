@@ -7,6 +7,7 @@ from rcl_interfaces import msg as interfaces
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
+from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 
@@ -164,6 +165,20 @@ class TableNode(GuardedNode):
             if not isinstance(error, BellowsError):
                 self.note_failure(error)
             return _refused(str(error))
+
+
+class ManagedNode(LifecycleNodeMixin, TableNode):
+    """
+    A node with a lifecycle.
+
+    Attributes
+    ----------
+    is_active : bool
+        Whether it publishes.
+
+    """
+
+    is_active = False
 
 
 class AtomicParameterService(ParameterService):

@@ -9,10 +9,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 import importlib.util
 import time
-from typing import Any
+from typing import Any, Self
 
+from builtin_interfaces.msg import Time
 from geometry_msgs import msg as geometry
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
@@ -21,16 +22,20 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Bool, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from . import conversions
+from .conversions import odometry
 from .guarding import LATCHED, Worker
+from .node_parameters import ManagedNode
 from ..core.geometry.arrays import Array
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
-from ..core.live import flight, load, Prediction, uncertainty
+from ..core.live import flight, LivePredictor, load, Prediction, uncertainty
 from ..core.model import cup_package, kernels, structure
+from ..core.model.simulation import ToolRows
 from ..core.parameters.values import Values
 from ..core.signals.trajectory import NS_PER_S
 from ..core.toss.landing import ellipse
 from ..core.toss.release import flight_path
+from ..files import messages
+from ..files.messages import pack
 
 QUEUE = 500
 """Length of each queue: at 1 kHz the longest gap across which the motion is followed."""
@@ -51,55 +56,92 @@ NOMINAL_SUFFIX = '_nominal'
 """Suffix of the lip's frame for where the lip is without load."""
 
 
+class Predicting:
+    """
+    The state that all parts of a configured predictor share.
+
+    Attributes
+    ----------
+    node : ManagedNode
+        Subscribes, publishes and logs; messages count while it is active.
+    values : dict
+        Parameters in use: with the chosen cup, without cups of a gripper that do not hold.
+    live : LivePredictor
+    load : Load
+        Safety factor of the grip, and distance from the validity range.
+    latest : Prediction or None
+        The newest prediction, of a package that is held or flies.
+
+    """
+
+    node: ManagedNode
+    values: Values
+    live: LivePredictor
+    load: load.Load
+    latest: Prediction | None = None
+
+    @property
+    def held(self) -> Prediction | None:
+        """The newest prediction of a held package."""
+        now = self.latest
+        return None if now is None or now.flies else now
+
+
 class Topic:
     """
     A publisher that knows whether somebody listens.
 
     Parameters
     ----------
-    node : rclpy.lifecycle.LifecycleNode
     kind : type
-        Of the message.
+        Message type.
     name : str
         Relative name.
+    make : callable, optional
+        Returns the message of a prediction. It is called at once with a package at rest, so that
+        all its kernels are compiled before the topic exists.
     qos : QoSProfile, optional
         Reliable with a queue unless given; it can be overridden.
     prepare : callable, optional
-        Compiles what makes whole messages, in a thread, once somebody listens.
+        Compiles slow parts of messages, in a thread, at the first subscriber.
 
     Attributes
     ----------
-    message : kind
-        The one that `send` fills in; it is serialised at once, and used again.
     subscribed : bool
         Whether somebody listens.
     is_ready : bool
-        Whether all is compiled.
+        Whether everything is compiled.
 
     """
 
     def __init__(
-        self, node: Any, kind: type, name: str, qos: QoSProfile | None = None,
-        prepare: Callable[[], None] | None = None,
+        self, kind: type, name: str, make: Callable[[Prediction], Any] | None = None,
+        qos: QoSProfile | None = None, prepare: Callable[[], None] | None = None,
     ) -> None:
-        """Advertise."""
-        self.message: Any = kind()
+        """Compile."""
+        self._kind, self.name, self._make = kind, name, make
+        self._qos, self._prepare = qos or QoSProfile(depth=QUEUE), prepare
         self.subscribed, self.is_ready = False, prepare is None
-        self._node, self._prepare = node, prepare
+        if make:
+            make(uncertainty.STILL)
+
+    def advertise(self, node: ManagedNode) -> Self:
+        """Create the publisher."""
+        self._node = node
         self._publisher = node.create_lifecycle_publisher(
-            kind, name, qos or QoSProfile(depth=QUEUE),
+            self._kind, self.name, self._qos,
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self.name = str(self._publisher.topic_name)
+        return self
 
-    def send(self, write: Callable[..., None], *content: Any) -> None:
-        """Fill in the message by a function, and publish it, if somebody listens."""
-        if self.subscribed:
-            write(self.message, *content)
-            self.publish(self.message)
+    def send(self, prediction: Prediction) -> None:
+        """Publish the message of a prediction, if somebody listens."""
+        if self.subscribed and self._make:
+            self.publish(self._make(prediction))
 
     def publish(self, message: Any) -> None:
-        """Send a message; a failure is noted, and does not stop other topics."""
+        """Send a message or its bytes; a failure is noted, and does not stop other topics."""
         try:
             self._publisher.publish(message)
         except Exception as error:  # noqa: BLE001 (of the middleware)
@@ -126,39 +168,47 @@ class Outputs:
 
     Parameters
     ----------
-    pipeline : Pipeline
-        Has the node, the live prediction, and the parameters.
+    shared : Predicting
 
     Attributes
     ----------
     uncertainty : Uncertainty
-        How sure a prediction is.
+        Covariance of a prediction.
     pose : Topic
-        That of the package's poses.
+        Poses of the package.
 
     """
 
-    def __init__(self, pipeline: Any) -> None:
-        """Advertise all topics."""
-        self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
-        self.pose = Topic(node, geometry.PoseStamped, 'package/pose')
-        self._twist = Topic(node, geometry.TwistStamped, 'package/twist')
-        self._odometry = Topic(node, Odometry, 'package/odometry', prepare=partial(
-            uncertainty.warm_up_uncertainty, cup_package.cup_of(values).relaxation))
-        self._wrench = Topic(node, geometry.WrenchStamped, 'cup/wrench')
-        self._safety = Topic(node, geometry.Vector3Stamped, 'cup/safety_factor')
-        self._deflection = Topic(node, geometry.PoseStamped, 'cup/deflection')
-        self._markers = Topic(node, MarkerArray, 'package/markers')
-        self._state = Topic(node, String, 'package/state', LATCHED)
-        self._ok = Topic(node, Bool, 'package/ok', LATCHED)
+    def __init__(self, shared: Predicting) -> None:
+        """Compile all messages, then advertise all topics."""
+        self._shared, node, values = shared, shared.node, shared.values
+        self.use_values()
+        self.pose = Topic(geometry.PoseStamped, 'package/pose', self._make_pose)
+        self._twist = Topic(geometry.TwistStamped, 'package/twist', lambda now: pack(
+            messages.TWIST, self._frame('package'), now.stamp_ns, *now.linear, *now.angular))
+        self._wrench = Topic(geometry.WrenchStamped, 'cup/wrench', lambda now: pack(
+            messages.WRENCH, self._frame('lip'), now.stamp_ns, *now.force, *now.moment))
+        self._safety = Topic(geometry.Vector3Stamped, 'cup/safety_factor')
+        self._odometry = Topic(
+            Odometry, 'package/odometry', self._make_odometry, prepare=partial(
+                uncertainty.warm_up_uncertainty, cup_package.cup_of(values).relaxation))
+        self._deflection = Topic(geometry.PoseStamped, 'cup/deflection', self._make_deflection)
+        self._markers = Topic(MarkerArray, 'package/markers', lambda now: self._picture.fill(
+            shared.live.frame_id, shared.live.model, now))
+        self._state = Topic(String, 'package/state', qos=LATCHED)
+        self._ok = Topic(Bool, 'package/ok', qos=LATCHED)
         self._tf: Topic | None = None
         if values.frames.tf and importlib.util.find_spec('tf2_msgs') is None:
             node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')
         elif values.frames.tf:
             from tf2_msgs.msg import TFMessage
 
-            self._tf = Topic(node, TFMessage, '/tf')
-            self._tf.message.transforms = [geometry.TransformStamped()]
+            self._tf = Topic(TFMessage, '/tf', lambda now: pack(
+                messages.TRANSFORMS, (shared.live.frame_id, *self._frame('package')),
+                now.stamp_ns, *now.position, *now.quaternion_xyzw))
+        for part in list(vars(self).values()):
+            if isinstance(part, Topic):
+                part.advertise(node)
         self._last_state = ''
         self._was_ok: bool | None = None
         self._safe_from_ns = 0
@@ -166,63 +216,69 @@ class Outputs:
         self._is_late = self._is_due = False
 
     def use_values(self) -> None:
-        """Go on with another cup or package; compile all that is shown of a prediction."""
-        model, values = self._pipeline.live.model, self._pipeline.values
+        """Go on with another cup or package."""
+        model, values = self._shared.live.model, self._shared.values
         self.uncertainty = uncertainty.Uncertainty(model, values)
-        load.deflection_rotation(uncertainty.STILL)
-        Markers(values).fill('', model, uncertainty.STILL)
         self._picture = Markers(values)
+
+    def _frame(self, name: str) -> tuple[str]:
+        """Return a frame of the package or the lip."""
+        return (self._shared.values[f'frames.{name}'],)
+
+    def _make_pose(self, now: Prediction) -> bytes:
+        """Return the pose of the package in the frame of the tool's poses."""
+        return pack(messages.POSE, (self._shared.live.frame_id,), now.stamp_ns, *now.position,
+                    *now.quaternion_xyzw)
+
+    def _make_odometry(self, now: Prediction) -> bytes:
+        """Return pose and twist; their covariance is large while it is unknown."""
+        is_known = now is not uncertainty.STILL and self._odometry.is_ready and not now.flies
+        root = self.uncertainty.root(now) if is_known else uncertainty.UNKNOWN_ROOT
+        return odometry(self._shared.live.frame_id, *self._frame('package'), now, root)
+
+    def _make_deflection(self, now: Prediction) -> bytes:
+        """Return the lip relative to its place without load."""
+        frame_id = self._shared.values.frames.lip + NOMINAL_SUFFIX
+        return pack(
+            messages.POSE, (frame_id,), now.stamp_ns,
+            *load.deflection(self._shared.live.model, now)[0], *load.deflection_rotation(now))
 
     def publish(self, prediction: Prediction) -> None:
         """
         Send the pose of a prediction.
 
-        One for each pose goes where no other goes. Elsewhere stamps never go back behind one that
-        was extrapolated.
+        Each pose of the tool gives one pose of the package, and no other is sent, on package/pose.
+        On other topics stamps never go back behind an extrapolated one.
         """
         stamp_ns = prediction.stamp_ns
         self._is_late = 0 <= self._extrapolated_ns - stamp_ns < MAX_LATENESS_NS
         if not self._is_late:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
         self._is_due = not (
-            self._is_late if self._pipeline.values.coast.poses else prediction.coasting)
+            self._is_late if self._shared.values.coast.poses else prediction.coasting)
         if self._is_due:
-            conversions.write_pose(
-                self.pose.message, stamp_ns, self._pipeline.live.frame_id, *prediction[1:3])
-            self.pose.publish(self.pose.message)
+            self.pose.publish(self._make_pose(prediction))
 
     def publish_more(
         self, prediction: Prediction, factors: tuple[float, float] | None
     ) -> None:
         """Send all else of the prediction that was published last, and its safety factors."""
-        values = self._pipeline.values
         if self._is_due:
-            self._twist.send(conversions.write_twist, values.frames.package, prediction)
-            self._wrench.send(conversions.write_wrench, values.frames.lip, prediction)
-            if factors:
-                self._safety.send(
-                    conversions.write_safety, prediction.stamp_ns, values.frames.lip,
-                    tuple(min(factor, MAX_FACTOR) for factor in (*factors, min(factors))))
-        if not self._is_late:
-            self._publish_continuing(prediction)
-
-    def _publish_continuing(self, prediction: Prediction) -> None:
-        """Publish the outputs that continue while the tool is extrapolated."""
-        live, values, stamp_ns = self._pipeline.live, self._pipeline.values, prediction.stamp_ns
-        frame_id, package = live.frame_id, values.frames.package
-        if self._odometry.subscribed:
-            has_covariance = self._odometry.is_ready and not prediction.flies
-            self._odometry.send(
-                conversions.write_odometry, frame_id, package, prediction,
-                self.uncertainty.root(prediction) if has_covariance else uncertainty.UNKNOWN_ROOT)
-        if self._deflection.subscribed and not prediction.flies:
-            self._deflection.send(
-                conversions.write_pose, stamp_ns, values.frames.lip + NOMINAL_SUFFIX,
-                load.deflection(live.model, prediction)[0], load.deflection_rotation(prediction))
-        if self._markers.subscribed and self._picture.is_due(stamp_ns):
-            self._markers.publish(self._picture.fill(frame_id, live.model, prediction))
+            self._twist.send(prediction)
+            self._wrench.send(prediction)
+            if factors and self._safety.subscribed:
+                self._safety.publish(pack(
+                    messages.VECTOR, self._frame('lip'), prediction.stamp_ns,
+                    *(min(factor, MAX_FACTOR) for factor in (*factors, min(factors)))))
+        if self._is_late:
+            return
+        self._odometry.send(prediction)
+        if not prediction.flies:
+            self._deflection.send(prediction)
+        if self._picture.is_due(prediction.stamp_ns):
+            self._markers.send(prediction)
         if self._tf:
-            self._tf.send(conversions.write_tf, frame_id, package, prediction)
+            self._tf.send(prediction)
 
     def note_unsafe(self) -> None:
         """Note a safety factor that is too small."""
@@ -284,7 +340,9 @@ class Markers:
         lip = load.lip_position(model, prediction)
         R_world_package = rotation_matrix(prediction.quaternion_xyzw)
         tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
-        conversions.write_place(self._box.pose, prediction.position, prediction.quaternion_xyzw)
+        self._box.pose = Pose(
+            position=point(prediction.position), orientation=Quaternion(
+                **dict(zip('xyzw', prediction.quaternion_xyzw, strict=True))))
         tool, R_world_tool = prediction.tool[0], rotation_matrix(prediction.tool[1])
         self._cup.points = []
         for place in self._places:
@@ -299,8 +357,9 @@ class Markers:
 
 def marker(number: int, kind: int, scale: Vector, namespace: str = NAMESPACE) -> Marker:
     """Return a marker of a kind and size (m)."""
-    message = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD)
-    conversions.write_vector(message.scale, scale)
+    message = Marker(
+        ns=namespace, id=number, type=kind, action=Marker.ADD,
+        scale=Vector3(**dict(zip('xyz', scale, strict=True))))
     message.lifetime.nanosec = 500_000_000
     return message
 
@@ -309,8 +368,14 @@ def show(
     marker: Marker, stamp_ns: int, frame_id: str, rgba: tuple[float, float, float, float]
 ) -> None:
     """Give a marker its header and colour."""
-    conversions.write_header(marker, stamp_ns, frame_id)
+    marker.header = header(stamp_ns, frame_id)
     marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
+
+
+def header(stamp_ns: int, frame_id: str) -> Header:
+    """Return the header of a message."""
+    seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
+    return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
 
 
 def point(position: Sequence[float]) -> Point:
@@ -330,8 +395,11 @@ class Tossing:
 
     Parameters
     ----------
-    pipeline : Pipeline
-        Switches the valve, and knows the tool's motion after a prediction.
+    shared : Predicting
+    rest : callable
+        Returns the tool's motion after a prediction, by its plan, or None.
+    covariance : callable
+        Returns the covariance of a prediction.
 
     Attributes
     ----------
@@ -340,39 +408,41 @@ class Tossing:
 
     """
 
-    def __init__(self, pipeline: Any) -> None:
-        """Advertise, and listen to the valve."""
-        self._pipeline, node = pipeline, pipeline.node
-        self._worker = Worker(node, 'release')  # no plan waits behind a search
-        self._landing = Topic(node, geometry.PoseWithCovarianceStamped, 'package/landing')
-        self._at = Topic(node, Header, 'release/at')
-        self._markers = Topic(node, MarkerArray, 'package/landing_markers')
-        node.create_subscription(
-            Bool, 'vacuum/valve', lambda message: pipeline.switch_valve(message.data), 10)
+    def __init__(
+        self, shared: Predicting, rest: Callable[[Prediction], ToolRows | None],
+        covariance: Callable[[Prediction], Array],
+    ) -> None:
+        """Advertise."""
+        self._shared, self._rest, self._covariance = shared, rest, covariance
+        self._worker = Worker(shared.node, 'release')  # no plan waits behind a search
+        self._landing, self._at, self._markers = (
+            Topic(kind, name).advertise(shared.node) for kind, name in (
+                (geometry.PoseWithCovarianceStamped, 'package/landing'), (Header, 'release/at'),
+                (MarkerArray, 'package/landing_markers')))
         self._landing_ns = self._valve_time_ns = 0
 
     def use_values(self) -> None:
-        """Use other values; compile what a landing needs."""
-        pipeline = self._pipeline
-        self.flight = flight.Flight(
-            pipeline.values, pipeline.planning.rest, lambda: pipeline.load.grip)
+        """Use other values."""
+        shared = self._shared
+        self.flight = flight.Flight(shared.values, self._rest, lambda: shared.load.grip)
         # ticks are not exact
-        self._period_ns = round(0.9e9 / pipeline.values.landing.rate)
-        self.flight.warm_up(pipeline.live.model)
+        self._period_ns = round(0.9e9 / shared.values.landing.rate)
 
     def publish(self, held: Prediction) -> None:
         """Publish the landing, and when to release, at their rates."""
         if not self.flight.has_size or self.flight.state:
             return
-        model, frame_id = self._pipeline.live.model, self._pipeline.live.frame_id
+        model, frame_id = self._shared.live.model, self._shared.live.frame_id
         now_ns = time.monotonic_ns()
         wanted = self._landing.subscribed or self._markers.subscribed
         if wanted and now_ns - self._landing_ns >= self._period_ns:
             self._landing_ns = now_ns
-            landing = self.flight.landing(
-                model, held, self._pipeline.outputs.uncertainty.covariance)
+            landing = self.flight.landing(model, held, self._covariance)
             if landing is not None:
-                self._landing.send(conversions.write_landing, frame_id, landing)
+                position, xyzw, *_ = landing.toss.landing
+                self._landing.publish(pack(
+                    messages.POSE_WITH_COVARIANCE, (frame_id,), landing.stamp_ns, *position,
+                    *xyzw, *landing.covariance.ravel().tolist()))
                 if self._markers.subscribed:
                     path = flight_path(model, landing.toss, flight.PATH_POINTS)
                     self._markers.publish(_landing_markers(landing, path, frame_id))
@@ -387,9 +457,7 @@ class Tossing:
         """Publish when to switch the valve for the target."""
         after = self.flight.time_to_target(model, prediction)
         if after is not None and not self._worker.stop[0]:
-            message = Header(frame_id=frame_id)
-            conversions.write_stamp(message.stamp, prediction.stamp_ns + round(after * NS_PER_S))
-            self._at.publish(message)
+            self._at.publish(header(prediction.stamp_ns + round(after * NS_PER_S), frame_id))
 
 
 def _landing_markers(landing: flight.Landing, path: Array, frame_id: str) -> MarkerArray:

@@ -18,6 +18,7 @@ from typing import Any
 
 from bellows_ros.core.parameters.checks import gravity_of
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.files.messages import LAYOUTS, TRANSFORMS
 from bellows_ros.files.parameter_files import with_chosen_cup
 from geometry_msgs.msg import InertiaStamped, TwistStamped
 import numpy as np
@@ -28,9 +29,11 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from .conversions import quaternion_xyzw, read_pose, stamp_to_ns, TOOL_POSES, vector, write_payload
+from . import conversions
+from .conversions import quaternion_xyzw, reader, stamp_to_ns, TOOL_POSES, type_name, vector
 from .guarding import GuardedNode
-from .outputs import Outputs, QUEUE, Topic, Tossing
+from .node_parameters import ManagedNode
+from .outputs import Outputs, Predicting, QUEUE, Topic, Tossing
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
@@ -56,48 +59,41 @@ MAX_TWIST_WAIT_NS = 40_000_000
 MIN_UPWARD_GRAVITY = 0.5
 """Above this fraction of gravity along z of the tool the package is above the tool."""
 
+ENCODED = LAYOUTS.keys() - {TRANSFORMS}
+"""Types of which a subscription takes the bytes."""
+
 MAX_CLOCK_OFFSET_NS = 500_000_000
 """If the node's clock differs by more (ns), the valve is switched at the newest pose."""
 
 
-class Pipeline:
+class Pipeline(Predicting):
     """
     The live predictor with all that feeds it and all that publishes its predictions.
 
     Parameters
     ----------
-    node : PredictorNode
-        Subscribes, publishes and logs; messages count while it is active.
+    node : ManagedNode
 
     Attributes
     ----------
-    live : LivePredictor
-    values : dict
-        Parameters in use: with the chosen cup, without cups of a gripper that do not hold.
-    latest : Prediction or None
-        The newest one, of a package that is held or flies.
-    load : Load
-        Safety factor of the grip, and distance from the validity range.
     pose_in, twist_in : SensorInput
     compute : deque
         Computing times of messages, s.
 
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: ManagedNode) -> None:
         """Prepare the model, compile all it needs, and only then make the topics."""
-        self.node, self.latest = node, None
-        self.values: Values = with_chosen_cup(node.values)
+        self.node = node
+        self.values = values = with_chosen_cup(node.values)
         self.compute, self._reported = health.window(), Counter[str]()
         self._ticked_ns = 0
         self._was_late = self._is_compiling = False
         self._arrival_at_last_tick: int | None = None
-        values = self.values
-        cup = cup_of(values)
-        model = cup, package_of(values), gravity_of(values), values.tool_twist.frame
-        warm_up(*model)
-        self._compiled = {len(cup.as_tuple)}
-        self.live = LivePredictor(*model)
+        self._compile_predictor(values)
+        self._compiled = {_kernels_of(values)}
+        self.live = LivePredictor(
+            cup_of(values), package_of(values), gravity_of(values), values.tool_twist.frame)
         self.live.tool.set_tip(tip_of(values))
         self.load = load.Load(values)
         self.outputs = Outputs(self)
@@ -105,26 +101,22 @@ class Pipeline:
         if values.tool_pose.type == 'tf':
             self.pose_in: SensorInput = TransformInput(node, values, self.process_pose)
         else:
-            kind, parts = TOOL_POSES[values.tool_pose.type]
-            self.pose_in = SensorInput(node, kind, 'tool_arm/pose', lambda message: (
-                self.process_pose(*read_pose(message, parts))))
+            kind = TOOL_POSES[values.tool_pose.type]
+            self._read_pose = reader(kind)
+            self.pose_in = SensorInput(node, kind, 'tool_arm/pose', self._on_pose)
+        self._read_twist = reader(TwistStamped)
         self.twist_in = SensorInput(
             node, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self.attachment = Attachment(self)
         self.planning = Planning(self)
-        self.tossing = Tossing(self)
+        self.tossing = Tossing(self, self.planning.rest, lambda now: (
+            self.outputs.uncertainty.covariance(now)))
+        node.create_subscription(
+            Bool, 'vacuum/valve', lambda message: self.switch_valve(message.data), 10)
         self.observing = Observing(self)
         self._apply()
-        if self.tossing.flight.has_size:  # whose landings have a covariance
-            uncertainty.warm_up_uncertainty(cup.relaxation)
         release_compiler()
         node.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    @property
-    def held(self) -> Prediction | None:
-        """The newest prediction of a held package."""
-        now = self.latest
-        return None if now is None or now.flies else now
 
     @property
     def is_above(self) -> bool:
@@ -133,7 +125,8 @@ class Pipeline:
             return False
         (x, y, z, w), gravity = self.latest.tool[1], self.live.model[2]
         z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-        return sum(map(mul, z_world, gravity)) > MIN_UPWARD_GRAVITY * math.hypot(*gravity)
+        along: float = sum(map(mul, z_world, gravity))
+        return along > MIN_UPWARD_GRAVITY * math.hypot(*gravity)
 
     def new_counts(self) -> Counter[str]:
         """Return fresh starts by reason, poses, and those without a twist, since the last call."""
@@ -163,14 +156,19 @@ class Pipeline:
         self.publish(self.live.on_pose, stamp_ns, frame_id, position, orientation, arrival_ns)
         self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
 
-    def _on_twist(self, message: TwistStamped) -> None:
+    def _on_pose(self, data: bytes) -> None:
+        """Predict with a message."""
+        if self.node.is_active:
+            stamp_ns, names, numbers = self._read_pose(data)
+            self.process_pose(stamp_ns, names[0], numbers[:3], numbers[3:7])
+
+    def _on_twist(self, data: bytes) -> None:
         """Predict with a twist of the tool."""
         if not self.node.is_active:
             return
-        twist, stamp_ns = message.twist, stamp_to_ns(message.header.stamp)
+        stamp_ns, names, numbers = self._read_twist(data)
         arrival_ns = self.twist_in.note(stamp_ns)
-        self.publish(self.live.on_twist, stamp_ns, vector(twist.linear), vector(twist.angular),
-                     message.header.frame_id)
+        self.publish(self.live.on_twist, stamp_ns, numbers[:3], numbers[3:], names[0])
         self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
 
     def advance(self, step: Callable[..., Any], *arguments: Any) -> Any:
@@ -282,32 +280,38 @@ class Pipeline:
             float, {*self.attachment.vacuum.open_cups, *self.observing.lost_cups})}
         if len(opened - {-1.0}) < len(values.cup.layout) // 3:  # else none holds: see detached
             values = values.replaced({'cup.open': tuple(opened)})
-        cup, package = cup_of(values), package_of(values)
-        if len(cup.as_tuple) not in self._compiled:  # relaxing or not, it is compiled anew
+        if _kernels_of(values) not in self._compiled:
             if not self._is_compiling:
                 self.node.get_logger().info(
-                    'Compiling for a cup that relaxes, or does not; until then the one before '
-                    'predicts.')
+                    'Compiling for the new values; the ones before are used until then.')
                 self.node.in_background(partial(self._compile, values))
             self._is_compiling = True
             return
         self._is_compiling = False
         self.values = values
-        self.live.set_model(cup, package)
+        self.live.set_model(cup_of(values), package_of(values))
         self._apply()
 
-    def _compile(self, values: Values) -> None:
-        """Compile for a cup of another kind, in a thread; the next tick goes on with it."""
+    def _compile_predictor(self, values: Values) -> ModelTuple:
+        """Compile what predicts with some values, and tosses; return their model."""
         cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
-        try:
-            warm_up(cup, package, gravity, values.tool_twist.frame)
+        model = model_tuple(cup, package, gravity)
+        warm_up(cup, package, gravity, values.tool_twist.frame)
+        release = flight.Flight(values)
+        if release.has_size:  # whose landings have a covariance
+            release.warm_up(model)
             uncertainty.warm_up_uncertainty(cup.relaxation)
-            model = model_tuple(cup, package, gravity)
-            flight.Flight(values).warm_up(model)
+        return model
+
+    def _compile(self, values: Values) -> None:
+        """Compile for values of another kind, in a thread; the next tick goes on with them."""
+        try:
+            model = self._compile_predictor(values)
+            uncertainty.warm_up_uncertainty(cup_of(values).relaxation)
             self.observing.warm_up(model)
             release_compiler()
         finally:  # what fails to compile fails again where it is used
-            self._compiled.add(len(cup.as_tuple))
+            self._compiled.add(_kernels_of(values))
 
     def _apply(self) -> None:
         """Let all parts use the values and the model, between two messages."""
@@ -319,6 +323,11 @@ class Pipeline:
         if live.flight is None or not live.flight.state:
             self.tossing.use_values()
         live.configure(round(values.coast.limit * NS_PER_S), self.tossing.flight)
+
+
+def _kernels_of(values: Values) -> tuple[int, bool]:
+    """Return the properties of values that decide on kernels: relaxing cups, flights."""
+    return len(cup_of(values).as_tuple), flight.Flight(values).has_size
 
 
 class SensorInput:
@@ -333,7 +342,7 @@ class SensorInput:
     topic : str
         Relative name.
     callback : callable
-        Takes each message.
+        Takes each message; its bytes if the type is one of `LAYOUTS`.
     on_publishers : callable, optional
         Takes the number of matching publishers when it changes.
     qos : QoSProfile, optional
@@ -351,13 +360,13 @@ class SensorInput:
         on_publishers: Callable[[int], None] | None = None, qos: QoSProfile | None = None,
     ) -> None:
         """Listen as to any sensor, without asking for lost messages; QoS can be overridden."""
-        self._node, self._type = node, f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
+        self._node, self._type = node, type_name(kind)
         self.arrivals = health.Arrivals()
         self._refused: Mapping[str, int] = {}
         self._subscription = node.create_subscription(
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
-            on_publishers=on_publishers)
+            on_publishers=on_publishers, raw=type_name(kind) in ENCODED)
         self.topic = str(self._subscription.topic_name)
 
     def note(self, stamp_ns: int | None = None) -> int:
@@ -491,7 +500,7 @@ class Attachment:
 
     """
 
-    def __init__(self, pipeline: Any) -> None:
+    def __init__(self, pipeline: Pipeline) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
         self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
         self.vacuum = load.Vacuum()
@@ -577,21 +586,25 @@ class Observing:
     ----------
     lost_cups : set of int
         Cups of cup.layout that were lost since the package was attached.
+    is_ready : bool
+        Whether everything is compiled; measured poses are used from then on.
 
     """
 
-    def __init__(self, pipeline: Any) -> None:
+    def __init__(self, pipeline: Pipeline) -> None:
         """Subscribe; nothing changes before the first message."""
         self._pipeline, node = pipeline, pipeline.node
-        self._live: LivePredictor = pipeline.live
+        self._live = pipeline.live
         kind = pipeline.values.measured.type
         self._with_covariance = kind != 'pose'
-        message_type, self._parts = TOOL_POSES[kind]
-        self._is_warm, self._reported = False, 0
+        message_type = TOOL_POSES[kind]
+        self._read = reader(message_type)
+        self._has_camera = self.is_ready = False
+        self._reported = 0
         self.lost_cups: set[int] = set()
         self._measured_in = SensorInput(
             node, message_type, 'package/measured', self._on_measured, self._on_publishers)
-        self._estimated = Topic(node, InertiaStamped, 'package/estimated')
+        self._estimated = Topic(InertiaStamped, 'package/estimated').advertise(node)
 
     def use_values(self) -> None:
         """Use other values; the estimate starts again, alarms stay."""
@@ -604,28 +617,36 @@ class Observing:
         return self._live.package.observer
 
     def _on_publishers(self, count: int) -> None:
-        """Compile once a possible publisher appears."""
-        if count and not self._is_warm:
-            self._is_warm = True
+        """Compile, in a thread, once a possible publisher appears."""
+        if count and not self._has_camera:
+            self._has_camera = True
+            self._pipeline.node.in_background(self._make_ready)
+
+    def _make_ready(self) -> None:
+        """Compile; use measured poses from then on."""
+        node = self._pipeline.node
+        with node.noticed('Compiling the observer; measured poses are used from its end on.'):
             self.warm_up(self._live.model)
-            gc.collect()
-            gc.freeze()  # as `spin` does: what a compiler leaves is never looked at again
+        gc.freeze()  # as `spin` does: what a compiler leaves is never looked at again
+        self.is_ready = True
 
     def warm_up(self, model: ModelTuple) -> None:
         """Compile for a model what corrects it, if a camera may come."""
-        if self._is_warm:
+        if self._has_camera:
             warm_up_observer(self._pipeline.values, model)
 
-    def _on_measured(self, message: Any) -> None:
+    def _on_measured(self, data: bytes) -> None:
         """Correct the prediction."""
         live, node = self._live, self._pipeline.node
-        if live.arrivals.newest_ns is None:
+        if live.arrivals.newest_ns is None or not self.is_ready:
             return
         if (observer := live.package.observer) is None:
             live.package.observe(observer := Observer(self._pipeline.values))
-        stamp_ns, frame_id, *pose = read_pose(message, self._parts)
+        stamp_ns, (frame_id, *_), numbers = self._read(data)
         self._measured_in.note(stamp_ns)
-        covariance = np.reshape(message.pose.covariance, (6, 6)) if self._with_covariance else None
+        pose, covariance = (numbers[:3], numbers[3:7]), None
+        if self._with_covariance:
+            covariance = np.reshape(numbers[7:43], (6, 6))
         self._pipeline.advance(live.on_measured, stamp_ns, frame_id, *pose, covariance)
         if frame_id != live.frame_id and not observer.sensor.has_own_world:
             node.get_logger().warning(
@@ -635,9 +656,10 @@ class Observing:
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
         self.log_alarms()
-        if payload := self._observer and self._observer.payload:
-            self._estimated.send(
-                write_payload, self._pipeline.values.frames.lip, payload)
+        payload = self._observer and self._observer.payload
+        if payload and self._estimated.subscribed:
+            self._estimated.publish(
+                conversions.payload_message(self._pipeline.values.frames.lip, payload))
 
     def on_vacuum(self, held: bool, cup: int) -> None:
         """Join the vacuum, or that of one cup, with what a camera sees."""

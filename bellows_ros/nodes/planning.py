@@ -15,9 +15,10 @@ import numpy as np
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from .conversions import stamp_to_ns, write_odometry
+from .conversions import odometry, stamp_to_ns
 from .guarding import LATCHED, Worker
-from .outputs import Topic
+from .node_parameters import ManagedNode
+from .outputs import Predicting, Topic
 from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import Level, number, Status
@@ -84,7 +85,7 @@ class Answers:
     """
 
     def __init__(
-        self, node: Any, what: str, warm_up: Callable[[], None],
+        self, node: ManagedNode, what: str, warm_up: Callable[[], None],
         refuse: Callable[[str, BellowsError], None],
     ) -> None:
         """Start the thread."""
@@ -123,7 +124,7 @@ class Planning:
 
     Parameters
     ----------
-    pipeline : Pipeline
+    pipeline : Predicting
         Has the node, the live prediction, and the parameters.
 
     Attributes
@@ -134,13 +135,13 @@ class Planning:
 
     """
 
-    def __init__(self, pipeline: Any) -> None:
+    def __init__(self, pipeline: Predicting) -> None:
         """Advertise and subscribe."""
         self._pipeline, self._node = pipeline, pipeline.node
         self._live: LivePredictor = pipeline.live
-        self._plan_out = Topic(self._node, MultiDOFJointTrajectory, 'package/plan')
-        self._path_out = Topic(self._node, Path, 'package/plan_path')
-        self._at = Topic(self._node, Odometry, 'package/predicted_at')
+        self._plan_out = Topic(MultiDOFJointTrajectory, 'package/plan').advertise(pipeline.node)
+        self._path_out = Topic(Path, 'package/plan_path').advertise(pipeline.node)
+        self._at = Topic(Odometry, 'package/predicted_at').advertise(pipeline.node)
         self.plans = plans = Answers(self._node, 'plan', self._warm_up, self._refuse)
         self.reader = reader = PlanReader(pipeline)
         for kind, topic, read in (
@@ -297,8 +298,10 @@ class Planning:
             self._node.get_logger().warning(
                 f'A request on package/predict_at was refused. {error}', throttle_duration_sec=1.0)
             return
-        self._at.send(write_odometry, live.frame_id, self._pipeline.values.frames.package,
-                      Prediction(stamp_ns, *body[:4], ZERO, ZERO), UNKNOWN_ROOT)
+        if self._at.subscribed:
+            self._at.publish(odometry(
+                live.frame_id, self._pipeline.values.frames.package,
+                Prediction(stamp_ns, *body[:4], ZERO, ZERO), UNKNOWN_ROOT))
 
 
 def _standstill() -> ToolRows:
@@ -313,12 +316,12 @@ class PlanReader:
 
     Parameters
     ----------
-    pipeline : Pipeline
+    pipeline : Predicting
         Has the node, the frame of the tool's poses, and the parameters.
 
     """
 
-    def __init__(self, pipeline: Any) -> None:
+    def __init__(self, pipeline: Predicting) -> None:
         """Subscribe to the arm, which is read when a plan needs it."""
         self._pipeline, self._urdf = pipeline, ''
         pipeline.node.create_subscription(
@@ -370,7 +373,7 @@ class Steering(Answers):
 
     Parameters
     ----------
-    pipeline : Pipeline
+    pipeline : Predicting
         Has the node, the model, and the parameters.
     reader : PlanReader
         Reads the motions.
@@ -380,13 +383,13 @@ class Steering(Answers):
     """
 
     def __init__(
-        self, pipeline: Any, reader: PlanReader, refuse: Callable[[str, BellowsError], None]
+        self, pipeline: Predicting, reader: PlanReader, refuse: Callable[[str, BellowsError], None]
     ) -> None:
         """Advertise and subscribe."""
         super().__init__(pipeline.node, 'motion to be steered', self._compile, refuse)
         self._pipeline, self._reader = pipeline, reader
-        self._tool = Topic(pipeline.node, MultiDOFJointTrajectory, 'tool_arm/steered')
-        self._joints = Topic(pipeline.node, JointTrajectory, 'tool_arm/steered_joints')
+        self._tool = Topic(MultiDOFJointTrajectory, 'tool_arm/steered').advertise(pipeline.node)
+        self._joints = Topic(JointTrajectory, 'tool_arm/steered_joints').advertise(pipeline.node)
         for kind, topic, work in (
                 (MultiDOFJointTrajectory, 'tool_arm/steer', self._steer_tool),
                 (JointTrajectory, 'tool_arm/steer_joints', self._steer_joints)):

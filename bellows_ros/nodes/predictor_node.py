@@ -1,7 +1,6 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
 from collections.abc import Callable, Iterable
-from threading import Timer
 import time
 from typing import Any
 
@@ -20,7 +19,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from .node_parameters import QOS_PREFIX, TableNode
+from .node_parameters import ManagedNode, QOS_PREFIX, TableNode
 from .pipeline import Pipeline
 from ..core.live import health
 from ..core.live.load import check_live
@@ -29,9 +28,6 @@ from ..core.parameters import checks
 from ..errors import BellowsError, shown
 
 REPORT_PERIOD = 1.0
-
-COMPILE_TIME = 1.0
-"""A start that takes longer (s) compiles the model, and says so."""
 
 ANY_BACKWARD_JUMP = Duration(nanoseconds=-1)
 
@@ -42,7 +38,7 @@ CUP_DEFAULTS = {
 """What describes a cup, and the value of the thesis where it is not set."""
 
 
-class PredictorNode(LifecycleNodeMixin, TableNode):
+class PredictorNode(ManagedNode):
     """
     Predict the package's pose and twist and the cup's wrench from the tool arm's messages.
 
@@ -61,8 +57,6 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         All that predicts; None until it is configured.
     finished : rclpy.task.Future
         Ends the process when it is done.
-    is_active : bool
-        Whether it publishes.
 
     Raises
     ------
@@ -118,13 +112,8 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
     def configure(self) -> None:
         """Make all that predicts."""
         self.create_service(Trigger, '~/reset', self._on_reset)
-        notice = Timer(COMPILE_TIME, self.get_logger().info, (
-            'Compiling the model: the first start on a machine takes 5 to 10 s.',))
-        notice.start()
-        try:
+        with self.noticed('Compiling the model: the first start on a machine takes 5 to 10 s.'):
             self.pipeline = Pipeline(self)
-        finally:
-            notice.cancel()
         self._log_model(self.pipeline)
         for name in self._parameter_overrides:
             if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
@@ -277,7 +266,7 @@ class Diagnostics:
 
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: PredictorNode) -> None:
         """Advertise."""
         self._node = node
         self._publisher = node.create_publisher(

@@ -16,7 +16,7 @@ from bellows_ros.core.signals.trajectory import pose_rows, PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer, bags, File, plans, results, trajectory_files
 from bellows_ros.files.bag_folder import Channel
-from bellows_ros.files.bag_writer import POSE
+from bellows_ros.files.messages import POSE
 from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_interval
 import numpy as np
 

@@ -26,7 +26,7 @@ from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, ti
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
-from bellows_ros.files.bag_writer import POSE, TWIST
+from bellows_ros.files.messages import POSE, TWIST
 from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.trajectory_files import read_trajectory
 from bellows_ros.workflows import CommandResult, recordings

@@ -224,14 +224,14 @@ def _record(
         late_ns = round(sensor.latency * NS_PER_S)  # messages are received so much later
         poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
         recorded.append(bag_writer.as_messages(
-            recipe.topics[f'{name}_pose'], bag_writer.POSE, poses.stamps_ns,
+            recipe.topics[f'{name}_pose'], messages.POSE, poses.stamps_ns,
             pose_rows(poses), recipe.frame_id,
             log_times_ns=poses.stamps_ns + late_ns))
         if name == 'tool' and recipe.tool_twist:
             twists = sensing.measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
                                             generator(seed, 'tool twist'))
             recorded.append(bag_writer.as_messages(
-                recipe.topics['tool_twist'], bag_writer.TWIST, poses.stamps_ns, twists,
+                recipe.topics['tool_twist'], messages.TWIST, poses.stamps_ns, twists,
                 recipe.frame_id, log_times_ns=poses.stamps_ns + late_ns))
     if recipe.releases:  # on, off at each release, and on again at each pick-up
         off = np.array(recipe.releases)

@@ -6,11 +6,14 @@ from bellows_ros.core.parameters.checks import gravity_of, resolve
 from bellows_ros.nodes.conversions import quaternion_xyzw, vector
 from geometry_msgs.msg import PoseStamped
 import numpy as np
+import pytest
 from sensor_msgs.msg import FluidPressure
 from std_srvs.srv import Trigger
 
 from .conftest import ORIGIN, PACKAGE, pose_at, stamp_ns, START, UPRIGHT
 from ..core.observer.cases import truth
+
+pytestmark = pytest.mark.usefixtures('observer_kernels')
 
 GRIPPER = {
     **PACKAGE, 'cup.layout': [0.06, 0.0, 0.0, -0.06, 0.05, 0.0, -0.06, -0.05, 0.0],
@@ -80,6 +83,7 @@ def test_cup_that_a_camera_finds_lost_is_left_out(make_partner, capfd):
     node = partner.predictor
     camera = partner.writes(PoseStamped, 'package/measured')
     partner.connect()
+    partner.wait(lambda: node.pipeline.observing.is_ready)
     all_cups, others = model_without([-1]), model_without([2])
     swing = truth([STILL] * 260, start=rest([-1]), period_ns=8_000_000, change=lambda k, body, _: (
         body, all_cups if k < 160 else others))

@@ -126,6 +126,7 @@ send(1)
 measured = pose_at(START + sent * STEP_NS + 100_000_000)
 request_out.publish(Header(stamp=measured.header.stamp))
 partner.wait(lambda: answers)
+partner.wait(lambda: pipeline.observing.is_ready)
 measured_out.publish(measured)
 partner.wait(lambda: predictor.pipeline.live.package.observer)
 def landing():

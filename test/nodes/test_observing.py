@@ -11,11 +11,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, PoseStamped
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import FluidPressure
 
 from .conftest import ORIGIN, PACKAGE, placed, set_on, stamped, UPRIGHT
 from ..core.observer.cases import truth
+
+pytestmark = pytest.mark.usefixtures('observer_kernels')
 
 WORLD = [1.2, -0.7, 0.3, 0.0, 0.6, 0.0, 0.8]  # of the measured package, in that of the tool
 TURN = 0.1  # rad, by which the measured package begins beside its rest
@@ -38,17 +41,17 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
         **PACKAGE, 'measured.type': kind, 'measured.noise': [1e-4, 1e-3],
         'payload.estimate': True,
         'recording.package_world': ' '.join(map(str, WORLD)) if apart else ''})
-    writer = partner.writes(TOOL_POSES[kind][0], 'package/measured')
+    writer = partner.writes(TOOL_POSES[kind], 'package/measured')
     payloads = partner.hears(InertiaStamped, 'package/estimated')
     reports = partner.hears(DiagnosticArray, '/diagnostics')
     partner.connect()
     pipeline = partner.predictor.pipeline
-    partner.wait(lambda: pipeline.observing._estimated.subscribed)
+    partner.wait(lambda: pipeline.observing._estimated.subscribed and pipeline.observing.is_ready)
     live = pipeline.live
     start_ns, swing = time.time_ns(), swinging()
 
     def see(stamp_ns, body, frame_id='world', variance=1e-08):
-        message = stamped(TOOL_POSES[kind][0](), stamp_ns, frame_id)
+        message = stamped(TOOL_POSES[kind](), stamp_ns, frame_id)
         position, q_xyzw = body[:2]
         if apart:
             back = Rotation.from_quat(WORLD[3:]).inv()
@@ -100,11 +103,13 @@ def test_counts_begin_again_with_the_observer(make_partner):
     partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
     predictor, observing = partner.predictor, partner.predictor.pipeline.observing
     start_ns = time.time_ns()
+    bad_pose = placed(stamped(PoseStamped(), start_ns), ORIGIN, (0.0, 0.0, 0.0, 0.0))
+    observing._make_ready()
     partner.predict(start_ns)
 
     def report(bad):
         for _ in range(bad):
-            observing._on_measured(stamped(PoseStamped(), start_ns))  # without a quaternion
+            observing._on_measured(serialize_message(bad_pose))
         return observing.status('measured package')
 
     assert report(3).message.startswith('3 of 3 messages refused')
@@ -132,11 +137,12 @@ def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves)
     held = partner.poses[-1]
     message = stamped(PoseStamped(), start_ns + 49 * 4_000_000)
     message.pose = held.pose
-    predictor.pipeline.observing._on_measured(message)
+    predictor.pipeline.observing._make_ready()
+    predictor.pipeline.observing._on_measured(serialize_message(message))
     for _ in range(3):
         vacuum.publish(FluidPressure(fluid_pressure=100e3))
     partner.wait(lambda: not live.attached)
-    predictor.pipeline.observing._on_measured(message)
+    predictor.pipeline.observing._on_measured(serialize_message(message))
     assert [alarm.cause for alarm in live.package.observer.alarms] == ['lost'] * moves
     assert predictor.pipeline.outputs._last_state == ('alarm: lost' if moves else 'detached')
     said = capfd.readouterr().err

@@ -58,7 +58,7 @@ def test_the_pose_may_come_in_each_type_that_drivers_send(kind, make_predictor, 
     make_predictor({**PACKAGE, 'tool_pose.type': kind})
     answers = peer.hears(PoseStamped, 'package/pose')
     message = placed(
-        stamped(TOOL_POSES[kind][0](), START, 'base'), (1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))
+        stamped(TOOL_POSES[kind](), START, 'base'), (1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))
     writer = peer.writes(type(message), 'tool_arm/pose')
     peer.connect()
     writer.publish(message)
