@@ -394,4 +394,4 @@ def selection_json(selection: Any) -> dict[str, Any]:
             results.attributes(each, 'structure', 'parameters', 'usable', 'refused', 'held_out',
                                'simulated')
             for each in selection.candidates],
-        **results.attributes(selection, 'samples', 'advised', 'advice', 'fits')}
+        **results.attributes(selection, 'samples', 'advised', 'advice')}

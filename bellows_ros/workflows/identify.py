@@ -17,7 +17,10 @@ from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.structure_selection import select_structure
 from bellows_ros.core.model import structure
+from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
@@ -28,7 +31,7 @@ from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult, with_spring
-from bellows_ros.workflows.verdict import MAX_TESTED, selection, verdict_of
+from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
 from bellows_ros.workflows.workers import on_cores, on_dask
 import numpy as np
 
@@ -99,12 +102,10 @@ def identify(
     if values.static.bags:
         static = read_standstills(values.replaced({**FULL_RANGE}), progress)
     effective = values.replaced({'cup.length': static.cup_length}) if static else values
-    keep = values.fit.method != 'least_squares' or values.fit.relaxation != 'off' or any(
+    keep = values.fit.method != 'least_squares' or any(
         values[name] for name in RECORDING_USERS)
 
     parts, failed = read_all(effective, keep, progress, jobs, dask, poses)
-    if methods.are_differentiable(parts, effective):
-        parts = methods.with_relaxation(parts, effective)
     if values.fit.method == 'output_error' and not force:
         _require_no_facts(whole_recordings(parts), effective, progress)
     return _identify(
@@ -149,6 +150,9 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     names = f'fit.free: {", ".join(free)}: '
     yield (free and values.fit.method == 'least_squares',
            f'{names}they need fit.method: output_error. Set it.')
+    yield (values.fit.relaxation == 'on' and values.fit.method == 'least_squares',
+           'fit.relaxation: on needs fit.method: output_error: least squares does not estimate '
+           'relaxation. Set it.')
     yield ({*free} - {'length', 'package_marker'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')
@@ -296,7 +300,11 @@ def _identify(
     selected = None
     if values.fit.compare_structures:
         progress('comparing structures', FIT_ENDS)
-        selected = selection(recordings, effective, verdict)
+        selected = select_structure(
+            [samples_of(recording) for recording in recordings], effective.cup.length,
+            [recording.noise for recording in recordings],
+            structure.given_structure(effective.replaced({'fit.structure': 'layout'}))
+            if is_gripper(effective) else None)
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress), verdict=verdict,

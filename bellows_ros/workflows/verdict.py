@@ -6,14 +6,13 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import causes, methods, structure_selection
+from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.given import as_found, given_std
 from bellows_ros.core.identification.quantities import Free, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
-from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.search import MISFIT_CHI2
 from bellows_ros.core.identification.validation import validate
-from bellows_ros.core.model.cup_package import Cup, gripper_of, is_gripper, Package
+from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
@@ -237,8 +236,10 @@ class FitVerdict(NamedTuple):
 
 def _is_within(finding: causes.Finding, std: Free) -> bool:
     """Return whether a cause is no larger than three standard deviations of what was given."""
-    return finding.name in std and len(finding.theta) > 0 and bool(
-        np.all(np.abs(finding.theta) <= SIGMAS * std[finding.name]))
+    if finding.name not in std or not len(finding.theta):
+        return False
+    limit = SIGMAS * std[finding.name]
+    return bool(np.all(np.abs(finding.theta.reshape(-1, len(limit))) <= limit))
 
 
 def verdict_of(
@@ -360,19 +361,3 @@ def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Si
         tuple(AXES[i] for i in np.flatnonzero(beyond)),
         seconds if len(recording.valid) > MAX_SIMULATED else 0.0,
         np.sqrt(np.nanmean(np.square(changes), axis=(0, 1))) if changes else 0.0)
-
-
-def selection(
-    recordings: Sequence[Recording], values: Values, verdict: FitVerdict | None = None
-) -> structure_selection.StructureSelection:
-    """Compare the structures, with a verdict where none fits; that of the fit where given."""
-    compared = structure_selection.select_structure(
-        [samples_of(recording) for recording in recordings], values.cup.length,
-        [recording.noise for recording in recordings],
-        given_structure(values.replaced({'fit.structure': 'layout'}))
-        if is_gripper(values) else None)
-    if verdict and values.fit.structure == compared.advised:
-        return compared.judged(verdict.diagnosis, ())
-    advised = verdict_of(None, recordings, values.cup.length,
-                         values.replaced({'fit.structure': compared.advised}))
-    return compared.judged(advised.diagnosis, advised.cause) if advised else compared

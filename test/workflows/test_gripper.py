@@ -7,10 +7,9 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load
 from bellows_ros.workflows.identification import save
-from bellows_ros.workflows.identify import identify, read_all, resolved
+from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording
-from bellows_ros.workflows.verdict import selection
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -63,8 +62,8 @@ def test_a_layout_and_another_structure_are_refused_with_a_remedy(gripper):
 
 
 def test_structures_compares_one_cup_composed_with_the_gripper_as_one(gripper):
-    values = resolved({**gripper[1], 'fit.relaxation': 'off'})
-    found = selection(read_all(values, True, lambda *_: None)[0], values)
+    found = identify({**gripper[1], 'fit.method': 'least_squares',
+                      'fit.compare_structures': True}).selection
     errors = {own.structure: own.held_out for own in found.candidates}
     assert found.advised == 'layout' == found.candidates[0].structure
     assert errors['axisymmetric'] > 2.0 * errors['layout']

@@ -303,7 +303,8 @@ def causes(
     is_material = best.name == 'slip' or moved > MIN_SHIFT or left < DISTINCT or (
         off and not is_off(best.search, best.minimum, given))
     expected = given.get('package_marker' if best.name in MARKERS else best.name)
-    is_expected = expected is not None and bool(np.all(np.abs(theta) <= 3.0 * expected))
+    is_expected = expected is not None and bool(
+        np.all(np.abs(theta.reshape(-1, len(expected))) <= 3.0 * expected))
     certain = is_material and best.minimum.converged and not is_expected and (
         rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
         # what this one does not explain may be of another

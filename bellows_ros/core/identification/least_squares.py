@@ -4,10 +4,6 @@ Weighted linear least squares on accelerations (4.66-4.81).
 Sufficient statistics of the recordings are weighted and joined by QR factorisations: the normal
 equations of the raw data are never formed. Noise in the equations adds M to A^T A and m to A^T b
 on average; where it is given both are subtracted (compensated least squares).
-
-The internal strains of a cup that relaxes follow from the measured strain alone, so that the
-wrench is linear in K, P and r_b K, too: K, P and r are the minimum of the same weighted squares.
-Without a hold of some seconds r2 is not identifiable.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,9 +14,8 @@ from bellows_ros.core.identification import result
 from bellows_ros.core.identification import samples as sampling
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import Fit, IN_NULL_SPACE, MAX_RELATIVE_ERROR, NOTES
-from bellows_ros.core.identification.samples import Equations, joined, Moments, Samples
+from bellows_ros.core.identification.samples import Equations, joined
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Relaxation
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
@@ -273,161 +268,3 @@ def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> s
     what = f'moment about {axis}' if worst > 2 else f'force along {axis}'
     return NOTES['too_large_residual'].format(
         what=what, rms=residual_rms[worst], unit=unit, noise=noise_rms[worst])
-
-
-MIN_SQUARED_DISTANCE = 13.8
-"""Squared Mahalanobis distance from zero that 1 in 1000 cups without relaxation exceed."""
-
-MAX_REMAINING_SHARE = 0.2
-"""Part of what noise does not explain without relaxation that may be left with it: rubber leaves
-some percent, and where something else is wrong with a recording more than half is."""
-
-MAX_STRENGTH = 2.0
-"""No rubber has stronger branches: a loss factor of 0.3 is one of 0.8. Wrong data may seem to."""
-
-DEFAULT_RATIO, RATIO_STD = 1.05, 0.4
-"""r2 / r1 of rubber with a constant loss factor, and its standard deviation among rubbers."""
-
-RELAXATION_STEPS = 20
-"""Most steps of the search; a handful suffice."""
-
-
-def relaxation_of(
-    recordings: Sequence[Samples], noises: Sequence[FilterNoise], cup_length: float,
-    structure: Structure,
-) -> Relaxation | None:
-    """
-    Estimate the strengths of the branches; None without any that exceeds its standard error.
-
-    Parameters
-    ----------
-    recordings : sequence of Samples
-        Of one cup.
-    noises : sequence of FilterNoise
-        Of each.
-    cup_length : float
-        Cup length l0, m.
-    structure : Structure
-        Of K and P.
-
-    """
-    products = _cluster_products(recordings, noises, cup_length, structure)
-    if not np.diag(products[1])[:2 * structure.size].min() > 0.0:  # nothing but noise moves it
-        return None
-    _, unexplained = _fit_strengths(products, structure.size, ())
-    for free in ((0, 1), (0,), (1,)):
-        estimate, remaining = _fit_strengths(products, structure.size, free)
-        if min(estimate.strengths) >= 0.0:
-            break
-    else:
-        return None
-    index, strengths = np.ix_(free, free), np.array(estimate.strengths)[list(free)]
-    distance = strengths @ np.linalg.pinv(estimate.covariance[index]) @ strengths
-    if distance <= MIN_SQUARED_DISTANCE or remaining > MAX_REMAINING_SHARE * unexplained or (
-            max(strengths) > MAX_STRENGTH):
-        return None
-    if 0.0 < estimate.std[1] <= MAX_RELATIVE_ERROR * max(estimate.strengths):
-        return estimate
-    alone, remaining = _fit_strengths(products, structure.size, (0,), DEFAULT_RATIO)
-    if remaining > MAX_REMAINING_SHARE * unexplained:
-        return None
-    unknown = np.diag([0.0, (RATIO_STD * alone.strengths[0]) ** 2])
-    return alone._replace(covariance=alone.covariance + unknown, assumed=True)
-
-
-def _relaxing_rows(
-    samples: Samples, cup_length: float, structure: Structure
-) -> Iterator[Equations]:
-    """Yield rows [L, L1, L2, c] (N, 6, q), L_b by r_b K, and the clusters, block by block."""
-    n = structure.size
-    for (static, clusters), *others in zip(*(
-            samples.relaxing(r).lip.equations(cup_length, structure)
-            for r in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))), strict=True):
-        of_branches = [other[..., :n] - static[..., :n] for other, _ in others]
-        yield np.dstack([static[..., :-1], *of_branches, static[..., -1]]), clusters
-
-
-def _cluster_products(
-    recordings: Sequence[Samples], noises: Sequence[FilterNoise], cup_length: float,
-    structure: Structure,
-) -> tuple[Array, Array]:
-    """
-    Return the products of whitened rows [L, L1, L2, c] of all recordings.
-
-    Those of each cluster (C, q, q), and their sum (q, q) less what noise adds.
-    """
-    whitening = whitening_of(joined(
-        Moments.of(samples.lip.wrench) for samples in recordings).covariance(structure))
-    size, clusters = 4 * structure.size + 1, []
-    added = np.zeros((size, size))
-    for samples, noise in zip(recordings, noises, strict=True):
-        for rows, parts in _relaxing_rows(samples, cup_length, structure):
-            rows = whitening @ rows
-            clusters += [_square(rows[part]) for part in parts]
-        thinned = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES)
-        (draw,) = np.random.default_rng(sampling.NOISE_SEED).spawn(1)
-        part = max(thinned.count, 1) / max(samples.count, 1)
-        for block in thinned.blocks():
-            for (clean, _), (noisy, _) in zip(*(
-                    _relaxing_rows(each, cup_length, structure)
-                    for each in (block, sampling.with_noise(block, noise, draw))), strict=True):
-                added += _square(whitening @ (noisy - clean)) / part
-    products = np.array(clusters)
-    return products, products.sum(axis=0) - added
-
-
-def _square(rows: Array) -> Array:
-    """Return the sum of products (q, q) of rows (N, 6, q)."""
-    flat = rows.reshape(-1, rows.shape[-1])
-    return np.asarray(flat.T @ flat)
-
-
-def _fit_strengths(
-    products: tuple[Array, Array], n: int, free: Sequence[int], ratio: float = 0.0
-) -> tuple[Relaxation, float]:
-    """
-    Return r1 and r2, zero where not free, by Gauss-Newton, and the squares that are left.
-
-    They may be negative, and so may be the squares, as those of noise are taken out.
-
-    With a ratio r2 is so many times r1. The covariance needs no independence of residuals that
-    are less than a cluster apart.
-    """
-    by = np.zeros((2, len(free)))
-    by[list(free), range(len(free))] = 1.0
-    by[1] += ratio * by[0]
-    clusters, G = products
-    scale = 1.0 / np.sqrt(np.diag(G)[:2 * n])
-    x = np.append(np.linalg.solve(G[:2 * n, :2 * n] * np.outer(scale, scale),
-                                  scale * G[:2 * n, -1]) * scale, np.zeros(len(free)))
-    unit = np.append(scale, np.ones(len(free)))
-    for _ in range(RELAXATION_STEPS):
-        y, Y = _linear_unknowns(x, n, by)
-        H = (Y * unit).T @ G @ (Y * unit)
-        step = unit * np.linalg.solve(H, (Y * unit).T @ (G @ y))
-        x = x - step
-        if np.abs(step[2 * n:]).max(initial=0.0) < 1e-9:
-            break
-    y, Y = _linear_unknowns(x, n, by)
-    scores = (clusters @ y) @ (Y * unit)
-    scores = scores - scores.mean(axis=0)
-    H = (Y * unit).T @ G @ (Y * unit)
-    gain = by @ np.linalg.inv(H)[2 * n:]
-    slopes = -np.linalg.solve(H[:2 * n, :2 * n], H[:2 * n, 2 * n:]) @ np.linalg.pinv(by)
-    r = by @ x[2 * n:]
-    covariance = gain @ scores.T @ scores @ gain.T
-    return Relaxation(
-        (float(r[0]), float(r[1])), covariance, scale[:, None] * slopes), float(y @ G @ y)
-
-
-def _linear_unknowns(x: Array, n: int, by: Array) -> tuple[Array, Array]:
-    """Return y = [K, P, r1 K, r2 K, -1], with which rows @ y is the residual, and dy/dx."""
-    K, r = x[:n], by @ x[2 * n:]
-    y = np.concatenate([x[:2 * n], r[0] * K, r[1] * K, [-1.0]])
-    Y = np.zeros((len(y), len(x)))
-    Y[:2 * n, :2 * n] = np.eye(2 * n)
-    for b in range(2):
-        part = slice((2 + b) * n, (3 + b) * n)
-        Y[part, :n] = r[b] * np.eye(n)
-        Y[part, 2 * n:] = np.outer(K, by[b])
-    return y, Y

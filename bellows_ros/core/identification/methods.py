@@ -19,12 +19,12 @@ from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.identification.statics import joined_with_standstills, Length
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
-from bellows_ros.core.model.structure import given_structure, STRUCTURES
+from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, Noise, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 Progress = Callable[[str, float], None]
@@ -118,8 +118,7 @@ def fit(
             "1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
             'static.bags.')
     if result.method == 'least_squares':
-        result = _with_relaxation_of(
-            replace(result, notes=(*result.notes, *_noise_warning(recordings))), recordings)
+        result = replace(result, notes=(*result.notes, *_noise_warning(recordings)))
     if values.fit.time_offset:
         result = _with_offsets(result, [part.time_offset for part in parts])
     if standstills:
@@ -153,14 +152,6 @@ def _noise_warning(recordings: Sequence[AnyRecording]) -> Iterator[str]:
         yield NOTES['correlated'].format(names=', '.join(names))
 
 
-def are_differentiable(parts: Sequence[AnyRecording], values: Values) -> bool:
-    """Return whether accelerations follow from the poses of recordings, with markers as given."""
-    rates = [body.timing.rate_hz for part in whole_recordings(parts)
-             for body in (part.report.tool, part.report.package)]
-    return 'package_marker' not in values.fit.free and (
-        min(rates, default=LOW_RATE_HZ) >= LOW_RATE_HZ)
-
-
 def fitted(
     recordings: Sequence[AnyRecording], values: Values,
     progress: Progress | None = None,
@@ -191,8 +182,7 @@ def by_output_error(
     Or with what was given taken exactly, as least squares do, so that causes are what they miss.
     """
     structure = given_structure(values)
-    strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
-    start = given = replace(one_cup_of(values), relaxation=strengths)
+    start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0))
     measured = [motion for number, recording in enumerate(recordings)
                 for motion in measured_segments(recording, number)]
     reports = [recording.report for recording in recordings]
@@ -202,53 +192,9 @@ def by_output_error(
     named = tuple(dict.fromkeys([
         *values.fit.free, *['time_offset'] * values.fit.time_offset,
         *['package_world'] * any(report.package_world for report in reports)]))
-    free = weak_prior([*named, *['relaxation'] * any(strengths)])
     return output_error(
-        measured, structure, start, progress and partial(_report, progress), free, named,
-        values.fit.relaxation, {} if exactly else given_std(values), given)
-
-
-def with_relaxation(recordings: Sequence[T], values: Values) -> list[T]:
-    """
-    Return recordings of one cup with its relaxation, where fit.relaxation asks for it.
-
-    Raises
-    ------
-    BellowsError
-        If fit.relaxation is 'on' and they do not show any.
-
-    """
-    whole = whole_recordings(recordings)
-    if values.fit.relaxation == 'off' or values.fit.free or len(whole) < len(recordings):
-        return list(recordings)
-    structure = given_structure(values)
-    # One rubber, one law: a richer structure is no better.
-    simplest = structure if structure.places else STRUCTURES['axisymmetric']
-    relaxation = least_squares.relaxation_of(
-        [samples_of(recording).thinned(reduction.MAX_STORED) for recording in whole],
-        [recording.noise for recording in whole], values.cup.length, simplest)
-    if relaxation is None:
-        if values.fit.relaxation == 'on' and values.fit.method == 'least_squares':
-            raise UndeterminedError(NOTES['not_relaxing'])
-        return list(recordings)
-    if simplest is not structure:
-        relaxation = relaxation._replace(by=simplest.within(structure) @ relaxation.by)
-    return [replace(each, relaxation=relaxation) for each in whole]  # type: ignore[misc]
-
-
-def _with_relaxation_of(result: Fit, recordings: Sequence[AnyRecording]) -> Fit:
-    """Return a fit with the relaxation of the recordings, whose errors reach K and P."""
-    whole = whole_recordings(recordings)
-    if not whole or not any(whole[0].relaxation.strengths):
-        return result
-    relaxation = whole[0].relaxation
-    notes = (NOTES['r2_assumed'],) if relaxation.assumed else ()
-    finite = np.isfinite(np.diag(result.covariance))
-    more = relaxation.by @ relaxation.covariance @ relaxation.by.T
-    return replace(
-        result, covariance=result.covariance + np.where(np.outer(finite, finite), more, 0.0),
-        relaxation=relaxation.strengths, relaxation_std=relaxation.std,
-        notes=(*result.notes, *notes))
+        measured, structure, start, progress and partial(_report, progress), weak_prior(named),
+        named, values.fit.relaxation, {} if exactly else given_std(values), given)
 
 
 def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:

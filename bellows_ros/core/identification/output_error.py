@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.alternatives import likeliest_setting
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import (
@@ -32,10 +31,12 @@ from bellows_ros.core.identification.result import (
     with_unidentifiable,
 )
 from bellows_ros.core.identification.search import (
+    DEFAULT_RATIO,
     MAX_DAMPING,
     MAX_NOISE_CHI2,
     Minimum,
     MISFIT_CHI2,
+    RATIO_STD,
     Report,
     Search,
     WhitenedSegment,
@@ -60,6 +61,12 @@ that is above a part of its size: the noise may be of another number."""
 
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Of the noise that tests this, and its sizes in that of the poses."""
+
+MIN_SQUARED_DISTANCE = 13.8
+"""Squared Mahalanobis distance of relaxation from zero; false-alarm rate 1 in 1000 cups."""
+
+MAX_REMAINING_SHARE = 0.2
+"""Largest share of the chi² beyond noise that remains with relaxation."""
 
 MAX_CHI2 = 1.2
 """Chi^2 per degree of freedom above this triggers a warning."""
@@ -215,12 +222,7 @@ def _with_relaxation(
     """Return the search with strengths of relaxation where they are significant, else without."""
     if relaxation == 'off':
         return search, minimum
-    if 'relaxation' not in search.places:
-        search, minimum = _relaxed(search, minimum, report)
-    elif not _relaxes(search, minimum):  # as least squares, which noise disturbs, has it
-        stiff = search.with_free(minimum.theta, {}, relaxes=False)
-        near = stiff.transferred(search, minimum.theta)
-        search, minimum = stiff, stiff.minimum(report, near)
+    search, minimum = _relaxed(search, minimum, report)
     if relaxation == 'on' and 'relaxation' not in search.places:
         raise UndeterminedError(NOTES['not_relaxing'])
     return search, minimum
@@ -231,11 +233,11 @@ def _relaxed(
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation if they explain most, else as it is."""
     (score,) = scores(search, minimum, ['relaxation']).values()
-    if score > least_squares.MIN_SQUARED_DISTANCE:
+    if score > MIN_SQUARED_DISTANCE:
         wide = search.with_free(minimum.theta, weak_prior(['relaxation']))
         relaxed = wide.minimum(report, wide.transferred(search, minimum.theta))
         noise = MAX_NOISE_CHI2 * relaxed.residual_count
-        limit = max(least_squares.MAX_REMAINING_SHARE * (minimum.squares - noise), 0.0)
+        limit = max(MAX_REMAINING_SHARE * (minimum.squares - noise), 0.0)
         if relaxed.converged and relaxed.squares - noise <= limit and _relaxes(wide, relaxed):
             return wide, relaxed
         search.accept(minimum.parts)
@@ -245,7 +247,7 @@ def _relaxed(
 def _relaxes(search: Search, minimum: Minimum) -> bool:
     """Return whether strengths of relaxation are significant."""
     r, covariance = _strengths(search, minimum, covariance_of(search, minimum)[0])
-    return bool(r @ np.linalg.solve(covariance, r) > least_squares.MIN_SQUARED_DISTANCE)
+    return bool(r @ np.linalg.solve(covariance, r) > MIN_SQUARED_DISTANCE)
 
 
 def _strengths(search: Search, minimum: Minimum, covariance: Array) -> tuple[Array, Array]:
@@ -314,8 +316,8 @@ def _fit(
     covariance, identifiable, notes = _identifiable(search, minimum, from_given, named)
     strengths, of_strengths = _strengths(search, minimum, covariance)
     (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
-    ratio = np.array([-least_squares.DEFAULT_RATIO, 1.0])
-    if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * least_squares.RATIO_STD * r1:
+    ratio = np.array([-DEFAULT_RATIO, 1.0])
+    if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
         notes.append(NOTES['r2_assumed'])
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
     residuals = minimum.residuals

@@ -6,17 +6,17 @@ being the parameters of K and P (4.66-4.68); and the same with noise once more.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
+from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.identification.causes import finding_sentence, misread
 from bellows_ros.core.model.cup_package import gravity_vector, Package, regressor
-from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
+from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import FilterNoise, Recording
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
-from bellows_ros.core.signals.savgol import BLOCK, displaced, first_order
+from bellows_ros.core.signals.savgol import BLOCK, displaced
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -34,43 +34,9 @@ MOMENT_LEVER = 0.01
 MIN_RELATIVE_VARIANCE, ADDED_VARIANCE = 1e-10, 1e-8
 """Relative variance below which a component of the wrench is zero, and what is then added."""
 
-NO_HISTORY: Array = np.empty((0, 2, 9))
-
 
 Equations = tuple[Array, list[slice]]
 """Rows [A b] (N, 6, p + 1) of A x = b of N samples, and which of the N are a cluster."""
-
-
-def strain_history(position: Array, rotation: Array, rate_hz: float) -> Array:
-    """
-    Return what the internal strains of a cup that relaxes follow from (N, 2, 9).
-
-    For each branch three parts of h (3.18), relaxed: (I + R^T) E_o_S, (I + R^T)(I + R) z / 2,
-    which counts with the length, and (R - R^T)^vee. Exact where h is linear from sample to sample:
-    z1 = a z0 + (1 - a) h0 + (1 - (1 - a) tau / dt) (h1 - h0), a = exp(-dt / tau). At the first
-    sample the cup has been at rest.
-
-    Parameters
-    ----------
-    position, rotation : ndarray (N, 3), (N, 3, 3)
-        E_o_S (m) and E_R_S at a uniform rate.
-    rate_hz : float
-        Samples per second.
-
-    """
-    R_back = np.swapaxes(rotation, 1, 2)
-    of_length = 0.5 * (rotation[:, :, 2] + R_back[:, :, 2]) + [0.0, 0.0, 1.0]
-    skew = rotation - R_back
-    parts = np.hstack([
-        position + apply(R_back, position), of_length,
-        np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)])
-    relaxed = []
-    for tau in RELAXATION_TIMES:
-        a = float(np.exp(-1.0 / (rate_hz * tau)))
-        end = 1.0 - (1.0 - a) * tau * rate_hz
-        relaxed.append(first_order(
-            np.vstack([parts[:1], end * parts[1:] + (1.0 - a - end) * parts[:-1]]), a))
-    return np.stack(relaxed, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +56,6 @@ class LipMotion:
         E_o_S (m), E_R_S and S_v_ES (m/s, rad/s).
     wrench : ndarray (N, 6)
         c of (4.68), N and N m.
-    relaxation : (float, float)
-        Strengths r_b of a cup that relaxes.
-    history : ndarray (N, 2, 9)
-        What its internal strains follow from; see `strain_history`.
 
     """
 
@@ -104,8 +66,6 @@ class LipMotion:
     rotation: Array
     twist: Array
     wrench: Array
-    relaxation: tuple[float, float] = (0.0, 0.0)
-    history: Array = field(default_factory=lambda: NO_HISTORY)
 
     def displacement(self, cup_length: float) -> Array:
         """Return how the lip is displaced from nominal (N, 6): E_o_S + l0 z (m), and rotation."""
@@ -124,13 +84,10 @@ class LipMotion:
 
         """
         for start in range(0, max(len(self.index), 1), BLOCK):
-            block, strains = slice(start, min(start + BLOCK, len(self.index))), None
-            if any(self.relaxation):
-                linear, by_length, rotation = np.split(self.history[block], 3, axis=-1)
-                strains = np.concatenate([linear + cup_length * by_length, rotation], axis=-1)
+            block = slice(start, min(start + BLOCK, len(self.index)))
             L = regressor(
                 cup_length, structure.model_basis, self.position[block], self.rotation[block],
-                self.twist[block], self.relaxation, strains)
+                self.twist[block])
             yield np.dstack([L, self.wrench[block]]), self._clusters(self.stamps_ns[block])
 
     def _clusters(self, stamps_ns: Stamps) -> list[slice]:
@@ -157,10 +114,6 @@ class Samples:
         m/s^2 along -z of the world.
     window : float
         Duration of the package's filter window, s: so far residuals are correlated.
-    relaxation : (float, float)
-        Strengths r_b of a cup that relaxes.
-    history : ndarray (N, 2, 9), optional
-        What its internal strains follow from, where these are samples of a longer motion.
 
     """
 
@@ -169,8 +122,6 @@ class Samples:
     payload: Package
     gravity: float
     window: float
-    relaxation: tuple[float, float] = (0.0, 0.0)
-    history: Array | None = None
 
     @property
     def valid(self) -> Mask:
@@ -190,21 +141,7 @@ class Samples:
         tool, package = self.tool.select(used), self.package.select(used)
         return LipMotion(
             index, tool.stamps_ns, self.window, *lip_relative(tool, package, self.payload.com),
-            needed_wrench(self.payload, package, self.gravity), self.relaxation,
-            self.histories[index] if any(self.relaxation) else NO_HISTORY)
-
-    @cached_property
-    def histories(self) -> Array:
-        """What the internal strains follow from (N, 2, 9); see `strain_history`."""
-        if self.history is not None:
-            return self.history
-        every = self._interpolated(replace(self, relaxation=(0.0, 0.0)).lip.displacement(0.0))
-        return strain_history(
-            every[:, :3], exp_so3(every[:, 3:]), uniform_rate_hz(self.package.stamps_ns))
-
-    def relaxing(self, relaxation: tuple[float, float]) -> 'Samples':
-        """Return the samples for a cup that relaxes."""
-        return replace(self, relaxation=relaxation, history=self.histories)
+            needed_wrench(self.payload, package, self.gravity))
 
     @cached_property
     def twist_spectrum(self) -> Spectrum:
@@ -224,8 +161,7 @@ class Samples:
     def select(self, index: slice | Mask | Stamps) -> 'Samples':
         """Return the samples that a slice, a mask or increasing indices pick."""
         return replace(
-            self, tool=self.tool.select(index), package=self.package.select(index),
-            history=self.histories[index] if any(self.relaxation) else None)
+            self, tool=self.tool.select(index), package=self.package.select(index))
 
     def blocks(self) -> 'Iterator[Samples]':
         """Yield the valid samples in blocks, in the order of time."""
@@ -258,8 +194,7 @@ def filtered_samples(recording: Recording) -> Samples:
     """Return the filtered motions of any recording."""
     return recording.cached('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
-        recording.filters[1].weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns),
-        recording.relaxation.strengths))
+        recording.filters[1].weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
 
 
 def lip_relative(
@@ -320,8 +255,7 @@ def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) 
 
     return replace(
         samples, tool=noisy(samples.tool, noise.tool, noise.tool_weights),
-        package=noisy(samples.package, noise.package, noise.package_weights),
-        history=samples.histories if any(samples.relaxation) else None)
+        package=noisy(samples.package, noise.package, noise.package_weights))
 
 
 @dataclass(frozen=True, eq=False)

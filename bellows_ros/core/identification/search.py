@@ -25,7 +25,6 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.identification import quantities, whitening
-from bellows_ros.core.identification.least_squares import DEFAULT_RATIO, RATIO_STD
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
 from bellows_ros.core.identification.samples import sizes
@@ -54,6 +53,12 @@ REST_SIGMAS = 3.0
 
 MIN_STRENGTH, TYPICAL_STRENGTH = 1e-6, 0.05
 """Strengths of relaxation: the smallest one in a search for them, and that of soft rubber."""
+
+DEFAULT_RATIO = 1.05
+"""Ratio r2 / r1 of rubber with a constant loss factor."""
+
+RATIO_STD = 0.4
+"""Standard deviation of the ratio r2 / r1 among rubbers."""
 
 MAX_INTEGRATION_STEP = 0.005
 """Longest step of the integrator (s)."""
@@ -394,14 +399,13 @@ class Search(Parametrization):
     """Gauss-Newton steps of the unknowns."""
 
     def with_free(
-        self, theta: Array, more: Free, relaxes: bool = True, structure: Structure | None = None,
+        self, theta: Array, more: Free, structure: Structure | None = None,
     ) -> 'Search':
-        """Return a search from unknowns: more is free, nothing relaxes, or another structure."""
+        """Return a search from unknowns: more is free, or another structure."""
         free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
-                for name, rows in self.places.items() if relaxes or name != 'relaxation'}
-        cup = self.cup(theta)
-        return Search(self.segments, structure or self.structure, cup if relaxes else replace(
-            cup, relaxation=(0.0, 0.0)), {**free, **more}, self.slip_ns)
+                for name, rows in self.places.items()}
+        return Search(self.segments, structure or self.structure, self.cup(theta),
+                      {**free, **more}, self.slip_ns)
 
     def minimum(
         self, report: Report = no_report, near: Array | None = None, system: System | None = None

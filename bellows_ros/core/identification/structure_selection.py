@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.causes import Diagnosis, DOUBTED
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
 from bellows_ros.core.identification.result import NOTES
@@ -36,9 +35,6 @@ DIVERGED: Array = np.array([[np.inf, np.inf], [0.0, 0.0]])
 
 MAX_DISTANCE = 1e3
 """Distance (m) of a simulated package from the origin beyond which it has diverged."""
-
-MAX_HELD_OUT_ERROR = 0.2
-"""Error of held-out motion, in its size, with which no structure fits, whatever the cause."""
 
 ERROR_TOLERANCE = 0.02
 """A simpler structure is as good if its held-out error is larger by less than this fraction ..."""
@@ -93,8 +89,6 @@ class StructureSelection(NamedTuple):
         The structure to take.
     advice : tuple of str
         Why, in sentences.
-    fits : bool
-        Whether any structure fits; the advice begins with why not.
 
     """
 
@@ -102,25 +96,6 @@ class StructureSelection(NamedTuple):
     samples: int
     advised: str
     advice: tuple[str, ...]
-    fits: bool = True
-
-    def judged(self, diagnosis: Diagnosis, causes: Sequence[str]) -> 'StructureSelection':
-        """Return it with the verdict that none fits, by what noise leaves, and sentences why."""
-        best = next(each for each in self.candidates if each.structure == self.advised)
-        excess = diagnosis.excess
-        has_cause = any(
-            cause.likely and cause.name != 'structure' for cause in diagnosis.findings[:1])
-        is_accurate = best.usable and best.held_out < MAX_HELD_OUT_ERROR
-        if is_accurate and (excess < DOUBTED or not has_cause):
-            return self
-        size = (f', and held-out motion is simulated with an error of {best.held_out:.0%} of its '
-                'size' if best.usable and np.isfinite(best.held_out) else '')
-        residuals = (f': with the best one, {self.advised}, residuals are '
-                     f'{np.sqrt(1.0 + excess):.2g} times those expected of noise'
-                     if 0.0 < excess < np.inf else '')
-        finding = ' '.join([f'No structure fits{residuals}{size}.', *causes])
-        return self._replace(
-            fits=False, advice=(finding, *(() if causes else self.advice)))
 
 
 def select_structure(
@@ -185,8 +160,8 @@ def _candidate(
         fits = [least_squares(sum(parts[:k] + parts[k + 1:], [])) for k in range(FOLDS)]
     except UndeterminedError as error:
         return Candidate(structure.name, size, False, str(error), np.full(FOLDS, np.inf))
-    cups = [gripper_of(Cup(fit.stiffness, fit.damping, cup_length, recordings[0].relaxation),
-                       structure.places) for fit in fits]
+    cups = [gripper_of(Cup(fit.stiffness, fit.damping, cup_length), structure.places)
+            for fit in fits]
     sums = [_simulated_errors(cup, [segment for samples in fold for segment in _segments(samples)])
             for cup, fold in zip(cups, folds, strict=True)]
     return Candidate(structure.name, size, usable, '', _over_motion(np.array(sums)))

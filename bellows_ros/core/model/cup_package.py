@@ -256,7 +256,6 @@ def gravity_vector(gravity: float | ArrayLike) -> Array:
 
 def regressor(
     length: float, basis: list[Array], position: Array, rotation: Array, twist: Array,
-    relaxation: tuple[float, float] = (0.0, 0.0), strains: Array | None = None,
 ) -> Array:
     """
     Return L (N, 6, 2 n) with which the cup's wrench at the lip is L x (4.67), linear in K and P.
@@ -269,38 +268,30 @@ def regressor(
         The n symmetric matrices that K and P are sums of; x holds the factors of K, then of P.
     position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
         E_o_S (m), E_R_S and the body twist of the lip relative to the tool.
-    relaxation : (float, float)
-        Strengths r_b of a cup that relaxes.
-    strains : ndarray (N, 2, 6), optional
-        Its internal strains.
 
     """
     zero, units = blocks(np.zeros((6, 6))), [blocks(unit) for unit in basis]
-    branches = [(r, np.inf) for r in relaxation if any(relaxation)]
-    cups: list[CupTuple] = [(0.5 * length, length, K, P, *branches) for K, P in (
+    cups: list[CupTuple] = [(0.5 * length, length, K, P) for K, P in (
         *((unit, zero) for unit in units), *((zero, unit) for unit in units))]
-    z = np.empty((12, 0)) if strains is None else strains.reshape(-1, 12).T.copy()
     o, R = position.T.copy(), rotation.reshape(-1, 9).T.copy()
     v, w = twist[:, :3].T.copy(), twist[:, 3:].T.copy()
     L = np.empty((len(position), 6, len(cups)))
     for column, cup in enumerate(cups):
         if jit.COMPILED:
-            _wrenches(cup, o, R, v, w, z, L[:, :, column])
+            _wrenches(cup, o, R, v, w, L[:, :, column])
         else:  # the kernel's arithmetic holds for tuples of arrays as well
-            inner = tuple(z.reshape(2, 2, 3, -1)) if z.size else ()
-            columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w), inner)
+            columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w), ())
             L[:, :, column] = np.concatenate(kernels.cup_wrench(cup, *columns)).T
     return L
 
 
 @jit.kernel
-def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, z: Array, out: Array) -> None:
+def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, out: Array) -> None:
     """Write the cup's wrench for every sample into out (N, 6)."""
     for k in range(o.shape[1]):
         f, m = kernels.cup_wrench(
             cup, (o[0, k], o[1, k], o[2, k]), kernels.matrix_of(R[:, k]),
-            (v[0, k], v[1, k], v[2, k]), (w[0, k], w[1, k], w[2, k]),
-            kernels.strains_of(z[:, k]) if len(cup) > 4 else ())
+            (v[0, k], v[1, k], v[2, k]), (w[0, k], w[1, k], w[2, k]), ())
         out[k, 0], out[k, 1], out[k, 2] = f
         out[k, 3], out[k, 4], out[k, 5] = m
 

@@ -432,24 +432,6 @@ class Report:
     package_world: PackageWorld | None = None
 
 
-class Relaxation(NamedTuple):
-    """How the rubber of a cup relaxes, as estimated from recordings."""
-
-    strengths: tuple[float, float]
-    """r1 and r2."""
-    covariance: Array
-    """Of the strengths (2, 2)."""
-    by: Array
-    """Derivatives of the parameters of K and P by the strengths (2 n, 2)."""
-    assumed: bool = False
-    """Whether r2 follows from r1, as nothing was held for long enough."""
-
-    @property
-    def std(self) -> tuple[float, float]:
-        """Standard errors of r1 and r2."""
-        return tuple(np.sqrt(np.diag(self.covariance)).tolist())
-
-
 MAX_BRIDGED_GAP = 0.15
 """Longest gap of the tool that interpolation bridges to 1 mm in a motion of 10 mm at 3 Hz, s."""
 
@@ -463,9 +445,6 @@ class Span(NamedTuple):
     first_ns: int
     last_ns: int
     samples: slice
-
-
-NO_RELAXATION = Relaxation((0.0, 0.0), np.zeros((2, 2)), np.zeros((8, 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -532,8 +511,6 @@ class Recording:
         Of its messages as stored, the same wherever they lie; '' where nobody asked for it.
     files : tuple of mapping
         Name, bytes and sha256 of each of its files.
-    relaxation : Relaxation
-        Of its cup.
 
     """
 
@@ -550,7 +527,6 @@ class Recording:
     name: str = ''
     digest: str = ''
     files: tuple[Mapping[str, Any], ...] = ()
-    relaxation: Relaxation = NO_RELAXATION
     _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.methods import are_differentiable, fit, start_cup
+from bellows_ros.core.identification.methods import fit, start_cup
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -42,13 +41,6 @@ def test_least_squares_says_where_the_noise_is_not_white(kept):
         simulated.shake(seed=3), tool=noise, package=noise, rate_hz=360.0, kept=kept)
     said = [text for text in fit([recording], VALUES).fit.warnings if 'correlated' in text]
     assert len(said) == (kept > 0.0)
-
-
-@pytest.mark.parametrize(('rate', 'free', 'differentiable'), [
-    (120.0, (), True), (60.0, (), False), (120.0, ('package_marker',), False)])
-def test_slow_poses_and_a_marker_anywhere_are_not_differentiated(rate, free, differentiable):
-    recording = simulated.record(simulated.shake(seed=3), rate_hz=rate)
-    assert are_differentiable([recording], Values({'fit.free': free})) is differentiable
 
 
 TOO_LITTLE = pytest.raises(BellowsError, match='K rz')
