@@ -63,7 +63,8 @@ def _rates(model: Any, r: Any, tau: Any, tool: Any, body: Any, z: Array, dz: Arr
     for k in range(5):
         dz[k] = (h - z[k]) / tau[k]
         g += r[k] * (h - z[k])
-    f, m = kernels.strain_wrench(o, R, cup[2], ((g[0], g[1], g[2]), (g[3], g[4], g[5])))
+    f, m = kernels.stress_wrench(o, R, kernels.multiply_blocks(
+        cup[2], (g[0], g[1], g[2]), (g[3], g[4], g[5])))
     d, n = kernels.damper_wrench(o, R, (v[0] + l1 * w[1], v[1] - l1 * w[0], v[2]), w, cup[3])
     f, m = add(f, d), add(m, n)
     f, m = kernels.wrench_at_com(package[1], f, (m[0] - l1 * f[1], m[1] + l1 * f[0], m[2]))

@@ -18,10 +18,10 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     console.final_warnings += checks.implausible(settings)
     cup, package = cup_package.cup_of(settings), cup_package.package_of(settings)
     target = exports.TARGETS[arguments.to]
-    missing = exports.limits(target, cup)
-    gravity = tuple(checks.gravity_of(settings).tolist())
+    x, y, z = checks.gravity_of(settings).tolist()
+    missing = exports.limits(target, cup, (x, y, z))
     atomic.write_text(arguments.out, target.write(
-        cup, package, gravity, grip.grip_of(settings), arguments.name))
+        cup, package, (x, y, z), grip.grip_of(settings), arguments.name))
 
     return options.Outcome((target.name, missing), content={
         'format': arguments.to, 'file': arguments.out, 'not_expressed': missing})

@@ -5,7 +5,7 @@
    with gravity as a vector; E tip of the tool, z into the arm; S middle of the lip; B centre of
    mass of the package, with the axes of S. Equation numbers are those of docs/model.md. Where the
    cup relaxes, BELLOWS_RELAXATION is defined, and z of the package's state are its internal
-   strains, which bellows_equilibrium sets.
+   strains, which bellows_equilibrium sets. BELLOWS_STRETCH is defined for a cup with cup.stretch.
 
    bellows_step           the package a time later, the tool moving from one state to another
    bellows_equilibrium    where it hangs at rest; 0, or 1 where the cup cannot carry it
@@ -45,8 +45,21 @@ typedef struct { double r, tau; } bw_branch; /* strength as a fraction of K, tim
 #define BW_NO_STRAIN
 #define BW_STRAINS(state) 0
 #endif
+#ifdef BELLOWS_STRETCH
+#define BW_STRETCHES 1
+#define BW_STRETCH(code) code
+#else
+#define BW_STRETCHES 0
+#define BW_STRETCH(code)
+#endif
 /* Lengths in m; K and P by 3x3 blocks. */
-typedef struct { double l1, l0; bw_blocks K, P; BW_WITH(bw_branch b1; bw_branch b2;) } bellows_cup;
+typedef struct { double a, b; } bw_stretch; /* energy a h_z^3 + b h_z (h_rx^2 + h_ry^2), N/m^2, N */
+typedef struct {
+    double l1, l0;
+    bw_blocks K, P;
+    BW_WITH(bw_branch b1; bw_branch b2;)
+    BW_STRETCH(bw_stretch stretch;)
+} bellows_cup;
 typedef struct { double mass; bw_vec com; bw_mat inertia, inertia_inverse; } bellows_package;
 typedef struct { bellows_cup cup; bellows_package package; bw_vec gravity; } bellows_model;
 /* Of each cup, N, m, 1; of a gripper of several also one of them, and where they are in E (m). */
@@ -208,6 +221,9 @@ BW bw_pair bw_cup_wrench(
     /* spring, (3.18), (3.27) */
     bw_vec skew = {r[7] - r[5], r[2] - r[6], r[3] - r[1]};
     bw_pair h = {bw_add(o, R_o), skew};
+#ifdef BELLOWS_STRETCH
+    bw_pair pure = h;
+#endif
 #ifdef BELLOWS_RELAXATION
     if (dz) {
         dz[0] = z ? bw_strain_rate(c->b1, &h, &z[0]) : h;
@@ -222,6 +238,13 @@ BW bw_pair bw_cup_wrench(
     (void)dz;
 #endif
     bw_pair s = bw_bmul(&c->K, h.a, h.b);
+#ifdef BELLOWS_STRETCH
+    double ka = c->stretch.a, kb = c->stretch.b, hz = pure.a.z, hx = pure.b.x, hy = pure.b.y;
+    double bending = 8 * kb * hz;
+    s.a.z = s.a.z + 12 * ka * hz * hz + 4 * kb * (hx * hx + hy * hy);
+    s.b.x = s.b.x + bending * hx;
+    s.b.y = s.b.y + bending * hy;
+#endif
     bw_vec spring_f = bw_add(s.a, bw_tmul(R, s.a));
     bw_vec spring_m =
         bw_add(bw_sub(bw_scale(r[0] + r[4] + r[8], s.b), bw_mul(R, s.b)), bw_cross(s.a, R_o));
@@ -539,6 +562,9 @@ BW int bellows_equilibrium(
 
 #if BW_RELAXES != $relaxes
 #error "Either all cups of a program relax, or none: set cup.relaxation of all."
+#endif
+#if BW_STRETCHES != $stretches
+#error "Either all cups of a program have cup.stretch, or none: set it for all."
 #endif
 $numbers
 

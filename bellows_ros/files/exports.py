@@ -41,11 +41,14 @@ class Target(NamedTuple):
     """Whether it has all entries of K and P."""
 
 
-def limits(target: Target, cup: Cup) -> list[str]:
-    """Return what a format cannot express, and what of this cup it leaves out."""
+def limits(target: Target, cup: Cup, gravity: tuple[float, float, float] = DOWN) -> list[str]:
+    """Return what a format cannot express, and what of this cup and gravity (m/s^2) it lacks."""
     gaps = [TABLES['sentences'][name] for name in target.limits]
     if target.whole:
         return gaps
+    if target.name == 'SDF' and gravity != DOWN:
+        gaps.insert(0, 'Gravity belongs to the world, not to the model: set <gravity>'
+                    f'{" ".join(f"{g:.6g}" for g in gravity)}</gravity> in the <world>.')
     for name, matrix in (('K', cup.stiffness), ('P', cup.damping)):
         root = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         coupling = float(np.max(np.abs(matrix - np.diag(np.diag(matrix))) / np.outer(root, root)))
@@ -55,20 +58,25 @@ def limits(target: Target, cup: Cup) -> list[str]:
     if any(cup.relaxation):
         gaps.insert(0, 'The relaxation of the rubber is left out: the springs are the static K, '
                     f'and a sudden motion meets {1.0 + sum(cup.relaxation):.3g} times as much.')
+    if any(cup.stretch):
+        gaps.insert(0, 'The stretch of the cup (cup.stretch) is left out: the springs are as '
+                    'stiff in tension as in compression, and bending is as stiff under any load.')
     return gaps
 
 
-def simulator_model(template: str, cup: Cup, package: Package, *_: Any) -> str:
+def simulator_model(
+    template: str, cup: Cup, package: Package, gravity: tuple[float, float, float] = DOWN, *_: Any
+) -> str:
     """
     Return a model for a simulator (XML), from a template: six joints in the middle of the cup.
 
-    In SDF they are in a row, with dummy links between them, and the frame of the package is there.
+    The joints of SDF form a chain with dummy links. Gravity (m/s^2) is part of MJCF alone.
     """
     middle = -cup.length / 2.0
     return Path(__file__).with_name(template).read_text().format(
         K=np.diag(cup.stiffness).tolist(), P=np.diag(cup.damping).tolist(), middle=middle,
         com=(package.com + [0.0, 0.0, middle]).tolist(), mass=package.mass,
-        inertia=package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist(),
+        gravity=gravity, inertia=package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist(),
         light=DUMMY * package.mass, moment=DUMMY * float(np.linalg.eigvalsh(package.inertia)[0]))
 
 
@@ -94,15 +102,21 @@ def header(
             f"got '{name}'.")
     model = model_tuple(cup, package, gravity)
     numbers = '\n'.join([
-        f'static const bellows_model {name} = {_braced(model)};',
+        f'static const bellows_model {name} = {_braced((_fields(model[0]), *model[1:]))};',
         *_grip(name, grip, model[0]),
         '/* Longest step of integration, s. */',
         f'static const double {name}_longest = {equilibrium.largest_step(model)!r};'])
-    relaxes = len(model[0]) > 4
-    guard = f'BELLOWS_{zlib.crc32(numbers.encode()):08X}'  # other numbers of one name do clash
-    text = Template(HEADER.read_text()).substitute(
-        guard=guard, relaxes=int(relaxes), numbers=numbers)
-    return f'#define BELLOWS_RELAXATION 1\n{text}' if relaxes else text
+    guard = f'BELLOWS_{zlib.crc32(numbers.encode()):08X}'  # different numbers of one name clash
+    stretch, branches = kernels.law_of(model)
+    defined = ''.join(f'#define BELLOWS_{name} 1\n' for name, is_part in (
+        ('RELAXATION', branches), ('STRETCH', stretch)) if is_part)
+    return defined + Template(HEADER.read_text()).substitute(
+        guard=guard, relaxes=int(bool(branches)), stretches=len(stretch), numbers=numbers)
+
+
+def _fields(cup: kernels.CupTuple) -> tuple[Any, ...]:
+    """Return a cup in the order of bellows_cup: the coefficients of stretch are the last."""
+    return (*cup[:2], cup[2][:3], *cup[3:], *cup[2][3:])
 
 
 def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
@@ -113,7 +127,8 @@ def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
     if len(grip) > 3:
         places = grip[3][:, :3].tolist()
         gripper = [
-            f'static const bellows_cup {name}_one = {_braced(cup_of_gripper(cup, grip[3]))};',
+            f'static const bellows_cup {name}_one = '
+            f'{_braced(_fields(cup_of_gripper(cup, grip[3])))};',
             f'static const bw_vec {name}_places[] = {_braced(tuple(map(tuple, places)))};']
         rest = f'{len(places)}, &{name}_one, {name}_places'
     return [*gripper, f'static const bellows_grip {name}_grip = {{'

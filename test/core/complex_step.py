@@ -38,7 +38,7 @@ def symmetric(entries):
 
 
 class Numbers:
-    """The model's 62 parameters, in the order of `jacobians.PARAMETER_COLUMNS`."""
+    """The model's 64 parameters, in the order of `jacobians.PARAMETER_COLUMNS`."""
 
     def __init__(self, p):
         """Take them."""
@@ -46,15 +46,16 @@ class Numbers:
         xx, yy, zz, xy, xz, yz = p[43:49]
         self.inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         self.gravity, self.mass, self.com, self.wrench = p[49:52], p[52], p[53:56], p[56:62]
+        self.stretch = p[62:64]
 
     @staticmethod
     def of(cup, package, gravity):
-        """Return the numbers (62,) of a model, the wrench zero."""
+        """Return the numbers (64,) of a model, the wrench zero."""
         upper = np.triu_indices(6)
         inertia = package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         return np.concatenate([
             cup.stiffness[upper], cup.damping[upper], [cup.length], inertia, gravity,
-            [package.mass], package.com, np.zeros(6)])
+            [package.mass], package.com, np.zeros(6), cup.stretch])
 
 
 def acceleration(p, tool, body, r=(), z=()):
@@ -68,14 +69,23 @@ def acceleration(p, tool, body, r=(), z=()):
     J = np.block([
         [R + eye, hat(R.T @ o)], [np.zeros((3, 3)), np.trace(R) * eye - R.T]])
     h = np.concatenate([(eye + R.T) @ o, vee(R - R.T)])
-    h = h + sum((a * (h - b) for a, b in zip(r, z, strict=True)), np.zeros(6))
+    e = h + sum((a * (h - b) for a, b in zip(r, z, strict=True)), np.zeros(6))
+    s = n.K @ e + 4.0 * stretch_gradient(n.stretch, h)
     X, to_S1 = adjoint(R, o), adjoint(eye, -half)
-    f = -0.25 * J.T @ n.K @ h - 0.5 * (n.P + X.T @ n.P @ X) @ to_S1 @ v
+    f = -0.25 * J.T @ s - 0.5 * (n.P + X.T @ n.P @ X) @ to_S1 @ v
     f = adjoint(eye, n.com).T @ (to_S1.T @ f + n.wrench)
     linear, w = v_B[:3], v_B[3:]
     return np.concatenate([
         f[:3] / n.mass + R_B.T @ n.gravity - np.cross(w, linear),
         np.linalg.solve(n.inertia, f[3:] - np.cross(w, n.inertia @ w))])
+
+
+def stretch_gradient(stretch, h):
+    """Return the gradient of a h_z^3 + b h_z (h_rx^2 + h_ry^2) by the strain."""
+    a, b = stretch
+    return np.array([
+        0, 0, 3 * a * h[2] ** 2 + b * (h[3] ** 2 + h[4] ** 2), 2 * b * h[2] * h[3],
+        2 * b * h[2] * h[4], 0])
 
 
 def changed(state, x):

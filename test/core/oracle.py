@@ -33,10 +33,19 @@ def strain(H):
     return np.concatenate([apply(np.eye(3) + R_T, H[..., :3, 3]), vee(R - R_T)], axis=-1)
 
 
-def potential(K, H):
-    """Return P0 (3.17)."""
-    h = strain(H)
-    return h @ K @ h / 8.0
+def potential(cup, H):
+    """Return the energy (3.17) with that of stretch, J."""
+    h, (a, b) = strain(H), cup.stretch
+    return h @ cup.stiffness @ h / 8.0 + a * h[2] ** 3 + b * h[2] * (h[3] ** 2 + h[4] ** 2)
+
+
+def stretch_stress(cup, H):
+    """Return 4 times the gradient of the energy of stretch by the strain."""
+    h, (a, b) = strain(H), cup.stretch
+    s = np.zeros(h.shape)
+    s[..., 2] = 3.0 * a * h[..., 2] ** 2 + b * (h[..., 3] ** 2 + h[..., 4] ** 2)
+    s[..., 3:5] = 2.0 * b * h[..., 2:3] * h[..., 3:5]
+    return 4.0 * s
 
 
 def effective_strain(cup, H, strains=()):
@@ -53,7 +62,7 @@ def wrench_at_S1(cup, H, v1, strains=()):
     J[..., :3, :3], J[..., :3, 3:] = R + np.eye(3), hat(apply(R_T, H[..., :3, 3]))
     J[..., 3:, 3:] = np.multiply.outer(np.trace(R, axis1=-2, axis2=-1), np.eye(3)) - R_T
     D = 0.5 * (cup.damping + transposed(X) @ cup.damping @ X)
-    stress = effective_strain(cup, H, strains) @ cup.stiffness
+    stress = effective_strain(cup, H, strains) @ cup.stiffness + stretch_stress(cup, H)
     return -0.25 * apply(transposed(J), stress) - apply(D, v1)
 
 
@@ -94,7 +103,7 @@ def energies(cup, package, gravity, T_A_E, T_A_B, v_B):
     """Return kinetic (3.43), elastic (3.17) and gravity's (3.44) energy (J) of one state."""
     H = spring_frames(cup.length, lip_pose(package, T_A_E, T_A_B))
     kinetic = package.mass * v_B[:3] @ v_B[:3] + v_B[3:] @ package.inertia @ v_B[3:]
-    return np.array([0.5 * kinetic, potential(cup.stiffness, H),
+    return np.array([0.5 * kinetic, potential(cup, H),
                      -package.mass * gravity @ T_A_B[:3, 3]])
 
 

@@ -31,6 +31,7 @@ INERTIA = [[0.0044, 1e-4, 0.0], [1e-4, 0.0065, -2e-4], [0.0, -2e-4, 0.0098]]
 PACKAGE = Package(1.8, np.array(INERTIA), (0.004, -0.003, -0.03))
 GRAVITY, GRIP = (0.1, -0.2, -9.81), (170.0, 0.03, 0.5)
 RUBBER = replace(CUP, relaxation=(0.2, 0.15))
+STRETCHED = replace(CUP, stretch=(-18e3, -5.0))
 PLACES = np.array([[0.06, 0.04, 0.0, 0.0], [0.06, -0.04, 0.001, 1.0], [-0.05, 0.0, 0.0, 3.0]])
 GRIPPER = replace(RUBBER, stiffness=composed(K, PLACES), damping=composed(P, PLACES))
 
@@ -60,7 +61,8 @@ STRICT = ('-Wall', '-Wextra', '-Wpedantic', '-Wconversion', '-Wdouble-promotion'
 
 
 @pytest.fixture(scope='module', params=[
-    ('gcc -std=c99 -O0', CUP), ('g++ -std=c++17 -O2', RUBBER), ('gcc -std=c11 -O3', GRIPPER)])
+    ('gcc -std=c99 -O0', CUP), ('g++ -std=c++17 -O2', RUBBER), ('gcc -std=c11 -O3', GRIPPER),
+    ('gcc -std=c99 -O2', STRETCHED), ('g++ -std=c++17 -O3', replace(RUBBER, stretch=(2e4, 4.0)))])
 def library(request, tmp_path_factory):
     """Give the functions of the header, compiled with every warning an error."""
     command, cup = request.param
@@ -69,7 +71,7 @@ def library(request, tmp_path_factory):
         pytest.skip(f'{compiler} is not installed')
     folder = tmp_path_factory.mktemp('c')
     name = 'cup.c' if compiler == 'gcc' else 'cup.cpp'
-    grip = GRIP if cup is CUP or cup is RUBBER else (*GRIP, PLACES)
+    grip = (*GRIP, PLACES) if cup is GRIPPER else GRIP
     (folder / 'cup.h').write_text(header(cup, PACKAGE, GRAVITY, grip))
     (folder / name).write_text(LIBRARY)
     subprocess.run(

@@ -81,9 +81,11 @@ def test_sdf_holds_its_schema():
 def test_what_is_lost_is_said(name):
     """Name off-diagonal entries only where there are some, with their size."""
     assert not any(word in sentence for sentence in limits(TARGETS[name], CUP)
-                   for word in ('off-diagonal', 'relaxation'))
+                   for word in ('off-diagonal', 'relaxation', 'stretch'))
     rubber = limits(TARGETS[name], replace(CUP, relaxation=(0.2, 0.1)))
     assert ('relaxation' in rubber[0]) == (name != 'c')
+    stretched = limits(TARGETS[name], replace(CUP, stretch=(-1e4, 0.0)))
+    assert ('cup.stretch' in stretched[0]) == (name != 'c')
     coupled = np.array(CUP.stiffness)
     coupled[0, 1] = coupled[1, 0] = 0.2 * coupled[0, 0]
     lost = limits(TARGETS[name], Cup(coupled, CUP.damping, CUP.length))
@@ -91,6 +93,17 @@ def test_what_is_lost_is_said(name):
         assert lost == limits(TARGETS[name], CUP)
         return
     assert 'off-diagonal entries of K' in lost[0] and '20 %' in lost[0]
+
+
+def test_gravity_is_written_or_said_to_be_missing():
+    """Write gravity into MJCF; tell for SDF, whose models have none, the line for the world."""
+    gravity = (4.0, 0.0, -9.0)
+    option = ElementTree.fromstring(TARGETS['mjcf'].write(CUP, PACKAGE, gravity)).find('option')
+    assert option is not None and numbers(option.get('gravity')) == list(gravity)
+    assert numbers(parsed('mjcf').find('option').get('gravity')) == [0.0, 0.0, -9.81]
+    assert '<gravity>4.0 0.0 -9.0</gravity>' in TARGETS['sdf'].write(CUP, PACKAGE, gravity)
+    assert '<gravity>4 0 -9</gravity>' in limits(TARGETS['sdf'], CUP, gravity)[0]
+    assert limits(TARGETS['sdf'], CUP) == limits(TARGETS['sdf'], CUP, (0.0, 0.0, -9.81))
 
 
 @pytest.mark.extras

@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY_NS, Settling
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.kernels import Branch, ModelTuple, State, Wrench
+from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.observer.measurement import Measurement
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -31,7 +31,7 @@ MIN_STEP = 1e-6
 
 @kernel
 def advance_and_hold(
-    row: Any, branches: tuple[Branch, ...], body: State, before: State, now: State,
+    row: Any, law: LawTuple, body: State, before: State, now: State,
     duration: float, substeps: int, reach: float,
 ) -> tuple[State, Wrench, bool]:
     """
@@ -39,7 +39,7 @@ def advance_and_hold(
 
     Takes the model as `kernels.model_of` does.
     """
-    model = kernels.model_of(row, branches)
+    model = kernels.model_of(row, law)
     body = kernels.advance(model, body, before, now, duration, substeps)
     wrench, is_sound = kernels.checked_wrench(model, now, body, reach)
     return body, wrench, is_sound
@@ -136,7 +136,7 @@ class LivePayload:
         """Go on with another cup or package; pose and motion stay as they are."""
         self._model, self._longest_step, self._reach, self.settling.modes = prepared(
             cup, package, self._gravity)
-        self._row, self._branches = kernels.model_row(self._model), self._model[0][4:]
+        self._row, self._law = kernels.model_row(self._model), kernels.law_of(self._model)
         self._retry_ns = -1
         if self.sample is not None:
             stamp_ns, tool, body = self.sample
@@ -230,7 +230,7 @@ class LivePayload:
         try:
             if self.observer is None:
                 body, wrench, sound = advance_and_hold(
-                    self._row, self._branches, body, start, end, duration, substeps, self._reach)
+                    self._row, self._law, body, start, end, duration, substeps, self._reach)
             elif stored_ns and (estimate := self.observer.follow(stored_ns, start, end)):
                 body, wrench, sound = estimate
             else:

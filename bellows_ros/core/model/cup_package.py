@@ -62,12 +62,15 @@ class Cup:
         and K, the static stiffness, alone remains of it. A cup without them has two zeros.
     relaxation_times : (float, float)
         Times tau_b of the branches, s.
+    stretch : (float, float)
+        Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2), a spring
+        that is harder to stretch than to compress, and harder to bend when it is stretched.
 
     Raises
     ------
     BellowsError
-        If a matrix is not 6x6, finite and symmetric, the length or a time is not positive, or a
-        strength is negative. Definiteness is not asked for: the model is defined without it.
+        If a matrix is not 6x6, finite and symmetric, the length or a time is not positive, a
+        strength is negative, or a coefficient is not finite. Definiteness is not required.
 
     Examples
     --------
@@ -83,6 +86,7 @@ class Cup:
     length: float
     relaxation: tuple[float, float] = (0.0, 0.0)
     relaxation_times: tuple[float, float] = structure.RELAXATION_TIMES
+    stretch: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check and freeze."""
@@ -103,6 +107,8 @@ class Cup:
                 'cup.relaxation_times must be two times above 0 s, the shorter one first, got '
                 f'{list(tau)}. Leave them at {list(structure.RELAXATION_TIMES)}: cup.relaxation '
                 'is identified with these.')
+        a, b = frozen_array(self.stretch, (2,), 'two coefficients of cup.stretch').tolist()
+        object.__setattr__(self, 'stretch', (a, b))
 
     @classmethod
     def thesis(cls) -> 'Cup':
@@ -115,8 +121,9 @@ class Cup:
         """The cup as the kernels take it."""
         pairs = zip(self.relaxation, self.relaxation_times, strict=True)
         branches = [(float(r), float(tau)) for r, tau in pairs if any(self.relaxation)]
+        stretch = [self.stretch] * any(self.stretch)
         return (0.5 * float(self.length), float(self.length),
-                blocks(self.stiffness), blocks(self.damping), *branches)
+                (*blocks(self.stiffness), *stretch), blocks(self.damping), *branches)
 
 
 @dataclass(frozen=True)
@@ -185,20 +192,37 @@ def cup_of(values: Values) -> Cup:
 
 
 def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
-    """Return the cup that moves a package as equal ones at places (n, 4) do; without, the one."""
-    if not len(places):
+    """
+    Return the cup that moves a package as equal ones at places (n, 4) do; without, the one.
+
+    Raises
+    ------
+    BellowsError
+        If the one has stretch: the energy of several is none of the same form.
+
+    """
+    if not len(places) or structure.is_single(np.asarray(places)):
         return one
+    if any(one.stretch):
+        raise BellowsError(
+            f'cup.stretch is {list(one.stretch)}, but cup.layout has {len(places)} cups; expected '
+            '[0.0, 0.0] with several, whose energy is none of this form. Set cup.stretch: '
+            '[0.0, 0.0], or leave cup.layout out and identify the gripper as one cup.')
     K, P = (structure.composed(each, np.asarray(places)) for each in (one.stiffness, one.damping))
     return replace(one, stiffness=K, damping=P)
 
 
 def one_cup_of(values: Values) -> Cup:
     """Return the cup that parameter values describe, whatever cup.layout is."""
+    stiffness, stretch = structure.matrix(values.cup.stiffness), values.get('cup.stretch', ())
+    ends = [values.get(f'envelope.deflection_{end}', np.zeros(6))[2] for end in ('low', 'high')]
+    structure.require_stretch(stiffness, stretch, *(ends if any(ends) else ()))
     return Cup(
-        structure.matrix(values.cup.stiffness), structure.matrix(values.cup.damping),
+        stiffness, structure.matrix(values.cup.damping),
         length=values.cup.length,
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
-        relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES))
+        relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES),
+        stretch=tuple(stretch) or (0.0, 0.0))
 
 
 def varied(
@@ -256,9 +280,12 @@ def gravity_vector(gravity: float | ArrayLike) -> Array:
 
 def regressor(
     length: float, basis: list[Array], position: Array, rotation: Array, twist: Array,
+    has_stretch: bool = False,
 ) -> Array:
     """
     Return L (N, 6, 2 n) with which the cup's wrench at the lip is L x (4.67), linear in K and P.
+
+    With stretch, L has two more columns, by its coefficients a and b.
 
     Parameters
     ----------
@@ -268,11 +295,14 @@ def regressor(
         The n symmetric matrices that K and P are sums of; x holds the factors of K, then of P.
     position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
         E_o_S (m), E_R_S and the body twist of the lip relative to the tool.
+    has_stretch : bool
+        Whether L has the columns of stretch.
 
     """
     zero, units = blocks(np.zeros((6, 6))), [blocks(unit) for unit in basis]
     cups: list[CupTuple] = [(0.5 * length, length, K, P) for K, P in (
-        *((unit, zero) for unit in units), *((zero, unit) for unit in units))]
+        *((unit, zero) for unit in units), *((zero, unit) for unit in units),
+        *(((*zero, unit), zero) for unit in ((1.0, 0.0), (0.0, 1.0)) if has_stretch))]
     o, R = position.T.copy(), rotation.reshape(-1, 9).T.copy()
     v, w = twist[:, :3].T.copy(), twist[:, 3:].T.copy()
     L = np.empty((len(position), 6, len(cups)))
@@ -349,7 +379,8 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
     K, P = np.zeros((2, 6, 6))
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
     K, P = (structure.composed(np.triu(M) + np.triu(M, 1).T, places) for M in (K, P))
-    cup = (*model[0][:2], blocks(K), blocks(P), *model[0][4:])
+    stretch, branches = kernels.law_of(model)
+    cup = (*model[0][:2], (*blocks(K), *stretch), blocks(P), *branches)
     package = package_tuple(
         numbers[42], numbers[43:46], structure.inertia_matrix(numbers[46:]))
     return cup, package, model[2]

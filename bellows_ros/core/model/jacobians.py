@@ -1,12 +1,12 @@
 """
-Analytic derivatives of the model: of the cup's wrench and of the package's acceleration.
+Analytic derivatives of the cup's wrench and of the package's acceleration.
 
-A small change of a state is in the axes of the body itself (of the tool, of the package): shift
-(m), rotation (rad), linear and angular twist (m/s, rad/s). Shift and rotation as in `displaced`:
-o + R shift, R exp(rotation). A 6x6 matrix is the tuple of its 3x3 blocks, linear first.
+A small change of a state is in the axes of its own body (tool or package): shift (m), rotation
+(rad), linear and angular twist (m/s, rad/s). The changed pose is (o + R shift, R exp(rotation)),
+as in `displaced`. A 6x6 matrix is the tuple of its 3x3 blocks, linear first.
 
-All is worked out at S1, the package's end of the spring: a shift and rotation xi of B there are
-X(S1_H_B) xi, as a twist is, and the twist relative to the tool changes with xi by -ad(v_tool) xi.
+Derivatives are taken at S1, the package's end of the spring. A shift and rotation xi of B is
+X(S1_H_B) xi there, like a twist; the twist relative to the tool changes with xi by -ad(v_tool) xi.
 """
 
 from typing import Any
@@ -15,7 +15,16 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.kernels import Blocks, ModelTuple, PackageTuple, State, Wrench
+from bellows_ros.core.model.kernels import (
+    Blocks,
+    ModelTuple,
+    PackageTuple,
+    SpringTuple,
+    State,
+    Strain,
+    Stretch,
+    Wrench,
+)
 
 Square = tuple[Matrix, Matrix, Matrix, Matrix]
 """A 6x6 matrix as its blocks oo, oR, Ro, RR."""
@@ -23,11 +32,12 @@ Square = tuple[Matrix, Matrix, Matrix, Matrix]
 BY_STIFFNESS, BY_DAMPING = slice(0, 21), slice(21, 42)
 BY_LENGTH, BY_INERTIA, BY_GRAVITY = slice(42, 43), slice(43, 49), slice(49, 52)
 BY_MASS, BY_COM, BY_WRENCH = slice(52, 53), slice(53, 56), slice(56, 62)
-PARAMETER_COLUMNS = 62
+BY_STRETCH = slice(62, 64)
+PARAMETER_COLUMNS = 64
 """
-The parameters, one column each: the upper triangles of K and of P (row by row), the length l0, the
-inertia (xx, yy, zz, xy, xz, yz), the gravity vector in A, the mass, the centre of mass, and a
-wrench on the package at the lip, in S axes, beside the cup's.
+Number of parameters, one column each: the upper triangles of K and of P (row by row), the length
+l0, the inertia (xx, yy, zz, xy, xz, yz), the gravity vector in A, the mass, the centre of mass, an
+additional wrench on the package at the lip in S axes, and the two coefficients of the stretch.
 """
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -88,7 +98,7 @@ def strain_jacobian(o: Vector, R: Matrix) -> tuple[Matrix, Matrix, Matrix]:
 
 @kernel
 def stress_jacobian(o: Vector, R: Matrix, K: Blocks) -> Square:
-    """Return the derivative K J of K h."""
+    """Return K J, the derivative of K h by shift and rotation of S1."""
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
     K_Ro = t3.transposed(K[1])
     return (
@@ -100,21 +110,24 @@ def stress_jacobian(o: Vector, R: Matrix, K: Blocks) -> Square:
 
 @kernel
 def spring_jacobian(
-    o: Vector, R: Matrix, K: Blocks, branches: tuple[kernels.Branch, ...], strains: kernels.Strains
+    o: Vector, R: Matrix, K: SpringTuple, branches: tuple[kernels.Branch, ...],
+    strains: kernels.Strains,
 ) -> Square:
     """
     Return the derivative of `spring_wrench` by shift and rotation of S1.
 
-    -1/4 J^T K J, and what the change of J makes of s = K h: with q = R^T o
-    -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]].
+    The sum of -1/4 J^T dS/dh J and, for the stress s = (s_o, s_R) and q = R^T o, of the change of
+    J, -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]].
     """
     h_now = kernels.strain(o, R)
     h, h_R = kernels.effective_strain(h_now, branches, strains), h_now[1]
-    s_o, s_R = kernels.multiply_blocks(K, h[0], h[1])
+    s_o, s_R = kernels.stretched(K, h_now, kernels.multiply_blocks(K, h[0], h[1]))
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
-    Z = stress_jacobian(o, R, K)
-    if len(strains) > 0:  # what a sudden strain meets
+    Z = stress_jacobian(o, R, (K[0], K[1], K[2]))
+    if len(strains) > 0:  # a sudden strain meets K (1 + r1 + r2)
         Z = add_scaled_square(Z, branches[0][0] + branches[1][0], Z)
+    if len(K) == 4:
+        Z = add_scaled_square(Z, 1.0, stress_jacobian(o, R, stretch_tangent(K[3], h_now)))
     Z_oo, Z_oR, Z_Ro, Z_RR = Z
     RR = t3.add_scaled_matrix(t3.multiply(t3.hat(s_o), q_hat), -1.0, t3.outer(s_R, h_R))
     RR = t3.add_scaled_matrix(RR, 1.0, t3.multiply(R, t3.hat(s_R)))
@@ -126,6 +139,16 @@ def spring_jacobian(
         t3.multiply_transposed(J_oo, Z_oo), oR,
         t3.add_scaled_matrix(Ro, -1.0, t3.multiply(q_hat, Z_oo)),
         t3.add_scaled_matrix(RR, -1.0, t3.multiply(q_hat, Z_oR))))
+
+
+@kernel
+def stretch_tangent(stretch: Stretch, h: Strain) -> Blocks:
+    """Return 4 times the second derivative of a h_z^3 + b h_z (h_rx^2 + h_ry^2) by h."""
+    b = 8.0 * stretch[1]
+    x, y, z = b * h[1][0], b * h[1][1], b * h[0][2]
+    return (
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 24.0 * stretch[0] * h[0][2]),
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, x, y, 0.0), (z, 0.0, 0.0, 0.0, z, 0.0, 0.0, 0.0, 0.0))
 
 
 @kernel
@@ -164,9 +187,9 @@ def ends_of_spring(
     model: ModelTuple, tool: State, body: State
 ) -> tuple[Vector, Vector, Matrix, Vector, Vector, Vector, Vector, Vector]:
     """
-    Return where S1 is: B in S1, S2_o_S1, E_R_S, S1_v_{S2,S1}, E_o_S1, and the tool's twist there.
+    Return B in S1, S2_o_S1, E_R_S, S1_v_{S2,S1} (linear, angular), E_o_S1, and the tool's twist.
 
-    The tool's twist is X(E_H_S1)^-1 E_v_AE, in S axes.
+    The tool's twist is taken at S1 in S axes, X(E_H_S1)^-1 E_v_AE.
     """
     cup, package, _ = model
     o_E_S, R, v, w = kernels.lip_relative_to_tool(package[1], tool, body)
@@ -202,7 +225,7 @@ def accelerations(package: PackageTuple, A: Square) -> Square:
 
 @kernel
 def cup_accelerations(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
-    """Return the derivatives of what the cup's wrench accelerates, as of `body_jacobians`."""
+    """Return the derivatives by pose and twist of the acceleration that the cup's wrench causes."""
     c = ends_of_spring(model, tool, body)[0]
     by_pose, by_twist = wrench_jacobians(model, tool, body)
     return (accelerations(model[1], shift_left(c, shift_right(by_pose, c))),
@@ -229,13 +252,15 @@ def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
 @kernel
 def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
     """
-    Return how internal strains couple: the acceleration by r_b z_b, and h by the body's pose.
+    Return the derivatives of the acceleration by r_b z_b, and of h by the body's pose.
 
-    A wrench 1/4 J^T K r_b z_b acts at S1, and h changes by J times shift and rotation of S1.
+    The wrench of an internal strain is 1/4 J^T K r_b z_b at S1; h changes by J times shift and
+    rotation of S1.
     """
     c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
-    Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, model[0][2])
+    K = model[0][2]
+    Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, (K[0], K[1], K[2]))
     quarter = scale_square(kernels.ENERGY_FACTOR, (
         t3.transposed(Z_oo), t3.transposed(Z_Ro), t3.transposed(Z_oR), t3.transposed(Z_RR)))
     return accelerations(model[1], shift_left(c, quarter)), shift_right(
@@ -256,8 +281,8 @@ def relaxation_jacobian(
     c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
     h, strains = kernels.strain(o, R), body[4:]
     for b in range(2):
-        z = strains[b]
-        f, m = kernels.strain_wrench(o, R, model[0][2], kernels.add_scaled_strain(h, -1.0, z))
+        d = kernels.add_scaled_strain(h, -1.0, strains[b])
+        f, m = kernels.stress_wrench(o, R, kernels.multiply_blocks(model[0][2], d[0], d[1]))
         dv, dw = acceleration_at(model[1], c, f, m)
         write_column(out, column + b, dv, dw)
 
@@ -283,7 +308,7 @@ def acceleration_at(package: PackageTuple, c: Vector, f: Vector, m: Vector) -> W
 def accelerations_at(
     package: PackageTuple, c: Vector, forces: Matrix, moments: Matrix, couples: Matrix
 ) -> tuple[Wrench, Wrench, Wrench, Wrench, Wrench, Wrench]:
-    """Return those that wrenches make: rows of forces with those of moments, then of couples."""
+    """Return accelerations of wrenches: rows of forces with rows of moments, then rows of couples."""
     return (
         acceleration_at(package, c, row(forces, 0), row(moments, 0)),
         acceleration_at(package, c, row(forces, 1), row(moments, 1)),
@@ -318,11 +343,7 @@ def write_column(out: Any, column: int, a: Vector, b: Vector) -> None:
 
 @kernel
 def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> None:
-    """
-    Write the slope of a small change of the state by itself.
-
-    Pose and twist change in axes that turn with the body.
-    """
+    """Write the derivative (12, 12) of the rate of a small change, in body axes, by the change."""
     by_pose, by_twist = body_jacobians(model, tool, body)
     v_hat, w_hat = t3.hat(body[2]), t3.hat(body[3])
     write_square(A, 0, 0, scale_square(-1.0, (w_hat, v_hat, ZERO_MATRIX, w_hat)))
@@ -344,10 +365,9 @@ def parameter_jacobian(
     model, tool, body : tuples
         As `body_acceleration` takes them.
     first, last : int
-        The parameters, of `PARAMETER_COLUMNS`: those from first to before last.
+        Range of the parameters among `PARAMETER_COLUMNS`; the last one is excluded.
     out : ndarray (6, n)
-        What is written to, from its first column on: m/s^2 and rad/s^2 per SI unit of the
-        parameter.
+        Derivatives, from the first column on: m/s^2 and rad/s^2 per SI unit of the parameter.
 
     """
     if first < 42:
@@ -417,15 +437,16 @@ def _others(
     """
     Write the columns of all parameters but K and P.
 
-    dv and dw are the accelerations, f the cup's force: by mass -f / m^2, by entries of the inertia
-    -I^-1 (dI dw + w x dI w). By length and by the centre of mass S1 moves, and where B is from it.
+    With the accelerations dv, dw and the cup's force f: by mass -f / m^2, by entries of the inertia
+    -I^-1 (dI dw + w x dI w). Length and centre of mass change the place of S1 and of B in S1.
     """
     package = model[1]
     w, R = body[3], t3.rotation_matrix(body[1])
     _, dw = kernels.body_acceleration(model, tool, body)
     f, _ = kernels.lip_wrench(model, tool, body)
     by_pose, by_twist = wrench_jacobians(model, tool, body)
-    c = ends_of_spring(model, tool, body)[0]
+    c, o, R_E_S, _, _, _, _, _ = ends_of_spring(model, tool, body)
+    h = kernels.strain(o, R_E_S)
     for i in range(max(first, 42), last):
         a, b = ZERO, ZERO
         if i == 42:
@@ -438,14 +459,26 @@ def _others(
             a = t3.scale(-1.0 / package[0] ** 2, f)
         elif i < 56:
             a, b = by_com(package, c, by_pose, by_twist, w, f, t3.unit(i - 53, 1.0))
-        else:
+        elif i < 62:
             a, b = acceleration_at(package, package[1], t3.unit(i - 56, 1.0), t3.unit(i - 59, 1.0))
+        else:
+            a, b = by_stretch(package, c, o, R_E_S, h, (63.0 - i, i - 62.0))
         write_column(out, i - first, a, b)
 
 
 @kernel
+def by_stretch(
+    package: PackageTuple, c: Vector, o: Vector, R: Matrix, h: Strain, unit: Stretch
+) -> Wrench:
+    """Return the accelerations per unit of a or b of the stretch."""
+    zero = (ZERO_MATRIX, ZERO_MATRIX, ZERO_MATRIX, unit)
+    f, m = kernels.stress_wrench(o, R, kernels.stretched(zero, h, (ZERO, ZERO)))
+    return acceleration_at(package, c, f, m)
+
+
+@kernel
 def by_length(model: ModelTuple, tool: State, body: State, f: Vector) -> Wrench:
-    """Return the accelerations per metre of l0, half of which acts at each end of the spring."""
+    """Return the accelerations per metre of l0; half of a change acts at each end of the spring."""
     cup, package, _ = model
     c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
     damper, by_twist = damper_jacobians(o, R, v, w, cup[3])
@@ -474,7 +507,7 @@ def by_com(
     package: PackageTuple, c: Vector, by_pose: Square, by_twist: Square,
     w: Vector, f: Vector, along: Vector,
 ) -> Wrench:
-    """Return the accelerations per metre of B along a direction: S1 moves the other way."""
+    """Return the accelerations per metre of B along a direction; S1 moves the opposite way."""
     speed = t3.cross(along, w)
     df = t3.subtract(t3.apply(by_twist[0], speed), t3.apply(by_pose[0], along))
     dm = t3.subtract(t3.apply(by_twist[2], speed), t3.apply(by_pose[2], along))

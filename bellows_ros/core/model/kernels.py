@@ -7,10 +7,11 @@ Twists are body twists: ``R^T do/dt`` and the body rate. SI units throughout.
 
 A cup is the tuple ``(l1, l0, K, P)`` and a 6x6 symmetric matrix its blocks ``(oo, oR, RR)``; a
 package is ``(mass, com, inertia, inertia_inverse)``; a model is ``(cup, package, gravity)`` with
-gravity the acceleration vector in ``A``. `model.Cup` and `model.Package` make these tuples.
+gravity the acceleration vector in ``A``. `cup_package.Cup` and `Package` make these tuples.
 
-A cup that relaxes has two branches behind P, and its package's state two internal strains. Each
-kernel is compiled once with them and once without; at rest, without them, K alone acts.
+Two extensions change the length of a tuple, so that each kernel is compiled separately for cups
+with and without them: a cup with stretch has its two coefficients as the fourth entry of K; a cup
+that relaxes has two branches behind P, and the package's state two internal strains.
 """
 
 from typing import Any
@@ -21,9 +22,15 @@ from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector, ZERO
 import numpy as np
 
 Blocks = tuple[Matrix, Matrix, Matrix]
+Stretch = tuple[float, float]
+"""Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2)."""
+SpringTuple = tuple[Matrix, Matrix, Matrix, *tuple[Stretch, ...]]
+"""K in blocks, and the coefficients of a cup with stretch."""
 Branch = tuple[float, float]
 """Stiffness r_b as a fraction of K, and time tau_b (s) in which the branch relaxes."""
-CupTuple = tuple[float, float, Blocks, Blocks, *tuple[Branch, ...]]
+LawTuple = tuple[tuple[Stretch, ...], tuple[Branch, ...]]
+"""Stretch and branches of a cup, each empty for a cup without."""
+CupTuple = tuple[float, float, SpringTuple, Blocks, *tuple[Branch, ...]]
 PackageTuple = tuple[float, Vector, Matrix, Matrix]
 ModelTuple = tuple[CupTuple, PackageTuple, Vector]
 Wrench = tuple[Vector, Vector]
@@ -31,59 +38,65 @@ Wrench = tuple[Vector, Vector]
 Strain = tuple[Vector, Vector]
 """h (3.18), m and rad, or the internal strain z_b of a branch."""
 Strains = tuple[Strain, ...]
-"""Of the two branches, or none."""
+"""Internal strains of the two branches; empty for a cup that does not relax."""
 State = tuple[Vector, Quaternion, Vector, Vector, *Strains]
 """Position (m), orientation, linear and angular body twist (m/s, rad/s) of a frame in A."""
 
 ENERGY_FACTOR = 0.25
-"""Of the energy 1/8 h^T K h (3.17), in its gradient by the strain, h^T K / 4."""
+"""Factor of the energy's gradient K h / 4 by the strain h (3.17)."""
 
 ORIGIN: tuple[Vector, Quaternion, Vector, Vector] = (ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO)
-"""A still frame that is A."""
+"""State of a frame at rest in the origin of A."""
 
 
 @kernel
 def matrix_of(numbers: Any) -> Matrix:
-    """Return a 3x3 matrix of nine numbers."""
+    """Return nine numbers, row by row, as a 3x3 matrix."""
     return (numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
             numbers[7], numbers[8])
 
 
 @kernel
 def blocks_of(numbers: Any) -> Blocks:
-    """Return K or P of 27 numbers."""
+    """Return 27 numbers as the blocks of K or P."""
     # By slices: numba compiles a kernel anew for each constant index that it is passed.
     return matrix_of(numbers[:9]), matrix_of(numbers[9:18]), matrix_of(numbers[18:])
 
 
 @kernel
 def strains_of(numbers: Any) -> Strains:
-    """Return the internal strains of twelve numbers."""
+    """Return twelve numbers as two internal strains."""
     return (
         ((numbers[0], numbers[1], numbers[2]), (numbers[3], numbers[4], numbers[5])),
         ((numbers[6], numbers[7], numbers[8]), (numbers[9], numbers[10], numbers[11])))
 
 
 def model_row(model: ModelTuple) -> Any:
-    """Return the numbers of a model but those of relaxation: read from Python at once."""
+    """Return the numbers (81,) of a model without its `law_of`, for a quick call from Python."""
     cup, (mass, com, *inertia), gravity = model
-    blocks = [number for matrix in cup[2:4] for block in matrix for number in block]
+    blocks = [number for matrix in cup[2:4] for block in matrix[:3] for number in block]
     row, = as_inputs(np.array([*cup[:2], *blocks, mass, *com, *inertia[0], *inertia[1], *gravity]))
     return row
 
 
+def law_of(model: ModelTuple) -> LawTuple:
+    """Return stretch and branches of the cup, which `model_row` leaves out."""
+    return model[0][2][3:], model[0][4:]
+
+
 @kernel
-def model_of(row: Any, branches: tuple[Branch, ...]) -> ModelTuple:
-    """Return the model with the numbers of `model_row`, and with branches of relaxation."""
+def model_of(row: Any, law: LawTuple) -> ModelTuple:
+    """Return the model of the numbers of `model_row`, with stretch and branches of `law_of`."""
+    K = blocks_of(row[2:29])
     return (
-        (row[0], row[1], blocks_of(row[2:29]), blocks_of(row[29:56]), *branches),
+        (row[0], row[1], (K[0], K[1], K[2], *law[0]), blocks_of(row[29:56]), *law[1]),
         (row[56], (row[57], row[58], row[59]), matrix_of(row[60:69]), matrix_of(row[69:78])),
         (row[78], row[79], row[80]))
 
 
 @kernel
 def multiply_blocks(M: Blocks, a: Vector, b: Vector) -> tuple[Vector, Vector]:
-    """Return M [a; b] for a symmetric 6x6 matrix in blocks."""
+    """Return the product M [a; b] of a symmetric 6x6 matrix in blocks and a six-vector."""
     return (t3.add(t3.apply(M[0], a), t3.apply(M[1], b)),
             t3.add(t3.apply_transposed(M[1], a), t3.apply(M[2], b)))
 
@@ -102,7 +115,7 @@ def add_scaled_strain(a: Strain, factor: float, b: Strain) -> Strain:
 
 @kernel
 def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) -> Strain:
-    """Return h + sum_b r_b (h - z_b), on which K acts."""
+    """Return h + sum_b r_b (h - z_b), the strain that K multiplies."""
     if len(strains) == 0:
         return h
     r, s = branches[0][0], branches[1][0]
@@ -112,25 +125,40 @@ def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) 
 
 @kernel
 def spring_wrench(
-    o: Vector, R: Matrix, K: Blocks, branches: tuple[Branch, ...] = (), strains: Strains = ()
+    o: Vector, R: Matrix, K: SpringTuple, branches: tuple[Branch, ...] = (), strains: Strains = ()
 ) -> Wrench:
     """
-    Return the spring wrench on the package at S1, f1 = -1/4 J^T K h (3.23, 3.27).
+    Return the spring wrench on the package at S1, f1 = -1/4 J^T s (3.23, 3.27).
 
-    It is minus the gradient of the energy 1/8 h^T K h (3.17). A cup that relaxes has
-    `effective_strain` in place of h.
+    The wrench is minus the gradient of the energy 1/8 h^T K h (3.17), so that s = K h; `stretched`
+    has the additional terms of a cup with stretch. `effective_strain` replaces h of a cup that
+    relaxes.
     """
-    return strain_wrench(o, R, K, effective_strain(strain(o, R), branches, strains))
+    h = strain(o, R)
+    e = effective_strain(h, branches, strains)
+    return stress_wrench(o, R, stretched(K, h, multiply_blocks(K, e[0], e[1])))
 
 
 @kernel
-def strain_wrench(o: Vector, R: Matrix, K: Blocks, h: Strain) -> Wrench:
+def stretched(K: SpringTuple, h: Strain, s: Strain) -> Strain:
+    """Return the stress s plus 4 times the gradient of a h_z^3 + b h_z (h_rx^2 + h_ry^2)."""
+    if len(K) == 3:
+        return s
+    (a, b), z, x, y = K[3], h[0][2], h[1][0], h[1][1]
+    bending = 8.0 * b * z
+    return (
+        (s[0][0], s[0][1], s[0][2] + 12.0 * a * z * z + 4.0 * b * (x * x + y * y)),
+        (s[1][0] + bending * x, s[1][1] + bending * y, s[1][2]))
+
+
+@kernel
+def stress_wrench(o: Vector, R: Matrix, s: Strain) -> Wrench:
     """
-    Return -1/4 J^T K h for any h, the pose being (R, o).
+    Return -1/4 J^T s for the pose (R, o) of S1 in S2.
 
     J = [[R + I, (R^T o)^], [0, tr(R) I - R^T]] is the derivative of the strain (3.23).
     """
-    s_o, s_R = multiply_blocks(K, h[0], h[1])
+    s_o, s_R = s
     trace = R[0] + R[4] + R[8]
     force = t3.add(s_o, t3.apply_transposed(R, s_o))
     turned = t3.subtract(t3.scale(trace, s_R), t3.apply(R, s_R))
@@ -245,7 +273,7 @@ def strain_rate(h: Strain, z: Strain, tau: float) -> Strain:
 
 @kernel
 def strain_rates(model: ModelTuple, tool: State, body: State) -> Strains:
-    """Return the rates of the internal strains, none where the cup does not relax."""
+    """Return the rates of the internal strains; empty for a cup that does not relax."""
     strains, branches = body[4:], model[0][4:]
     if len(body) == 4:
         return ()
@@ -255,25 +283,25 @@ def strain_rates(model: ModelTuple, tool: State, body: State) -> Strains:
 
 @kernel
 def with_twist(state: State, v: Vector, w: Vector) -> State:
-    """Return a state with another twist."""
+    """Return a state with its twist replaced."""
     return (state[0], state[1], v, w, *state[4:])
 
 
 @kernel
 def with_rotation(state: State, q: Quaternion) -> State:
-    """Return a state with another orientation."""
+    """Return a state with its orientation replaced."""
     return (state[0], q, *state[2:])
 
 
 @kernel
 def with_strains(state: State, strains: Strains) -> State:
-    """Return a state with other internal strains."""
+    """Return a state with its internal strains replaced."""
     return (state[0], state[1], state[2], state[3], *strains)
 
 
 @kernel
 def relaxed(cup: CupTuple, h: Strain, body: State) -> State:
-    """Return a state with the internal strains of a cup that has been strained by h for long."""
+    """Return a state with both internal strains at h, their value after a long rest."""
     if len(cup) == 4:
         return body
     return with_strains(body, (h, h))
@@ -355,7 +383,7 @@ def extrapolated(tool: State, duration: float) -> State:
 def stage_state(
     body: State, h: float, do: Vector, sigma: Vector, dv: Vector, dw: Vector, dz: Strains = ()
 ) -> State:
-    """Return the state moved by h along its rates: position, rotation vector, twist, strains."""
+    """Return the state after h at constant rates of position, rotation, twist and strains."""
     return (
         t3.add_scaled(body[0], h, do),
         t3.quaternion_product(body[1], t3.exp_quaternion(t3.scale(h, sigma))),
@@ -365,7 +393,7 @@ def stage_state(
 
 @kernel
 def moved_strains(strains: Strains, h: float, rates: Strains) -> Strains:
-    """Return internal strains moved by h along their rates."""
+    """Return internal strains plus h times their rates."""
     if len(strains) == 0:
         return ()
     return (
@@ -391,13 +419,13 @@ def weighted(a: Vector, b: Vector, c: Vector, d: Vector) -> Vector:
 
 @kernel
 def weighted_pair(a: Strain, b: Strain, c: Strain, d: Strain) -> Strain:
-    """Return `weighted` pairs of vectors."""
+    """Return the `weighted` mean of four pairs of vectors."""
     return weighted(a[0], b[0], c[0], d[0]), weighted(a[1], b[1], c[1], d[1])
 
 
 @kernel
 def weighted_strains(a: Strains, b: Strains, c: Strains, d: Strains) -> Strains:
-    """Return `weighted` rates of strains."""
+    """Return the `weighted` mean of four rates of internal strains."""
     if len(a) == 0:
         return ()
     return weighted_pair(a[0], b[0], c[0], d[0]), weighted_pair(a[1], b[1], c[1], d[1])
@@ -407,7 +435,7 @@ def weighted_strains(a: Strains, b: Strains, c: Strains, d: Strains) -> Strains:
 def rates(
     model: ModelTuple, tool: State, body: State, w: Vector
 ) -> tuple[Vector, Vector, Vector, Vector, Strains]:
-    """Return how a package's state changes, as `stage_state` takes it, w being the rotation's."""
+    """Return the rates of a package's state for `stage_state`; w is the rate of its rotation."""
     dv, dw = body_acceleration(model, tool, body)
     do = t3.apply(t3.rotation_matrix(body[1]), body[2])
     return do, w, dv, dw, strain_rates(model, tool, body)
@@ -430,7 +458,7 @@ def stages(
         body, h, weighted(a[0], b[0], c[0], d[0]), weighted(a[1], b[1], c[1], d[1]),
         weighted(a[2], b[2], c[2], d[2]), weighted(a[3], b[3], c[3], d[3]),
         weighted_strains(a[4], b[4], c[4], d[4]))
-    q = end[1]  # scaled to unit length to first order: rounding never adds up
+    q = end[1]  # normalised to first order, so that rounding errors do not accumulate
     k = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return body2, body3, body4, with_rotation(end, (k * q[0], k * q[1], k * q[2], k * q[3]))
 
@@ -466,8 +494,7 @@ def checked_wrench(
     """
     Return the cup's wrench on the package, and whether wrench and state are plausible.
 
-    They are where all numbers are finite, and the lip is within reach (m) of where it is without
-    load.
+    Plausible numbers are finite, with the lip within reach (m) of its nominal position.
     """
     cup, package, _ = model
     o_lip, R_lip, v_lip, w_lip = lip_relative_to_tool(package[1], tool, body)

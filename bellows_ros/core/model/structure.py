@@ -416,6 +416,35 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
             'identify it again.')
 
 
+STRETCH_RANGE = 5e-3
+"""Axial range about the nominal length for the check of a cup without a validity range, m."""
+
+
+def require_stretch(
+    stiffness: Array, stretch: Sequence[float], low: float = -STRETCH_RANGE,
+    high: float = STRETCH_RANGE,
+) -> None:
+    """
+    Refuse coefficients a and b if the energy is not positive definite in an axial range (m).
+
+    At an axial shift s the energy is 1/8 h^T (K + 16 s diag(0, 0, a, b, b, 0)) h, as h_z = 2 s.
+
+    Raises
+    ------
+    BellowsError
+        With the shift at which the energy is not positive.
+
+    """
+    slope = 16.0 * np.diag([0.0, 0.0, stretch[0], stretch[1], stretch[1], 0.0])
+    for shift in (low, high):
+        if any(stretch) and float(np.linalg.eigvalsh(stiffness + shift * slope)[0]) <= 0.0:
+            raise BellowsError(
+                f'cup.stretch is [{stretch[0]:g}, {stretch[1]:g}], with which the energy of the '
+                f'cup is not positive at an axial shift of {1e3 * shift:.3g} mm; expected a '
+                f'positive energy from {1e3 * low:.3g} to {1e3 * high:.3g} mm, the validity range. '
+                'Set cup.stretch: [0.0, 0.0], or identify the cup again.')
+
+
 def require_symmetric(values: Array, name: str) -> None:
     """Raise BellowsError, with the entries that differ most, for a matrix that is asymmetric."""
     asymmetry = np.abs(values - values.T)

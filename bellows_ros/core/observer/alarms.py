@@ -31,7 +31,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.geometry.tuples import Vector
-from bellows_ros.core.model.kernels import Branch, model_of
+from bellows_ros.core.model.kernels import LawTuple, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
 from bellows_ros.core.observer.measurement import MeasuredPose, output_of, OUTSIDE, updated, USED
@@ -384,7 +384,7 @@ def _length(size: Array, P: Array, first: int, end: int, unit: float) -> tuple[f
 
 @kernel
 def filter_step(
-    row: Any, branches: tuple[Branch, ...], estimate: ekf.EstimateTuple, samples: ekf.Samples,
+    row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples,
     is_recorded: bool, until_ns: int, max_step: float, noise: tuple[Array, Array],
     faults: tuple[Any, Array, Array, Stamps, bool, Array], cups: Array, seen: MeasuredPose,
 ) -> Any:
@@ -397,7 +397,7 @@ def filter_step(
     tuples of many numbers take long from Python. Returns a verdict, the estimate, the evidence,
     and what `_assessed` returns.
     """
-    model, seconds = model_of(row, branches), (until_ns - estimate[0]) / NS_PER_S
+    model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     E, statistics, distances, onsets, from_start, steps = faults
     verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
     after, E = predicted(

@@ -9,7 +9,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
-from bellows_ros.core.model.kernels import model_row, ModelTuple, ORIGIN, State
+from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
 from bellows_ros.core.observer import alarms
@@ -237,7 +237,7 @@ class Correction:
         """Set what is uncertain."""
         self.nominal, self.max_step, self.reach = model, max_step, reach
         self.holding_reach = model[0][1] + LARGEST_LOAD * sag(model)
-        self.branches = model[0][4:]
+        self.law = law_of(model)
         self._row = model_row(model)
         self.prior, self._walk = prior_std(values, model), walk_variances(values, model)
         self._marker, places = marker, places_of(values)
@@ -288,7 +288,7 @@ class Correction:
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         theta[ekf.LATENCY - STATE] -= late  # the pose is read so much earlier
         verdict, numbers, (E, statistics, distances, onsets), likeliest = alarms.filter_step(
-            self.row(before.lost_cups), self.branches, (*before[:3], theta, *before[4:6]),
+            self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
             (self._drive, self._walk), (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
@@ -314,7 +314,7 @@ class Correction:
         if estimate.stamp_ns == track.newest_ns:
             return estimate.body
         return ekf.body_at_end(
-            self.row(estimate.lost_cups), self.branches, estimate[:4], (*track.rows, track.count),
+            self.row(estimate.lost_cups), self.law, estimate[:4], (*track.rows, track.count),
             track.newest_ns, self.max_step)
 
     def updated(

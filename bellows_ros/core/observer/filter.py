@@ -24,7 +24,7 @@ from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import linearise, substeps_for
 from bellows_ros.core.model.jacobians import Square
-from bellows_ros.core.model.kernels import Blocks, Branch, ModelTuple, State, Wrench
+from bellows_ros.core.model.kernels import Blocks, LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -151,7 +151,7 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
     """Return a model with its numbers changed by theta."""
     cup, (mass, com, inertia, inverse), gravity = model
     k, longer = math.exp(theta[0]), theta[LENGTH - STATE]
-    K, P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
+    (oo, oR, RR), P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
     if len(theta) > DAMPING - STATE:
         P = _scaled(P, theta[DAMPING - STATE:])
         x, y, z = theta[INERTIA - STATE], theta[INERTIA - STATE + 1], theta[INERTIA - STATE + 2]
@@ -159,15 +159,15 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
         inertia = t3.add_scaled_matrix(inertia, 1.0, more)
         inverse = t3.add_scaled_matrix(
             inverse, -1.0, t3.multiply(inverse, t3.multiply(more, inverse)))
-    return (cup[0] + 0.5 * longer, cup[1] + longer, K, P, *cup[4:]), (
+    return (cup[0] + 0.5 * longer, cup[1] + longer, (oo, oR, RR, *cup[2][3:]), P, *cup[4:]), (
         k * mass, t3.add(com, (theta[1], theta[2], theta[3])), t3.scale_matrix(k, inertia),
         t3.scale_matrix(1.0 / k, inverse)), gravity
 
 
 @kernel
-def model_at(row: Any, branches: tuple[Branch, ...], theta: Array) -> ModelTuple:
+def model_at(row: Any, law: LawTuple, theta: Array) -> ModelTuple:
     """Return the model that `kernels.model_of` returns, with its numbers changed by theta."""
-    return with_theta(kernels.model_of(row, branches), theta)
+    return with_theta(kernels.model_of(row, law), theta)
 
 
 @kernel
@@ -655,11 +655,11 @@ def _followed(
 
 @kernel
 def followed(
-    row: Any, branches: tuple[Branch, ...], theta: Array, body: State, samples: Samples,
+    row: Any, law: LawTuple, theta: Array, body: State, samples: Samples,
     stamp_ns: int, start: State, end: State, max_step: float, reach: float,
 ) -> tuple[State, Wrench, bool]:
     """Keep another sample of the tool; return the package there, and `checked_wrench`."""
-    model, max_step = model_at(row, branches, theta), stable_step(max_step, theta)
+    model, max_step = model_at(row, law, theta), stable_step(max_step, theta)
     stamps, starts, ends, bodies, k = samples
     stamps[k] = stamp_ns
     write_row(starts[k], start)
@@ -681,12 +681,12 @@ def followed(
 
 @array_kernel
 def body_at_end(
-    row: Any, branches: tuple[Branch, ...], beginning: Moving, samples: Samples, until_ns: int,
+    row: Any, law: LawTuple, beginning: Moving, samples: Samples, until_ns: int,
     max_step: float,
 ) -> State:
     """Return the package of an estimate at a later stamp, and write it into the samples."""
     none = np.zeros((0, 0))
     is_recorded = len(none) > 0  # for the constant False another one would be compiled
     return propagated(
-        kernels.model_of(row, branches), beginning, (none, none, np.zeros((0, 12, 13))), samples,
+        kernels.model_of(row, law), beginning, (none, none, np.zeros((0, 12, 13))), samples,
         is_recorded, until_ns, max_step, none, np.zeros((0, 54)))[1]

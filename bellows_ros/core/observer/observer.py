@@ -152,7 +152,7 @@ class Observer:
     def model(self) -> ModelTuple:
         """The model with the parameters as they were estimated last."""
         if self._model is None:
-            self._model = ekf.model_at(self._row, self._correction.branches, self._theta)
+            self._model = ekf.model_at(self._row, self._correction.law, self._theta)
         return self._model
 
     @property
@@ -215,7 +215,7 @@ class Observer:
         track, correction = self._track, self._correction
         track.discard_before(self._estimates[0].stamp_ns)
         prediction: tuple[State, Wrench, bool] | None = ekf.followed(
-            self._row, correction.branches, self._theta, self.body, (*track.rows, track.count),
+            self._row, correction.law, self._theta, self.body, (*track.rows, track.count),
             stamp_ns, start, end, correction.max_step, correction.reach)
         assert prediction is not None
         self.body = prediction[0]

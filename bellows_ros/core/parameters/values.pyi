@@ -131,6 +131,7 @@ class CupGroup:
     damping: tuple[float, ...]
     relaxation: tuple[float, ...]
     relaxation_times: tuple[float, ...]
+    stretch: tuple[float, ...]
     layout: tuple[float, ...]
     open: tuple[float, ...]
     name: str

@@ -1,4 +1,4 @@
-"""A cup that relaxes in whatever predicts: live, planned, steered, tossed and observed."""
+"""Cups that relax or have stretch: live, planned, steered, tossed and observed."""
 
 from dataclasses import replace
 import math
@@ -22,6 +22,7 @@ from ..plans import CUP, Move, PACKAGE
 from ..tosses import GRIP, values
 
 RUBBER = replace(CUP, relaxation=(0.2, 0.25))
+STRETCHED = replace(CUP, stretch=(-2.5e4, -15.0))
 MODEL = model_tuple(RUBBER, PACKAGE, 9.81)
 PLAIN = model_tuple(CUP, PACKAGE, 9.81)
 SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.3, 0.0], 0.6)
@@ -69,9 +70,9 @@ def test_strains_relax_on_during_a_pause_of_the_poses():
     assert abs(bending(every) - bending(early)) > 1e-4
 
 
-def test_relaxation_is_set_while_running():
+def test_relaxation_and_stretch_are_set_while_running():
     predictor, still = live(CUP), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    for k, cup in enumerate((CUP, RUBBER, RUBBER, CUP, CUP)):
+    for k, cup in enumerate((CUP, RUBBER, RUBBER, STRETCHED, CUP)):
         predictor.set_model(cup, PACKAGE)
         (found,) = predictor.on_pose(1 + k * 4_000_000, 'world', *still)
         assert len(found.strains) == 2 * any(cup.relaxation)
@@ -89,9 +90,10 @@ def test_relaxation_is_set_while_running():
     assert np.isfinite(root).all()
 
 
-def test_observer_follows_creep_without_an_alarm():
-    """Poses of a cup that creeps, its relaxation known, say nothing of wear."""
-    predictor, truth = live(), live()
+@pytest.mark.parametrize('cup', [RUBBER, STRETCHED])
+def test_observer_follows_its_cup_without_an_alarm(cup):
+    """Poses of a cup whose relaxation or stretch is known are no sign of wear."""
+    predictor, truth = live(cup), live(cup)
     observer = Observer(resolve({**values(), 'alarm.false_per_hour': 1.0}))
     predictor.package.observe(observer)
     rng = np.random.default_rng(0)
@@ -110,25 +112,28 @@ def test_observer_follows_creep_without_an_alarm():
     assert observer.alarms == []
 
 
-def test_a_plan_is_predicted_and_steered():
-    tool = SLIDE.plan()
-    found = PlanSimulation(MODEL, GRIP, tool).predict()
-    expected = simulate(RUBBER, PACKAGE, tool, gravity=9.81)
+@pytest.mark.parametrize('cup', [RUBBER, STRETCHED])
+def test_a_plan_is_predicted_and_steered(cup):
+    tool, model = SLIDE.plan(), model_tuple(cup, PACKAGE, 9.81)
+    found = PlanSimulation(model, GRIP, tool).predict()
+    expected = simulate(cup, PACKAGE, tool, gravity=9.81)
     assert_allclose(found.states[:, :3], expected.position, atol=1e-8)
-    steered = steer(MODEL, tool, 'inverse')
-    moved = simulate(RUBBER, PACKAGE, steered.tool, gravity=9.81)
+    steered = steer(model, tool, 'inverse')
+    moved = simulate(cup, PACKAGE, steered.tool, gravity=9.81)
     assert np.abs(moved.position - steered.package.position).max() < 1e-4
     wrong = simulate(CUP, PACKAGE, steered.tool, gravity=9.81)
     assert np.abs(wrong.position - steered.package.position).max() > 3e-4
-    assert len(steer(MODEL, tool, 'zvd').modes) >= 1
+    assert len(steer(model, tool, 'zvd').modes) >= 1
 
 
-def test_a_toss_holds_until_its_release():
+@pytest.mark.parametrize('cup', [RUBBER, STRETCHED])
+def test_a_toss_holds_until_its_release(cup):
     release = release_of(resolve({**values(), 'landing.height': -1.0}))
-    plan = Move([0.6, 0.0, 0.3], [0.0, 0.0, 0.0], 0.6).plan()
-    held = HeldMotion(MODEL, GRIP, plan)
+    plan, model = Move([0.6, 0.0, 0.3], [0.0, 0.0, 0.0], 0.6).plan(), model_tuple(
+        cup, PACKAGE, 9.81)
+    held = HeldMotion(model, GRIP, plan)
     thrown = toss(held, release, 0.3)
-    direct = PlanSimulation(MODEL, GRIP, plan).predict()
+    direct = PlanSimulation(model, GRIP, plan).predict()
     assert held.states.shape[1] == direct.states.shape[1] == 13
     plain = toss(HeldMotion(PLAIN, GRIP, plan), release, 0.3)
     assert math.dist(thrown.landing[0], plain.landing[0]) > 1e-4

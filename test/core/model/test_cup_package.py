@@ -38,7 +38,7 @@ def test_spring_wrench_is_the_gradient_of_the_potential(rng):
     cup, h = random_cup(rng, damping=False), 1e-6
     T = lip_pose(rng, cup)
     before, after = ([
-        oracle.potential(cup.stiffness, oracle.spring_frames(cup.length, T @ exp_se3(side * d)))
+        oracle.potential(cup, oracle.spring_frames(cup.length, T @ exp_se3(side * d)))
         for d in np.eye(6)] for side in (-h, h))
     slope = np.subtract(after, before) / (2 * h)
     wrench = wrench_at_lip(cup, T, np.zeros(6))

@@ -1,5 +1,7 @@
 """Analytic derivatives against those by a complex step of an independent implementation."""
 
+from dataclasses import replace
+
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.jacobians import PARAMETER_COLUMNS, parameter_jacobian
 import numpy as np
@@ -14,10 +16,10 @@ GRAVITY = np.array([0.4, -0.7, -9.6])
 class Case:
     """A cup, a package and a tool, as kernels and as the second implementation."""
 
-    def __init__(self, seed):
+    def __init__(self, seed, stretch=(0.0, 0.0)):
         """Draw them."""
         rng = np.random.default_rng(seed)
-        cup, package = random_cup(rng), random_package(rng)
+        cup, package = replace(random_cup(rng), stretch=stretch), random_package(rng)
         self.model = model_tuple(cup, package, GRAVITY)
         self.numbers = complex_step.Numbers.of(cup, package, GRAVITY)
         T = random_pose(rng)

@@ -94,9 +94,9 @@ def test_a_step_meets_the_whole_stiffness_and_rest_the_static_one():
     assert_allclose(body.position[-1], hangs[0], atol=1e-10)
 
 
-def derivatives_case(seed, relaxes):
+def derivatives_case(seed, relaxes, stretch=(0.0, 0.0)):
     """Return a case, its rows for the kernels, its strains, and its acceleration by all of it."""
-    case, rng = Case(seed), np.random.default_rng(seed)
+    case, rng = Case(seed, stretch), np.random.default_rng(seed)
     r, z = R[:2 * relaxes], random_strains(rng)[:2 * relaxes]
     model = ((*case.model[0], *zip(r, (0.06, 0.8), strict=False)), *case.model[1:])
     rows = model, state_of(*case.tool), with_strains(state_of(*case.body), tuple(map(pair, z)))
@@ -108,9 +108,10 @@ def derivatives_case(seed, relaxes):
 
 
 @pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('stretch', [(0.0, 0.0), (-2e4, -5.0)])
 @pytest.mark.parametrize('relaxes', [False, True])
-def test_accelerations_follow_states_and_parameters(relaxes, seed):
-    case, rows, _, accelerate = derivatives_case(seed, relaxes)
+def test_accelerations_follow_states_and_parameters(relaxes, stretch, seed):
+    case, rows, _, accelerate = derivatives_case(seed, relaxes, stretch)
     for name, state, derivatives in (('body', case.body, jacobians.body_jacobians),
                                      ('tool', case.tool, jacobians.tool_jacobians)):
         pose, twist = derivatives(*rows)

@@ -254,11 +254,11 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     processed, given, totals = alarms.filter_step, [], []
     interpreted = getattr(ekf.predicted, 'py_func', ekf.predicted)  # compiling it takes some 7 s
 
-    def processing(row, branches, before, *more):
-        result = processed(row, branches, before, *more)
+    def processing(row, law, before, *more):
+        result = processed(row, law, before, *more)
         *track, noise, _, _, seen = more
         if seen[5] > 0.0:
-            model = model_of(row, branches)
+            model = model_of(row, law)
             F = _dense_transition(model, before, *track, noise[0])
             after, _ = interpreted(
                 model, before, *track, noise, np.zeros((0, 0), np.float32), NO_CUPS)
