@@ -225,7 +225,7 @@ def accelerations(package: PackageTuple, A: Square) -> Square:
 
 @kernel
 def cup_accelerations(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
-    """Return the derivatives by pose and twist of the acceleration that the cup's wrench causes."""
+    """Return the derivatives by pose and twist of the acceleration by the cup's wrench."""
     c = ends_of_spring(model, tool, body)[0]
     by_pose, by_twist = wrench_jacobians(model, tool, body)
     return (accelerations(model[1], shift_left(c, shift_right(by_pose, c))),
@@ -308,7 +308,7 @@ def acceleration_at(package: PackageTuple, c: Vector, f: Vector, m: Vector) -> W
 def accelerations_at(
     package: PackageTuple, c: Vector, forces: Matrix, moments: Matrix, couples: Matrix
 ) -> tuple[Wrench, Wrench, Wrench, Wrench, Wrench, Wrench]:
-    """Return accelerations of wrenches: rows of forces with rows of moments, then rows of couples."""
+    """Return accelerations by rows of forces with rows of moments, then by rows of couples."""
     return (
         acceleration_at(package, c, row(forces, 0), row(moments, 0)),
         acceleration_at(package, c, row(forces, 1), row(moments, 1)),
@@ -437,8 +437,8 @@ def _others(
     """
     Write the columns of all parameters but K and P.
 
-    With the accelerations dv, dw and the cup's force f: by mass -f / m^2, by entries of the inertia
-    -I^-1 (dI dw + w x dI w). Length and centre of mass change the place of S1 and of B in S1.
+    With the accelerations dv, dw and the cup's force f: by mass -f / m^2, by an entry of the
+    inertia -I^-1 (dI dw + w x dI w). Length and centre of mass move S1, and B in S1.
     """
     package = model[1]
     w, R = body[3], t3.rotation_matrix(body[1])
@@ -478,7 +478,7 @@ def by_stretch(
 
 @kernel
 def by_length(model: ModelTuple, tool: State, body: State, f: Vector) -> Wrench:
-    """Return the accelerations per metre of l0; half of a change acts at each end of the spring."""
+    """Return the accelerations per metre of l0; each end of the spring moves by half."""
     cup, package, _ = model
     c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
     damper, by_twist = damper_jacobians(o, R, v, w, cup[3])

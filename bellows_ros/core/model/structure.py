@@ -440,8 +440,8 @@ def require_stretch(
         if any(stretch) and float(np.linalg.eigvalsh(stiffness + shift * slope)[0]) <= 0.0:
             raise BellowsError(
                 f'cup.stretch is [{stretch[0]:g}, {stretch[1]:g}], with which the energy of the '
-                f'cup is not positive at an axial shift of {1e3 * shift:.3g} mm; expected a '
-                f'positive energy from {1e3 * low:.3g} to {1e3 * high:.3g} mm, the validity range. '
+                f'cup is not above 0 at an axial shift of {1e3 * shift:.3g} mm; expected a '
+                f'one above 0 from {1e3 * low:.3g} to {1e3 * high:.3g} mm, the validity range. '
                 'Set cup.stretch: [0.0, 0.0], or identify the cup again.')
 
 
