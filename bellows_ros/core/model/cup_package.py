@@ -121,7 +121,7 @@ class Cup:
         """The cup as the kernels take it."""
         pairs = zip(self.relaxation, self.relaxation_times, strict=True)
         branches = [(float(r), float(tau)) for r, tau in pairs if any(self.relaxation)]
-        stretch = [self.stretch] * any(self.stretch)
+        stretch = (self.stretch,) if any(self.stretch) else ()
         return (0.5 * float(self.length), float(self.length),
                 (*blocks(self.stiffness), *stretch), blocks(self.damping), *branches)
 
@@ -380,7 +380,7 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
     K, P = (structure.composed(np.triu(M) + np.triu(M, 1).T, places) for M in (K, P))
     stretch, branches = kernels.law_of(model)
-    cup = (*model[0][:2], (*blocks(K), *stretch), blocks(P), *branches)
+    cup = (model[0][0], model[0][1], (*blocks(K), *stretch), blocks(P), *branches)
     package = package_tuple(
         numbers[42], numbers[43:46], structure.inertia_matrix(numbers[46:]))
     return cup, package, model[2]

@@ -19,7 +19,6 @@ from bellows_ros.core.model.kernels import (
     Blocks,
     ModelTuple,
     PackageTuple,
-    SpringTuple,
     State,
     Strain,
     Stretch,
@@ -110,7 +109,7 @@ def stress_jacobian(o: Vector, R: Matrix, K: Blocks) -> Square:
 
 @kernel
 def spring_jacobian(
-    o: Vector, R: Matrix, K: SpringTuple, branches: tuple[kernels.Branch, ...],
+    o: Vector, R: Matrix, K: Blocks, branches: tuple[kernels.Branch, ...],
     strains: kernels.Strains,
 ) -> Square:
     """
@@ -127,7 +126,7 @@ def spring_jacobian(
     if len(strains) > 0:  # a sudden strain meets K (1 + r1 + r2)
         Z = add_scaled_square(Z, branches[0][0] + branches[1][0], Z)
     if len(K) == 4:
-        Z = add_scaled_square(Z, 1.0, stress_jacobian(o, R, stretch_tangent(K[3], h_now)))
+        Z = add_scaled_square(Z, 1.0, stress_jacobian(o, R, stretch_tangent(K[3:][0], h_now)))
     Z_oo, Z_oR, Z_Ro, Z_RR = Z
     RR = t3.add_scaled_matrix(t3.multiply(t3.hat(s_o), q_hat), -1.0, t3.outer(s_R, h_R))
     RR = t3.add_scaled_matrix(RR, 1.0, t3.multiply(R, t3.hat(s_R)))

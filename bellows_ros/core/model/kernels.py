@@ -21,16 +21,15 @@ from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector, ZERO
 import numpy as np
 
-Blocks = tuple[Matrix, Matrix, Matrix]
 Stretch = tuple[float, float]
 """Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2)."""
-SpringTuple = tuple[Matrix, Matrix, Matrix, *tuple[Stretch, ...]]
-"""K in blocks, and the coefficients of a cup with stretch."""
+Blocks = tuple[Matrix, Matrix, Matrix, *tuple[Stretch, ...]]
+"""K or P in blocks; K of a cup with stretch is followed by its coefficients."""
 Branch = tuple[float, float]
 """Stiffness r_b as a fraction of K, and time tau_b (s) in which the branch relaxes."""
 LawTuple = tuple[tuple[Stretch, ...], tuple[Branch, ...]]
 """Stretch and branches of a cup, each empty for a cup without."""
-CupTuple = tuple[float, float, SpringTuple, Blocks, *tuple[Branch, ...]]
+CupTuple = tuple[float, float, Blocks, Blocks, *tuple[Branch, ...]]
 PackageTuple = tuple[float, Vector, Matrix, Matrix]
 ModelTuple = tuple[CupTuple, PackageTuple, Vector]
 Wrench = tuple[Vector, Vector]
@@ -125,7 +124,7 @@ def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) 
 
 @kernel
 def spring_wrench(
-    o: Vector, R: Matrix, K: SpringTuple, branches: tuple[Branch, ...] = (), strains: Strains = ()
+    o: Vector, R: Matrix, K: Blocks, branches: tuple[Branch, ...] = (), strains: Strains = ()
 ) -> Wrench:
     """
     Return the spring wrench on the package at S1, f1 = -1/4 J^T s (3.23, 3.27).
@@ -140,11 +139,11 @@ def spring_wrench(
 
 
 @kernel
-def stretched(K: SpringTuple, h: Strain, s: Strain) -> Strain:
+def stretched(K: Blocks, h: Strain, s: Strain) -> Strain:
     """Return the stress s plus 4 times the gradient of a h_z^3 + b h_z (h_rx^2 + h_ry^2)."""
     if len(K) == 3:
         return s
-    (a, b), z, x, y = K[3], h[0][2], h[1][0], h[1][1]
+    (a, b), z, x, y = K[3:][0], h[0][2], h[1][0], h[1][1]
     bending = 8.0 * b * z
     return (
         (s[0][0], s[0][1], s[0][2] + 12.0 * a * z * z + 4.0 * b * (x * x + y * y)),

@@ -171,7 +171,7 @@ def model_at(row: Any, law: LawTuple, theta: Array) -> ModelTuple:
 
 
 @kernel
-def _scaled(M: Blocks, s: Array) -> Blocks:
+def _scaled(M: Blocks, s: Array) -> tuple[Matrix, Matrix, Matrix]:
     """Return exp(s / 2) M exp(s / 2), with s (6,) on a diagonal."""
     a = math.exp(0.5 * s[0]), math.exp(0.5 * s[1]), math.exp(0.5 * s[2])
     b = math.exp(0.5 * s[3]), math.exp(0.5 * s[4]), math.exp(0.5 * s[5])
