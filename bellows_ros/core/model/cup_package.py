@@ -380,7 +380,9 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
     K, P = (structure.composed(np.triu(M) + np.triu(M, 1).T, places) for M in (K, P))
     stretch, branches = kernels.law_of(model)
-    cup = (model[0][0], model[0][1], (*blocks(K), *stretch), blocks(P), *branches)
+    oo, oR, RR, *_ = blocks(K)
+    spring: Blocks = (oo, oR, RR, *stretch)
+    cup: CupTuple = (model[0][0], model[0][1], spring, blocks(P), *branches)
     package = package_tuple(
         numbers[42], numbers[43:46], structure.inertia_matrix(numbers[46:]))
     return cup, package, model[2]
