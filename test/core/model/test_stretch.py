@@ -46,15 +46,13 @@ def test_the_spring_wrench_is_the_gradient_of_the_energy(seed):
 
 def test_the_regressor_has_two_more_columns():
     rng = np.random.default_rng(4)
-    cup, full = replace(random_stretched(rng), relaxation=(0.3, 0.2)), STRUCTURES['full']
+    cup, full = random_stretched(rng), STRUCTURES['full']
     T = np.array([random_pose(rng, 0.5, 0.02) for _ in range(7)])
     T[:, 2, 3] -= cup.length
-    v, z = rng.standard_normal((7, 6)), 0.01 * rng.standard_normal((7, 2, 6))
-    L = regressor(cup.length, full.basis, T[:, :3, 3], T[:, :3, :3], v, cup.relaxation, z, True)
+    v = rng.standard_normal((7, 6))
+    L = regressor(cup.length, full.basis, T[:, :3, 3], T[:, :3, :3], v, True)
     x = np.hstack([full.parameters(cup.stiffness, cup.damping), cup.stretch])
-    expected = [oracle.wrench_at_lip(cup, *each) for each in zip(
-        T, v, z.reshape(7, 12), strict=True)]
-    assert_allclose(L @ x, expected, rtol=1e-10, atol=1e-9)
+    assert_allclose(L @ x, oracle.wrench_at_lip(cup, T, v), rtol=1e-10, atol=1e-9)
 
 
 def test_zero_is_no_stretch_bit_for_bit():
