@@ -64,6 +64,7 @@ lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --stric
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/flake8
 	@$(BIN)/mypy --no-error-summary
+	@$(BIN)/python docs/tools/words.py
 	@$(BIN)/hadolint docker/Dockerfile
 	@echo 'lint: nothing found'
 

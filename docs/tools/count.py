@@ -34,7 +34,8 @@ def main() -> None:
         files = sorted((ROOT / name).rglob('*.py'))
         print(f'{name:12} {sum(map(code_lines, files)):6} lines in {len(files):3} modules')
     pages = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))]
-    print(f'{"pages":12} {sum(len(page.read_text().split()) for page in pages):6} words')
+    for name, texts in (('pages', pages), ('changelog', [ROOT / 'CHANGELOG.rst'])):
+        print(f'{name:12} {sum(len(text.read_text().split()) for text in texts):6} words')
 
 
 if __name__ == '__main__':
