@@ -22,6 +22,10 @@ class BellowsError(Exception):
     exit_code = 2
 
 
+class UnitWarning(UserWarning):
+    """A number of the library's caller is likely in another unit."""
+
+
 class UnstableError(BellowsError):
     """The package does not stay on its cup: it has no rest, or a prediction is not finite."""
 

@@ -5,6 +5,8 @@ Most of it stands in other rooms; the functions here are shortcuts to it. A work
 its function is called.
 """
 
+from __future__ import annotations  # signatures show names, not their members
+
 from collections.abc import Mapping, Sequence
 import os
 from pathlib import Path
@@ -153,7 +155,7 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
 def identify(
     recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File, package: Package,
     cup_length: float, settings: Mapping[str, object] | None = None
-) -> 'Identification':
+) -> Identification:
     """
     Identify a cup's K and P from recordings, or from poses in arrays, as `bellows identify`.
 
@@ -323,8 +325,8 @@ def static_equilibrium(
 
 
 def plan(
-    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
-) -> 'PlanReport':
+    motion: MotionSource, parameters: Parameters, urdf: str = '', topic: str = ''
+) -> PlanReport:
     """
     Predict what a planned motion of the tool does to the package, as `bellows plan`.
 
@@ -362,8 +364,8 @@ def plan(
 
 
 def fastest(
-    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
-) -> 'PlanReport':
+    motion: MotionSource, parameters: Parameters, urdf: str = '', topic: str = ''
+) -> PlanReport:
     """
     Predict a motion as `plan`, and find the shortest time in which the grip surely holds.
 
@@ -392,9 +394,9 @@ def fastest(
 
 
 def steer(
-    motion: 'MotionSource', parameters: Parameters, method: str = 'inverse',
+    motion: MotionSource, parameters: Parameters, method: str = 'inverse',
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
-) -> 'SteerReport':
+) -> SteerReport:
     """
     Change a motion so that the package does not swing, as `bellows steer`.
 
@@ -430,10 +432,10 @@ def steer(
 
 
 def toss(
-    motion: 'MotionSource', parameters: Parameters, release: float | None = None,
+    motion: MotionSource, parameters: Parameters, release: float | None = None,
     target: Sequence[float] | None = None, target_rotation: ArrayLike | None = None,
     monte_carlo: int = 0, urdf: str = '', topic: str = '',
-) -> 'TossResult':
+) -> TossResult:
     """
     Predict where a toss lands and how surely, as `bellows toss`.
 
@@ -482,7 +484,7 @@ def toss(
 def design_motion(
     parameters: Parameters, limits: Mapping[str, Any] | File, duration: float = 12.0,
     urdf: str = '', seed: int = 0, hold: float = 7.0,
-) -> 'DesignedMotion':
+) -> DesignedMotion:
     """
     Design the motion that identifies a cup best, as `bellows excite`.
 
@@ -526,7 +528,7 @@ def design_motion(
         duration, urdf, seed=seed, hold=hold)
 
 
-def replay(recording: File, parameters: Parameters) -> 'Replay':
+def replay(recording: File, parameters: Parameters) -> Replay:
     """
     Predict a recording with a cup from start to end and compare, as `bellows replay`.
 
@@ -560,7 +562,7 @@ def replay(recording: File, parameters: Parameters) -> 'Replay':
     return workflow.replay(recording, _parameters(parameters))
 
 
-def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
+def observe(recording: File, parameters: Parameters, topic: str) -> Replay:
     """
     Replay a recording, with another prediction that measured poses of the package correct.
 

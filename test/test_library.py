@@ -1,13 +1,14 @@
 """The library: what `import bellows_ros` offers, by its own examples."""
 
 import doctest
+import inspect
 import json
 import subprocess
 import sys
 
 import bellows_ros
 from bellows_ros.core.excitation import motion_design
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnitWarning
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -218,3 +219,30 @@ def test_arguments_that_are_wrong_are_named(root, monkeypatch, call, named):
     monkeypatch.chdir(root)
     with pytest.raises(BellowsError, match=named):
         call()
+
+
+@pytest.mark.parametrize(('call', 'asked'), [
+    (lambda: bellows_ros.Package(1800.0, 5.0 * np.eye(3), (0.0, 0.0, -0.03)), 'mass is 1800 kg'),
+    (lambda: bellows_ros.Package(1.8, 5.0 * np.eye(3), (0.0, 0.0, -0.03)), r'in (g|kg)'),
+    (lambda: bellows_ros.Package(1.8, 1e-6 * np.eye(3), (0.0, 0.0, -0.03)), 'ball of lead'),
+    (lambda: bellows_ros.Package(1.8, 0.01 * np.eye(3), (0.0, 0.0, 0.03)), 'Is it -0.03'),
+    (lambda: bellows_ros.box_inertia(1.8, 200.0, 160.0, 60.0), 'radius of gyration of 1'),
+    (lambda: bellows_ros.box_inertia(1800.0, 0.2, 0.16, 0.06), 'mass is 1800 kg')])
+def test_absurd_units_are_asked_about(call, asked):
+    """Warn with the sentence that commands print."""
+    with pytest.warns(UnitWarning, match=asked):
+        call()
+
+
+def test_a_length_in_millimetres_is_refused():
+    """Ask for the unit, as the table of parameters does."""
+    with pytest.raises(BellowsError, match='Is it in mm'):
+        bellows_ros.Cup(np.eye(6), np.eye(6), 46.0)
+
+
+def test_signatures_show_short_names():
+    """Print ArrayLike, not its members."""
+    for name in bellows_ros.__all__:
+        for item in [getattr(bellows_ros, name), *vars(getattr(bellows_ros, name)).values()]:
+            if inspect.isfunction(item):
+                assert '_Supports' not in str(inspect.signature(item)), name

@@ -18,15 +18,18 @@ import sys
 import textwrap
 import threading
 import time
+import traceback
 from types import FrameType
 from typing import Any, TextIO
 
 from bellows_ros.errors import BellowsError, NotSetError, shown
+from bellows_ros.version import __version__
 
 # Exit codes.
 OK = 0
 NOT_USABLE = 1
 USER_ERROR = 2
+CRASHED = 70
 PIPE_CLOSED = 141
 
 STDOUT = '-'
@@ -320,6 +323,14 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
             f'Ended by {signal.Signals(number).name}')
         console.note(f'{how}; no partial output was left.')
         return 128 + number
+    except Exception as error:  # noqa: BLE001 (all others are defects, whose code is not 1, "no")
+        if isinstance(error, BrokenPipeError) or getattr(error, 'errno', 0) == errno.ENOSPC:
+            raise
+        console.note(traceback.format_exc().rstrip())
+        console.error(
+            f'This is a defect of bellows_ros {__version__}: please report it, with the command '
+            'and the lines above.')
+        return CRASHED
 
 
 def _discard(stream: TextIO) -> None:

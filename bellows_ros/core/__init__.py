@@ -7,6 +7,9 @@ Needs numpy and scipy, and numba where present. Reads no files, logs nothing, kn
 import ctypes
 import os
 import sys
+import warnings
+
+from bellows_ros.errors import UnitWarning
 
 M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
 """Options of glibc's allocator."""
@@ -24,6 +27,7 @@ def configure_process(is_node: bool = False) -> None:
     recording needs; so do threads with memory of their own, which those of a node may have.
     What the user has set prevails.
     """
+    warnings.simplefilter('ignore', UnitWarning)  # commands and nodes ask in their own output
     for variable in ('OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
         os.environ.setdefault(variable, '1')
     if sys.platform == 'linux' and 'MALLOC_MMAP_THRESHOLD_' not in os.environ:

@@ -4,7 +4,7 @@ import io
 import math
 import os
 
-from bellows_ros.cli.console import aligned, Console
+from bellows_ros.cli.console import aligned, Console, run_guarded
 from bellows_ros.report.text import column, with_error
 import pytest
 
@@ -72,3 +72,15 @@ def test_errors_are_wrapped_on_a_terminal_but_for_what_is_to_be_copied(
     assert copied in lines and '' in lines
     assert (max(len(line) for line in lines if line != copied) <= 80) == wrapped
     assert ' '.join(printed.getvalue().split()).startswith(f'bellows: {sentence}')
+
+
+@pytest.mark.parametrize('error', [ZeroDivisionError('a defect'), OSError(5, 'a defect')])
+def test_a_crash_has_its_own_exit_code_and_asks_for_a_report(error, capsys):
+    """Do not end with 1, which says no; keep the traceback, then one line."""
+    def work(console):
+        raise error
+
+    assert run_guarded(work) == 70
+    *traceback, line = capsys.readouterr().err.splitlines()
+    assert 'Traceback' in traceback[0] and 'a defect' in traceback[-1]
+    assert line.startswith('bellows: This is a defect') and 'please report it' in line

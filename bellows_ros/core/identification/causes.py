@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import THESIS_LENGTH
-from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, conventions
 from bellows_ros.core.recording.preparation import lasting_steps, MAX_POSE_STEPS, prepare
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, NOISE_SAMPLES, Recording
@@ -365,7 +365,7 @@ def _by_one_clock(recording: Recording, finding: Finding) -> Recording:
 
 def _in_other_units(recording: Recording, finding: Finding) -> Recording:
     """Return a recording whose package is in kg and kg m^2."""
-    factor = {'g': 1e3, **dict(checks.INERTIA_UNITS)}[finding.value]
+    factor = {'g': 1e3, **dict(structure.INERTIA_UNITS)}[finding.value]
     mass, inertia, com = (getattr(recording.payload, name) for name in ('mass', 'inertia', 'com'))
     payload = Package(mass / factor, inertia, com) if finding.name == 'mass' else Package(
         mass, inertia / factor, com)
@@ -398,12 +398,12 @@ def _bursts(recording: Recording) -> Finding | None:
 def implausible_package(payload: Package) -> Finding | None:
     """Return what is wrong with a mass or an inertia that no package has, None where one may."""
     gyration, mass = radius_of_gyration(payload), payload.mass
-    if mass > checks.MAX_MASS:
+    if mass > structure.MAX_MASS:
         return Finding('mass', 'g')
-    if sentence := checks.too_dense(mass, gyration):
+    if sentence := structure.too_dense(mass, gyration):
         return _fact('factor of inertia', sentence)
-    return None if gyration < checks.GYRATION[-1] else Finding(
-        'inertia', checks.unit_of_inertia(gyration))
+    return None if gyration < structure.GYRATION[-1] else Finding(
+        'inertia', structure.unit_of_inertia(gyration))
 
 
 def _clocks(recording: Recording) -> Finding | None:

@@ -5,6 +5,8 @@ The node and `bellows replay` run this very code. Nothing here reads a clock: th
 is in the stamps, and the caller passes the arrival of each message.
 """
 
+from __future__ import annotations  # signatures show names, not their members
+
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence

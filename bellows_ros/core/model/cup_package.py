@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, InitVar, replace
 from functools import cached_property
 from typing import Any
+import warnings
 
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.arrays import Array
@@ -11,12 +12,15 @@ from bellows_ros.core.model import kernels, structure
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple
 from bellows_ros.core.model.structure import matrix, SINGLE, UPPER
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnitWarning
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 STANDARD_GRAVITY = 9.81
 """Gravitational acceleration of the source, m/s^2."""
+
+MAX_LENGTH = 1.0
+"""Largest length of a cup, m."""
 
 PERTURBATION = 0.5
 """Step of the central differences of `contributions`, standard deviations."""
@@ -69,8 +73,9 @@ class Cup:
     Raises
     ------
     BellowsError
-        If a matrix is not 6x6, finite and symmetric, the length or a time is not positive, a
-        strength is negative, or a coefficient is not finite. Definiteness is not required.
+        If a matrix is not 6x6, finite and symmetric, the length or a time is not positive, the
+        length is above 1 m, a strength is negative, or a coefficient is not finite. Definiteness
+        is not required.
 
     Examples
     --------
@@ -97,6 +102,10 @@ class Cup:
         object.__setattr__(self, 'length', float(frozen_array(self.length, (), 'cup length')))
         if self.length <= 0.0:
             raise BellowsError(f'The cup length must be above 0 m, got {self.length}.')
+        if self.length > MAX_LENGTH:  # as in the table of parameters
+            raise BellowsError(
+                f'The cup length must be at most {MAX_LENGTH:g} m, got {self.length:g}. Is it in '
+                'mm?')
         r, tau = self.relaxation, self.relaxation_times
         if len(r) != 2 or not all(0.0 <= each < np.inf for each in r):
             raise BellowsError(
@@ -148,6 +157,11 @@ class Package:
         If the mass is not positive, the centre of mass is farther than 10 m, or no rigid body can
         have the inertia.
 
+    Warns
+    -----
+    UnitWarning
+        If a number is likely in another unit.
+
     Examples
     --------
     >>> inertia = np.diag([0.00438, 0.00654, 0.00984])
@@ -173,6 +187,9 @@ class Package:
         if np.abs(self.com).max() > 10.0:  # as in the table of parameters
             raise BellowsError(f'package.com must be within 10 m, got {self.com.tolist()}.')
         structure.check_inertia(self.inertia)
+        for doubt in structure.unit_doubts(
+                self.mass, np.diag(self.inertia).tolist(), float(self.com[2])):
+            warnings.warn(doubt, UnitWarning, stacklevel=3)
 
     @cached_property
     def as_tuple(self) -> PackageTuple:
@@ -331,7 +348,7 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
     Return the inertia tensor (3, 3) in kg m^2 of a homogeneous box at its centre (A.2).
 
     Depth lies along x, width along y and height along z, all in m. Numbers that are not above 0
-    are refused with a BellowsError.
+    are refused with a BellowsError; implausible ones cause a UnitWarning.
 
     Examples
     --------
@@ -345,7 +362,10 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
         raise BellowsError(
             f'A box needs mass (kg), depth, width and height (m) above 0, got {box.tolist()}.')
     d2, w2, h2 = box[1:]**2
-    return np.asarray(box[0] / 12.0 * np.diag([h2 + w2, h2 + d2, d2 + w2]))
+    moments = box[0] / 12.0 * np.array([h2 + w2, h2 + d2, d2 + w2])
+    for doubt in structure.unit_doubts(float(box[0]), moments.tolist()):
+        warnings.warn(doubt, UnitWarning, stacklevel=2)
+    return np.diag(moments)
 
 
 def parameter_vector(values: Values) -> Array:

@@ -471,3 +471,68 @@ def check_inertia(inertia: Array) -> None:
             f'No body has this package.inertia: its principal moments are {shown} kg m^2; '
             'expected all above zero, and the largest at most the sum of the other two. Check '
             'units (kg m^2), signs and the order ixx, iyy, izz, ixy, ixz, iyz.')
+
+
+MIN_MASS = 0.01
+"""Smallest plausible mass of a package, kg."""
+
+MAX_MASS = 50.0
+"""Largest plausible mass of a package, kg."""
+
+GYRATION = (0.01, 0.3, 1.0)
+"""Radii of gyration of packages: the smallest, the largest usual and the largest plausible, m."""
+
+LEAD = 11_340.0
+"""Density of lead, the largest plausible density of a package, kg/m^3."""
+
+INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
+"""Other units of moments of inertia, and their number in 1 kg m^2."""
+
+
+def unit_doubts(
+    mass: float, moments: Sequence[float], height: float = 0.0
+) -> tuple[str, ...]:
+    """
+    Return a question for each of a package's numbers that is likely in another unit.
+
+    Parameters
+    ----------
+    mass : float
+        Mass, kg.
+    moments : sequence of float
+        Moments of inertia about x, y and z, kg m^2.
+    height : float
+        z of the centre of mass in the lip frame, m.
+
+    """
+    doubts = []
+    if height > 0.0:
+        doubts.append(
+            f'package.com is {height:g} m above the lip, inside the cup; z points into the arm. '
+            f'Is it {-height:g}?')
+    if not MIN_MASS <= mass <= MAX_MASS:
+        doubts.append(
+            f'package.mass is {mass:g} kg; cups of this kind carry {MIN_MASS:g} to '
+            f'{MAX_MASS:g} kg. Is it in another unit?')
+    gyration = float(np.sqrt(np.sum(moments) / mass))
+    if gyration > GYRATION[-1]:
+        doubts.append(
+            f'package.inertia has a radius of gyration of {gyration:.3g} m; expected up to '
+            f'{GYRATION[-1]:g} m. Is it in {unit_of_inertia(gyration)} instead of kg m^2?')
+    elif doubt := too_dense(mass, gyration):
+        doubts.append(doubt)
+    return tuple(doubts)
+
+
+def too_dense(mass: float, gyration: float) -> str:
+    """Return a question if a package (kg, m) would be denser than a ball of lead, else ''."""
+    least = float(np.sqrt(1.2) * (3.0 * mass / (4.0 * np.pi * LEAD)) ** (1 / 3))
+    return '' if gyration >= least else (
+        f'package.inertia has a radius of gyration of {gyration:.3g} m; even a ball of lead of '
+        f'{mass:g} kg has {least:.3g} m. Is package.mass in kg, and package.inertia in kg m^2?')
+
+
+def unit_of_inertia(gyration: float) -> str:
+    """Return the likely unit of moments of inertia with this radius of gyration (m)."""
+    return next((unit for unit, many in INERTIA_UNITS
+                 if gyration < GYRATION[1] * float(np.sqrt(many))), INERTIA_UNITS[-1][0])

@@ -37,18 +37,6 @@ MIN_VACUUM = 1000.0
 VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (MIN_VACUUM, 'mbar', 1e2))
 """Below the first number a smaller one is likely in this unit, of so many Pa."""
 
-MIN_MASS, MAX_MASS = 0.01, 50.0
-"""Masses (kg) outside are likely in another unit."""
-
-GYRATION = (0.01, 0.3, 1.0)
-"""Radii of gyration of packages, m: the smallest, the largest usual one, the largest of all."""
-
-LEAD = 11_340.0
-"""Density of lead, kg/m^3; no package has a larger one."""
-
-INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
-"""What moments of inertia may be in, and how many of each are 1 kg m^2."""
-
 
 def validate(name: str, value: object) -> Value:
     """
@@ -129,38 +117,8 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
 
 def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a sentence for each of the package's data that is unlikely though allowed."""
-    sentences = []
-    height, mass = values['package.com'][2], values['package.mass']
-    if height > 0.0:
-        sentences.append(
-            f'package.com is {height:g} m above the lip, inside the cup; z points into the arm. '
-            f'Is it {-height:g}?')
-    if not MIN_MASS <= mass <= MAX_MASS:
-        sentences.append(
-            f'package.mass is {mass:g} kg; cups of this kind carry {MIN_MASS:g} to '
-            f'{MAX_MASS:g} kg. Is it in another unit?')
-    gyration = math.sqrt(sum(values['package.inertia'][:3]) / mass)
-    if gyration > GYRATION[-1]:
-        sentences.append(
-            f'package.inertia has a radius of gyration of {gyration:.3g} m; expected up to '
-            f'{GYRATION[-1]:g} m. Is it in {unit_of_inertia(gyration)} instead of kg m^2?')
-    elif sentence := too_dense(mass, gyration):
-        sentences.append(sentence)
-    return tuple(sentences)
-
-
-def too_dense(mass: float, gyration: float) -> str:
-    """Return a sentence if a package (kg, m) would be denser than a ball of lead, else ''."""
-    least = math.sqrt(1.2) * (3.0 * mass / (4.0 * math.pi * LEAD)) ** (1 / 3)
-    return '' if gyration >= least else (
-        f'package.inertia has a radius of gyration of {gyration:.3g} m; even a ball of lead of '
-        f'{mass:g} kg has {least:.3g} m. Is package.mass in kg, and package.inertia in kg m^2?')
-
-
-def unit_of_inertia(gyration: float) -> str:
-    """Return the unit that moments of inertia likely have, from a radius of gyration (m)."""
-    return next((unit for unit, many in INERTIA_UNITS if gyration < GYRATION[1] * math.sqrt(many)),
-                INERTIA_UNITS[-1][0])
+    return structure.unit_doubts(
+        values['package.mass'], values['package.inertia'][:3], values['package.com'][2])
 
 
 def pose_text(pose: Array) -> str:

@@ -308,7 +308,7 @@ class PrepareSettings:
     package_frame: str = 'com'
     align_at_rest: bool = False
     rest_duration: float = 1.0
-    payload: Package = Package(1.0, np.eye(3), np.zeros(3))
+    payload: Package = Package(1.0, 0.01 * np.eye(3), np.zeros(3))
     gravity: float = STANDARD_GRAVITY
     tool_half_window: int = 0
     tool_order: int = 6
