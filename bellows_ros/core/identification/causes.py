@@ -24,6 +24,7 @@ from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.recording import alignment, conventions
 from bellows_ros.core.recording.preparation import lasting_steps, MAX_POSE_STEPS, prepare
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, NOISE_SAMPLES, Recording
+from bellows_ros.core.signals.resampling import in_bursts
 from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
@@ -72,9 +73,6 @@ MAX_SPREAD_RATIO = 0.3
 
 SAMPLE_STEP = 20
 """Every such sample is used where only the arrangement matters."""
-
-SHORT_STEP, MAX_SHORT = 0.2, 0.3
-"""A step (periods) that no sensor makes again and again, and which part of all may be as short."""
 
 MIN_SWING, MAX_SWING = -0.2, 0.05
 """Time offsets (s) that the swing of the package can explain: it turns after its tool, not before.
@@ -389,8 +387,7 @@ def _bursts(recording: Recording) -> Finding | None:
     """Return that many poses come right after another, as messages do and exposures do not."""
     names = []
     for report in (recording.report.tool, recording.report.package):
-        steps = np.diff(report.recorded.stamps_ns) * report.timing.rate_hz / NS_PER_S
-        if np.mean(steps < SHORT_STEP) > MAX_SHORT:
+        if in_bursts(report.recorded.stamps_ns, report.timing):
             names.append(f"'{report.recorded.name}'")
     return Finding('bursts', ' and '.join(names)) if names else None
 

@@ -30,7 +30,6 @@ AUTOMATIC_HALF_WINDOW = 1 / 12
 MAX_LATERAL_OFFSET, MAX_LATERAL_COM, MAX_REPEAT_FRACTION, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
 # So many poses in a row that are lost are interpolated, if it is no longer than this (s).
 MAX_DROPOUT, MAX_DROPOUT_TIME = 2, 0.01
-MAX_GAP_FRACTION = 0.5  # of the time; poses with more come in bursts
 # A step that a slow camera sees at least as often as the rest (%) in the motion is none.
 MOTION_PERCENTILE = 99.0
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
@@ -265,10 +264,9 @@ def stream_warnings(report: StreamReport) -> list[str]:
 
 
 def burst_sentence(*reports: StreamReport) -> str:
-    """Return a sentence on streams in which no pose comes most of the time, '' without any."""
-    bursts = [f"'{report.recorded.name}'" for report in reports
-              if sum(gap.duration_s for gap in report.timing.gaps) > MAX_GAP_FRACTION * float(
-                  np.ptp(report.recorded.stamps_ns)) / NS_PER_S]
+    """Return a sentence on streams whose poses come right after another, '' without any."""
+    bursts = [f"'{report.recorded.name}'" for report in reports if resampling.in_bursts(
+        report.recorded.stamps_ns, report.timing)]
     return WARNINGS['topic']['bursts'].format(topics=' and '.join(bursts)) if bursts else ''
 
 

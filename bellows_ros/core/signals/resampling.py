@@ -49,6 +49,13 @@ TICK_TOLERANCE, MAX_ROUNDING, MIN_CHANGES = 0.02, 1.3, 5
 parts of it, and number of unusual steps in a window, of which lost samples make fewer or move
 later stamps farther."""
 
+SHORT_STEP, MAX_SHORT = 0.2, 0.3
+"""Step in periods that no sensor makes again and again, and part of such steps in bursts."""
+
+MIN_BURSTS, LONGEST_BURST, MAX_UNEVENNESS = 5, 0.5, 0.5
+"""Number of gaps between bursts, their length (s), and interquartile range over median of the time
+per sample from burst to burst."""
+
 GAP_SAMPLES, MAX_GAPS, LOST_PERIODS = 30, 200, 0.65
 """Samples compared on both sides of a gap, most gaps, and periods that tell that one is lost."""
 
@@ -163,6 +170,25 @@ def resolution(stamps_ns: Stamps) -> float:
     rounded = (np.count_nonzero(changes, axis=1) >= MIN_CHANGES) & (
         np.ptp(off_line, axis=1) < MAX_ROUNDING * tick)
     return 1e-6 * tick if 2 * np.count_nonzero(rounded) > len(parts) else 0.0
+
+
+def in_bursts(stamps_ns: Stamps, timing: Timing) -> bool:
+    """
+    Return whether samples come right after another, as messages do, not measurements.
+
+    Short steps show it, or short gaps that take most of the time, each in proportion to the number
+    of samples that come at once; lost samples leave gaps of any length, or of any number.
+    """
+    steps = np.diff(stamps_ns) / NS_PER_S
+    if np.mean(steps * timing.rate_hz < SHORT_STEP) > MAX_SHORT:
+        return True
+    begins = np.flatnonzero(steps > timing.longest_step_ns / NS_PER_S) + 1
+    gaps = steps[begins - 1]
+    if len(begins) < MIN_BURSTS or (
+            2.0 * gaps.sum() < steps.sum() or np.median(gaps) > LONGEST_BURST):
+        return False
+    low, middle, high = np.percentile(np.diff(stamps_ns[begins]) / np.diff(begins), (25, 50, 75))
+    return bool(high - low < MAX_UNEVENNESS * middle)
 
 
 def _period(steps: Stamps) -> float:

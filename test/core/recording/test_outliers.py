@@ -18,8 +18,7 @@ NONE = Noise(0.0, 0.0)
 LAB = Noise(1e-4, 5e-4)
 COARSE = Noise(1e-3, 1e-3)
 CALM, LIVELY, WILD = (0.5, 2.0), (2.0, 3.0), (10.0, 5.0)  # g, Hz
-LARGE, SMALL, SMALLEST = (  # m, rad: from, to
-    ((0.03, 2.0), (0.05, 2.0)), ((0.003, 0.01), (0.005, 0.02)), ((0.0015, 0.0018), (0.006, 0.007)))
+LARGE, SMALL = ((0.03, 2.0), (0.05, 2.0)), ((0.003, 0.01), (0.005, 0.02))  # m, rad: from, to
 
 
 def found_in(poses):
@@ -78,18 +77,12 @@ def test_a_motion_that_begins_at_once_is_no_jump(rate_hz, motion):
 
 @pytest.mark.parametrize(('seed', 'rate_hz', 'motion', 'noise', 'excursion'), [
     *((13, *of, (*LARGE, (1, 200))) for of in (
-        (100.0, WILD, COARSE), (360.0, CALM, NONE), (360.0, LIVELY, LAB), (1000.0, WILD, COARSE))),
+        (100.0, LIVELY, COARSE), (360.0, CALM, NONE), (360.0, LIVELY, LAB),
+        (1000.0, WILD, COARSE))),
     (14, 100.0, CALM, LAB, (*SMALL, (2, 7))), (14, 360.0, LIVELY, LAB, (*SMALL, (2, 7))),
-    (14, 360.0, CALM, NONE, (*SMALL, (8, 200))), (14, 1000.0, LIVELY, LAB, (*SMALL, (8, 200))),
-    (32, 360.0, LIVELY, LAB, (*SMALLEST, (3, 7))),
-    (32, 360.0, LIVELY, LAB, (*SMALLEST, (8, 200)))])
+    (14, 360.0, CALM, NONE, (*SMALL, (8, 200))), (14, 1000.0, LIVELY, LAB, (*SMALL, (8, 200)))])
 def test_excursions_are_marked_to_the_sample(seed, rate_hz, motion, noise, excursion):
-    """
-    Large ones with noise of 1 mm or 10 g too, small ones with noise of 0.1 mm and 0.5 mrad.
-
-    The smallest, which two samples on each side do not show, make K of least squares wrong by a
-    third.
-    """
+    """Large ones with noise of 1 mm or 10 g too, small ones with noise of 0.1 mm, 0.5 mrad."""
     recall, precision = score(
         np.random.default_rng(seed), Shake(rate_hz, 20.0, *motion), noise, *excursion)
     is_large = excursion[:2] == LARGE
@@ -169,6 +162,23 @@ def test_a_lasting_step_does_not_end_in_a_lost_pose(seed):
         poses, slice(len(poses) // 3, None), np.array([0.02, 0, 0]), np.zeros(3), True)
     kept = poses.select(rng.random(len(poses)) > 0.05)
     assert np.count_nonzero(~found_in(kept).good) < 0.05 * len(kept)
+
+
+@pytest.mark.parametrize('frames', [1, 2, 4, 6])
+@pytest.mark.parametrize('seed', [6, 7, 8])
+def test_flips_of_a_flat_tag_return(seed, frames):
+    """Tilts of 30 to 60 degrees that a camera at 30 Hz mirrors are excursions, and no steps."""
+    rng = np.random.default_rng(seed)
+    poses = noisy(rng, shaken(rng, Shake(30.0, 30.0, 0.2, 1.5)), Noise(5e-4, 1e-2))
+    starts = np.arange(80, 860, 97)
+    for start in starts:
+        turn = rng.uniform(0.5, 1.0) * np.array([np.cos(start), np.sin(start), 0.0])
+        poses = displaced(poses, slice(start, start + frames), np.zeros(3), turn, True)
+    found = found_in(poses)
+    assert found.steps == ()
+    assert found.flips == len(starts)
+    assert_array_equal(np.flatnonzero(~found.good),
+                       np.concatenate([np.arange(start, start + frames) for start in starts]))
 
 
 def frozen(poses, run):

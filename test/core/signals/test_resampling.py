@@ -2,7 +2,7 @@
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.signals.resampling import at_sampling, resample
+from bellows_ros.core.signals.resampling import at_sampling, in_bursts, resample, timing
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -148,3 +148,20 @@ def test_true_stamps_and_bodies_at_rest_are_left_alone(speed, arrives):
     found, arrivals = at_sampling(stream)
     assert arrivals is None
     assert found is stream
+
+
+@pytest.mark.parametrize('gaps', [
+    [(5.0, 40.0)], [(2.0, 2.3), (3.0, 17.0), (18.5, 19.6), (21.0, 21.4), (25.0, 25.5), (30, 48)],
+    [(k + 0.4, k + 1.0) for k in range(50)]])
+def test_long_gaps_between_uniform_stamps_are_no_bursts(gaps):
+    stamps = np.arange(25_000) * 2_000_000
+    seconds = stamps * 1e-9
+    kept = ~np.any([(seconds > first) & (seconds < last) for first, last in gaps], axis=0)
+    assert not in_bursts(stamps[kept], timing(stamps[kept]))
+
+
+@pytest.mark.parametrize('many', [2, 5, 50])
+def test_stamps_on_arrival_of_messages_in_a_row_are_bursts(many):
+    number = np.arange(20_000)
+    arrival = (number // many * many + many - 1) * 5_000_000 + 200_000 * (number % many)
+    assert in_bursts(arrival, timing(arrival))
