@@ -333,8 +333,8 @@ def plan(
     Parameters
     ----------
     motion : path or Trajectory
-        A recording with a plan, joint states, transforms or poses of the tool; a TUM, KITTI
-        or EuRoC file; a message or a motion as YAML; or the poses of E in a world whose z is up,
+        A recording with a plan, joint states, transforms or poses of the tool; a TUM
+        file; a message or a motion as YAML; or the poses of E in a world whose z is up,
         with body twists, or without from rest to rest.
     parameters : mapping or path
         Package and cup by name, and the grip if known; or a file with them.

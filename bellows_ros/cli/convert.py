@@ -1,4 +1,4 @@
-"""Make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or tf."""
+"""Make recordings from files of Motive or TUM, from joints or tf."""
 
 import argparse
 import os

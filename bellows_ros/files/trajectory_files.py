@@ -1,9 +1,8 @@
 """
-Trajectories as text: TUM and EuRoC (read and written), KITTI, and exports of Motive.
+Trajectories as text: TUM files, motions with velocities, programs, and exports of Motive.
 
 TUM has a pose per line, `time x y z qx qy qz qw`, in s and m, with blanks between; evo and many
-SLAM tools take it. EuRoC has commas, ns, and the quaternion's w first. KITTI has the upper three
-rows of a pose's matrix in a line, and the times (s) in another file.
+SLAM tools take it.
 
 Of Motive's CSV exports (formats 1.2 to 1.25) the tracked poses of rigid bodies are read. A pose is
 left out where its cells are blank, and where fewer markers of its body are seen than a rigid body
@@ -30,7 +29,6 @@ import re
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, File, read_text
@@ -40,48 +38,11 @@ MAX_FILE_BYTES = 2**31
 MAX_STAMP_NS = 9 * 10**18
 """Later stamps do not fit into 64 bits."""
 
+TUM_COLUMNS = 8
+"""Numbers in a line of a TUM file."""
+
 NumberedRows = list[tuple[int, list[str]]]
 """Numbers and cells of the lines of a file."""
-
-MAX_ROTATION_ERROR = 0.01
-"""R^T R of a KITTI pose may differ from I by this much; R is then made a rotation."""
-
-
-def read_trajectory(path: File) -> tuple[Stamps, Array]:
-    """Read a EuRoC file, which ends in .csv, or a KITTI or TUM file; see `read_tum`."""
-    if Path(path).suffix.lower() == '.csv':
-        return read_euroc(path)
-    lines = _lines(path, None)
-    return read_kitti(path) if len(lines[0][1]) == 12 else read_tum(path)
-
-
-def read_kitti(path: File) -> tuple[Stamps, Array]:
-    """
-    Read the poses of a KITTI file, and their times (s) from a file beside it.
-
-    That is named NAME_times.txt, or times.txt. See `read_tum` for what is returned.
-    """
-    lines, file = _lines(path, None, 12, 12), Path(path)
-    files = [file.with_name(f'{file.stem}_times.txt'), file.with_name('times.txt')]
-    times = next(filter(Path.is_file, files), None)
-    if times is None:
-        raise BellowsError(
-            f"KITTI file '{path}' has no times. Write them to '{files[0]}', one per line, in s.")
-    stamps = _stamps(times, _lines(times, None), 's')
-    if len(stamps) != len(lines):
-        raise BellowsError(
-            f"'{path}' has {len(lines)} poses, and '{times}' {len(stamps)} times; expected one "
-            'for each.')
-    rows = numbers(path, lines, range(12)).reshape(-1, 3, 4)
-    R, unit = rows[:, :, :3], np.eye(3)
-    off = np.abs(np.einsum('nji,njk->nik', R, R) - unit).max(axis=(1, 2))
-    bad = np.flatnonzero(~(off < MAX_ROTATION_ERROR) | ~(np.linalg.det(R) > 0.0))
-    if len(bad):
-        raise BellowsError(
-            f"'{path}', line {lines[bad[0]][0]}: the first three columns are not a rotation, by "
-            f'{off[bad[0]]:.2g} in R^T R. A KITTI line has the rows of [R t], row by row.')
-    u, _, v = np.linalg.svd(R)
-    return stamps, np.hstack([rows[:, :, 3], rotation_to_quaternion(u @ v)])
 
 
 def read_tum(path: File) -> tuple[Stamps, Array]:
@@ -100,14 +61,8 @@ def read_tum(path: File) -> tuple[Stamps, Array]:
         With the line, if it is no such file.
 
     """
-    lines = _lines(path, None, 8, 8)
-    return _stamps(path, lines, 's'), numbers(path, lines, range(1, 8))
-
-
-def read_euroc(path: File) -> tuple[Stamps, Array]:
-    """Read the poses of a EuRoC ground-truth or estimate file; see `read_tum`."""
-    lines = _lines(path, ',', 8)
-    return _stamps(path, lines, 'ns'), numbers(path, lines, (1, 2, 3, 5, 6, 7, 4))
+    lines = _lines(path)
+    return _stamps(path, lines), numbers(path, lines, range(1, TUM_COLUMNS))
 
 
 def write_tum(path: File, stamps_ns: Stamps, values: Array) -> None:
@@ -133,9 +88,9 @@ def write_tum(path: File, stamps_ns: Stamps, values: Array) -> None:
            *divmod(stamps_ns, NS_PER_S), *values.T)
 
 
-def write_euroc(path: File, stamps_ns: Stamps, values: Array) -> None:
+def write_csv(path: File, stamps_ns: Stamps, values: Array) -> None:
     """
-    Write a EuRoC file with velocities, whole or not at all.
+    Write a motion with velocities as columns of text, whole or not at all.
 
     Parameters
     ----------
@@ -152,8 +107,8 @@ def write_euroc(path: File, stamps_ns: Stamps, values: Array) -> None:
         If it cannot be written.
 
     """
-    _write(path, '#time (ns),x,y,z (m),qw,qx,qy,qz,vx,vy,vz (m/s),wx,wy,wz (rad/s)',
-           '%d' + 13 * ',%.9g', stamps_ns, *values[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]].T)
+    _write(path, 'time (s),x,y,z (m),qx,qy,qz,qw,vx,vy,vz (m/s),wx,wy,wz (rad/s)',
+           '%d.%09d' + 13 * ',%.9g', *divmod(stamps_ns, NS_PER_S), *values.T)
 
 
 def _write(path: File, head: str, form: str, *columns: Array | Stamps) -> None:
@@ -194,41 +149,38 @@ def write_urscript(
         moves='\n'.join(f'  to({pose})' for pose in poses)))
 
 
-def _lines(path: File, separator: str | None, fewest: int = 1, most: int = 10**6) -> NumberedRows:
+def _lines(path: File) -> NumberedRows:
     """Return the numbers and cells of the lines that are no comments."""
     lines = [
-        (number, [cell.strip() for cell in line.split(separator)])
+        (number, line.split())
         for number, line in enumerate(read_text(path, MAX_FILE_BYTES).splitlines(), 1)
         if line.strip() and not line.lstrip().startswith('#')]
     if not lines:
         raise BellowsError(f"'{path}' has no poses.")
     for number, cells in lines:
-        if not fewest <= len(cells) <= most:
-            wanted = f'{"" if fewest == most else "at least "}{fewest} numbers'
-            raise _line_error(path, number, f'{wanted}, got {len(cells)}')
+        if len(cells) != TUM_COLUMNS:
+            raise _line_error(path, number, f'{TUM_COLUMNS} numbers, got {len(cells)}')
     return lines
 
 
 def _line_error(path: File, number: int, what: str) -> BellowsError:
     """Return the error for a line that does not hold what it must."""
     return BellowsError(
-        f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'; "
-        "a EuRoC line is 'time_ns, x, y, z, qw, qx, qy, qz, ...'.")
+        f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'.")
 
 
-def _stamps(path: File, lines: NumberedRows, unit: str) -> Stamps:
-    """Return the times at the beginning of lines, in s or ns; none goes through a float."""
-    factor = {'s': NS_PER_S, 'ns': 1}[unit]
+def _stamps(path: File, lines: NumberedRows) -> Stamps:
+    """Return the times (s) at the beginning of lines in ns; none goes through a float."""
     stamps = []
     for number, (cell, *_) in lines:
         try:
             time = Decimal(cell)
-            valid = 0 <= time < MAX_STAMP_NS // factor and (factor > 1 or time % 1 == 0)
+            valid = 0 <= time < MAX_STAMP_NS // NS_PER_S
         except ArithmeticError:
             valid = False
         if not valid:
-            raise _line_error(path, number, f"a time in {unit}, got '{cell[:40]}'")
-        stamps.append(int(time * factor))
+            raise _line_error(path, number, f"a time in s, got '{cell[:40]}'")
+        stamps.append(int(time * NS_PER_S))
     return np.array(stamps, dtype=np.int64)
 
 

@@ -102,7 +102,7 @@ def bodies_in_files(
     Parameters
     ----------
     sources : sequence of path
-        Motive CSV exports, whose every rigid body becomes a topic, or TUM, KITTI or EuRoC
+        Motive CSV exports, whose every rigid body becomes a topic, or TUM
         files, each a topic.
     names : sequence of str, optional
         Topics, in the order of files and bodies; by default '/NAME/pose'.
@@ -301,7 +301,7 @@ def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
     """Return the bodies in a file, and what was left out."""
     if not os.path.isfile(source):
         raise BellowsError(
-            f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file.")
+            f"'{source}' is not a file. Give a Motive CSV export, or a TUM file.")
     if source.suffix.lower() == '.csv' and trajectory_files.is_motive(source):
         return [Body(
             bag_writer.as_messages(
@@ -310,7 +310,7 @@ def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
                 ('not tracked', body.missing), ('too few markers', body.unseen)) if count},
             'motive_y_up')
             for body in trajectory_files.read_motive(source, min_markers)]
-    read = trajectory_files.read_trajectory(source)
+    read = trajectory_files.read_tum(source)
     return [Body(bag_writer.as_messages(_topic_of(source.stem), POSE, *read), str(source))]
 
 

@@ -268,7 +268,7 @@ def write_motion(
                 write(folder / name, each)
     if csv:
         plan = plan_of(motion)
-        trajectory_files.write_euroc(
+        trajectory_files.write_csv(
             csv, plan.times_ns, np.hstack([plan.poses, np.asarray(plan.twists)]))
     if urscript:
         slow = motion.at_rate(UR_RATE)

@@ -28,11 +28,11 @@ from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
 from bellows_ros.files.messages import POSE, TWIST
 from bellows_ros.files.parameter_files import with_chosen_cup
-from bellows_ros.files.trajectory_files import read_trajectory
+from bellows_ros.files.trajectory_files import read_tum
 from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
-YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt', '.kitti', '.csv')
+YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt')
 MOTION_RATE = 500.0
 """Points per second taken from a motion of `bellows simulate`, Hz."""
 
@@ -241,8 +241,8 @@ def plan(
     Parameters
     ----------
     path : path or Trajectory
-        A recording with a plan, joint states, transforms or poses of the tool; a TUM, KITTI
-        or EuRoC file; a message or a motion as YAML. Or the motion of E itself; without twists,
+        A recording with a plan, joint states, transforms or poses of the tool; a TUM
+        file; a message or a motion as YAML. Or the motion of E itself; without twists,
         from rest to rest.
     settings : mapping
         Parameters by name: cup, package, and how the plan is to be read.
@@ -340,8 +340,7 @@ def plan_with_cup(
         return Source(_checked_motion(path, path.twist), '', path='a motion', values=values)
     if not os.path.exists(path):
         raise BellowsError(
-            f"Plan '{path}' does not exist. Give a recording, or a YAML, TUM, KITTI or EuRoC "
-            'file.')
+            f"Plan '{path}' does not exist. Give a recording, or a YAML or TUM file.")
     return read_plan(path, values, urdf, topic)
 
 
@@ -378,7 +377,7 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
             return _source_of_motion(content, values)
         return _source_of_plan(plans.plan_in_yaml(content, os.fspath(file)), values, urdf, '')
     if file.suffix.lower() in TEXT:
-        tool = plan_of(*read_trajectory(file), name=f"'{file}'").trajectory()
+        tool = plan_of(*read_tum(file), name=f"'{file}'").trajectory()
         return Source(at_tip(tool, tip_of(values)), '')
     read = plans.plans_in(file, topic)
     if read:

@@ -10,7 +10,7 @@ from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_contents, topics
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
-from bellows_ros.files.trajectory_files import read_euroc, read_motive, read_tum
+from bellows_ros.files.trajectory_files import read_motive, read_tum
 from bellows_ros.workflows.info import info
 from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.recordings import load
@@ -200,16 +200,13 @@ def require_finite(found):
 
 TUM = '# time x y z qx qy qz qw\n' + ''.join(
     f'{1.7e9 + 0.01 * k:.4f} 0.1 0.2 {0.3 + 1e-3 * k:.4f} 0 0 0 1\n' for k in range(30))
-EUROC = '#timestamp, p, q, v\n' + ''.join(
-    f'{START_NS + k * PERIOD_NS}, 0.1, 0.2, {1e-3 * k}, 1, 0, 0, 0, 0, 0, 0\n' for k in range(30))
 MOTIVE = (
     'Format Version,1.23,Take Name,x,Capture Start Time,2021-05-11 02.31.05.250 PM,'
     'Rotation Type,Quaternion,Length Units,Meters,Coordinate Space,Global\n\n'
     ',Type' + ',Rigid Body' * 7 + '\n,Name' + ',box' * 7 + '\n,ID' + ',1' * 7 + '\n'
     ',' + ',Rotation' * 4 + ',Position' * 3 + '\nFrame,Time (Seconds),X,Y,Z,W,X,Y,Z\n'
     + ''.join(f'{k},{0.01 * k},0,0,0,1,{1e-3 * k},1,2\n' for k in range(30)))
-tables = texts({'tum.csv': (TUM, read_tum), 'euroc.csv': (EUROC, read_euroc),
-                'motive.csv': (MOTIVE, read_motive)})
+tables = texts({'tum.csv': (TUM, read_tum), 'motive.csv': (MOTIVE, read_motive)})
 
 
 def motions(rng, folder):
