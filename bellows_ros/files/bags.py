@@ -90,8 +90,12 @@ class _Bag:
         for file in self._listed.files:
             losses: list[str] = []
             try:
+                inflated, most = 0, mcap.MAX_INFLATED + mcap.MAX_INFLATION * file.stat().st_size
                 for topic, log_time_ns, data in _stored_in(file, wanted, self.counts, losses):
                     plain = _decompressed(topic, data) if data[:4] == ZSTD_MAGIC else data
+                    inflated += len(plain) - len(data)
+                    if inflated > most:
+                        raise DamagedError('its messages are far larger than the file')
                     yield topic, log_time_ns, plain
             except (DamagedError, bag_folder.ZstdError, EOFError) as error:
                 raise BellowsError(
@@ -411,7 +415,7 @@ def _stored_in(
         magic = file.read(len(SQLITE_MAGIC))
         file.seek(0)
         if magic.startswith(mcap.MAGIC):
-            yield from mcap.scan(file, wanted, counts, losses)
+            yield from mcap.scan(file, wanted, counts, losses, path.stat().st_size)
         elif magic == SQLITE_MAGIC:
             yield from scan_database(path, file if compressed else None, wanted, counts)
         elif not magic:

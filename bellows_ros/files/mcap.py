@@ -3,8 +3,9 @@ Reading the messages of an MCAP file from front to back, and the checksums of it
 
 The file is read as a stream and nothing in it is believed that could cost memory: sizes are
 bounded before they are allocated, chunks are decompressed one at a time up to the size they
-declare, and indexes are not used. A file that does not end as it should, as of a recorder that
-crashed, is read up to the break. The format is specified at https://mcap.dev/spec.
+declare, their sum is bounded by the size of the file, and indexes are not used. A file that does
+not end as it should, as of a recorder that crashed, is read up to the break; a damaged summary
+behind the messages is noted. The format is specified at https://mcap.dev/spec.
 """
 
 from collections import Counter
@@ -21,7 +22,7 @@ from bellows_ros.files.bag_folder import Channel, DamagedError, MAX_RECORD_BYTES
 MAGIC = b'\x89MCAP0\r\n'
 
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
-_STATISTICS = 0x0B
+_STATISTICS, _DATA_END = 0x0B, 0x0F
 _READ_KINDS = {0, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS}  # 0 is damage
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<HIqQ')  # channel, number, log time, publish time
@@ -29,11 +30,18 @@ _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _TRUNCATED = 'a record goes beyond its end'
 _SKIP_STEP = 2**20
 
+MAX_INFLATED, MAX_INFLATION = 2**27, 30
+"""Bytes of the decompressed content of a small file, and in addition per byte of a file."""
+
 _DAMAGE = (struct.error, UnicodeDecodeError, DamagedError)
 
 
+class _InflatingError(DamagedError):
+    """The content of a file is too large for its size, and its end is not sought."""
+
+
 def scan(
-    file: BinaryIO, wanted: Wanted, counts: dict[Channel, int], notes: list[str]
+    file: BinaryIO, wanted: Wanted, counts: dict[Channel, int], notes: list[str], stored_bytes: int
 ) -> Iterator[Stored]:
     """
     Yield the messages of the wanted topics as they are stored.
@@ -47,7 +55,10 @@ def scan(
     counts : dict
         Filled while reading: every topic, and at the end its number of messages.
     notes : list of str
-        Filled while reading: what was lost because the recording was not closed.
+        Filled while reading: what was lost because the recording was not closed, or the state of
+        its summary.
+    stored_bytes : int
+        Size of the file, compressed if it is.
 
     Raises
     ------
@@ -56,12 +67,18 @@ def scan(
 
     """
     file.seek(len(MAGIC))
-    scanned = _Scan(wanted, counts)
+    scanned = _Scan(wanted, counts, MAX_INFLATED + MAX_INFLATION * stored_bytes)
     try:
         yield from scanned.messages(file)
+    except _InflatingError:
+        raise
     except _DAMAGE as error:
         named = isinstance(error, DamagedError)
         reason = str(error) if named else f'a record is damaged ({error})'
+        if scanned.data_ended:
+            notes.append(f'its summary is damaged, {reason}: all {sum(scanned.met.values())} '
+                         'messages before it were read')
+            return
         size = file.seek(0, os.SEEK_END)
         file.seek(size - len(MAGIC))
         if size >= 2 * len(MAGIC) and file.read() == MAGIC:  # it ends well
@@ -75,10 +92,9 @@ def scan(
 
 
 class _Scan:
-    """The schemas, channels and messages met so far, and how many bytes hold whole records."""
+    """The schemas, channels and messages met so far, and the number of bytes in whole records."""
 
-    def __init__(self, wanted: Wanted, counts: dict[Channel, int]) -> None:
-        """Start empty."""
+    def __init__(self, wanted: Wanted, counts: dict[Channel, int], most_bytes: int) -> None:
         self._wanted = wanted
         self._counts = counts
         self._schemas: dict[int, str] = {}
@@ -86,6 +102,8 @@ class _Scan:
         self._wanted_channels: set[int] = set()
         self.met: Counter[int] = Counter()
         self.whole = len(MAGIC)
+        self.data_ended = False
+        self._bytes_left = most_bytes
 
     def messages(self, file: BinaryIO) -> Iterator[Stored]:
         """Yield the wanted messages, and count all."""
@@ -121,16 +139,26 @@ class _Scan:
             if kind not in _READ_KINDS:
                 for at in range(0, size, _SKIP_STEP):
                     _exactly(file, min(size - at, _SKIP_STEP))
+                    self._take(_SKIP_STEP)
             elif size > MAX_RECORD_BYTES:
                 raise DamagedError(f'a record says it is {size} bytes long')
             else:
                 body = file.read(size)
-                yield _chunk_data(body) if kind == _CHUNK else head + body
+                records = _chunk_data(body) if kind == _CHUNK else head + body
+                self._take(len(records))
+                yield records
                 if len(body) != size:
                     raise DamagedError(_TRUNCATED)
             self.whole += len(head) + size
+            self.data_ended |= kind == _DATA_END
         if file.read(len(MAGIC) + 1) != MAGIC:
             raise DamagedError('it does not end as an MCAP file does')
+
+    def _take(self, size: int) -> None:
+        """Refuse a file whose content is too large for its size."""
+        self._bytes_left -= size
+        if self._bytes_left < 0:
+            raise _InflatingError('its content is far larger than the file')
 
     def _read_other(self, kind: int, body: bytes) -> None:
         """Read what is no message; refuse a file whose statistics count others."""

@@ -167,6 +167,37 @@ def test_records_that_are_not_sound_are_refused(tmp_path, records, figures):
             read()
 
 
+@pytest.mark.parametrize('summary', [
+    b'', b'\x0b' + bytes(3), record(0x0B, bytes(42) + struct.pack('<I', 13) + bytes(13)),
+    record(0x0B, bytes(10)), statistics({1: 5}), record(3, b'\xff' * 9),
+    b'\xff' * 40, struct.pack('<BQ', 0x0B, 2**63)])
+@pytest.mark.parametrize('ends', [b'', mcap.MAGIC])
+def test_messages_before_a_damaged_summary_are_read(tmp_path, summary, ends):
+    """The state of the summary is noted."""
+    path = tmp_path / 'a.mcap'
+    path.write_bytes(mcap.MAGIC + HEADER + chunk(BASE + message(0) + message(1))
+                     + record(0x0F, bytes(4)) + summary + ends)
+    found = outcome(path)
+    assert_array_equal(found.streams['p'].position, made.pose_values(2)[:, :3])
+    assert any('summary is damaged' in note and '2 messages' in note for note in found.notes)
+
+
+def test_the_sum_of_many_chunks_that_inflate_is_bounded(tmp_path):
+    """Chunks of sound but empty messages, each below the limit of one chunk."""
+    many = BASE + (record(5, struct.pack('<HIQQ', 1, 0, 0, 0)) * 400_000)
+    inflating = chunk(many, 'zstd', zstd.compress(many))
+    path = write_mcap(tmp_path / 'a.mcap', *([inflating] * 50))
+    begin = time.process_time()
+    with pytest.raises(BellowsError, match=r'a\.mcap.* far larger than the file'):
+        topics(path)
+    assert time.process_time() - begin < 60.0
+    whole = tmp_path / 'b.mcap'  # a record that is skipped, in a file that is compressed as a whole
+    whole.write_bytes(zstd.compress(
+        mcap.MAGIC + HEADER + struct.pack('<BQ', 9, 2**40)) + zstd.compress(bytes(2**27)))
+    with pytest.raises(BellowsError, match=r'far larger than the file'):
+        topics(whole)
+
+
 @pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])
 def test_a_recording_that_was_not_ended_is_read_up_to_the_break(tmp_path, compression):
     """The last chunk is cut near its end; compressed, it is read by blocks of 64 or 128 kB."""
