@@ -191,7 +191,7 @@ def test_the_sum_of_many_chunks_that_inflate_is_bounded(tmp_path):
     with pytest.raises(BellowsError, match=r'a\.mcap.* far larger than the file'):
         topics(path)
     assert time.process_time() - begin < 60.0
-    whole = tmp_path / 'b.mcap'  # a record that is skipped, in a file that is compressed as a whole
+    whole = tmp_path / 'b.mcap'  # a skipped record of a file that is compressed as a whole
     whole.write_bytes(zstd.compress(
         mcap.MAGIC + HEADER + struct.pack('<BQ', 9, 2**40)) + zstd.compress(bytes(2**27)))
     with pytest.raises(BellowsError, match=r'far larger than the file'):
