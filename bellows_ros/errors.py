@@ -30,8 +30,8 @@ class UnstableError(BellowsError):
     """The package does not stay on its cup: it has no rest, or a prediction is not finite."""
 
 
-class NotSetError(BellowsError):
-    """A parameter without a default is not given."""
+class NotSetError(BellowsError, AttributeError):
+    """A parameter without a default is not given, as an attribute of `Values`, too."""
 
 
 class NoTopicError(BellowsError):

@@ -62,7 +62,7 @@ def filmed(root, known, true_cup, tmp_path_factory):
         as_messages('/' + ROLES['twist'], TWIST, twist.stamps_ns,
                     np.hstack([twist.linear, twist.angular])),
         poses('camera', package.stamps_ns[which], position, package.rotation[which] @ turns)])
-    return folder, {**true_cup, **known}
+    return folder, Values({**true_cup, **known})
 
 
 def test_both_are_better_than_either(filmed):

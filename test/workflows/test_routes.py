@@ -7,6 +7,7 @@ from pathlib import Path
 import shutil
 import signal
 
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows import workers
@@ -107,8 +108,8 @@ def test_no_scheduler(settings, address, monkeypatch):
     gc.collect()  # nothing is left that would wait for the scheduler when it is collected
 
 
-class Deadly(dict):
-    """Parameters that end the process that looks at them."""
+class Deadly(Values):
+    """Parameters that end the process that reads one of them."""
 
     def __contains__(self, name):
         """Hold everything."""
@@ -117,6 +118,12 @@ class Deadly(dict):
     def __getitem__(self, name):
         """Do what the kernel does where memory is short."""
         os.kill(os.getpid(), signal.SIGKILL)
+
+    def __getattr__(self, name):
+        """Do so for an attribute, but for what pickle asks for."""
+        if name.startswith('_'):
+            raise AttributeError(name)
+        return self[name]
 
 
 def processes():
@@ -151,7 +158,8 @@ def test_a_worker_that_dies_ends_no_work(settings, one_result):
 
 def test_a_recording_that_kills_its_worker_is_left_out(settings):
     pytest.importorskip('joblib', reason='extra parallel')
-    work = [(0, 'a', {}), (1, 'deadly', Deadly()), (2, 'b', {}), (3, 'c', {})]
+    work = [(0, 'a', Values({})), (1, 'deadly', Deadly({})), (2, 'b', Values({})),
+            (3, 'c', Values({}))]
     results = dict(workers.on_cores(work, 2, read_part))
     assert [results[n].bag for n in range(4)] == ['a', 'deadly', 'b', 'c']
     assert ['package.mass' in results[n].reason for n in range(4)] == [True, False, True, True]
@@ -160,7 +168,7 @@ def test_a_recording_that_kills_its_worker_is_left_out(settings):
 def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
     cluster.scheduler.allowed_failures = 0
     results = list(workers.on_dask(
-        [(0, 'deadly', Deadly())], cluster.scheduler_address, read_part))
+        [(0, 'deadly', Deadly({}))], cluster.scheduler_address, read_part))
     assert [number for number, _ in results] == [0]
     assert 'KilledWorker' in results[0][1].reason
 

@@ -102,7 +102,7 @@ def test_refuses_to_aim_where_nothing_lands(case):
 def test_what_cannot_be_tossed_is_counted(case):
     """A valve that may not open in time fails now and then, and the rest counts."""
     nominal = toss(case.held, case.release, case.switched)
-    loose = case._replace(values={**case.values, 'release.delay_std': 0.4})
+    loose = case._replace(values=case.values.replaced({'release.delay_std': 0.4}))
     drawn = landing.draw(loose, nominal, 12, seed=1)
     assert 0 < drawn.failed < 12
     assert len(drawn.errors) == 12 - drawn.failed
