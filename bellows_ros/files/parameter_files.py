@@ -6,8 +6,7 @@ names may be nested or dotted. Written files are read by ROS as they are: every 
 decimal point.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-import difflib
+from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 import math
 from os.path import commonprefix
@@ -15,9 +14,8 @@ from pathlib import Path
 import textwrap
 from typing import Any
 
-from bellows_ros.core.parameters.checks import validate
+from bellows_ros.core.parameters.checks import cup_names, validate
 from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml
@@ -249,44 +247,3 @@ def _scalar(value: object) -> str:
     text = yaml.dump([value], Dumper=_Dumper, default_flow_style=True, width=math.inf,
                      allow_unicode=True)
     return text.strip()[1:-1]
-
-
-def cup_names(names: Iterable[str]) -> list[str]:
-    """Return the names of the cups that parameters of the form cups.NAME.* describe."""
-    matches = (NAMED_CUP.fullmatch(name) for name in names)
-    return list(dict.fromkeys(match[1] for match in matches if match))
-
-
-def with_chosen_cup(values: Values) -> Values:
-    """
-    Return parameter values with those of the cup named by cup.name in the place of cup.*.
-
-    What the named cup leaves out is taken from cup.*, but for what the identification of cup.* has
-    covered, envelope.*, which does not apply to another cup.
-
-    Raises
-    ------
-    BellowsError
-        If there is no cup of that name, or its stiffness is not given.
-
-    """
-    name = values.get('cup.name', '')
-    if not name:
-        return values
-    prefix = f'cups.{name}.'
-    cups = cup_names(values)
-    if name in cups and f'{prefix}stiffness' not in values:
-        raise BellowsError(
-            f"cup.name is '{name}', but cups.{name}.stiffness is not set. Give the cup's "
-            'stiffness, damping and length there.')
-    if name not in cups:
-        similar = difflib.get_close_matches(name, cups, n=1, cutoff=0.5)
-        hint = f"Did you mean '{similar[0]}'?" if similar else (
-            f'Cups there: {", ".join(cups) or "none"}.')
-        raise BellowsError(
-            f"cup.name is '{name}', but there are no parameters cups.{name}.*. {hint}")
-    chosen = {
-        f'cup.{key.removeprefix(prefix)}': value
-        for key, value in values.items() if key.startswith(prefix)}
-    others = {key: value for key, value in values.items() if not key.startswith('envelope.')}
-    return Values({**others, **chosen})

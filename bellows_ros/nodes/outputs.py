@@ -29,7 +29,6 @@ from ..core.geometry.arrays import Array
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import flight, LivePredictor, load, Prediction, uncertainty
 from ..core.model import cup_package, kernels, structure
-from ..core.model.simulation import ToolRows
 from ..core.parameters.values import Values
 from ..core.signals.trajectory import NS_PER_S
 from ..core.toss.landing import ellipse
@@ -46,12 +45,6 @@ MAX_LATENESS_NS = 1_000_000_000
 MAX_FACTOR = 1000.0
 """Safety factors are capped here, as many plots cannot show infinity."""
 
-OK_STATES = ('predicting', 'settling')
-"""States in which package/ok can be true."""
-
-UNSAFE_DURATION_NS = 1_000_000_000
-"""After a safety factor below safety.least, package/ok stays false for this long (ns)."""
-
 NOMINAL_SUFFIX = '_nominal'
 """Suffix of the lip's frame for where the lip is without load."""
 
@@ -64,27 +57,39 @@ class Predicting:
     ----------
     node : ManagedNode
         Subscribes, publishes and logs; messages count while it is active.
-    values : dict
-        Parameters in use: with the chosen cup, without cups of a gripper that do not hold.
     live : LivePredictor
-    load : Load
-        Safety factor of the grip, and distance from the validity range.
-    latest : Prediction or None
-        The newest prediction, of a package that is held or flies.
 
     """
 
     node: ManagedNode
-    values: Values
     live: LivePredictor
-    load: load.Load
-    latest: Prediction | None = None
+
+    @property
+    def values(self) -> Values:
+        """Parameters in use: with the chosen cup, without cups of a gripper that do not hold."""
+        return self.live.values
+
+    @property
+    def load(self) -> load.Load:
+        """Safety factor of the grip, and distance from the validity range."""
+        assert self.live.load
+        return self.live.load
+
+    @property
+    def latest(self) -> Prediction | None:
+        """The newest prediction, of a package that is held or flies."""
+        return self.live.latest
 
     @property
     def held(self) -> Prediction | None:
         """The newest prediction of a held package."""
-        now = self.latest
-        return None if now is None or now.flies else now
+        return self.live.held
+
+    @property
+    def uncertainty(self) -> uncertainty.Uncertainty:
+        """Covariance of a prediction."""
+        assert self.live.uncertainty
+        return self.live.uncertainty
 
 
 class Topic:
@@ -172,8 +177,6 @@ class Outputs:
 
     Attributes
     ----------
-    uncertainty : Uncertainty
-        Covariance of a prediction.
     pose : Topic
         Poses of the package.
 
@@ -211,15 +214,12 @@ class Outputs:
                 part.advertise(node)
         self._last_state = ''
         self._was_ok: bool | None = None
-        self._safe_from_ns = 0
         self._extrapolated_ns = -1
         self._is_late = self._is_due = False
 
     def use_values(self) -> None:
         """Go on with another cup or package."""
-        model, values = self._shared.live.model, self._shared.values
-        self.uncertainty = uncertainty.Uncertainty(model, values)
-        self._picture = Markers(values)
+        self._picture = Markers(self._shared.values)
 
     def _frame(self, name: str) -> tuple[str]:
         """Return a frame of the package or the lip."""
@@ -233,7 +233,7 @@ class Outputs:
     def _make_odometry(self, now: Prediction) -> bytes:
         """Return pose and twist; their covariance is large while it is unknown."""
         is_known = now is not uncertainty.STILL and self._odometry.is_ready and not now.flies
-        root = self.uncertainty.root(now) if is_known else uncertainty.UNKNOWN_ROOT
+        root = self._shared.uncertainty.root(now) if is_known else uncertainty.UNKNOWN_ROOT
         return odometry(self._shared.live.frame_id, *self._frame('package'), now, root)
 
     def _make_deflection(self, now: Prediction) -> bytes:
@@ -280,28 +280,14 @@ class Outputs:
         if self._tf:
             self._tf.send(prediction)
 
-    def note_unsafe(self) -> None:
-        """Note a safety factor that is too small."""
-        self._safe_from_ns = time.monotonic_ns() + UNSAFE_DURATION_NS
-        self._publish_ok(False)
-
-    def _publish_ok(self, ok: bool) -> None:
-        """Publish whether the package is held within limits, when it changes; latched."""
-        if ok != self._was_ok:
-            self._was_ok = ok
-            self._ok.publish(Bool(data=ok))
-
-    def publish_state(self, state: str, is_above: bool = False) -> None:
-        """
-        Publish the state, and if all is well, when they change; late subscribers get both.
-
-        A package above its tool is not where it is predicted.
-        """
+    def publish_state(self, state: str, is_ok: bool = False) -> None:
+        """Publish the state, and if all is well, when they change; late subscribers get both."""
         if state != self._last_state:
             self._last_state = state
             self._state.publish(String(data=state))
-        self._publish_ok(not is_above and state in OK_STATES and (
-            time.monotonic_ns() >= self._safe_from_ns))
+        if is_ok != self._was_ok:
+            self._was_ok = is_ok
+            self._ok.publish(Bool(data=is_ok))
 
 
 NAMESPACE = 'bellows_ros'
@@ -396,24 +382,12 @@ class Tossing:
     Parameters
     ----------
     shared : Predicting
-    rest : callable
-        Returns the tool's motion after a prediction, by its plan, or None.
-    covariance : callable
-        Returns the covariance of a prediction.
-
-    Attributes
-    ----------
-    flight : Flight
-        Follows the package after the valve.
 
     """
 
-    def __init__(
-        self, shared: Predicting, rest: Callable[[Prediction], ToolRows | None],
-        covariance: Callable[[Prediction], Array],
-    ) -> None:
+    def __init__(self, shared: Predicting) -> None:
         """Advertise."""
-        self._shared, self._rest, self._covariance = shared, rest, covariance
+        self._shared = shared
         self._worker = Worker(shared.node, 'release')  # no plan waits behind a search
         self._landing, self._at, self._markers = (
             Topic(kind, name).advertise(shared.node) for kind, name in (
@@ -421,12 +395,11 @@ class Tossing:
                 (MarkerArray, 'package/landing_markers')))
         self._landing_ns = self._valve_time_ns = 0
 
-    def use_values(self) -> None:
-        """Use other values."""
-        shared = self._shared
-        self.flight = flight.Flight(shared.values, self._rest, lambda: shared.load.grip)
-        # ticks are not exact
-        self._period_ns = round(0.9e9 / shared.values.landing.rate)
+    @property
+    def flight(self) -> flight.Flight:
+        """Follows the package after the valve."""
+        assert self._shared.live.flight
+        return self._shared.live.flight
 
     def publish(self, held: Prediction) -> None:
         """Publish the landing, and when to release, at their rates."""
@@ -435,9 +408,10 @@ class Tossing:
         model, frame_id = self._shared.live.model, self._shared.live.frame_id
         now_ns = time.monotonic_ns()
         wanted = self._landing.subscribed or self._markers.subscribed
-        if wanted and now_ns - self._landing_ns >= self._period_ns:
+        period_ns = 0.9e9 / self._shared.values.landing.rate  # ticks are not exact
+        if wanted and now_ns - self._landing_ns >= period_ns:
             self._landing_ns = now_ns
-            landing = self.flight.landing(model, held, self._covariance)
+            landing = self.flight.landing(model, held, self._shared.uncertainty.covariance)
             if landing is not None:
                 position, xyzw, *_ = landing.toss.landing
                 self._landing.publish(pack(

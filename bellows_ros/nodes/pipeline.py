@@ -12,14 +12,12 @@ from functools import partial
 import gc
 import importlib.util
 import math
-from operator import mul
 import time
 from typing import Any
 
-from bellows_ros.core.parameters.checks import gravity_of
+from bellows_ros.core.parameters.checks import gravity_of, with_chosen_cup
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.files.messages import LAYOUTS, TRANSFORMS
-from bellows_ros.files.parameter_files import with_chosen_cup
 from geometry_msgs.msg import InertiaStamped, TwistStamped
 import numpy as np
 from rclpy.clock import Clock
@@ -37,13 +35,12 @@ from .outputs import Outputs, Predicting, QUEUE, Topic, Tossing
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import flight, health, LivePredictor, load, Prediction, uncertainty, warm_up
+from ..core.live import flight, health, LivePredictor, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import cup_of, model_tuple, package_of
 from ..core.model.kernels import ModelTuple
-from ..core.observer.alarms import Alarm
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
 from ..core.signals.screening import PoseSample
-from ..core.signals.trajectory import NS_PER_S, tip_of
+from ..core.signals.trajectory import NS_PER_S
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, shown
 
@@ -55,9 +52,6 @@ PAUSE_NS = 40_000_000
 
 MAX_TWIST_WAIT_NS = 40_000_000
 """This long (ns) after the newest pose none waits for its twist any longer."""
-
-MIN_UPWARD_GRAVITY = 0.5
-"""Above this fraction of gravity along z of the tool the package is above the tool."""
 
 ENCODED = LAYOUTS.keys() - {TRANSFORMS}
 """Types of which a subscription takes the bytes."""
@@ -85,17 +79,14 @@ class Pipeline(Predicting):
     def __init__(self, node: ManagedNode) -> None:
         """Prepare the model, compile all it needs, and only then make the topics."""
         self.node = node
-        self.values = values = with_chosen_cup(node.values)
+        values = with_chosen_cup(node.values)
         self.compute, self._reported = health.window(), Counter[str]()
         self._ticked_ns = 0
         self._was_late = self._is_compiling = False
         self._arrival_at_last_tick: int | None = None
         self._compile_predictor(values)
         self._compiled = {_kernels_of(values)}
-        self.live = LivePredictor(
-            cup_of(values), package_of(values), gravity_of(values), values.tool_twist.frame)
-        self.live.tool.set_tip(tip_of(values))
-        self.load = load.Load(values)
+        self.live = LivePredictor.from_parameters(node.values)
         self.outputs = Outputs(self)
         self._publish_secondary_guarded = node.guarded(self._publish_secondary)
         if values.tool_pose.type == 'tf':
@@ -109,24 +100,14 @@ class Pipeline(Predicting):
             node, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self.attachment = Attachment(self)
         self.planning = Planning(self)
-        self.tossing = Tossing(self, self.planning.rest, lambda now: (
-            self.outputs.uncertainty.covariance(now)))
+        self.live.future = self.planning.rest
+        self.tossing = Tossing(self)
         node.create_subscription(
             Bool, 'vacuum/valve', lambda message: self.switch_valve(message.data), 10)
         self.observing = Observing(self)
         self._apply()
         release_compiler()
         node.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    @property
-    def is_above(self) -> bool:
-        """Whether z of the tool points down, so that the package is above it."""
-        if self.latest is None:
-            return False
-        (x, y, z, w), gravity = self.latest.tool[1], self.live.model[2]
-        z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-        along: float = sum(map(mul, z_world, gravity))
-        return along > MIN_UPWARD_GRAVITY * math.hypot(*gravity)
 
     def new_counts(self) -> Counter[str]:
         """Return fresh starts by reason, poses, and those without a twist, since the last call."""
@@ -138,7 +119,6 @@ class Pipeline(Predicting):
     def stop(self) -> None:
         """Stop publishing, and drop plans and searches."""
         self.outputs.publish_state('inactive')
-        self.latest = None
         self.live.reset()
         for worker in self.node.workers:
             worker.cancel()
@@ -172,7 +152,7 @@ class Pipeline(Predicting):
         self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
 
     def advance(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a step of the live prediction does; start afresh where it raises."""
+        """Run one step of the live predictor; reset it if the step raises."""
         try:
             return step(*arguments)
         except Exception:
@@ -180,27 +160,27 @@ class Pipeline(Predicting):
             raise
 
     def restart(self, reason: str) -> None:
-        """Start again from rest, as after a failure, or where simulated time was set."""
+        """Start from rest after a failure, or after simulated time was set."""
         if self.node.is_active:
             self.live.reset(reason)
-            self.latest = None
 
     def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
         """Send the predictions of a step; other outputs that fail do not affect their poses."""
-        was_predicting = self.latest is not None
+        was_predicting, before = self.latest is not None, self.live.state
         for prediction in self.advance(step, *arguments):
-            self.latest = prediction
             self.outputs.publish(prediction)
             self._publish_secondary_guarded(prediction)
         if self.latest and not was_predicting:  # a tick may be too late to see it
             self.publish_state()
+        if self.live.state != before:
+            self.report(before)
 
     def _publish_secondary(self, prediction: Prediction) -> None:
         """Send all but the pose, and watch the load on the cup."""
-        factors = self.load.watch_force(self.live.model, prediction)
-        if factors and min(factors) < self.load.required:
-            self.outputs.note_unsafe()
+        factors = self.live.watch(prediction)
         self.outputs.publish_more(prediction, factors)
+        if factors and min(factors) < self.load.required:
+            self.publish_state()
         self.planning.follow()
 
     # ----------------------------------------------------------------- events
@@ -212,36 +192,27 @@ class Pipeline(Predicting):
             self.publish(self.live.flush)
 
     def switch_valve(self, on: bool) -> None:
-        """Toss the package when its valve is switched off; take up the next one with it on."""
-        if not self.node.is_active:
-            return
-        if not self.tossing.flight.has_size:
-            self.node.get_logger().warning(
-                'vacuum/valve has a publisher, but package.size is not set, so the package '
-                'counts as held. Set package.size and landing.height.', once=True)
-            return
+        """Process a message of the valve, which has no stamp."""
         stamp_ns, newest_ns = self.node.get_clock().now().nanoseconds, self.live.newest_ns
         if abs(stamp_ns - newest_ns) > MAX_CLOCK_OFFSET_NS:  # stamps are of another clock
             stamp_ns = newest_ns
-        if on and self.tossing.flight.state:
-            self.latest = None  # of the package before
-        self.advance(self.live.switch_valve, on, stamp_ns)
-        self.publish_state()
+        self.change(self.live.on_valve, on, stamp_ns)
 
-    def attach(self, held: bool, why: str) -> bool:
-        """Attach or detach the package; return whether the node is active."""
-        if not self.node.is_active:
-            return False
-        if not held and self.tossing.flight.state:  # the vacuum falls, as the valve has it
-            return True
-        self.publish(self.live.set_attached, held)
-        if held and self.observing.lost_cups:  # they may hold the next package
-            self.observing.lost_cups.clear()
-            self.use_values()
-        self.latest = None
-        self.node.get_logger().info(f'{"Attached" if held else "Detached"} ({why}).')
-        self.publish_state()
-        return True
+    def change(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the outcome of a step that may change the package's state; report a change."""
+        before = self.live.state
+        outcome = self.advance(step, *arguments)
+        self.report(before)
+        return outcome
+
+    def report(self, before: str) -> None:
+        """Log alarms and a change of the package's state, and use the values without lost cups."""
+        self.observing.log_alarms()
+        if self._applied is not self.values:
+            self._apply()
+        if self.live.state != before:
+            self.node.get_logger().info(f'Package: {self.live.state}.')
+            self.publish_state()
 
     def _tick(self) -> None:
         """Predict for waiting poses when no more messages arrive, and bridge a pause."""
@@ -259,27 +230,25 @@ class Pipeline(Predicting):
         if live.arrivals.newest_ns == self._arrival_at_last_tick:
             self.publish(live.coast, self._ticked_ns)
         self._arrival_at_last_tick = live.arrivals.newest_ns
+        self.report(live.state)
         self.publish_state()
         if held := self.held:
             self.load.watch_deflection(live.model, held)
             self.tossing.publish(held)
 
     def publish_state(self) -> None:
-        """Publish the state when it changes."""
-        alarm = self.observing.alarm
-        self.outputs.publish_state(
-            f'alarm: {alarm.cause}' if alarm else self.live.phase(time.monotonic_ns()),
-            self.is_above)
+        """Publish the state when it changes, if messages count."""
+        if self.node.is_active:
+            alarm, now_ns = self.live.alarm, time.monotonic_ns()
+            self.outputs.publish_state(
+                f'alarm: {alarm.cause}' if alarm else self.live.phase(now_ns),
+                self.live.is_ok_at(now_ns))
 
     # ------------------------------------------------------------- parameters
 
     def use_values(self) -> None:
-        """Use the node's parameters, without cups that do not hold; the package moves on."""
+        """Use the node's parameters; the package moves on."""
         values = with_chosen_cup(self.node.values)
-        opened = {*values.cup.open, *map(
-            float, {*self.attachment.vacuum.open_cups, *self.observing.lost_cups})}
-        if len(opened - {-1.0}) < len(values.cup.layout) // 3:  # else none holds: see detached
-            values = values.replaced({'cup.open': tuple(opened)})
         if _kernels_of(values) not in self._compiled:
             if not self._is_compiling:
                 self.node.get_logger().info(
@@ -288,8 +257,7 @@ class Pipeline(Predicting):
             self._is_compiling = True
             return
         self._is_compiling = False
-        self.values = values
-        self.live.set_model(cup_of(values), package_of(values))
+        self.live.use(values)
         self._apply()
 
     def _compile_predictor(self, values: Values) -> ModelTuple:
@@ -314,15 +282,10 @@ class Pipeline(Predicting):
             self._compiled.add(_kernels_of(values))
 
     def _apply(self) -> None:
-        """Let all parts use the values and the model, between two messages."""
-        live, values = self.live, self.values
-        self.load = load.Load(values, self.load.pressure)
-        self.observing.use_values()
+        """Let all outputs use the values and the model, between two messages."""
+        self._applied = self.values
         self.outputs.use_values()
         self.planning.use_values()
-        if live.flight is None or not live.flight.state:
-            self.tossing.use_values()
-        live.configure(round(values.coast.limit * NS_PER_S), self.tossing.flight)
 
 
 def _kernels_of(values: Values) -> tuple[int, bool]:
@@ -480,9 +443,7 @@ class TransformInput(SensorInput):
 
 class Attachment:
     """
-    Ask to attach and to detach.
-
-    What a service asks for holds until the vacuum signal changes the next time.
+    Services and vacuum signal, which attach and detach the package.
 
     Parameters
     ----------
@@ -491,26 +452,19 @@ class Attachment:
 
     Attributes
     ----------
-    held : bool
-        Whether the cup holds the package, by the newest service call or vacuum signal.
     signal : SensorInput or None
         The vacuum signal, where one is asked for.
-    vacuum : Vacuum
-        Which cups hold, by their pressures.
 
     """
 
     def __init__(self, pipeline: Pipeline) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
-        self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
-        self.vacuum = load.Vacuum()
-        self._kind = values.vacuum.signal
-        self.held = values.package.attached and self._kind == 'none'
+        self._pipeline, node = pipeline, pipeline.node
+        self._kind = pipeline.values.vacuum.signal
         for service, held, words in (
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
             node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
-        self._last_reading: bool | None = None  # by the vacuum signal, the last time
         self._refused = {'nan': 0, 'negative': 0, 'no_such_cup': 0}
         self.signal = None if self._kind == 'none' else SensorInput(node, *{
             'bool': (Bool, 'vacuum/held', self._on_held),
@@ -520,57 +474,41 @@ class Attachment:
         self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         """Carry out a service request."""
-        response.success = self._pipeline.attach(held, 'service')
-        response.message = words if response.success else 'The node is not active.'
+        pipeline = self._pipeline
+        response.success, response.message = pipeline.node.is_active, 'The node is not active.'
         if response.success:
-            self.held = held
+            pipeline.publish(pipeline.live.set_attached, held)
+            response.message = words
         return response
 
     def _on_held(self, message: Bool) -> None:
         """Follow a vacuum switch."""
         assert self.signal
         self.signal.note()
-        self._pipeline.observing.on_vacuum(message.data, load.ALL)
-        self._follow(message.data)
+        self._pipeline.change(self._pipeline.live.on_vacuum, message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
         """Follow the pressure in the cup, and go on without cups of a gripper that lose it."""
         assert self.signal
+        live = self._pipeline.live
         self.signal.note(stamp_to_ns(message.header.stamp))
-        vacuum, opened = self.vacuum, self.vacuum.open_cups
-        readings = vacuum.update(
-            self._pipeline.values, message.fluid_pressure, message.header.frame_id)
-        if isinstance(readings, str):
-            self._refused[readings] += 1
-            return
-        for reading in readings:
-            self._pipeline.observing.on_vacuum(*reading)
-        if vacuum.pressure is not None:
-            self._pipeline.load.set_pressure(vacuum.pressure)
-        if vacuum.open_cups != opened:
-            cups = ', '.join(map(str, vacuum.open_cups))
+        opened = live.vacuum.open_cups
+        rejected = self._pipeline.change(
+            live.on_pressure, message.fluid_pressure, message.header.frame_id)
+        if rejected:
+            self._refused[rejected] += 1
+        elif live.vacuum.open_cups != opened:
+            cups = ', '.join(map(str, live.vacuum.open_cups))
             self._pipeline.node.get_logger().warning(
                 f'Without vacuum: cups {cups} of cup.layout.' if cups else 'All cups have vacuum.')
-            self._pipeline.use_values()
-        self._follow(vacuum.held)
-
-    def _follow(self, held: bool) -> None:
-        """Follow the vacuum when it changes; a node that is not active yet does so once it is."""
-        changed, self._last_reading = held != self._last_reading, held
-        if changed and held != self.held:
-            self.held = held
-            self._pipeline.attach(held, 'vacuum')
 
     def status(self, name: str) -> health.Status | None:
         """Return the diagnostics line on the vacuum signal, if there is to be one."""
         if self.signal is None:
             return None
-        latched = self._kind == 'bool'
-        return health.vacuum_status(name, self.signal.report(self._refused), self.held, latched)
-
-
-ALARM_DURATION_NS = 5_000_000_000
-"""How long (ns) an alarm stays in the diagnostics and as the state."""
+        return health.vacuum_status(
+            name, self.signal.report(self._refused), self._pipeline.live.attached,
+            latched=self._kind == 'bool')
 
 
 class Observing:
@@ -580,12 +518,10 @@ class Observing:
     Parameters
     ----------
     pipeline : Pipeline
-        Takes the poses, and goes on without cups that are lost.
+        Takes the poses.
 
     Attributes
     ----------
-    lost_cups : set of int
-        Cups of cup.layout that were lost since the package was attached.
     is_ready : bool
         Whether everything is compiled; measured poses are used from then on.
 
@@ -601,15 +537,9 @@ class Observing:
         self._read = reader(message_type)
         self._has_camera = self.is_ready = False
         self._reported = 0
-        self.lost_cups: set[int] = set()
         self._measured_in = SensorInput(
             node, message_type, 'package/measured', self._on_measured, self._on_publishers)
         self._estimated = Topic(InertiaStamped, 'package/estimated').advertise(node)
-
-    def use_values(self) -> None:
-        """Use other values; the estimate starts again, alarms stay."""
-        if before := self._observer:
-            self._live.package.observe(Observer(self._pipeline.values, before.alarms))
 
     @property
     def _observer(self) -> Observer | None:
@@ -638,16 +568,17 @@ class Observing:
     def _on_measured(self, data: bytes) -> None:
         """Correct the prediction."""
         live, node = self._live, self._pipeline.node
-        if live.arrivals.newest_ns is None or not self.is_ready:
+        if not self.is_ready:
             return
-        if (observer := live.package.observer) is None:
-            live.package.observe(observer := Observer(self._pipeline.values))
         stamp_ns, (frame_id, *_), numbers = self._read(data)
-        self._measured_in.note(stamp_ns)
+        arrival_ns = self._measured_in.note(stamp_ns)
         pose, covariance = (numbers[:3], numbers[3:7]), None
         if self._with_covariance:
             covariance = np.reshape(numbers[7:43], (6, 6))
-        self._pipeline.advance(live.on_measured, stamp_ns, frame_id, *pose, covariance)
+        self._pipeline.change(
+            live.on_measured, stamp_ns, frame_id, *pose, covariance, arrival_ns)
+        if (observer := self._observer) is None:  # before the first pose of the tool
+            return
         if frame_id != live.frame_id and not observer.sensor.has_own_world:
             node.get_logger().warning(
                 f"package/measured is in frame '{shown(frame_id)}', the tool in "
@@ -655,37 +586,21 @@ class Observing:
                 'recording.package_world to the pose of the first frame in the second, as '
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
-        self.log_alarms()
-        payload = self._observer and self._observer.payload
+        payload = observer.payload
         if payload and self._estimated.subscribed:
             self._estimated.publish(
                 conversions.payload_message(self._pipeline.values.frames.lip, payload))
 
-    def on_vacuum(self, held: bool, cup: int) -> None:
-        """Join the vacuum, or that of one cup, with what a camera sees."""
-        self._live.on_vacuum(held, cup)
-        self.log_alarms()
-
     def log_alarms(self) -> None:
-        """Log the alarms since the last call, and go on without the cups that are lost."""
-        alarms = self._observer.alarms if self._observer else []
+        """Log the alarms since the last call."""
+        alarms = self._live.alarms
         new_alarms, self._reported = alarms[self._reported:], len(alarms)
         for alarm in new_alarms:
             self._pipeline.node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
-        if lost := {alarm.cup for alarm in new_alarms if alarm.cup >= 0}:
-            self.lost_cups |= lost
-            self._pipeline.use_values()
-
-    @property
-    def alarm(self) -> Alarm | None:
-        """The alarm of the last seconds, if any."""
-        newest = self._observer.alarms[-1] if self._observer and self._observer.alarms else None
-        is_recent = newest and self._live.newest_ns - newest.stamp_ns < ALARM_DURATION_NS
-        return newest if is_recent else None
 
     def status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics; None if no message ever came."""
-        observer = self._observer
+        observer, live = self._observer, self._live
         if observer is None:
             return None
         counts, payload = observer.counts, observer.payload
@@ -694,12 +609,11 @@ class Observing:
             more['mass (kg)'] = f'{payload.mass:.4g} ± {payload.mass_std:.2g}'
             for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True):
                 more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
-        more |= Counter(f'alarm: {alarm.cause}' for alarm in observer.alarms)
+        more |= Counter(f'alarm: {alarm.cause}' for alarm in live.alarms)
         status = health.input_status(
             name, self._measured_in.report({verdict: counts[verdict] for verdict in VERDICTS}))
         status.values.update({key: str(value) for key, value in more.items()})
-        if self.alarm:
-            return status._replace(level=health.Level.ERROR, message=self.alarm.message)
-        flight = self._live.flight
-        is_held = self._live.attached and not (flight and flight.state)
+        if alarm := live.alarm:
+            return status._replace(level=health.Level.ERROR, message=alarm.message)
+        is_held = live.attached and not (live.flight and live.flight.state)
         return status if is_held else status._replace(level=min(status.level, health.Level.WARN))

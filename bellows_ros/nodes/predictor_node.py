@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable
 import time
 from typing import Any
 
+from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.files.parameter_files import with_chosen_cup
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
 import numpy as np
@@ -124,7 +124,6 @@ class PredictorNode(ManagedNode):
         """Let publishers publish and callbacks work; start from rest at the next tool pose."""
         assert self.pipeline
         self.pipeline.live.reset()
-        self.pipeline.live.set_attached(self.pipeline.attachment.held)
         result = super().on_activate(state)
         self.is_active = True
         self.pipeline.publish_state()
@@ -297,13 +296,13 @@ class Diagnostics:
                 'prediction', state, 'none', 'none', np.empty(0), {}, {}, 'unknown', True, False)]
         live, new = pipeline.live, pipeline.new_counts()
         restarts = {reason: new[reason] for reason in live.restarts}
-        above = pipeline.is_above
+        above = live.is_above
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
         lines = [health.prediction_status(
             'prediction', state, live.phase(time.monotonic_ns()),
             pipeline.values.cup.name or 'cup.*', health.taken(pipeline.compute),
             {**live.counts, **failures}, restarts, live.tool.verdict,
-            pipeline.outputs.uncertainty.available, above)]
+            pipeline.uncertainty.available, above)]
         if state != 'active':
             return lines
         started = tuple(reason for reason, count in restarts.items() if count)

@@ -16,6 +16,7 @@ from bellows_ros.core.model.cup_package import contributions, cup_of, model_tupl
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.limits import Fastest, fastest
 from bellows_ros.core.planning.plan_prediction import MAX_TAIL, PlanPrediction, PlanSimulation
@@ -27,7 +28,6 @@ from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
 from bellows_ros.files.messages import POSE, TWIST
-from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.trajectory_files import read_tum
 from bellows_ros.workflows import CommandResult, recordings
 import numpy as np

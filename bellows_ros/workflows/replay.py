@@ -15,6 +15,7 @@ from bellows_ros.core.identification.causes import corrected, finding_sentence
 from bellows_ros.core.identification.given import given_std
 from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
+from bellows_ros.core.live.cycle import holds, Signal
 from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.predictor import Messages, predicted_trajectory
 from bellows_ros.core.model import simulation, validity_range
@@ -29,6 +30,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
 from bellows_ros.core.recording.recording import Recording, require_one_frame, TimeOffset
 from bellows_ros.core.signals import residuals
+from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import bags, File, messages, results
@@ -338,19 +340,21 @@ def replay(
     require_types(recording=(bag, str, os.PathLike))
     values = checks.resolve(settings, checks.RECORDING_PARAMETERS)
     progress(f'reading {os.fspath(bag)}', 0.0)
-    recording = load(bag, values)
-    causes = corrected(recording)[0]
+    recording, signals = load(bag, values), signals_of(bag, values) if observe else []
+    rated, note = _held_part(bag, recording, values, signals) if signals else (recording, '')
+    causes = corrected(rated)[0]
     if any(cause.sentence for cause in causes):  # the package is not below the tool
         raise BellowsError(' '.join(finding_sentence(cause, values) for cause in causes))
     progress('simulating', 0.3)
-    free = validated(values, recording)
+    free = validated(values, rated)
     sent = tool_messages(recording, values) if observe else None
     live = predicted_live(
-        recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent)
+        recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
     camera = observed(
-        bag, recording, sent, live, values, observe, calibrate_alarms) if sent else None
+        bag, recording, sent, live, values, observe, calibrate_alarms, signals) if sent else None
     progress('done', 1.0)
-    return replace(free, live=live, observed=camera, warnings=_final_warnings(free, camera))
+    warnings = (note,) * bool(note) + _final_warnings(free, camera)
+    return replace(free, live=live, observed=camera, warnings=warnings)
 
 
 def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
@@ -420,13 +424,13 @@ def _mass_hint(values: Values, recording: Recording) -> tuple[str, ...]:
 
 def predicted_live(
     recording: Recording, values: Values, progress: Progress = no_progress,
-    messages: Messages | None = None,
+    messages: Messages | None = None, signals: Sequence[Signal] = (),
 ) -> Live:
     """
     Send a recording's tool messages through the predictor and compare with its package poses.
 
-    Messages are those of `tool_messages`, where they are there already. Tool poses that are marked
-    as tracking outliers are left out, and counted.
+    Messages are those of `tool_messages`, if given. Tool poses that are marked as tracking
+    outliers are left out, and counted. With signals the package is predicted while it is held.
 
     Raises
     ------
@@ -437,14 +441,13 @@ def predicted_live(
     messages = messages or tool_messages(recording, values)
     warm_up(cup_of(values), package_of(values), values.gravity.magnitude,
             values.tool_twist.frame)
-    live = live_predictor(values)
+    live = live_predictor(values, signals)
     start = time.perf_counter()
-    predicted = predicted_trajectory(live, messages, progress)
+    predicted = predicted_trajectory(live, messages, progress, signals=signals)
     took = time.perf_counter() - start
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
     del messages  # of a long recording, tens of megabytes
-    compared = residuals.compare_recorded(
-        predicted, recording.measured_tool, recording.measured_package)
+    compared = _compared(predicted, recording.measured_tool, recording.measured_package)
     return Live(
         **vars(compared), counts=_counts(live, recording),
         real_time_factor=recorded / took, took=took)
@@ -501,6 +504,7 @@ def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum)
 def observed(
     bag: File, recording: Recording, messages: Messages, uncorrected: residuals.Comparison,
     values: Values, topic: str, calibrate_alarms: bool = False,
+    signals: Sequence[Signal] = (),
 ) -> Observed:
     """
     Predict a recording live with the poses of the package on a topic, and compare.
@@ -521,6 +525,8 @@ def observed(
         With poses of the package in the world of the recording.
     calibrate_alarms : bool
         Whether to find what alarms must allow for, see `calibrated_alarms`.
+    signals : sequence of Signal
+        Vacuum and valve; without any the package is held from start to end.
 
     Raises
     ------
@@ -543,12 +549,12 @@ def observed(
     position, q = stream.position.tolist(), lie.rotation_to_quaternion(stream.rotation).tolist()
     measured = list(zip(stream.stamps_ns.tolist(), map(tuple, position), map(tuple, q),
                         covariances, strict=True))
-    vacuum = _vacuum(bag, values)
 
     def run(by: Observer) -> Trajectory:
-        live = live_predictor(values)
+        live = live_predictor(values, signals)
         live.package.observe(by)
-        return predicted_trajectory(live, messages, measured=measured, vacuum=vacuum)
+        live.alarms = by.alarms
+        return predicted_trajectory(live, messages, measured=measured, signals=signals)
 
     corrected = run(observer)
     package = recording.measured_package
@@ -567,7 +573,7 @@ def observed(
     return Observed(
         topic, {'prediction alone': prediction,
                 'camera alone': residuals.compare(camera, tool, package),
-                'both': residuals.compare_recorded(corrected, tool, package)}, counts,
+                'both': _compared(corrected, tool, package)}, counts,
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
         observer.payload, observer.calibration, {
@@ -607,41 +613,83 @@ def _calibrated(
         'measured.latency_std': math.hypot(latency, latency_std)}
 
 
-def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
+def signals_of(bag: File, values: Values) -> list[Signal]:
     """
-    Return when (ns) which cup holds by the recorded vacuum, in order; see `Vacuum`.
+    Return the recorded vacuum and valve, in order; none with vacuum.signal: none.
 
-    It is on the topic that the node listens to, of vacuum.signal, in whichever namespace.
+    They are on the topics of the node, in any namespace.
+
+    Raises
+    ------
+    BellowsError
+        If vacuum.signal is set and not recorded.
+
     """
-    vacuum, readings = Vacuum(), list[tuple[int, bool, int]]()
-    if (signal := values.vacuum.signal) == 'none':
+    vacuum, signals, signal = Vacuum(), list[Signal](), values.vacuum.signal
+    if signal == 'none':
         return []
-    kind, name = {'bool': (messages.BOOL, 'vacuum/held'),
-                  'pressure': ('sensor_msgs/msg/FluidPressure', 'vacuum/pressure')}[signal]
-    for topic, log_ns, data in bags.messages_of(bag, (kind,)):
+    pressure = 'sensor_msgs/msg/FluidPressure'
+    kind, name = (messages.BOOL, 'vacuum/held') if signal == 'bool' else (
+        pressure, 'vacuum/pressure')
+    for topic, log_ns, data in bags.messages_of(bag, {kind, messages.BOOL}):
+        if topic.name.endswith('/vacuum/valve'):
+            is_on = messages.decode_bool(data)
+            signals += [] if is_on is None else [(log_ns, 'valve', is_on, ALL)]
         if not topic.name.endswith('/' + name):
             continue
         if signal == 'bool':
             held = messages.decode_bool(data)
-            readings += [] if held is None else [(log_ns, held, ALL)]
+            signals += [] if held is None else [(log_ns, 'vacuum', held, ALL)]
             continue
         message = bags.decoded(data, kind)
         stamp = message.header.stamp
         states = vacuum.update(values, message.fluid_pressure, message.header.frame_id)
-        readings += [] if isinstance(states, str) else [
-            (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, *state) for state in states]
-    if not readings:
+        signals += [] if isinstance(states, str) else [
+            (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, 'vacuum', *state)
+            for state in states]
+    if not any(each[1] == 'vacuum' for each in signals):
         raise BellowsError(
             f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name}. "
             'Record it, or set vacuum.signal: none.')
-    return sorted(readings, key=itemgetter(0))
+    return sorted(signals, key=itemgetter(0))
 
 
-def live_predictor(values: Values) -> LivePredictor:
-    """Return a predictor of the cup and the package."""
-    return LivePredictor(
-        cup_of(values), package_of(values), values.gravity.magnitude,
-        values.tool_twist.frame)
+def _held_part(
+    bag: File, recording: Recording, values: Values, signals: Sequence[Signal]
+) -> tuple[Recording, str]:
+    """Return the longest hold of a recording, if there are signals, with a note on it."""
+    tool = recording.tool_pose.trajectory()
+    up = world_rotation(values.recording.world, values.gravity.direction)[2]
+    spans = [*holds(tool.stamps_ns, tool.position @ up, signals)]
+    if not spans:
+        return recording, ''
+    first, last = max(spans, key=lambda span: span[1] - span[0])
+    start, end = ((stamp_ns - int(tool.stamps_ns[0])) / NS_PER_S for stamp_ns in (first, last))
+    part = load(bag, values.replaced({
+        'recording.start': values.recording.start + start,
+        'recording.end': values.recording.start + end}))
+    return part, (f'The package is held {len(spans)} times. The cup is rated in the longest hold, '
+                  f'from {start:.1f} to {end:.1f} s.')
+
+
+def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
+    """Return a predictor in the world of the model, of a held package without signals."""
+    in_model: dict[str, Any] = {
+        'tool_pose.offset': '', 'gravity.direction': (0.0, 0.0, -1.0)}
+    if not signals:
+        in_model |= {'vacuum.signal': 'none', 'package.attached': True}
+    return LivePredictor.from_parameters(values.replaced(in_model))
+
+
+def _compared(
+    predicted: Trajectory, tool: Trajectory, package: Trajectory
+) -> residuals.Comparison:
+    """Compare a prediction with a recording as `compare_recorded`, while it was predicted."""
+    after = np.searchsorted(predicted.stamps_ns, package.stamps_ns)
+    after = after.clip(1, len(predicted) - 1)
+    gaps_ns = predicted.stamps_ns[after] - predicted.stamps_ns[after - 1]
+    inside = gaps_ns <= LONGEST_GAP_NS
+    return residuals.compare_recorded(predicted, tool.select(inside), package.select(inside))
 
 
 def _last_measured(

@@ -59,17 +59,17 @@ def test_cup_of_a_gripper_without_vacuum_is_left_out(make_partner, capfd):
 
     for cup in range(3):
         breathe(cup, 60e3)
-    partner.wait(lambda: node.pipeline.attachment.held)
+    partner.wait(lambda: node.pipeline.live.attached)
     hang([-1])
     assert abs(rest([2])[1][0]) > 0.01  # far from where it hung
     breathe(2, 5e3)
-    partner.wait(lambda: node.pipeline.attachment.vacuum.open_cups == (2,))
+    partner.wait(lambda: node.pipeline.live.vacuum.open_cups == (2,))
     assert 'Without vacuum: cups 2' in capfd.readouterr().err
     hang([2])
     breathe(7, 60e3)
     partner.wait(lambda: node.pipeline.attachment._refused['no_such_cup'] == 1)
     breathe(2, 60e3)
-    partner.wait(lambda: node.pipeline.attachment.vacuum.open_cups == ())
+    partner.wait(lambda: node.pipeline.live.vacuum.open_cups == ())
     hang([-1])
     for cup in range(3):
         breathe(cup, 0.0)
@@ -92,15 +92,15 @@ def test_cup_that_a_camera_finds_lost_is_left_out(make_partner, capfd):
         if k % 4 == 0:
             camera.publish(pose_at(START + k * 8_000_000, position, q))
         partner.wait_for_poses(k)
-        assert k > 160 or not node.pipeline.observing.lost_cups
-        if node.pipeline.observing.lost_cups:
+        assert k > 160 or not node.pipeline.live.lost_cups
+        if node.pipeline.live.lost_cups:
             break
-    assert node.pipeline.observing.lost_cups == {2}
+    assert node.pipeline.live.lost_cups == {2}
     assert (k - 160) * 8e-3 < 0.5
     assert 'Alarm, cup 2: Cup 2 of cup.layout, at x -60 mm, y -50 mm' in capfd.readouterr().err
-    assert node.pipeline.observing.alarm.cause == 'cup 2'
+    assert node.pipeline.live.alarm.cause == 'cup 2'
     assert 'alarm: cup 2' in node.pipeline.observing.status('measured package').values
     np.testing.assert_allclose(node.pipeline.live.model[0][2][0], others[0][2][0], rtol=1e-9)
     assert node.pipeline.attachment._answer(True, '', None, Trigger.Response()).success
-    assert node.pipeline.observing.lost_cups == set()
+    assert node.pipeline.live.lost_cups == set()
     np.testing.assert_allclose(node.pipeline.live.model[0][2][0], all_cups[0][2][0], rtol=1e-9)

@@ -170,7 +170,7 @@ def test_vacuum_that_came_before_the_node_was_active_counts(make_predictor, mana
         **PACKAGE, 'vacuum.signal': 'bool', 'autostart': False,
         f'{of_switch}.reliability': 'reliable', f'{of_switch}.durability': 'transient_local'})
     assert manager.change(Transition.TRANSITION_CONFIGURE)
-    manager.wait(lambda: node.pipeline.attachment.held)
+    manager.wait(lambda: node.pipeline.live.state == 'gripped')
     assert manager.change(Transition.TRANSITION_ACTIVATE)
     assert node.pipeline.live.attached
     assert manager.hears_all()

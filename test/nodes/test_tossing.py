@@ -136,19 +136,21 @@ def test_the_vacuum_that_is_heard_counts(make_partner):
         planner.send(message())
         factors.append(float(planner.status().values['smallest_safety_factor']))
     assert factors[0] == pytest.approx(2.0 * factors[1], rel=1e-2)
-    partner.predictor.pipeline.live.switch_valve(False, 1_000_000_000)
+    partner.predictor.pipeline.live.on_valve(False, 1_000_000_000)
     gauge.publish(FluidPressure(fluid_pressure=100_000.0))
     load = partner.predictor.pipeline.load
     planner.wait(lambda: load.pressure == 100_000.0)
     assert flight.grip[0] == pytest.approx(30e3 * np.pi * 0.03 ** 2)
 
 
-def test_without_a_size_the_valve_is_warned_of(make_partner):
-    """Keep the package held."""
+def test_without_a_size_the_valve_releases(make_partner):
+    """Predict no flight, and no package until the valve is on again."""
     partner = make_partner(with_twists=False)
-    valve = partner.writes(Bool, 'vacuum/valve')
+    live, valve = partner.predictor.pipeline.live, partner.writes(Bool, 'vacuum/valve')
     partner.connect()
     partner.predict(1_000_000_000)
     valve.publish(Bool(data=False))
+    partner.wait(lambda: live.state == 'released' and not live.attached)
+    valve.publish(Bool(data=True))
+    partner.wait(lambda: live.state == 'gripped')
     partner.predict(1_004_000_000)
-    assert partner.predictor.pipeline.live.flight.state == ''

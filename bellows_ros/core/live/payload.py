@@ -9,10 +9,11 @@ from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY_NS, Settling
 from bellows_ros.core.model import equilibrium, kernels
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, package_of
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.observer.measurement import Measurement
-from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.observer.observer import Observer, Payload
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -89,6 +90,15 @@ def _require_slow(matrix: Array) -> None:
                 'units.')
 
 
+def stated_payload(values: Values, stamp_ns: int) -> Payload:
+    """Return the payload of package.*, with its stated standard deviations."""
+    mass, com, inertia, _ = package_of(values).as_tuple
+    return Payload(
+        stamp_ns, mass, com, inertia,
+        values.package.mass_std, np.array(values.package.com_std),
+        np.array(values.package.inertia_std[:3]))
+
+
 class Sample(NamedTuple):
     """The tool and the package at one instant."""
 
@@ -151,10 +161,12 @@ class LivePayload:
             observer.start(*self.sample)
         self.observer = observer  # last: other threads ask it for its model
 
-    def correct(self, measurement: Measurement) -> None:
-        """Correct the package with a measured pose."""
+    def correct(self, measurement: Measurement, since_ns: int = 0) -> None:
+        """Correct the package with a measured pose, some time (ns) after the newest sample."""
         observer, sample = self.observer, self.sample
-        if observer is not None and not observer.update(measurement) and sample is not None:
+        if observer is None or observer.update(measurement, since_ns):
+            return
+        if sample is not None:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
 
     def forget(self, is_another: bool = True) -> None:

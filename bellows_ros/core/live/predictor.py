@@ -11,6 +11,8 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+import math
+from operator import mul
 from pathlib import Path
 import tomllib
 from typing import Any
@@ -19,19 +21,30 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.live.cycle import Cycle, FALL_NS, LOST, ON_CUP, RELEASED, Signal
 from bellows_ros.core.live.flight import Flight
-from bellows_ros.core.live.load import ALL
-from bellows_ros.core.live.payload import LivePayload
+from bellows_ros.core.live.load import ALL, check_live, Load, Vacuum
+from bellows_ros.core.live.payload import LivePayload, stated_payload
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
-from bellows_ros.core.live.uncertainty import Prediction
-from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
+from bellows_ros.core.live.uncertainty import Prediction, Uncertainty
+from bellows_ros.core.model.cup_package import Cup, cup_of, frozen_array, Package, package_of
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
-from bellows_ros.core.model.simulation import trajectory_of
+from bellows_ros.core.model.simulation import ToolRows, trajectory_of
 from bellows_ros.core.model.structure import require_stiffness
+from bellows_ros.core.observer.alarms import Alarm, Alarms
+from bellows_ros.core.observer.observer import Observer, Payload
+from bellows_ros.core.parameters.checks import (
+    gravity_of,
+    PACKAGE_PARAMETERS,
+    resolve,
+    with_chosen_cup,
+)
+from bellows_ros.core.parameters.table import lookup
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import PoseSample
-from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, tip_of, Trajectory
 from bellows_ros.errors import BellowsError, require_types
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +57,18 @@ COAST_LIMIT_NS = 100_000_000
 MOVING_SPEED, MOVING_RATE = 0.02, 0.1
 """Speed (m/s) or rate (rad/s) of the tool from which on no package is released."""
 
+MIN_UPWARD_GRAVITY = 0.5
+"""Fraction of gravity along z of the tool above which the package is above the tool."""
+
+ALARM_DURATION_NS = 5_000_000_000
+"""Duration of an alarm that nothing resolves, ns."""
+
+UNSAFE_DURATION_NS = 1_000_000_000
+"""Duration of `is_ok` being false after a safety factor below safety.least, ns."""
+
+SEEN_AGAIN = 3
+"""Number of used poses that show the next package, without vacuum and valve."""
+
 MESSAGES = tomllib.loads(Path(__file__).with_name('messages.toml').read_text())
 RESTARTS: Mapping[str, str] = {
     reason: text.format(gap=screening.LONGEST_GAP_NS / NS_PER_S)
@@ -53,12 +78,14 @@ RESTARTS: Mapping[str, str] = {
 
 class LivePredictor:
     """
-    Predict the package from the tool's poses and twists as they come.
+    Predict the package from the tool's poses and twists as they come; needs no ROS.
 
     Every accepted pose gives exactly one prediction, at its stamp. A twist is paired with the
-    pose of the same stamp, whichever comes first, or interpolated; where that cannot be it is
-    estimated from the poses. What is refused is counted in `refused`, a fresh start from rest in
-    `restarts`.
+    pose of the same stamp, whichever comes first, or interpolated; otherwise it is estimated from
+    the poses. Rejected messages are counted in `refused`, starts from rest in `restarts`.
+
+    `from_parameters` adds all that the node does: measured poses, alarms, vacuum and valve, with
+    the state of the package in a pick-and-place cycle.
 
     Parameters
     ----------
@@ -69,22 +96,40 @@ class LivePredictor:
         Axes of the linear and angular velocity given to `on_twist`; the linear one is the
         velocity of the tool point in either case.
     coast_limit_ns : int
-        How long the tool is extrapolated when no pose comes, 0 for not at all.
+        Longest extrapolation of the tool when no pose comes, ns; 0 for none.
 
     Attributes
     ----------
+    alarms : list of Alarm
+        Detected faults, oldest first: stamp_ns, cause, size, its standard deviation, the second
+        likeliest cause, and the odds of the first to the second.
+    values : Values
+        Parameters in use, with the chosen cup and without the cups that do not hold; empty unless
+        made by `from_parameters`.
+    latest : Prediction or None
+        The newest one of a package that is held or flies.
+    load : Load or None
+        Safety factor of the grip, and distance from the validity range.
+    uncertainty : Uncertainty or None
+        Covariance of predictions without measured poses.
+    vacuum : Vacuum
+        Pressures by cup.
+    lost_cups : set of int
+        Cups of cup.layout that were lost since the package was attached.
+    future : callable
+        Returns the tool's planned motion after a prediction, or None.
     pairing : Pairing
-        Which poses wait for their twists.
+        Poses that wait for their twists.
     tool : ToolMotion
         Pose and twist of the tool, and the check of its twists.
     package : LivePayload
         State of the package, and the observer that corrects it, if any.
     arrivals : ToolArrivals
-        When accepted poses came.
+        Arrivals of accepted poses.
     attached : bool
-        Whether the cup holds the package; without it nothing is predicted.
+        Whether the package is predicted.
     flight : Flight or None
-        Follows the package after the valve, where one is set.
+        Follows the package after the valve.
     poses_in, twists_in, predictions, twists_estimated, coasted : int
         Counts of inputs, outputs, and estimated twists and tool poses.
 
@@ -120,8 +165,51 @@ class LivePredictor:
         self.poses_in = self.twists_in = 0
         self.predictions = self.twists_estimated = self.coasted = 0
         self.attached, self._twists_expected = True, False
-        self._vacuum: dict[int, bool] = {}  # whether a cup holds by it, or all together
+        self._cycle, self._held_cups = Cycle(True), dict[int, bool]()
         self.flight: Flight | None = None
+        self.alarms: list[Alarm] = []
+        self.values = self._given = Values({})
+        self.vacuum, self.lost_cups = Vacuum(), set[int]()
+        self.load: Load | None = None
+        self.uncertainty: Uncertainty | None = None
+        self.future: Callable[[Prediction], ToolRows | None] = lambda now: None
+        self.latest: Prediction | None = None
+        self._unsafe_ns = -1
+        self._alarms_seen = self._used_at_loss = 0
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping[str, object]) -> LivePredictor:
+        """
+        Return a predictor that does all that the node does, except for messages.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Parameters by name, as `read_parameters` returns them.
+
+        Raises
+        ------
+        BellowsError
+            If a parameter is unknown, not allowed, missing or without a computable prediction.
+
+        Examples
+        --------
+        >>> predictor = bellows_ros.LivePredictor.from_parameters(
+        ...     bellows_ros.read_parameters('bags/tossing.yaml'))
+        >>> predictor.state, predictor.alarms
+        ('held', [])
+
+        """
+        require_types(parameters=(parameters, Mapping))
+        values = with_chosen_cup(resolve(parameters, PACKAGE_PARAMETERS))
+        check_live(values)
+        predictor = cls(
+            cup_of(values), package_of(values), gravity_of(values), values.tool_twist.frame)
+        predictor.tool.set_tip(tip_of(values))
+        is_held = bool(values.package.attached) and values.vacuum.signal == 'none'
+        predictor.attached, predictor._cycle = is_held, Cycle(is_held)
+        predictor.use(values)
+        return predictor
 
     # ------------------------------------------------------------------ state
 
@@ -157,6 +245,67 @@ class LivePredictor:
             **{f'fresh starts: {reason}': count for reason, count in self.restarts.items()},
         }
 
+    @property
+    def state(self) -> str:
+        """State of the package: 'none', 'gripped' (on a support), 'held', 'released' or 'lost'."""
+        return self._cycle.state
+
+    @property
+    def held(self) -> Prediction | None:
+        """The newest prediction of a held package."""
+        return None if self.latest is None or self.latest.flies else self.latest
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether the package is held, predicted without an alarm, and gripped safely."""
+        if self.latest is not None:
+            self.watch(self.latest)
+        return self.is_ok_at(self.arrivals.newest_ns or 0)
+
+    def is_ok_at(self, arrival_ns: int) -> bool:
+        """Return `is_ok` at a time on the clock of arrivals."""
+        return (self.state in ON_CUP and self.alarm is None and not self.is_above
+                and self.newest_ns >= self._unsafe_ns
+                and self.phase(arrival_ns) in ('predicting', 'settling'))
+
+    @property
+    def is_above(self) -> bool:
+        """Whether z of the tool points down, so that the package is above the tool."""
+        if self.latest is None:
+            return False
+        (x, y, z, w), gravity = self.latest.tool[1], self.model[2]
+        z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+        return bool(
+            sum(map(mul, z_world, gravity)) > MIN_UPWARD_GRAVITY * math.hypot(*gravity))
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """The unresolved alarm: a loss until the next package, others for 5 s."""
+        if not self.alarms:
+            return None
+        newest = self.alarms[-1]
+        lasts = self.state == LOST if newest.cause == LOST else (
+            self.newest_ns - newest.stamp_ns < ALARM_DURATION_NS)
+        return newest if lasts else None
+
+    @property
+    def payload(self) -> Payload | None:
+        """Mass, centre of mass and inertia with standard deviations: estimated, or as stated."""
+        observer = self.package.observer
+        if observer is not None and (estimated := observer.payload):
+            return estimated
+        return stated_payload(self.values, self.newest_ns) if self.values else None
+
+    def covariance(self, stamp_ns: int) -> Array | None:
+        """
+        Return the 12 by 12 covariance of the newest prediction; None at other stamps.
+
+        Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s), in body axes.
+        """
+        if self.latest is None or self.uncertainty is None or self.latest.stamp_ns != stamp_ns:
+            return None
+        return self.uncertainty.covariance(self.latest)
+
     def phase(self, arrival_ns: int) -> str:
         """
         Return the phase of the prediction at a time on the clock of arrivals.
@@ -170,32 +319,69 @@ class LivePredictor:
             return 'detached'
         if self.flight is not None and self.flight.state:
             return self.flight.state
-        if self.arrivals.newest_ns is None:
+        has_package = bool(self.package.sample or self.pairing.waiting)
+        if self.arrivals.newest_ns is None and not has_package:
             return 'waiting'
         if silent_ns := self.arrivals.silent_ns(arrival_ns, self._screen.period_ns):
             return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
-        if not (self.package.sample or self.pairing.waiting):
+        if not has_package:
             return 'lost'
         return 'settling' if self.package.settling.now else 'predicting'
 
     # ---------------------------------------------------------------- control
 
-    def configure(self, coast_limit_ns: int, flight: Flight) -> None:
-        """Set how long pauses are bridged, and what follows the package after the valve."""
-        self.coast_limit_ns, self.flight = coast_limit_ns, flight
+    def set_parameters(self, parameters: Mapping[str, object]) -> None:
+        """
+        Continue with other values of some parameters; the package keeps its motion.
 
-    def set_model(self, cup: Cup, package: Package) -> None:
-        """Continue with another cup or package; pose and motion stay as they are."""
-        self.package.set_model(cup, package)
+        Estimates of all quantities that these parameters do not describe stay, those of the
+        camera among them.
+
+        Raises
+        ------
+        BellowsError
+            As `from_parameters`; nothing has changed then.
+
+        """
+        if fixed := [name for name in parameters if lookup(name).read_only
+                     and parameters[name] != self._given.get(name)]:
+            raise BellowsError(
+                f'{fixed[0]} cannot change while predicting. Make another LivePredictor.')
+        values = with_chosen_cup(resolve({**self._given, **parameters}))
+        check_live(values)
+        self.use(values)
+
+    def use(self, values: Values) -> None:
+        """Use checked values, with the chosen cup in cup.*."""
+        self._given = values
+        opened = {*values.cup.open, *map(float, {*self.vacuum.open_cups, *self.lost_cups})}
+        if len(opened - {-1.0}) < len(values.cup.layout) // 3:  # otherwise none holds
+            values = values.replaced({'cup.open': tuple(opened)})
+        self.values = values
+        if self.package.observer is not None:
+            self.package.observer.use_values(values)
+        self.package.set_model(cup_of(values), package_of(values))
+        self.load = load = Load(values, self.load.pressure if self.load else None)
+        self.uncertainty = Uncertainty(self.model, values)
+        self.coast_limit_ns = round(values.coast.limit * NS_PER_S)
+        if self.flight is None or not self.flight.state:
+            self.flight = Flight(values, lambda now: self.future(now), lambda: load.grip)
 
     def reset(self, reason: str = '') -> None:
-        """Start from rest at the next pose, in any frame; for one of `RESTARTS` in the same."""
+        """
+        Start from rest at the next pose, in any frame; for one of `RESTARTS` in the same frame.
+
+        Without a reason, all estimates of the package are reset, too.
+        """
         if reason:
             self.restarts[reason] += 1
             self._screen.forget_motion()
         else:
             self._screen.reset()
             self.pairing.expect = self._twists_expected
+            self.package.forget()
+            if self.attached and self.state == LOST:
+                self._cycle.grip()
         self._forget_motion()
 
     def expect_twists(self, expected: bool) -> None:
@@ -205,31 +391,127 @@ class LivePredictor:
     def set_attached(self, attached: bool) -> list[Prediction]:
         """Take up a package, from rest at the next pose, or let it go."""
         predictions = self.flush() if self.attached and not attached else []
-        if attached != self.attached:
-            self.package.forget()
-            self.arrivals.clear()
-        self.attached = attached
+        if attached:
+            self._cycle.grip()
+        else:
+            self._cycle.end(RELEASED)
+        self._attach(attached)
         return predictions
 
-    def switch_valve(self, on: bool, stamp_ns: int) -> None:
-        """Toss the package, its valve being switched at a stamp, or take up the next one."""
-        if self.flight is None:
-            return
-        if not on:
-            self.flight.switch(stamp_ns)
-        elif self.flight.state:
+    def _attach(self, attached: bool) -> None:
+        """Predict the next package, or none."""
+        if self.flight is not None and self.flight.state:
             self.flight.forget()
             self.package.forget()
+        elif attached != self.attached:
+            self.package.forget()
+            self.arrivals.clear()
+        self.attached, self.latest = attached, None
+        if attached and self.lost_cups:  # they may hold the next package
+            self.lost_cups.clear()
+            self.use(self._given)
 
     def _forget_motion(self) -> None:
         """Drop the package's state and all that waits, but not the frame."""
         if self.flight is not None:
             self.flight.forget()
         self.package.forget(is_another=False)
+        self.latest, self._unsafe_ns = None, -1
         self.pairing.clear()
         self.tool.clear()
         self._twist_frame = Frame()
         self.arrivals.clear()
+
+    # ------------------------------------------------------ valve, vacuum, loss
+
+    def on_valve(self, on: bool, stamp_ns: int) -> None:
+        """Process a reading of the valve: switched off, it releases the package."""
+        before = self.state
+        self._cycle.on_valve(on)
+        self._follow_cycle(before, stamp_ns)
+
+    def on_vacuum(self, held: bool, stamp_ns: int | None = None, cup: int = ALL) -> None:
+        """
+        Process a reading of the vacuum.
+
+        Parameters
+        ----------
+        held : bool
+            Whether the vacuum holds the package.
+        stamp_ns : int, optional
+            Of the reading, ns; that of the newest pose of the tool when left out.
+        cup : int
+            Index in cup.layout of the only cup that was measured.
+
+        """
+        stamp_ns = self.newest_ns if stamp_ns is None else stamp_ns
+        observer, sample = self.package.observer, self.package.sample
+        speed, rate = (0.0, 0.0) if sample is None else map(t3.norm, sample.tool[2:4])
+        moves = speed > MOVING_SPEED or rate > MOVING_RATE
+        if observer is not None and not (self.flight is not None and self.flight.state):
+            breaks = self._held_cups.get(cup, False) and not held
+            observer.on_vacuum(held, breaks and self.state in ON_CUP, moves, cup)
+        self._held_cups[cup] = held
+        if cup == ALL:
+            before, patience_ns = self.state, observer.patience_ns if observer else 0
+            self._cycle.on_vacuum(
+                held, stamp_ns, moves or (observer is not None and observer.departs),
+                patience_ns and patience_ns + FALL_NS)
+            self._follow_cycle(before, stamp_ns)
+        self._note_alarms()
+
+    def on_pressure(self, pressure: float, frame_id: str, stamp_ns: int | None = None) -> str:
+        """Process a pressure (Pa) of the cup, or of one; return why it is rejected, or ''."""
+        opened = self.vacuum.open_cups
+        readings = self.vacuum.update(self._given, pressure, frame_id)
+        if isinstance(readings, str):
+            return readings
+        for is_held, cup in readings:
+            self.on_vacuum(is_held, stamp_ns, cup)
+        if self.load is not None and self.vacuum.pressure is not None:
+            self.load.set_pressure(self.vacuum.pressure)
+        if self.vacuum.open_cups != opened:
+            self.use(self._given)
+        return ''
+
+    def _follow_cycle(self, before: str, stamp_ns: int) -> None:
+        """Take up or give up the package after a change of its state."""
+        state, flight = self.state, self.flight
+        if state == before:
+            return
+        if state == LOST:
+            self._note_loss(stamp_ns)
+        if state == RELEASED and flight is not None and flight.has_size and self._cycle.valve is (
+                False) and self._cycle.vacuum is not False:
+            flight.switch(stamp_ns)
+        elif before in ON_CUP or state in ON_CUP:
+            if (before in ON_CUP) != (state in ON_CUP):
+                self._attach(state in ON_CUP)
+
+    def _note_loss(self, stamp_ns: int) -> None:
+        """Raise the alarm on a loss that the vacuum shows, unless the camera has."""
+        if self._given.get('alarm.false_per_hour', 0.0) > 0.0 and not any(
+                alarm.cause == LOST and stamp_ns - alarm.stamp_ns < ALARM_DURATION_NS
+                for alarm in self.alarms):
+            observer = self.package.observer
+            self.alarms.append(Alarms.lost(
+                stamp_ns, False, observer is not None and observer.departs))
+            self._alarms_seen = len(self.alarms)
+
+    def _note_alarms(self) -> None:
+        """Follow new alarms of the observer: a loss, or the loss of a cup."""
+        if len(self.alarms) == self._alarms_seen:
+            return
+        new, self._alarms_seen = self.alarms[self._alarms_seen:], len(self.alarms)
+        if lost := {alarm.cup for alarm in new if alarm.cup >= 0} - self.lost_cups:
+            self.lost_cups |= lost
+            self.use(self._given)
+        if any(alarm.cause == LOST for alarm in new) and self.state in ON_CUP:
+            self._cycle.end(LOST)
+            observer = self.package.observer
+            self._used_at_loss = observer.counts['used'] if observer is not None else 0
+            if not (self._cycle.valve is self._cycle.vacuum is None):  # they tell of the next
+                self._attach(False)
 
     # ------------------------------------------------------------------ input
 
@@ -293,18 +575,36 @@ class LivePredictor:
 
     def on_measured(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
-        covariance: Array | None = None,
+        covariance: Array | None = None, arrival_ns: int | None = None,
     ) -> None:
         """
-        Correct the next predictions with a measured pose of the package, if it has an observer.
+        Correct the next predictions with a measured pose of the package.
 
-        It may be late, and out of order; what cannot be used is counted by the observer. The
-        covariance (6, 6) is that of the message, about axes of the world. Its frame is the
-        tool's unless recording.package_world is given.
+        Parameters
+        ----------
+        stamp_ns : int
+            Time of the exposure, ns; poses may be late and out of order.
+        frame_id : str
+            Frame of the tool's poses, or any with recording.package_world.
+        position : (x, y, z)
+            m.
+        quaternion_xyzw : (x, y, z, w)
+            Orientation.
+        covariance : ndarray (6, 6), optional
+            Of position and rotation about axes of the world, m^2, rad^2; measured.noise when left
+            out.
+        arrival_ns : int, optional
+            Arrival on the clock of the arrivals of `on_pose`.
+
         """
-        observer = self.package.observer
-        if observer is None:
-            return
+        if (observer := self.package.observer) is None:
+            if not self.values or self.newest_ns < 0:
+                return
+            observer = Observer(self.values)
+            observer.alarms = self.alarms
+            self.package.observe(observer)
+        (x, y, z), (qx, qy, qz, qw) = position, quaternion_xyzw
+        position, quaternion_xyzw = (x, y, z), (qx, qy, qz, qw)
         measurement = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
         if isinstance(measurement, str):
             observer.counts[measurement] += 1
@@ -313,15 +613,13 @@ class LivePredictor:
         elif self.flight is not None and self.flight.is_free:
             observer.counts['not_held'] += 1
         else:
-            self.package.correct(measurement)
-
-    def on_vacuum(self, is_held: bool, cup: int = ALL) -> None:
-        """Combine measured poses with the vacuum: whether the cup, or one of them, holds by it."""
-        observer, sample = self.package.observer, self.package.sample
-        breaks, self._vacuum[cup] = self._vacuum.get(cup, False) and not is_held, is_held
-        if observer is not None and not (self.flight is not None and self.flight.state):
-            speed, rate = (0.0, 0.0) if sample is None else map(t3.norm, sample.tool[2:4])
-            observer.on_vacuum(is_held, breaks, speed > MOVING_SPEED or rate > MOVING_RATE, cup)
+            newest_ns = self.arrivals.newest_ns
+            since_ns = 0 if arrival_ns is None or newest_ns is None else arrival_ns - newest_ns
+            self.package.correct(measurement, max(since_ns, 0))
+            self._note_alarms()
+            if self.state == LOST and self.attached and (
+                    observer.counts['used'] >= self._used_at_loss + SEEN_AGAIN):
+                self._cycle.grip()
 
     def flush(self) -> list[Prediction]:
         """Predict for all poses that still wait, without their twists."""
@@ -331,12 +629,16 @@ class LivePredictor:
     def coast(self, arrival_ns: int) -> list[Prediction]:
         """Return a prediction for a moment at which no pose came, while that is safe."""
         newest_ns = self.arrivals.newest_ns
-        if newest_ns is None or self.phase(arrival_ns) != 'coasting':
+        if newest_ns is None:
             return []
-        prediction = self.package.coast(self._screen.newest_ns + arrival_ns - newest_ns)
+        stamp_ns = self._screen.newest_ns + arrival_ns - newest_ns
+        if self._cycle.is_due:
+            self._on_tool(stamp_ns)
+        prediction = self.package.coast(stamp_ns) if self.phase(arrival_ns) == 'coasting' else None
         if prediction is None:
             return []
         self.coasted += 1
+        self.latest = prediction
         return [prediction]
 
     # ------------------------------------------------------------- prediction
@@ -350,6 +652,8 @@ class LivePredictor:
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
         """Advance the package to a pose's stamp, or start it from rest there."""
         before, now = self._tool_states(pose, twist)
+        if self._cycle.is_due:
+            self._on_tool(pose.stamp_ns, pose.position)
         if not self.attached:
             return None
         flight = self.flight
@@ -363,7 +667,27 @@ class LivePredictor:
                 prediction = flight.follow(self.model, prediction)
         if prediction is not None:
             self.predictions += 1
+            self.latest = prediction
+        if len(self.alarms) != self._alarms_seen:
+            self._note_alarms()
         return prediction
+
+    def _on_tool(self, stamp_ns: int, position: Vector | None = None) -> None:
+        """Let time and the tool's motion change the state of the package."""
+        before, gravity, observer = self.state, self.model[2], self.package.observer
+        if position is not None:
+            self._cycle.on_height(-sum(map(mul, position, gravity)) / math.hypot(*gravity))
+        self._cycle.on_time(stamp_ns, observer is not None and observer.departs)
+        self._follow_cycle(before, stamp_ns)
+
+    def watch(self, prediction: Prediction) -> tuple[float, float] | None:
+        """Return the safety factors of a prediction, if the grip is known, and record them."""
+        if self.load is None:
+            return None
+        factors = self.load.watch_force(self.model, prediction)
+        if factors and min(factors) < self.load.required:
+            self._unsafe_ns = prediction.stamp_ns + UNSAFE_DURATION_NS
+        return factors
 
     def _tool_states(
         self, pose: PoseSample, twist: TwistSample | None
@@ -442,14 +766,13 @@ class Messages:
 def predicted_trajectory(
     live: LivePredictor, messages: Messages,
     progress: Callable[[str, float], None] = lambda what, part: None,
-    measured: Sequence[tuple[Any, ...]] = (), vacuum: Sequence[tuple[int, bool, int]] = (),
+    measured: Sequence[tuple[Any, ...]] = (), signals: Sequence[Signal] = (),
 ) -> Trajectory:
     """
     Return the live predictions for messages in order: B in the world with body twists.
 
     Measured poses of the package (stamp, position, quaternion, covariance or None), in order, are
-    given to it before the first message after their stamp, as are readings of the vacuum (stamp,
-    whether it holds, of which cup).
+    given to it before the first message after their stamp, as are the signals in order.
 
     Raises
     ------
@@ -465,7 +788,7 @@ def predicted_trajectory(
             numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
 
     live.expect_twists(bool(messages.is_twist.any()))
-    poses, readings = deque(measured), deque(vacuum)
+    poses, readings = deque(measured), deque(signals)
     for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
         if number % MESSAGE_BLOCK == 0:
             progress('predicting', number / len(messages))
@@ -473,7 +796,11 @@ def predicted_trajectory(
             measured_ns, *pose = poses.popleft()
             live.on_measured(measured_ns, 'world', *pose)
         while readings and readings[0][0] < stamp_ns:
-            live.on_vacuum(*readings.popleft()[1:])
+            read_ns, name, is_on, cup = readings.popleft()
+            if name == 'valve':
+                live.on_valve(is_on, read_ns)
+            else:
+                live.on_vacuum(is_on, read_ns, cup)
         store(live.on_twist(stamp_ns, first, second) if is_twist
               else live.on_pose(stamp_ns, 'world', first, second))
     store(live.flush())

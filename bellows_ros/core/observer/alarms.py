@@ -336,8 +336,9 @@ class Alarms:
         return Alarm(
             stamp_ns, cause.name, 1.0, 0.0, 'leak', odds, cause.message + _runner_up('leak', odds))
 
+    @staticmethod
     def lost(
-        self, stamp_ns: int, is_held: bool | None, is_seen: bool = True, reach: float = 0.0
+        stamp_ns: int, is_held: bool | None, is_seen: bool = True, reach: float = 0.0
     ) -> Alarm:
         """
         Return the alarm on poses out of reach (m), if they are seen, and on the vacuum, if known.

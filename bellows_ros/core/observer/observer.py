@@ -65,6 +65,8 @@ class Payload(NamedTuple):
     inertia: Matrix
     mass_std: float
     com_std: Array
+    inertia_std: Array
+    """Of the three moments of inertia."""
 
 
 class Calibration(NamedTuple):
@@ -116,6 +118,10 @@ class Observer:
         self._vacuum: tuple[int, bool, float] | None = None  # when, if it holds, and its period
         self.alarms = list(alarms)
         self._of_vacuum: list[Alarm] = []
+
+    def use_values(self, values: Values) -> None:
+        """Use other parameters from the next model on."""
+        self.sensor, self._values = PoseSensor(values), values
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
         """Set a nominal model, its longest step (s), and how far (m) a lip can be."""
@@ -178,9 +184,12 @@ class Observer:
         if not self._estimates or not self._values.payload.estimate:
             return None
         mass, com, inertia, _ = self.model[1]
-        std = np.sqrt(np.diag(self._estimates[-1].covariance)[ekf.MASS:ekf.MASS + 4])
+        variances = np.diag(self._estimates[-1].covariance)
+        std = np.sqrt(variances[ekf.MASS:ekf.MASS + 4])
+        own = np.sqrt(variances[ekf.INERTIA:]) if len(variances) > ekf.INERTIA else 0.0
         return Payload(
-            self._estimates[-1].stamp_ns, mass, com, inertia, float(std[0] * mass), std[1:])
+            self._estimates[-1].stamp_ns, mass, com, inertia, float(std[0] * mass), std[1:],
+            np.hypot(std[0] * np.array(inertia[::4]), own))
 
     @property
     def calibration(self) -> Calibration | None:
@@ -254,8 +263,8 @@ class Observer:
 
     # ------------------------------------------------------------ measurements
 
-    def update(self, measurement: Measurement) -> str:
-        """Process a measured pose; return why it is refused, or ''."""
+    def update(self, measurement: Measurement, since_ns: int = 0) -> str:
+        """Process a measured pose, some time (ns) after the newest sample; return a rejection."""
         stamp_ns, verdict = measurement.stamp_ns, ''
         newest_ns = self._track.newest_ns if self._estimates else 0
         is_ahead = stamp_ns > newest_ns
@@ -276,7 +285,7 @@ class Observer:
         if stamp_ns > self._last_ns[-1]:
             self._last_ns.append(stamp_ns)
         if not is_ahead:
-            self._delay_ns = max(newest_ns - stamp_ns, self._delay_ns // 2)
+            self._delay_ns = max(newest_ns + since_ns - stamp_ns, self._delay_ns // 2)
             self._reprocess(at)
         return ''
 
@@ -337,6 +346,21 @@ class Observer:
         self._estimates[-1] = last._replace(away_ns=-1)
         if not is_held or last_ns - away_ns >= LOST_AFTER_NS:  # else it was one wrong pose
             self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
+
+    @property
+    def departs(self) -> bool:
+        """Whether the last measured poses contradict a held package: out of reach, or outliers."""
+        last = self._estimates[-1] if self._estimates else None
+        return last is not None and (last.away_ns != 0 or len(last.gated_ns) > 1)
+
+    @property
+    def patience_ns(self) -> int:
+        """Time (ns) until a pose of now has been measured; 0 if the camera is silent."""
+        if not self._estimates or len(self._last_ns) < 3:
+            return 0
+        silence_ns = self._delay_ns + _silence_ns(float(np.diff(self._last_ns).min()))
+        is_silent = self._track.newest_ns - self._last_ns[-1] > silence_ns
+        return 0 if is_silent else max(self._delay_ns, 1)
 
     def on_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
         """

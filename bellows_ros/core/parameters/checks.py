@@ -284,6 +284,47 @@ def gravity_of(values: Mapping[str, Any]) -> Array:
     return np.asarray(values['gravity.magnitude'] * (direction / np.linalg.norm(direction)))
 
 
+def cup_names(names: Iterable[str]) -> list[str]:
+    """Return the names of the cups that parameters of the form cups.NAME.* describe."""
+    matches = (table.NAMED_CUP.fullmatch(name) for name in names)
+    return list(dict.fromkeys(match[1] for match in matches if match))
+
+
+def with_chosen_cup(values: Values) -> Values:
+    """
+    Return parameter values with those of the cup named by cup.name in the place of cup.*.
+
+    What the named cup leaves out is taken from cup.*, but for what the identification of cup.* has
+    covered, envelope.*, which does not apply to another cup.
+
+    Raises
+    ------
+    BellowsError
+        If there is no cup of that name, or its stiffness is not given.
+
+    """
+    name = values.get('cup.name', '')
+    if not name:
+        return values
+    prefix = f'cups.{name}.'
+    cups = cup_names(values)
+    if name in cups and f'{prefix}stiffness' not in values:
+        raise BellowsError(
+            f"cup.name is '{name}', but cups.{name}.stiffness is not set. Give the cup's "
+            'stiffness, damping and length there.')
+    if name not in cups:
+        similar = difflib.get_close_matches(name, cups, n=1, cutoff=0.5)
+        hint = f"Did you mean '{similar[0]}'?" if similar else (
+            f'Cups there: {", ".join(cups) or "none"}.')
+        raise BellowsError(
+            f"cup.name is '{name}', but there are no parameters cups.{name}.*. {hint}")
+    chosen = {
+        f'cup.{key.removeprefix(prefix)}': value
+        for key, value in values.items() if key.startswith(prefix)}
+    others = {key: value for key, value in values.items() if not key.startswith('envelope.')}
+    return Values({**others, **chosen})
+
+
 Where = Callable[[Sequence[str]], str]
 
 MAX_NUMBER = 1e15

@@ -47,7 +47,7 @@ def played(plan, flight, poses):
     for k in range(poses):
         i, stamp = min(k, len(plan) - 1), START_NS + k * PERIOD_NS
         if stamp == START_NS + round(VALVE * 1e9):
-            live.switch_valve(False, stamp)
+            live.on_valve(False, stamp)
         twist = (v[i], w[i]) if k < len(plan) else (ZERO, ZERO)
         found += live.on_pose(stamp, 'world', o[i], q[i], stamp)
         found += live.on_twist(stamp, *twist)
@@ -70,7 +70,7 @@ def test_flies_on_as_the_plan_has_it_until_it_lands(plan):
     assert np.linalg.norm(v) == pytest.approx(np.linalg.norm(expected.landing[2]), rel=1e-2)
     assert last.force == (0.0, 0.0, 0.0)
     assert [p.stamp_ns for p in found] == [START_NS + k * PERIOD_NS for k in range(len(found))]
-    live.switch_valve(True, START_NS + 520 * PERIOD_NS)
+    live.on_valve(True, START_NS + 520 * PERIOD_NS)
     stamp = START_NS + 521 * PERIOD_NS
     xyzw = tuple(rotation_to_quaternion(plan.rotation[-1]).tolist())
     again = live.on_pose(stamp, 'world', tuple(plan.position[-1].tolist()), xyzw, stamp)

@@ -76,7 +76,7 @@ class Attack:
             'attach': lambda: live.set_attached(True), 'detach': lambda: live.set_attached(False),
             'coast': lambda: live.coast(self.arrival + ahead_ns),
             'flush': live.flush, 'reset': live.reset,
-            'model': lambda: live.set_model(
+            'model': lambda: live.package.set_model(
                 *((SOFT, HEAVY) if leap > PERIOD else (Cup.thesis(), PLATE))),
         }.get(kind, list)() or []
 
@@ -120,7 +120,7 @@ def messages_survived(sequence):
         refused = sum(n for name, n in live.refused.items() if not name.startswith('twist'))
         assert answered == live.predictions
         assert live.predictions + refused + live.pairing.waiting <= live.poses_in == attack.poses
-    live.set_model(Cup.thesis(), PLATE)
+    live.package.set_model(Cup.thesis(), PLATE)
     live.set_attached(True)
     stamp = attack.stamp + 20 * MS
     good = [live.on_pose(stamp + k * PERIOD, 'base', (1e-5 * k, 0.0, 0.0), UPRIGHT,

@@ -120,7 +120,7 @@ def test_absurd_twists_are_refused_and_their_poses_predicted(messages, predictor
 def test_model_that_cannot_be_integrated_is_started_from_rest(messages, predictor):
     messages.pose(predictor, 0)
     thesis = Cup.thesis()  # whose damper now creates energy
-    predictor.set_model(Cup(thesis.stiffness, -100.0 * thesis.damping, 0.0481), PLATE)
+    predictor.package.set_model(Cup(thesis.stiffness, -100.0 * thesis.damping, 0.0481), PLATE)
     (out,) = messages.pose(predictor, 1)
     assert is_finite(out)
     assert predictor.restarts['diverged'] == 1
@@ -130,7 +130,7 @@ def test_what_an_observer_has_learned_outlasts_a_divergence(messages, predictor)
     observer = Observer(resolve({
         'package.mass': 1.0, 'package.inertia': [0.01, 0.01, 0.02, 0.0, 0.0, 0.0]}, ()))
     thesis = Cup.thesis()
-    predictor.set_model(Cup(thesis.stiffness, -3.0 * thesis.damping, 0.0481), PLATE)
+    predictor.package.set_model(Cup(thesis.stiffness, -3.0 * thesis.damping, 0.0481), PLATE)
     predictor.package.observe(observer)
     for k in range(260):  # a camera that is 20 mm off
         (out,) = messages.pose(predictor, k)

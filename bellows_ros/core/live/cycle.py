@@ -1,0 +1,153 @@
+"""
+States of the package in a pick-and-place cycle, decided jointly from valve, vacuum and camera.
+
+A package is `NONE`, `GRIPPED` on a support, `HELD`, `RELEASED` or `LOST`. Loss and release differ
+by the valve: vacuum that ends with the valve on is a loss. Without a valve signal, the tool's
+motion decides, and at rest the camera, if it sees the package.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from bellows_ros.core.geometry.arrays import Array, Stamps
+
+NONE, GRIPPED, HELD, RELEASED, LOST = 'none', 'gripped', 'held', 'released', 'lost'
+
+ON_CUP = GRIPPED, HELD
+"""States with the package on the cup."""
+
+LIFT = 0.01
+"""Rise of the tool above the place of the grip that lifts any package off its support, m."""
+
+FALL_NS = 100_000_000
+"""Duration of a fall that every camera distinguishes from rest (49 mm), ns."""
+
+
+class Cycle:
+    """
+    State of the package.
+
+    Parameters
+    ----------
+    is_held : bool
+        Whether the cup holds a package in the beginning.
+
+    Attributes
+    ----------
+    state : str
+        Of the module's constants.
+    valve, vacuum : bool or None
+        Last readings: valve on, vacuum in the cup; None before the first.
+
+    """
+
+    def __init__(self, is_held: bool) -> None:
+        """Start without readings."""
+        self.state = HELD if is_held else NONE
+        self.valve: bool | None = None
+        self.vacuum: bool | None = None
+        self._lowest = self._due_ns = 0.0
+
+    @property
+    def is_due(self) -> bool:
+        """Whether time or the tool's motion can change the state."""
+        return self.state == GRIPPED or self._due_ns > 0.0
+
+    def grip(self) -> None:
+        """Take up the next package."""
+        self.state, self._lowest, self._due_ns = GRIPPED, float('inf'), 0.0
+
+    def end(self, state: str) -> None:
+        """Give up the package, if the cup has one."""
+        if self.state in ON_CUP:
+            self.state, self._due_ns = state, 0.0
+
+    def on_valve(self, on: bool) -> None:
+        """Grip or release with a reading of the valve."""
+        before, self.valve = self.valve, on
+        if on == before:
+            return
+        if not on:
+            self.end(RELEASED)
+        elif self.state not in ON_CUP and self.vacuum is not False:
+            self.grip()
+
+    def on_vacuum(self, is_held: bool, stamp_ns: int, moves: bool, patience_ns: int) -> None:
+        """
+        Grip, release or lose the package with a reading of the vacuum.
+
+        Parameters
+        ----------
+        is_held : bool
+            Whether the vacuum holds.
+        stamp_ns : int
+            Time of the reading on the clock of the tool's poses, ns.
+        moves : bool
+            Whether the tool moves.
+        patience_ns : int
+            Time in which the camera will have seen a fall, ns; 0 without a camera.
+
+        """
+        before, self.vacuum = self.vacuum, is_held
+        if is_held == before:
+            return
+        if is_held:
+            self._due_ns = 0.0
+            if self.state not in ON_CUP:
+                self.grip()
+        elif before is None:
+            self.end(NONE)
+        elif self.valve or moves:
+            self.end(LOST)
+        elif patience_ns and self.state == HELD:
+            self._due_ns = stamp_ns + patience_ns
+        else:
+            self.end(RELEASED)
+
+    def on_height(self, height: float) -> None:
+        """Notice a lift by the height (m) of the tool, against gravity."""
+        if self.state == GRIPPED:
+            self._lowest = min(self._lowest, height)
+            if height - self._lowest > LIFT:
+                self.state = HELD
+
+    def on_time(self, stamp_ns: int, departs: bool) -> None:
+        """Decide on a package without vacuum, by whether measured poses contradict a grip."""
+        if 0.0 < self._due_ns <= stamp_ns:
+            self.end(LOST if departs else RELEASED)
+
+
+Signal = tuple[int, str, bool, int]
+"""Stamp (ns), 'vacuum' or 'valve', whether it is on, and the cup of a gripper, -1 for all."""
+
+
+def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Iterator[
+        tuple[int, int]]:
+    """
+    Yield the first and last stamp (ns) of each hold in a recording.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray (N,)
+        Of the tool's poses.
+    heights : ndarray (N,)
+        Of the tool against gravity, m.
+    signals : sequence of Signal
+        In order.
+
+    """
+    cycle, waiting, since_ns = Cycle(False), list(signals[::-1]), 0
+    for stamp_ns, height in zip(stamps_ns.tolist(), heights.tolist(), strict=True):
+        while waiting and waiting[-1][0] <= stamp_ns:
+            signal_ns, name, is_on, cup = waiting.pop()
+            if name == 'valve':
+                cycle.on_valve(is_on)
+            elif cup < 0:
+                cycle.on_vacuum(is_on, signal_ns, False, 0)
+        cycle.on_height(height)
+        if cycle.state == HELD:
+            since_ns = since_ns or stamp_ns
+        elif since_ns:
+            yield since_ns, stamp_ns
+            since_ns = 0
+    if since_ns:
+        yield since_ns, int(stamps_ns[-1])
