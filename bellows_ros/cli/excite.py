@@ -18,7 +18,7 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     result = excite(
         read_settings(arguments, cup_for=console), load(arguments.limits), arguments.time,
         str(arguments.urdf or ''), arguments.beside, arguments.seed, console.progress,
-        arguments.series, arguments.hold)
+        arguments.hold)
     write_motion(arguments.out, result, arguments.csv, arguments.urscript, arguments.force)
     return Outcome(result, inputs=(), draw=arguments.plot)
 
@@ -46,37 +46,7 @@ def print_result(result: DesignedMotion, console: Console) -> None:
         console.paragraph(
             'The expected values are standard errors if the guess is right; the other columns '
             'are the errors of other motions, as multiples of these.')
-    if result.series:
-        _print_series(result, console)
     console.table([['limit', 'taken', 'share in limiting the motion']] + [
         [name, f'{100.0 * ratio:.1f} %', f'{100.0 * design.shares.get(name, 0.0):.0f} %']
         for name, ratio in design.ratios.items()])
     console.warn(*result.warnings)
-
-
-PURPOSES = (
-    'Standstills, upright and tilted. Record them with two or more packages of different mass. '
-    'The poses at rest identify K, and two masses identify the cup length.',
-    'The motion above. It identifies K and P.',
-    'Moves from pose to pose, as quick as the limits allow. Keep this recording out of the fit, '
-    'and validate the cup with it.')
-
-
-def _print_series(result: DesignedMotion, console: Console) -> None:
-    """Print what to record, in order, and what each recording identifies."""
-    console.line('Record in this order', 'bold')
-    for (name, (motion, _)), text in zip(result.series.items(), PURPOSES, strict=True):
-        console.paragraph(f'{name}, {motion.duration:.1f} s. {text}')
-    rows = [['standard error', *result.series]]
-    for label, value, *errors in zip(
-            result.structure.labels, result.guess.tolist(),
-            *(errors for _, errors in result.series.values()), strict=True):
-        if value:
-            rows.append([label, *(
-                f'{100.0 * part:.3g} %' if part <= MAX_RELATIVE_ERROR else '-'
-                for part in (error / abs(value) for error in errors))])
-    console.table(rows, right=True)
-    console.paragraph('Each column is for this recording alone, with the cup length known; '
-                      '- is not identifiable. Then identify the cup from all of them:')
-    console.line('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
-    console.line('      --set validation.bags=RECORDING_3 --report page.html')

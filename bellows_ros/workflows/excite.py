@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 import os
-from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.excitation import motion_design
@@ -17,13 +16,13 @@ from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals import resampling, trajectory
-from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.recipe import sensor_from
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_writer, File, plan_messages, trajectory_files
+from bellows_ros.files import bag_writer, File, plan_messages, trajectory_files
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows import CommandResult, plan
+from bellows_ros.workflows import CommandResult
+from bellows_ros.workflows.plan import NO_FACTOR, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
@@ -32,9 +31,6 @@ POINT_RATE, UR_RATE = 1000.0, 125.0
 
 MIN_DURATION, MAX_DURATION = motion_design.REST + 3.0 * motion_design.RAMP, 120.0
 """Range of durations, s."""
-
-STANDSTILLS, EXCITATION, VALIDATION = '1_standstills', '2_excitation', '3_validation'
-"""Names of the recordings of a series, in order."""
 
 
 NO_HOLD = (
@@ -57,8 +53,6 @@ class DesignedMotion(CommandResult):
         Their values in the guess.
     beside : mapping of str to array (2 n,)
         Standard errors that other motions of the same time would give, by their names.
-    series : mapping of str to (Motion, array (2 n,))
-        What else to record, by names in their order, and the standard errors it would give alone.
     values : mapping
         All parameters.
     hold : float
@@ -70,7 +64,6 @@ class DesignedMotion(CommandResult):
     structure: Structure
     guess: Array
     beside: Mapping[str, Array]
-    series: Mapping[str, tuple[Motion, Array]]
     values: Values
     hold: float
 
@@ -84,7 +77,7 @@ class DesignedMotion(CommandResult):
         """Return warnings before the motion: what it cannot identify, and what would."""
         warnings = checks.implausible(self.values)
         if motion_design.LOADS[-1] not in self.design.ratios:
-            warnings += (plan.NO_FACTOR,)
+            warnings += (NO_FACTOR,)
         if self.hold and not self.design.motion.hold:
             warnings += (NO_HOLD,)
         limit = max(self.design.shares, key=lambda name: self.design.shares[name], default='')
@@ -111,9 +104,6 @@ class DesignedMotion(CommandResult):
                  'beside': {other: float(errors[i]) for other, errors in self.beside.items()}}
                 for i, (name, unit, value, std) in enumerate(rows)],
             'parts_of_limits': self.design.ratios,
-            'series': {name: {'duration_s': motion.duration, 'expected_std': errors.tolist(),
-                              'units': {'expected_std': units}}
-                       for name, (motion, errors) in self.series.items()},
             'limited_by': self.design.shares,
             'warnings': self.warnings})
 
@@ -127,7 +117,7 @@ def _rounded_up(factor: float) -> str:
 def excite(
     settings: Mapping[str, Any], limits: Mapping[str, Any], duration: float,
     urdf: str = '', beside: Sequence[File] = (), seed: int = 0,
-    progress: Progress = no_progress, with_series: bool = False, hold: float = motion_design.HOLD,
+    progress: Progress = no_progress, hold: float = motion_design.HOLD,
 ) -> DesignedMotion:
     """
     Design a motion that is most informative on K and P.
@@ -148,8 +138,6 @@ def excite(
         Of the shape from which the search begins.
     progress : callable, optional
         Called with what is being done and the part (0 to 1) that is done.
-    with_series : bool
-        Whether standstills and a motion for validation are wanted, too.
     hold : float
         Of a tilt after the motion, s, in which rubber relaxes; 0 for none.
 
@@ -184,7 +172,7 @@ def excite(
         return motion_design.standard_errors(motion_design.motion_information(
             cup, package, gravity, tool, tracking, structure))
 
-    plans = {os.fspath(path): plan.read_plan(path, values, urdf).tool for path in beside}
+    plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
     design = motion_design.design(
         cup, package, gravity, structure, checked, tracking, duration, seed, progress, hold)
     period = tracking.package_period
@@ -194,13 +182,7 @@ def excite(
         at = np.round(np.arange(count) * period * trajectory.NS_PER_S).astype(np.int64)
         compared[path] = errors_of(resampling.resample(tool, tool.stamps_ns[0] + at))
     guess = structure.parameters(cup.stiffness, cup.damping)
-    more: dict[str, Motion] = {
-        STANDSTILLS: motion_design.standstills(checked), EXCITATION: design.motion,
-        VALIDATION: motion_design.everyday(checked, duration, seed),
-    } if with_series else {}
-    series = {name: (motion, errors_of(motion.at_rate(1.0 / period)))
-              for name, motion in more.items()}
-    return DesignedMotion(design, structure, guess, compared, series, values, hold)
+    return DesignedMotion(design, structure, guess, compared, values, hold)
 
 
 def tracking_from(settings: checks.Settings) -> motion_design.Tracking:
@@ -232,8 +214,6 @@ def write_motion(
     """
     Write the motion as a recording with a plan, and as CSV and URScript where wanted.
 
-    Of a series, the path is a folder in which each motion has a recording by its name.
-
     Raises
     ------
     BellowsError
@@ -243,31 +223,12 @@ def write_motion(
     frame = str(result.values.plan.frame) or 'world'
     motion = result.design.motion
 
-    def plan_of(each: Motion) -> plan_messages.PlanMessage:
-        return plan_messages.plan_message(
-            each.at_rate(POINT_RATE), 0, frame, 'tool', result.values.tool_twist.frame)
-
-    def write(file: File, each: Motion) -> None:
-        bag_writer.write_bag(file, [bag_writer.Encoded(
-            '/tool_arm/plan', plan_messages.MULTI_DOF, np.array([trajectory.NS_PER_S]),
-            [plan_messages.encode_multi_dof(plan_of(each))])], replace=replace)
-
-    if not result.series:
-        write(path, motion)
-    else:
-        before = Path(path)
-        for old in before.iterdir() if replace and before.is_dir() else ():
-            if old.name not in (STANDSTILLS, EXCITATION, VALIDATION) or not old.is_dir():
-                raise BellowsError(
-                    f"Folder '{path}' is not replaced because it is not just a series: it holds "
-                    f"'{old.name}'. Give another name, or remove it first.")
-            bag_writer.require_replaceable(old)
-        with atomic.new_folder(path, replace) as folder:
-            folder.mkdir()
-            for name, (each, _) in result.series.items():
-                write(folder / name, each)
+    plan = plan_messages.plan_message(
+        motion.at_rate(POINT_RATE), 0, frame, 'tool', result.values.tool_twist.frame)
+    bag_writer.write_bag(path, [bag_writer.Encoded(
+        '/tool_arm/plan', plan_messages.MULTI_DOF, np.array([trajectory.NS_PER_S]),
+        [plan_messages.encode_multi_dof(plan)])], replace=replace)
     if csv:
-        plan = plan_of(motion)
         trajectory_files.write_csv(
             csv, plan.times_ns, np.hstack([plan.poses, np.asarray(plan.twists)]))
     if urscript:

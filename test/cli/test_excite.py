@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from .conftest import contents, write_yaml
+from .conftest import write_yaml
 from ..conftest import ROOT
 
 pytestmark = pytest.mark.skipif(
@@ -53,38 +53,3 @@ def test_designs_and_writes(succeed, workshop, limits, tmp_path):
     assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
     again = succeed('plan', 'motion', '--params', workshop / 'cup.yaml', cwd=tmp_path)
     assert 'residual swing' in again.stdout
-
-
-@pytest.mark.stress
-def test_a_series_is_three_plans_in_order(bellows, succeed, workshop, limits, tmp_path):
-    """Write standstills, the motion and one for validation, each from rest and within limits."""
-    command = ['excite', '--params', workshop / 'cup.yaml', '--limits', limits, '--time', '6',
-               '--out', 'series', '--series', '--json', 'm.json']
-    done = succeed(*command, cwd=tmp_path)
-    found = json.loads((tmp_path / 'm.json').read_text())['series']
-    assert [*found] == ['1_standstills', '2_excitation', '3_validation']
-    assert all(name in done.stdout for name in found)
-    low, high = (np.array(LIMITS['excitation'][name]) for name in ('lower', 'upper'))
-    for name in found:
-        (_, plan), = plans_in(tmp_path / 'series' / name)
-        o = plan.poses[:, :3]
-        assert (o >= low).all() and (o <= high).all() and not plan.twists[:1900].any()
-        assert np.abs(plan.twists[-1]).max() < 1e-9
-        for limit in ('acceleration', 'jerk'):
-            v = np.diff(plan.twists[:, :3], 1 if limit == 'acceleration' else 2, axis=0)
-            rate = 1e3 ** (1 if limit == 'acceleration' else 2)
-            # of the smooth step the jerk is largest at its ends, where it jumps
-            assert rate * np.linalg.norm(v, axis=1).max() <= 1.001 * LIMITS['linear'][limit]
-    still = plans_in(tmp_path / 'series' / '1_standstills')[0][1]
-    tilts = np.unique(np.round(still.poses[:, 3:][np.abs(still.twists).max(axis=1) == 0.0], 6),
-                      axis=0)
-    assert len(tilts) == 5
-    before = contents(tmp_path)
-    done = bellows(*command, cwd=tmp_path)
-    assert done.returncode == 2 and contents(tmp_path) == before
-    succeed(*command, '--force', cwd=tmp_path)
-    (tmp_path / 'series' / 'notes.txt').write_text('mine')
-    before = contents(tmp_path)
-    done = bellows(*command, '--force', cwd=tmp_path)
-    assert done.returncode == 2 and "'notes.txt'" in done.stderr
-    assert contents(tmp_path) == before

@@ -21,7 +21,7 @@ def warnings_of(relative, more=1.0):
     """Give the warnings by relative standard errors, with so many times the information."""
     information = more * np.diag(1.0 / np.square(GUESS * relative))
     design = Design(SimpleNamespace(hold=0.0), {}, {'jerk': 0.7, 'bending': 0.3}, information)
-    return DesignedMotion(design, STRUCTURE, GUESS, {}, {}, Values(PACKAGE), 0.0).warnings
+    return DesignedMotion(design, STRUCTURE, GUESS, {}, Values(PACKAGE), 0.0).warnings
 
 
 def test_number_that_is_not_identifiable_is_named_with_what_would_make_it_so():

@@ -4,11 +4,9 @@ Design of the motion with the most information on K and P, within limits of arm,
 The motion is a Fourier series in each axis, with ramps at both ends. Its coefficients maximise the
 determinant of the Fisher information (D-optimal) of small motions, for the guess of K and for a
 softer and a stiffer one (`GUESS_FACTORS`). The largest ratio of a signal to its limit, as a p-norm
-over limits and time, divides the coefficients, so that only their shape is searched; p grows in
-stages. After each stage the whole model simulates the motion, and corrects the limits of the loads
-in the linear one. The most informative stage is scaled until no limit is violated.
-
-Beside the exciting motion stand recordings of standstills before it, and of a validation after it.
+over limits and time, divides the coefficients, so that only their shape is searched. After each
+pass the whole model simulates the motion, and corrects the limits of the loads
+in the linear one. The most informative pass is scaled until no limit is violated.
 
 The information of a motion, before or after it is recorded, is that of the output error, by its
 own code: of the poses in units of what noise of both bodies makes of their differences from the
@@ -17,9 +15,8 @@ response, which is what a search can afford.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -43,7 +40,7 @@ from bellows_ros.core.recording.recording import BodyNoise, Noise, TOOL_HALF_WIN
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic import motion as moving
-from bellows_ros.core.synthetic.motion import Motion, Pose, Waypoints
+from bellows_ros.core.synthetic.motion import Motion, Pose
 from bellows_ros.errors import BellowsError
 import numpy as np
 import scipy  # whose parts are loaded as they are used
@@ -63,11 +60,8 @@ GUESS_FACTORS = (1.0, 0.7, 1.3)
 PRIOR = 1.0
 """Prior information on each parameter, relative to its size: accurate to a factor of about 2."""
 
-STAGES = ((8, 500), (16, 500), (32, 500), *((64, 400),) * 5)
+STAGES = ((16, 1000), (64, 400), (64, 400))
 """Exponent of the norm that approximates the largest ratio to a limit, and most steps with it."""
-
-STARTS = 3
-"""Number of random starts; the criterion has several maxima."""
 
 POINTS_PER_PERIOD, LBFGS_MEMORY, MIN_GAIN = 8, 20, 1e-6
 LOAD_EXPONENT = 1.4
@@ -664,14 +658,12 @@ def design(
 
     search = MotionObjective(checks, period, responses_at, 1.0 / tracking.package_period)
     rng = np.random.default_rng(seed)
-    best, shape = -math.inf, np.empty(0)
+    best = -math.inf
     shares: Mapping[str, float] = {}
     motion = still = _held(checks, period, hold)
-    for number, (power, max_iterations) in enumerate(STARTS * STAGES):
-        progress('designing the motion', number / (STARTS * len(STAGES)))
-        if number % len(STAGES) == 0:
-            shape = rng.standard_normal(2 * search.size.size)
-            allowed = np.ones(search.load_count)
+    shape, allowed = rng.standard_normal(2 * search.size.size), np.ones(search.load_count)
+    for number, (power, max_iterations) in enumerate(STAGES):
+        progress('designing the motion', number / len(STAGES))
         shape = minimise(search, shape, (power, allowed), 'L-BFGS-B', True, options={
             'maxiter': max_iterations, 'maxfun': 2 * max_iterations, 'maxcor': LBFGS_MEMORY,
             'ftol': MIN_GAIN}).x
@@ -749,77 +741,6 @@ def _within(motion: FourierMotion, checks: Checks) -> tuple[FourierMotion, dict[
         factor = (1.0 - MARGIN) / min(worst, 4.0)
         motion = replace(motion, coefficients=factor * motion.coefficients)
     raise _not_within('No motion meets the limits', 'even at rest', ratios)
-
-
-STANDSTILL, STOP_DURATIONS = 3.0, (0.0, 0.3)
-"""Durations (s): one standstill, and the stops between moves."""
-
-WORKSPACE_SHARE = 0.9
-"""Fraction of the workspace and of the rotations that the standstills cover."""
-
-SMOOTH_STEP_PEAKS = (1.875, 5.7736, 60.0)
-"""Peak speed, acceleration and jerk of the smooth step from 0 to 1 within one second."""
-
-SLOWING_FACTOR, MAX_SLOWINGS = 1.15, 30
-
-
-def standstills(checks: Checks) -> Waypoints:
-    """Return standstills upright and tilted to both sides, within the limits with any model."""
-    limits = checks.limits
-    tilts = WORKSPACE_SHARE * limits.rotation * np.array(
-        [(0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 0)])
-
-    def slowed(factor: float) -> Waypoints:
-        poses = [Pose(limits.start.position, limits.start.rotation @ lie.exp_so3(tilt / factor))
-                 for tilt in tilts]
-        return _through(poses, limits, factor, itertools.repeat(STANDSTILL))
-
-    return _slowed_within(slowed, checks)
-
-
-def everyday(checks: Checks, duration: float, seed: int) -> Waypoints:
-    """Return moves from pose to pose, as quick as the limits let them be, for about a time (s)."""
-    rng, limits = np.random.default_rng(seed), checks.limits
-    draws = rng.uniform(-1.0, 1.0, (500, 6))
-    middle = 0.5 * (limits.lower + limits.upper)
-    reach = 0.5 * (limits.upper - limits.lower)
-    poses = [Pose(middle + WORKSPACE_SHARE * reach * draw[:3], limits.start.rotation @ lie.exp_so3(
-        WORKSPACE_SHARE * limits.rotation * draw[3:])) for draw in draws]
-
-    def slowed(factor: float) -> Waypoints:
-        whole = _through(poses, limits, factor, itertools.cycle(STOP_DURATIONS))
-        ends = REST + np.cumsum([s.move + s.hold for s in whole.segments])
-        count = max(1, int(np.searchsorted(ends, duration - 1.0)))
-        back = [*poses[:count], limits.start]
-        return _through(back, limits, factor, itertools.chain(
-            itertools.islice(itertools.cycle(STOP_DURATIONS), count), [1.0]))
-
-    return _slowed_within(slowed, checks)
-
-
-def _through(
-    poses: Sequence[Pose], limits: ArmLimits, factor: float, holds: Iterable[float]
-) -> Waypoints:
-    """Return moves from the start through poses, slower than the arm can by a factor."""
-    segments, start = [], limits.start
-    for pose, hold in zip(poses, holds, strict=False):
-        sizes = np.repeat([np.linalg.norm(pose.position - start.position),
-                           np.linalg.norm(lie.log_so3(start.rotation.T @ pose.rotation))], 3)
-        ratios = np.tile(SMOOTH_STEP_PEAKS, 2) * sizes / list(limits.rates.values())
-        shortest = float(np.max(ratios ** np.tile([1.0, 1.0 / 2.0, 1.0 / 3.0], 2)))
-        segments.append(moving.MoveAndHold(pose, max(0.05, 1.001 * factor * shortest), hold))
-        start = pose
-    return Waypoints(limits.start, REST, tuple(segments))
-
-
-def _slowed_within(slowed: Callable[[float], Waypoints], checks: Checks) -> Waypoints:
-    """Return the first of ever slower motions that is within the limits."""
-    for n in range(MAX_SLOWINGS):
-        motion = slowed(SLOWING_FACTOR**n)
-        ratios = checks.ratios(motion)
-        if max(ratios.values()) <= 1.0:
-            return motion
-    raise _not_within('No standstills or moves meet the limits', 'even slowly', ratios)
 
 
 def _not_within(finding: str, when: str, ratios: Mapping[str, float]) -> BellowsError:

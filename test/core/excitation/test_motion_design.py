@@ -122,7 +122,6 @@ def require_within(found, limits, guess, grip=None):
 def quick():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(motion_design, 'STAGES', ((8, 60), (16, 20)))
-        patch.setattr(motion_design, 'STARTS', 1)
         return designed(grip=GRIP)
 
 
@@ -173,7 +172,6 @@ def test_a_guess_that_is_off_costs_little(found, factor, ours):
 def test_short_motions_of_a_tilted_tool_hold_the_grip(monkeypatch, seeds):
     """No limit is violated at 1 kHz, from 1,000 seeds of the search and of the arm's limits."""
     monkeypatch.setattr(motion_design, 'STAGES', ((8, 30), (64, 30)))
-    monkeypatch.setattr(motion_design, 'STARTS', 1)
     for seed in seeds:
         rng = np.random.default_rng(seed)
         start = Pose(LIMITS.start.position, rpy_rotation(np.array([0.2, -0.1, 1.0])))
