@@ -22,7 +22,7 @@ from .outputs import Predicting, Topic
 from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import Level, number, Status
-from ..core.live.plan_tracker import MAX_WAIT, PlanTracker, thin_out
+from ..core.live.plan_tracker import DEVIATED, DONE, MAX_WAIT, PlanTracker, thin_out, WAITING
 from ..core.live.uncertainty import STILL, UNKNOWN_ROOT
 from ..core.model.grip import grip_of, safety_sentence
 from ..core.model.simulation import ToolRows
@@ -176,10 +176,16 @@ class Planning:
             self._live.flight.later(model, STILL, 0.1)
         gc.freeze()  # the collector need not look through what numba has made
 
-    def rest(self, now: Prediction) -> ToolRows | None:
-        """Return the tool from a prediction on, by its plan, or None where it drives none."""
+    def rest(self, now: Prediction, deviations: float = 0.0) -> ToolRows | None:
+        """
+        Return the tool from a prediction on, by its plan, or None where it drives none.
+
+        The progress is changed by so many of its standard deviations.
+        """
         tracker = self._tracker
-        return tracker.rest(now) if tracker is not None and tracker.is_driven(now) else None
+        if tracker is None or not tracker.is_driven(now):
+            return None
+        return tracker.rest(now, deviations=deviations)
 
     def _refuse(self, what: str, error: BellowsError) -> None:
         """Log why a message is refused; the prediction goes on."""
@@ -206,7 +212,7 @@ class Planning:
                     'give the plan the stamp 0.')
             tracker.follow(now)
             grip = self._pipeline.load.grip
-            if wait <= MAX_WAIT and not tracker.deviated:
+            if wait <= MAX_WAIT and tracker.state != DEVIATED:
                 rest = tracker.rest(now, self._coarse)  # points as far apart as steps
                 body, stamp_ns = now.body, now.stamp_ns
         self._tracker = tracker
@@ -222,9 +228,9 @@ class Planning:
         if tracker is None or now is None or now.coasting:
             return
         tracker.follow(now)
-        if tracker.done:
+        if tracker.state == DONE:
             self._tracker = None
-        elif (tracker.progress > 0.0 and tracker.is_driven(now) and not self.plans.worker.is_busy
+        elif (tracker.state != WAITING and tracker.is_driven(now) and not self.plans.worker.is_busy
                 and time.monotonic_ns() - self._predicted_ns >= self._period_ns):
             self._predicted_ns = time.monotonic_ns()
             self.plans.submit(self._predict_rest, tracker, now)

@@ -78,7 +78,8 @@ class Flight:
         Parameters by name.
     future : callable
         From a prediction to the tool's motion from then on, which begins at 0 ns, or None without
-        a plan. After it the tool keeps its twist.
+        a plan, with the progress on the plan changed by a number of its standard deviations. After
+        it the tool keeps its twist.
     grip : callable, optional
         Returns the grip of the held package, as `grip_of` does; that of the values when left out.
 
@@ -94,7 +95,7 @@ class Flight:
 
     def __init__(
         self, values: Values,
-        future: Callable[[Prediction], ToolRows | None] = lambda now: None,
+        future: Callable[[Prediction, float], ToolRows | None] = lambda now, deviations: None,
         grip: Callable[[], Grip | None] | None = None,
     ) -> None:
         """Set the data of release and landing."""
@@ -106,6 +107,7 @@ class Flight:
         self._ahead = release.latest_release(release.law_of(values)) + EXTRA_TIME
         self._factor = factor_columns(values)
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
+        self._by_progress = np.zeros(6)
         self.forget()
 
     def warm_up(self, model: ModelTuple) -> None:
@@ -204,7 +206,7 @@ class Flight:
             switched = (self._switched_ns - now.stamp_ns) / NS_PER_S if self.state else math.inf
             try:
                 released, body, landed, _ = self._toss(
-                    model, now, self._future(now), switched, seconds)
+                    model, now, self._future(now, 0.0), switched, seconds)
             except (ArithmeticError, ValueError):  # interpreted kernels raise
                 raise diverged() from None
             if not math.isfinite(sum(map(sum, body[:4]))):
@@ -255,19 +257,32 @@ class Flight:
         if self._count % COVARIANCE_PERIOD == 0:
             self._of_state[:] = covariance(prediction)
         k = self._count % len(release.DIFFERENCE_STEPS)
+        renewed = (k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))
         try:
-            is_sound, landing = release.toss_with_derivatives(
-                (model, self.grip or release.NO_GRIP, self._release, 0.0), self._factor,
-                prediction.tool, adapted(model, prediction.tool, prediction.body),
-                (*_after_now(self._future(prediction)), self._ahead, longest),
-                (k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS)), self._by)
+            is_sound, landing = self._landing(model, prediction, 0.0, longest, renewed)
+            if is_sound and self._count % COVARIANCE_PERIOD == 0:
+                _, changed = self._landing(model, prediction, 1.0, longest, (0, 0))
+                self._by_progress = np.concatenate(
+                    release.landing_error(changed[3], landing[3], model[2]))
         except (BellowsError, ArithmeticError, ValueError):
             is_sound = False
         by_state, by_law = self._by[:, :12], self._by[:, 12:]
-        of_landing = by_state @ self._of_state @ by_state.T + by_law @ by_law.T
+        of_landing = by_state @ self._of_state @ by_state.T + by_law @ by_law.T + np.outer(
+            self._by_progress, self._by_progress)
         is_sound = is_sound and math.isfinite(of_landing.trace())
         self._count = self._count + 1 if is_sound else 0
         return Landing(prediction.stamp_ns, Toss(*landing), of_landing) if is_sound else None
+
+    def _landing(
+        self, model: ModelTuple, prediction: Prediction, deviations: float, longest: float,
+        renewed: tuple[int, int],
+    ) -> tuple[bool, tuple[float, State, float, State]]:
+        """Return what `toss_with_derivatives` does, with a progress on the plan changed so."""
+        return release.toss_with_derivatives(
+            (model, self.grip or release.NO_GRIP, self._release, 0.0), self._factor,
+            prediction.tool, adapted(model, prediction.tool, prediction.body),
+            (*_after_now(self._future(prediction, deviations)), self._ahead, longest),
+            renewed, self._by)
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
         """Return the time (s) until the valve should be switched for the target, or None."""
@@ -277,7 +292,7 @@ class Flight:
             return None  # so many steps take too long
         x, y = self._values.landing.target
         try:
-            tool = at_constant_velocity(prediction, self._future(prediction), 2.0 * AIM_TIME)
+            tool = at_constant_velocity(prediction, self._future(prediction, 0.0), 2.0 * AIM_TIME)
             held = HeldMotion(model, self.grip, tool, prediction.body, 2.0 * AIM_TIME)
             aimed = aim(held, self._release, (x, y), None, AIM_TIME, AIM_SPACING, AIM_CANDIDATES)
         except (BellowsError, ArithmeticError, ValueError):

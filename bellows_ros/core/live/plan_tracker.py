@@ -1,12 +1,16 @@
 """
 Tracking of a plan while the tool drives it: the tool's place on the plan, and the rest of it.
 
-Drivers start late and run scaled, so the plan is anchored to the tool: to the plan's nearest time
-along its path, not to the clock. Pure code, no ROS.
+Drivers start late, run scaled, pause and wait, so the plan is anchored to the tool and not to the
+clock. The progress along the plan (s) and its rate are a continuous state with a covariance: a
+Kalman filter predicts both, and each pose and twist of the tool corrects them by the motion of the
+plan there. Where the plan stands or creeps, the poses do not determine the progress: it goes on at
+its rate, and its variance grows. Where the tool is not near its predicted place, the plan is
+searched. Pure code, no ROS.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -15,90 +19,202 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.tool_twist import ROTATION_LEVER
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model import simulation
-from bellows_ros.core.model.kernels import State
+from bellows_ros.core.model.kernels import State, tool_at, tool_segment
 from bellows_ros.core.model.simulation import row_state, ToolRows, write_row
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-SEARCH_TIME = 0.05
-"""The tool is searched up to this far (s of the plan) ahead of its expected place."""
 MAX_DELAY = 0.1
-"""A tool that stands for longer (s) than its plan does at the beginning, waits."""
+"""Longest wait of a tool after the plan's stamp until the plan counts as not driven, s."""
 MAX_WAIT = 10.0
-"""A plan that begins later than this (s) is not ahead yet, and one that should have ended longer
-ago begins with the tool, as its stamp may be of another clock."""
-PLACE_TOLERANCE = 2e-4
-"""Places of the plan within this distance (m) of the tool are distinguished by the clock."""
+"""Largest distance of a plan's stamp from the present, s: beyond it the plan begins with the tool,
+as the stamp may be of another clock."""
 MAX_DEVIATION = 0.05
-"""A tool farther than this (m) from the plan does not follow it."""
+"""Largest distance of a tool that follows the plan, m."""
 
-MIN_SPEED_RATIO = 0.05
-"""Fraction of the plan's highest speed above which the driver's speed can be measured."""
-MIN_RATE, MAX_RATE = 0.1, 2.0
-"""Range of the driver's speed relative to the plan; below it, the driver pauses."""
+POSE_STD, TWIST_STD = 5e-5, 0.005
+"""Standard deviations of the tool's pose (m) and twist (m/s) from those of the driven plan."""
+RATE_DRIFT = 0.05
+"""Standard deviation of the change of a driver's rate within one second."""
+START_STD = 0.5
+"""Standard deviation of the rate of a driver that has not moved yet."""
+GATE = 9.0
+"""Squared innovation in units of its variance above which the driver has changed its rate, or the
+tool is elsewhere on the plan: three standard deviations."""
+PAUSE_RATE, MAX_RATE = 0.1, 2.0
+"""Rate below which a driver pauses, and highest rate, relative to the plan."""
 
-SMOOTHING = 0.8
-"""Weight of the latest measured speed factor."""
+SEARCH_TIME, SEARCH_STEP, MAX_SEARCH_STEPS = 0.1, 2.5e-3, 400
+"""Shortest range of a search to both sides (s of the plan), its step (s), and most steps."""
+ITERATIONS = 4
+"""Linearisations of the plan about the corrected progress."""
 
 JOIN_SPEED, MAX_JOIN_TIME = 0.05, 0.1
-"""The tool returns to the plan at this speed (m/s), within this time (s)."""
+"""Speed of the tool's return to the plan (m/s), and its longest duration (s)."""
 SPACING = 0.01
-"""Minimum spacing (s) of the points of the remaining plan."""
+"""Shortest time between points of the remaining plan, s."""
+
+WAITING, DRIVEN, PAUSED, DEVIATED, DONE = 'waiting', 'driven', 'paused', 'deviated', 'done'
+"""States of a plan: not begun, driven, the tool stands amid it, is elsewhere, has arrived."""
+
+
+class PlanProgress(NamedTuple):
+    """Place of the tool on a plan at a stamp: all of it changes at once, as threads read it."""
+
+    stamp_ns: int
+    time: float
+    """s of the plan."""
+    rate: float
+    """Of the driver, relative to the plan."""
+    variance: float
+    """Of the time, s^2."""
+    covariance: float
+    """Of time and rate, s."""
+    rate_variance: float
 
 
 @kernel
 def pose_distance(row: Any, o: Vector, q: Quaternion) -> float:
-    """Return the distance (m) of a tool from a point of a plan, turns at `ROTATION_LEVER`."""
+    """Return the distance (m) of a tool from a point of a plan, rotation at `ROTATION_LEVER`."""
     x, y, z = row[0] - o[0], row[1] - o[1], row[2] - o[2]
     same = abs(row[3] * q[0] + row[4] * q[1] + row[5] * q[2] + row[6] * q[3])
-    turned = ROTATION_LEVER * ROTATION_LEVER * 4.0 * max(0.0, 2.0 - 2.0 * same)
-    return math.sqrt(x * x + y * y + z * z + turned)
+    rotation = ROTATION_LEVER * ROTATION_LEVER * 4.0 * max(0.0, 2.0 - 2.0 * same)
+    return math.sqrt(x * x + y * y + z * z + rotation)
 
 
 @kernel
 def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
-    """Return the product of two twists, turns counted as by `ROTATION_LEVER`."""
+    """Return the product of two twists, rotation at `ROTATION_LEVER`."""
     return t3.dot(v, linear) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, angular)
 
 
 @kernel
-def index_at(seconds: Any, t: float) -> int:
-    """Return the index of the last time that is not after t (s), or of the first."""
-    return max(simulation.first_after(seconds, t, len(seconds)) - 1, 0)
+def point_at(rows: Any, seconds: Any, t: float) -> State:
+    """Return the tool by a plan at a time (s); at rest outside of the plan."""
+    last = len(seconds) - 1
+    if t <= 0.0 or t >= seconds[last]:
+        o, q, v, w = row_state(rows[0 if t <= 0.0 else last])[:4]
+        return o, q, t3.scale(0.0, v), t3.scale(0.0, w)
+    k = simulation.first_after(seconds, t, len(seconds)) - 1
+    duration = seconds[k + 1] - seconds[k]
+    segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), duration)
+    return tool_at(segment, (t - seconds[k]) / duration)
 
 
 @kernel
-def locate(
-    rows: Any, seconds: Any, reach: Any, slow: float, tool: State, progress: float, expected: float
-) -> tuple[float, float, float]:
-    """
-    Return how far (m) a tool is from a plan, where on it (s), and at how many times its speed.
+def departure(rows: Any, seconds: Any) -> float:
+    """Return the time (s) of the first point that poses distinguish from the plan's first."""
+    o, q = row_state(rows[0])[:2]
+    for k in range(len(rows)):
+        if pose_distance(rows[k], o, q) ** 2 > GATE * POSE_STD * POSE_STD:
+            return seconds[k]  # type: ignore[no-any-return]
+    return seconds[len(rows) - 1]  # type: ignore[no-any-return]
 
-    It is sought from the progress on, and of places as near as each other where it is expected.
-    The speed is infinite where the plan is slow.
+
+@kernel
+def offset(point: State, tool: State) -> tuple[float, float, float]:
+    """Return squared distance (m^2) of a tool from a point, its part along, and speed^2 there."""
+    o, q, v, w = point[:4]
+    step = t3.apply_transposed(t3.rotation_matrix(q), t3.subtract(tool[0], o))
+    rotation = t3.rotation_between(q, tool[1])
+    return along(step, rotation, step, rotation), along(step, rotation, v, w), along(v, w, v, w)
+
+
+@kernel
+def corrected(
+    rows: Any, seconds: Any, tool: State, t: float, variance: float
+) -> tuple[float, float]:
     """
-    o, q, v, w = tool[:4]
-    last = len(seconds) - 1
-    first, end = index_at(seconds, progress), 1 + min(
-        last, 1 + index_at(seconds, max(expected, progress) + SEARCH_TIME))
-    nearest = math.inf
-    for i in range(first, end):
-        nearest = min(nearest, pose_distance(rows[i], o, q))
-    index, difference = first, math.inf
-    for i in range(first, end):
-        if (abs(seconds[i] - expected) < difference
-                and pose_distance(rows[i], o, q) <= max(nearest, PLACE_TOLERANCE) + reach[i]):
-            index, difference = i, abs(seconds[i] - expected)
-    point = row_state(rows[index])
-    speed = along(point[2], point[3], point[2], point[3])
-    if speed <= slow * slow:
-        return nearest, seconds[index], math.inf
-    R = t3.rotation_matrix(point[1])
-    rotation = t3.rotation_between(point[1], q)
-    step = along(t3.apply_transposed(R, t3.subtract(o, point[0])), rotation, point[2], point[3])
-    return (
-        nearest, min(max(seconds[index] + step / speed, 0.0), seconds[last]),
-        along(v, w, point[2], point[3]) / speed)
+    Return the time (s) corrected by the tool's pose, and its variance before that, s^2.
+
+    A tool too far along the plan for its variance has changed its rate: the variance grows by as
+    much.
+    """
+    at = t
+    for i in range(ITERATIONS):
+        _, step, speed2 = offset(point_at(rows, seconds, at), tool)
+        expected = variance * speed2 + POSE_STD * POSE_STD
+        if i == 0 and step * step > GATE * expected * speed2:
+            shift = min(abs(step) / speed2, SEARCH_TIME)
+            variance += shift * shift
+            expected = variance * speed2 + POSE_STD * POSE_STD
+        moved = variance * ((at - t) * speed2 + step) / expected
+        last = min(at + SEARCH_TIME, seconds[len(seconds) - 1])
+        at = min(max(t + moved, at - SEARCH_TIME, 0.0), last)
+    return at, variance
+
+
+@kernel
+def search(
+    rows: Any, seconds: Any, tool: State, expected: float, ends: tuple[float, float]
+) -> tuple[float, float]:
+    """
+    Return the time (s) between two at which the plan is nearest to the tool, and the step (s).
+
+    Of places as near as each other the one in the tool's direction, then that nearer to the
+    expected time.
+    """
+    low, high = ends
+    count = min(max(int((high - low) / SEARCH_STEP), 1), MAX_SEARCH_STEPS)
+    h = (high - low) / count
+    best, least = expected, math.inf
+    for i in range(count + 1):
+        at = low + i * h
+        point = point_at(rows, seconds, at)
+        squared, step, speed2 = offset(point, tool)
+        if speed2 > 0.0:  # the nearest point is up to half a step away
+            near = min(max(step / speed2, -0.5 * h), 0.5 * h)
+            squared += near * near * speed2 - 2.0 * near * step
+        against = min(along(tool[2], tool[3], point[2], point[3]), 0.0)
+        wrong = against * against / (speed2 + TWIST_STD * TWIST_STD)
+        late = (at - expected) / SEARCH_TIME
+        cost = squared / (POSE_STD * POSE_STD) + wrong / (TWIST_STD * TWIST_STD) + late * late
+        if cost < least:
+            best, least = at, cost
+    return best, h
+
+
+@kernel
+def track(
+    rows: Any, seconds: Any, tool: State, prior: tuple[float, float, float, float, float],
+    ends: tuple[float, float],
+) -> tuple[float, tuple[float, float, float, float, float]]:
+    """
+    Return the tool's distance from the plan (m), and the corrected time, rate and covariance.
+
+    A prior is time (s), rate and their covariance; the plan is searched between two times (s)
+    where the tool is not at the predicted one.
+    """
+    t, rate, variance, covariance, rate_variance = prior
+    at, wide = corrected(rows, seconds, tool, t, variance)
+    squared, _, _ = offset(point_at(rows, seconds, at), tool)
+    if squared > GATE * POSE_STD * POSE_STD and ends[1] > ends[0]:
+        found, step = search(rows, seconds, tool, t, ends)
+        elsewhere, spread = corrected(rows, seconds, tool, found, step * step)
+        nearest, _, _ = offset(point_at(rows, seconds, elsewhere), tool)
+        if nearest < squared - GATE * POSE_STD * POSE_STD:
+            squared, t, at, wide, covariance = nearest, found, elsewhere, spread, 0.0
+    v, w = point_at(rows, seconds, at)[2:4]
+    speed2 = along(v, w, v, w)
+    if wide != variance:
+        rate_variance = max(rate_variance, START_STD * START_STD)
+    gain = speed2 / (wide * speed2 + POSE_STD * POSE_STD)
+    rate += covariance * (at - t) / wide
+    rate_variance -= covariance * covariance * gain
+    variance, covariance = wide - wide * wide * gain, covariance - wide * covariance * gain
+    if speed2 <= TWIST_STD * TWIST_STD:
+        return math.sqrt(squared), (at, rate, variance, covariance, rate_variance)
+    measured = along(tool[2], tool[3], v, w) / speed2
+    noise, innovation = TWIST_STD * TWIST_STD / speed2, min(measured, MAX_RATE) - rate
+    if innovation * innovation > GATE * (rate_variance + noise):
+        rate_variance, covariance = rate_variance + innovation * innovation, 0.0
+    part = 1.0 / (rate_variance + noise)
+    at += covariance * part * innovation
+    rate += rate_variance * part * innovation
+    variance -= covariance * covariance * part
+    covariance -= covariance * rate_variance * part
+    rate_variance -= rate_variance * rate_variance * part
+    return math.sqrt(squared), (at, rate, variance, covariance, rate_variance)
 
 
 @kernel
@@ -137,10 +253,9 @@ class PlanTracker:
     Attributes
     ----------
     plan : ToolRows
-    progress : float
-        s of the plan.
-    done, deviated, paused : bool
-        Whether the tool has arrived, is elsewhere, or stands where the plan moves.
+    progress : PlanProgress
+    state : str
+        One of `WAITING`, `DRIVEN`, `PAUSED`, `DEVIATED`, `DONE`.
 
     """
 
@@ -148,79 +263,90 @@ class PlanTracker:
         """Take the plan."""
         self._stamp_ns = stamp_ns
         self.plan = ToolRows(plan.stamps_ns, simulation.tool_rows(plan))
-        self._seconds, self._rows = self.plan.seconds, self.plan.rows
-        speed = np.linalg.norm(self._rows[:, 7:] * np.repeat([1.0, ROTATION_LEVER], 3), axis=1)
-        gaps = np.diff(self._seconds)
-        reach = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
-        self._inputs = as_inputs(self._rows, self._seconds, reach)
-        self._slow = MIN_SPEED_RATIO * float(speed.max())
-        o, q = row_state(self._rows[0])[:2]
-        self._leaves = float(next((
-            t for t, row, tolerance in zip(self._seconds, self._rows, reach, strict=True)
-            if pose_distance(row, o, q) > PLACE_TOLERANCE + tolerance), self._seconds[-1]))
-        self.done = self.deviated = self.paused = False
-        self._anchor = -1, 0.0, 1.0  # stamp, progress, and speed of the tool in that of the plan
-
-    @property
-    def progress(self) -> float:
-        """Time in the plan of the last pose of the tool, s."""
-        return self._anchor[1]
+        self._inputs = as_inputs(self.plan.rows, self.plan.seconds)
+        self._end = float(self.plan.seconds[-1])
+        self._leaves = departure(*self._inputs)
+        self.state = WAITING
+        self.progress = PlanProgress(-1, 0.0, 1.0, self._leaves**2, 0.0, START_STD**2)
 
     def follow(self, now: Prediction) -> None:
-        """Find where on the plan the tool is, and how fast it is driven; for each of its poses."""
-        _, before, rate = self._anchor
-        distance, progress, measured = locate(
-            *self._inputs, self._slow, now.tool, before, self._expected(now.stamp_ns))
-        self.deviated = distance > MAX_DEVIATION
-        if self.deviated:
+        """Correct the progress by a pose of the tool; for each of them."""
+        before = self.progress
+        ends, prior = self._predicted(now.stamp_ns)
+        distance, (time, rate, *covariance) = track(*self._inputs, now.tool, prior, ends)
+        if distance > MAX_DEVIATION:
+            self.state = DEVIATED
             return
-        self.paused = measured <= MIN_RATE
-        if MIN_RATE < measured < math.inf:
-            rate += SMOOTHING * (min(measured, MAX_RATE) - rate)
-        self._anchor = now.stamp_ns, max(before, progress), rate  # at once: threads read it
-        self.done = self.progress >= self._seconds[-1] - 1e-3
+        if self.state == WAITING and time <= self._leaves:
+            self.progress = PlanProgress(now.stamp_ns, min(time, prior[0]), *prior[1:])
+            return
+        is_paused = rate <= PAUSE_RATE
+        self.progress = PlanProgress(
+            now.stamp_ns, min(max(time, 0.0), self._end),
+            before.rate if is_paused else min(rate, MAX_RATE), *covariance)
+        self.state = (DONE if self.progress.time >= self._end - 1e-3 else
+                      PAUSED if is_paused else DRIVEN)
 
-    def _expected(self, stamp_ns: int) -> float:
-        """Return the expected time in the plan according to the clock, s."""
-        stored_ns, progress, rate = self._anchor
-        overdue = -self._wait(stamp_ns)
-        if stored_ns < 0 or (progress == 0.0 and overdue <= 0.0):
-            return max(0.0, overdue)
-        return progress + rate * (stamp_ns - stored_ns) / NS_PER_S
+    def _predicted(
+        self, stamp_ns: int
+    ) -> tuple[tuple[float, float], tuple[float, float, float, float, float]]:
+        """Return the ends (s) of a search, and time, rate and covariance before a pose."""
+        stored_ns, time, rate, variance, covariance, rate_variance = self.progress
+        elapsed = max(0.0, (stamp_ns - stored_ns) / NS_PER_S) if stored_ns >= 0 else 0.0
+        if self.state == WAITING:
+            overdue = max(0.0, -self._wait(stamp_ns))
+            reach = MAX_RATE * (overdue if stored_ns < 0 else elapsed) + SEARCH_TIME
+            is_due = stored_ns < 0 or overdue <= self._leaves
+            expected = min(overdue, self._end) if is_due else 0.0
+            return (0.0, min(reach, self._end)), (
+                expected, 1.0, self._leaves**2, 0.0, START_STD**2)
+        if self.state in (PAUSED, DEVIATED):
+            reach = MAX_RATE * elapsed + SEARCH_TIME
+            return (max(0.0, time - SEARCH_TIME), min(time + reach, self._end)), (
+                time, rate, variance, 0.0, rate_variance)
+        drift = RATE_DRIFT**2 * elapsed
+        variance += elapsed * (2.0 * covariance + elapsed * (rate_variance + drift / 3.0))
+        covariance += elapsed * (rate_variance + 0.5 * drift)
+        time = min(time + rate * elapsed, self._end)
+        reach = 3.0 * math.sqrt(variance) + SEARCH_TIME
+        return (max(0.0, time - reach), min(time + reach, self._end)), (
+            time, rate, variance, covariance, rate_variance + drift)
 
     def _wait(self, stamp_ns: int) -> float:
         """Return the time (s) until the plan begins; infinite where it does with the tool."""
         wait = (self._stamp_ns - stamp_ns) / NS_PER_S if self._stamp_ns else math.inf
-        is_soon = -MAX_WAIT - self._seconds[-1] <= wait <= MAX_WAIT
+        is_soon = -MAX_WAIT - self._end <= wait <= MAX_WAIT
         return wait if is_soon else math.inf
 
     def is_driven(self, now: Prediction) -> bool:
         """Return whether the tool is on the plan, or will be soon."""
-        return not (self.done or self.deviated or self.paused) and (
-            self.progress > self._leaves
-            or -MAX_DELAY - self._leaves <= self._wait(now.stamp_ns) < math.inf)
+        return self.state == DRIVEN or (
+            self.state == WAITING
+            and -MAX_DELAY - self._leaves <= self._wait(now.stamp_ns) < math.inf)
 
-    def rest(self, now: Prediction, spacing: float = SPACING) -> ToolRows:
+    def rest(self, now: Prediction, spacing: float = SPACING, deviations: float = 0.0) -> ToolRows:
         """
         Return the tool as it is, then the rest of the plan, with stamps from now.
 
         A plan that has not begun and has no time to begin, begins now. The tool joins it at
-        `JOIN_SPEED`, and drives it as fast as last; its points are thinned to a spacing (s).
+        `JOIN_SPEED`, and drives it as fast as last; its points are thinned to a spacing (s). The
+        progress is changed by so many of its standard deviations.
         """
-        _, progress, rate = self._anchor
-        seconds, last, wait = self._seconds, len(self._seconds) - 1, 0.0
-        if progress > 0.0:  # the last pose and this one need not be the same
-            progress = min(self._expected(now.stamp_ns), float(seconds[last]))
+        stored_ns, progress, rate, variance, *_ = self.progress
+        seconds, last, wait = self.plan.seconds, len(self.plan) - 1, 0.0
+        if self.state != WAITING:  # the last pose and this one need not be the same
+            progress += rate * max(0, now.stamp_ns - stored_ns) / NS_PER_S
         elif self._wait(now.stamp_ns) < math.inf:
             wait = max(0.0, self._wait(now.stamp_ns))
-        nearest = self._rows[np.abs(seconds - progress).argmin()]
+        progress = min(max(progress + deviations * math.sqrt(max(variance, 0.0)), 0.0), self._end)
+        nearest = np.concatenate(point_at(*self._inputs, progress))
         join = min(MAX_JOIN_TIME, pose_distance(nearest, *now.tool[:2]) / JOIN_SPEED)
         start = progress + max(join, 1e-4 if wait == 0.0 else 0.0)
         first = min(int(np.searchsorted(seconds, start)), last)
         gap = max(seconds[last] - seconds[first], 1e-9) / max(1, last - first)
         chosen = np.append(np.arange(first, last, max(1, round(spacing / gap))), last)
         times = wait + np.maximum(seconds[chosen] - progress, 1e-4) / rate
-        rows = self._rows[chosen] * np.repeat([1.0, rate], [7, 6])
+        rows = self.plan.rows[chosen] * np.repeat([1.0, rate], [7, 6])
         return ToolRows(
             np.append(0, np.rint(times * NS_PER_S).astype(np.int64)),
             np.vstack([np.concatenate(now.tool), rows]))

@@ -127,10 +127,33 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     np.testing.assert_allclose(linear, np.std(landings, axis=0), rtol=0.12)  # 3.5 % each, 400
 
 
+def test_uncertain_progress_on_the_plan_is_part_of_the_covariance(plan):
+    """A plan that is two periods late with one standard deviation: by that landing's error."""
+    held = HeldMotion(MODEL, tosses.GRIP, plan)
+    now, rows = held_at(held, VALVE), tool_rows(plan)
+    first = round(VALVE / (PERIOD_NS * 1e-9))
+
+    def ahead(deviations):
+        i = first + 1 - round(2 * deviations)
+        return ToolRows(np.append(0, np.arange(1, len(rows) - i + 1) * PERIOD_NS),
+                        np.vstack([np.concatenate(now.tool), rows[i:]]))
+
+    def found(future):
+        return Flight(VALUES, future).landing(MODEL, now, lambda _: np.zeros((12, 12)))
+
+    sure = found(lambda now, deviations: ahead(0.0))
+    late = found(lambda now, deviations: ahead(1.0))
+    unsure = found(lambda now, deviations: ahead(deviations))
+    error = np.concatenate(tossing.landing_error(late.toss.landing, sure.toss.landing, MODEL[2]))
+    assert np.linalg.norm(error[:3]) > 1e-3
+    np.testing.assert_allclose(unsure.covariance - sure.covariance, np.outer(error, error),
+                               atol=1e-9)
+
+
 @pytest.mark.parametrize('asked', [255, 300])
 def test_says_where_it_will_be_once_the_valve_is_switched(plan, asked):
     """Before the cup has let go and after, as it comes; not once it has landed."""
-    def as_planned(now):
+    def as_planned(now, deviations):
         i = (now.stamp_ns - START_NS) // PERIOD_NS
         return ToolRows(plan.stamps_ns[i:] - plan.stamps_ns[i], tool_rows(plan)[i:])
 
