@@ -14,10 +14,18 @@ from bellows_ros.core.parameters.checks import implausible, Settings
 from bellows_ros.core.planning.limits import demands, Limits, NO_LIMIT, read_rates, stretched
 from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.planning.points import joint_excess, timed
-from bellows_ros.core.planning.steering import hanging, METHODS, steer, Steered, tool_above
+from bellows_ros.core.planning.steering import (
+    ALLOWED_TIME,
+    hanging,
+    METHODS,
+    steer,
+    Steered,
+    tool_above,
+)
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, results, safe_yaml
+from bellows_ros.report.sentences import many
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import extended, MotionSource, NO_FACTOR, plan_with_cup, Source
 import numpy as np
@@ -109,8 +117,15 @@ class SteerReport(CommandResult):
                  'cuts corners.', self.steered.smoothed > 0.0),
                 (f'Slowed down to {self.time_scale:.3f} times the duration, for the limit '
                  f'{self.limit}.', self.time_scale > 1.0),
-                ('No mode swings by more than 0.5 degrees afterwards, so the motion is '
-                 'unchanged.', self.method != 'inverse' and not self.steered.modes)) if applies))
+                (f'{self.method} shapes {many(len(self.steered.modes), "mode")} and leaves a swing '
+                 f'of {math.degrees(self.steered.residual):.2g} degrees.',
+                 self.method != 'inverse' and self.steered.modes),
+                ('The motion is unchanged: it leaves a swing of '
+                 f'{math.degrees(self.steered.residual):.2g} degrees' + (
+                     ', and a shaper of its mode takes longer than '
+                     f'{max(ALLOWED_TIME, self.source.duration):.2g} s.'
+                     if self.steered.residual > SETTLED_ANGLE else '.'),
+                 self.method != 'inverse' and not self.steered.modes)) if applies))
 
     @property
     def advice(self) -> str:
@@ -141,6 +156,7 @@ class SteerReport(CommandResult):
             'time_scale': self.time_scale, 'limit': self.limit,
             'smoothed': self.steered.smoothed,
             'modes': self.steered.modes,
+            'residual_swing': self.steered.residual,
             'advice': self.advice, 'notes': self.notes,
             'plan': self.source.path, 'frame_id': self.source.frame_id})
 

@@ -110,6 +110,11 @@ class PlanPrediction(NamedTuple):
                       mode_name(self.grip or UNKNOWN_GRIP, worst, int(row)), time)
 
     @property
+    def residual_swing(self) -> float:
+        """Largest rotation of the package from rest after the end of the plan, rad."""
+        return float(self.peaks[PEAKS.index('swing'), 0])
+
+    @property
     def flips(self) -> str:
         """The warning on a cup that bends too far, or ''."""
         angle = float(self.peaks[PEAKS.index('bending'), 0])

@@ -57,9 +57,13 @@ FADE_TIME = 0.02
 """After it the motion fades out over this time (s), without a step of twist or acceleration."""
 
 MIN_RESIDUAL_SWING = planning.SETTLED_ANGLE
-"""Modes that the plan leaves swinging by more than this (rad) are shaped ..."""
+"""Swing of the package above which a mode is shaped, rad."""
 MERGE_TOLERANCE = 0.05
-"""... and modes whose frequencies differ by less than this fraction are shaped as one."""
+"""Relative difference of the frequencies of modes that are shaped as one."""
+ALLOWED_TIME = 1.0
+"""Longest duration of a shaper, s; that of the plan where it is longer."""
+TAIL = 2.0
+"""Duration after a shaped motion in which its residual swing is sought, s."""
 
 
 class SwingMode(NamedTuple):
@@ -401,24 +405,47 @@ def impulses(modes: Sequence[SwingMode], method: str) -> tuple[Array, Array]:
     return delays, sizes
 
 
-def to_shape(modes: Sequence[SwingMode], method: str) -> list[SwingMode]:
+def to_shape(modes: Sequence[SwingMode]) -> list[SwingMode]:
     """
-    Return the modes that swing; similar ones are merged, weighted by their swing.
+    Return the modes that swing, the largest swing first.
 
-    Those are left out whose swing decays below `MIN_RESIDUAL_SWING` sooner than their shaper ends.
+    Similar ones are merged, weighted by their swing.
     """
     groups: list[list[SwingMode]] = []
     for mode in modes:
-        decay = 2.0 * math.pi * mode.frequency * mode.damping_ratio  # 1/s
-        if mode.swing <= MIN_RESIDUAL_SWING or math.log(
-                mode.swing / MIN_RESIDUAL_SWING) < decay * impulses([mode], method)[0][-1]:
+        if mode.swing <= MIN_RESIDUAL_SWING:
             continue
         if groups and mode.frequency < (1.0 + MERGE_TOLERANCE) * groups[-1][-1].frequency:
             groups[-1].append(mode)
         else:
             groups.append([mode])
-    return [SwingMode(*np.average(group, axis=0, weights=[mode.swing for mode in group]).tolist())
-            for group in groups]
+    merged = (SwingMode(*np.average(group, axis=0, weights=[
+        mode.swing for mode in group]).tolist()) for group in groups)
+    return sorted(merged, key=lambda mode: -mode.swing)
+
+
+def best_shaper(
+    model: ModelTuple, tool: Trajectory, method: str, residual: planning.PlanPrediction,
+) -> tuple[Trajectory, list[SwingMode], float]:
+    """
+    Return a shaped motion, the modes that it shapes, and the swing (rad) that it leaves.
+
+    Shapers of none, one and more of the modes are simulated, the shortest first, up to
+    `ALLOWED_TIME`: the first that leaves less than `MIN_RESIDUAL_SWING` is taken, otherwise the
+    one that leaves least.
+    """
+    swinging = to_shape(residual_modes(model, residual))
+    allowed = max(ALLOWED_TIME, float(tool.seconds[-1]))
+    best, shaped_modes, least = tool, swinging[:0], residual.residual_swing
+    for count in range(1, len(swinging) + 1):
+        delays, sizes = impulses(swinging[:count], method)
+        if least <= MIN_RESIDUAL_SWING or delays.max() > allowed:
+            break
+        motion = shaped(tool, delays, sizes)
+        swing = planning.PlanSimulation(model, None, motion, tail=TAIL).predict().residual_swing
+        if swing < least:
+            best, shaped_modes, least = motion, swinging[:count], swing
+    return best, shaped_modes, least
 
 
 def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
@@ -445,7 +472,9 @@ class Steered(NamedTuple):
     smoothed: float
     """Time (s) over which the reference motion was smoothed; 0 if it was C^4."""
     modes: list[SwingMode]
-    """Modes of the package that the plan excites and that are shaped."""
+    """Modes of the package that are shaped."""
+    residual: float
+    """Swing of the package after the motion according to the model, rad; 0 for the inverse."""
 
 
 def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = False) -> Steered:
@@ -479,12 +508,11 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
     if method == 'inverse':
         row = simulation.tool_rows(plan)[0]
         first = None if of_package else simulation.state_row(*np.split(row, [3, 7]))
-        return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [])
+        return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [], 0.0)
     tool = tool_above(model, plan) if of_package else plan
-    prediction = planning.PlanSimulation(model, None, tool, tail=0.0).predict()
-    modes = to_shape(residual_modes(model, prediction), method)
-    tool = shaped(tool, *impulses(modes, method))
-    return Steered(tool, hanging(model, tool), 0.0, modes)
+    prediction = planning.PlanSimulation(model, None, tool, tail=TAIL).predict()
+    tool, modes, residual = best_shaper(model, tool, method, prediction)
+    return Steered(tool, hanging(model, tool), 0.0, modes, residual)
 
 
 def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:

@@ -159,16 +159,37 @@ def test_modes_are_those_of_mass_and_spring():
 
 def test_modes_alike_are_one():
     modes = (3.0, 0.1, 0.1), (3.1, 0.2, 0.3), (5.0, 0.1, 0.001), (11.0, 0.4, 0.1)
-    found = steering.to_shape([SwingMode(*mode) for mode in modes], 'zv')
+    found = steering.to_shape([SwingMode(*mode) for mode in modes])
     assert_allclose(found, [(3.075, 0.175, 0.25), (11.0, 0.4, 0.1)])
 
 
-@pytest.mark.parametrize('method', ['zv', 'zvd'])
-def test_a_mode_that_decays_before_its_shaper_ends_is_left_alone(method):
-    """At 0.998 of the critical damping 5 degrees decay to 0.5 in 0.2 s; the shaper takes 4 s."""
-    slow, light = SwingMode(2.0, 0.998, math.radians(5.0)), SwingMode(2.5, 0.1, math.radians(5.0))
-    assert steering.impulses([slow], method)[0][-1] > 3.0
-    assert steering.to_shape([slow, light], method) == [light]
+@pytest.mark.parametrize(('move', 'method'), [
+    (Move([0.0, 0.0, 0.0], [0.0, 0.0, 0.6], 0.5), 'zvd'),
+    (Move([0.1, 0.0, 0.0], [0.0, 0.3, 0.6], 0.4), 'zv')], ids=['turn', 'tilt'])
+def test_a_shaper_leaves_the_residual_that_it_states(move, method):
+    """Also of a mode that decays before its shaper ends, against an independent integrator."""
+    plan = move.plan(500)
+    found = steering.steer(MODEL, plan, method)
+    assert found.modes and found.residual < steering.MIN_RESIDUAL_SWING
+    for tool, swing in ((found.tool, found.residual), (plan, None)):
+        _, T = followed(tool, after=0.4, rate=500)
+        last = T[round(float(tool.seconds[-1]) * 500) + 1:, :3, :3]
+        hanging = quaternion_to_rotation(np.array(rest(MODEL, tool_rows(tool)[-1])[1]))
+        largest = angle(last, hanging[None]).max()
+        if swing is None:
+            assert largest > 2.0
+        else:
+            assert largest == pytest.approx(math.degrees(swing), abs=0.02)
+
+
+def test_a_shaper_that_takes_longer_than_allowed_is_not_taken():
+    """At 0.998 of the critical damping it would take 4 s; the residual is stated then, too."""
+    stiff, inertia = 4.0, 0.00984
+    slow = np.diag([5400, 5400, 9200, 4.2, 4.2, stiff])
+    damping = np.diag([55, 55, 24, 0.06, 0.06, 2.0 * 0.998 * (stiff * inertia) ** 0.5])
+    model = model_tuple(Cup(slow, damping, 0.046), PACKAGE, 9.81)
+    found = steering.steer(model, Move([0.0] * 3, [0.0, 0.0, 0.6], 0.2).plan(500), 'zvd')
+    assert not found.modes and found.residual > steering.MIN_RESIDUAL_SWING
 
 
 @pytest.mark.parametrize('move', [SLIDE, Smooth([0.2, 0.0, 0.1], [0.0, 0.4, 0.0], 0.8)])
