@@ -117,8 +117,8 @@ class SteerReport(CommandResult):
                  'cuts corners.', self.steered.smoothed > 0.0),
                 (f'Slowed down to {self.time_scale:.3f} times the duration, for the limit '
                  f'{self.limit}.', self.time_scale > 1.0),
-                (f'{self.method} shapes {many(len(self.steered.modes), "mode")} and leaves a swing '
-                 f'of {math.degrees(self.steered.residual):.2g} degrees.',
+                (f'{self.method} shapes {many(len(self.steered.modes), "mode")} and leaves a '
+                 f'swing of {math.degrees(self.steered.residual):.2g} degrees.',
                  self.method != 'inverse' and self.steered.modes),
                 ('The motion is unchanged: it leaves a swing of '
                  f'{math.degrees(self.steered.residual):.2g} degrees' + (

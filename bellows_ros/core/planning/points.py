@@ -32,8 +32,17 @@ MAX_GAP_NS = 10_000_000
 JUMP_TOLERANCE = (1e-3, 1e-2)
 """Points closer than this (m, rad) are no jump, however short the time."""
 
-MIN_FITTED_POINTS, MAX_VELOCITY_MISFIT = 20, 0.5
-"""With this many points, velocities that deviate from the steps by this fraction are wrong."""
+MIN_FITTED_POINTS = 20
+"""Number of points from which rates must integrate to the steps, whatever explains a misfit."""
+MAX_MISFIT = 0.5
+"""Largest RMS deviation of the integrated rates from the steps, relative to these."""
+SAME_WAY = 0.5
+"""Cosine of the angle between two steps above which a motion goes on."""
+MISREADINGS = (
+    ('have the opposite sign', -1.0), ('are too large by 1000: in mm', 1e-3),
+    ('are too small by 1000: in km, or of times in ms', 1e3),
+    ('are in degrees', math.pi / 180.0))
+"""Wrong readings of rates, and the factor that mends each."""
 
 
 def plan_of(
@@ -85,19 +94,25 @@ def plan_of(
             t, np.hstack([poses[:, :3], continuous]), bc_type='clamped')
         body = body_twists(continuous, curve(t, 1))[1]
     else:
-        body = np.hstack([v, w])
-        if len(poses) >= MIN_FITTED_POINTS:
-            _require_fitting(np.diff(t), step, lie.apply(R, v), name, 'velocities')
-            _require_fitting(np.diff(t), rotation, w, name, 'angular velocities')
-    plan = ToolRows(stamps_ns, np.hstack([poses[:, :3], q, body]))
-    fine_ns = _without_gaps(stamps_ns)
-    if len(fine_ns) == len(stamps_ns):
-        return plan
-    if acceleration is not None:
+        body, other = np.hstack([v, w]), R if twist_frame == 'world' else np.swapaxes(R, -1, -2)
+        world_v = lie.apply(R, v)
+        require_consistent(np.diff(t), step, world_v, f'{name}: its velocities',
+                           lie.apply(R, lie.apply(other, v)))
+        require_consistent(
+            np.diff(t), rotation, w, f'{name}: its angular velocities', lie.apply(other, w))
+    if twist is not None and acceleration is not None:
         linear, angular = np.hsplit(acceleration, 2)
         if twist_frame == 'tool':  # d/dt R v = R (dv/dt + w x v)
             linear = lie.apply(R, linear + np.cross(w, v))
         acceleration = np.hstack([linear, lie.apply(in_tool, angular)])
+        require_consistent(np.diff(t), np.diff(world_v, axis=0), linear,
+                           f'{name}: its accelerations')
+        require_consistent(np.diff(t), np.diff(w, axis=0), acceleration[:, 3:],
+                           f'{name}: its angular accelerations')
+    plan = ToolRows(stamps_ns, np.hstack([poses[:, :3], q, body]))
+    fine_ns = _without_gaps(stamps_ns)
+    if len(fine_ns) == len(stamps_ns):
+        return plan
     return ToolRows(fine_ns, tool_rows(_refined(plan.trajectory(), fine_ns, acceleration)))
 
 
@@ -133,6 +148,10 @@ def plan_of_joints(
     rate, bend = (None if part is None else part[:, columns] for part in (velocity, acceleration))
     _require_points(stamps_ns, (q, rate, bend), 'The plan')
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
+    for steps_of, rates, what in ((q, rate, 'velocities'), (rate, bend, 'accelerations')):
+        if steps_of is not None and rates is not None:
+            require_consistent(np.diff(t), np.diff(steps_of, axis=0), rates,
+                               f'The plan: the {what} of its joints')
     curve: Any = scipy.interpolate.CubicSpline(t, q, bc_type='clamped') if rate is None else (
         quintic(t, q, rate, bend) if bend is not None else
         scipy.interpolate.CubicHermiteSpline(t, q, rate))
@@ -281,16 +300,56 @@ def _require_reachable(
             f'at most {MAX_TOOL_SPEED:g} m/s and {MAX_TOOL_RATE:g} rad/s', 'Check the units.')
 
 
-def _require_fitting(durations: Array, steps: Array, rate: Array, name: str, what: str) -> None:
-    """Refuse velocities (N, 3), m/s or rad/s, that are not those of the steps between points."""
-    of_steps = steps / durations[:, None]
-    size, miss = (float(np.sqrt(np.mean(each**2))) for each in (
-        of_steps, of_steps - 0.5 * (rate[1:] + rate[:-1])))
-    if miss > MAX_VELOCITY_MISFIT * size + JUMP_TOLERANCE[0]:
+def require_consistent(
+    durations: Array, steps: Array, rates: Array, what: str, in_other_axes: Array | None = None
+) -> None:
+    """
+    Refuse rates that do not integrate to the steps between points.
+
+    Parameters
+    ----------
+    durations : array (N - 1,)
+        Between points, s.
+    steps : array (N - 1, K)
+        Of poses or of rates from point to point.
+    rates : array (N, K)
+        Their derivatives at the points.
+    what : str
+        What the rates are, for messages.
+    in_other_axes : array (N, K), optional
+        The rates as they are with the other tool_twist.frame.
+
+    Raises
+    ------
+    BellowsError
+        If another sign, unit or frame of the rates explains the steps and this one does not, if
+        all rates are zero amid a motion, or many points have rates of another motion.
+
+    """
+    def misfit(of: Array) -> float:
+        means = 0.5 * (of[1:] + of[:-1]) * durations[:, None]
+        return float(np.sqrt(np.mean((means - steps) ** 2)))
+
+    size, given = float(np.sqrt(np.mean(steps**2))), misfit(rates)
+    if given <= MAX_MISFIT * size + JUMP_TOLERANCE[0] * float(np.median(durations)):
+        return
+    lengths = np.linalg.norm(steps, axis=1)
+    goes_on = (np.sum(steps[1:] * steps[:-1], axis=1) > SAME_WAY * lengths[1:] * lengths[:-1]) & (
+        lengths[1:] * lengths[:-1] > 0.0)
+    reason = 'are of another motion' if len(rates) >= MIN_FITTED_POINTS else ''
+    if goes_on.any() and not rates[1:-1][goes_on].any():
+        reason = 'are zero where the motion goes on'
+    readings = [(text, misfit(factor * rates)) for text, factor in MISREADINGS]
+    if in_other_axes is not None:
+        readings.append(('are in the axes of the other tool_twist.frame', misfit(in_other_axes)))
+    text, left = min(readings, key=lambda reading: reading[1])
+    if left <= MAX_MISFIT * size and left < MAX_MISFIT * given:
+        reason = text
+    if reason:
         raise BellowsError(
-            f'{name}: its {what} do not fit its poses: they differ by {miss:.3g} from steps '
-            f'of {size:.3g} (RMS, m/s or rad/s); expected the same motion. Check '
-            'tool_twist.frame (world or tool) and the units, or leave velocities out.')
+            f'{what} {reason}: integrated between the points they deviate by {given:.3g} from '
+            f'steps of {size:.3g} (RMS, SI units); expected the same motion. Correct them or '
+            'their times, set tool_twist.frame (world or tool), or leave them out.')
 
 
 MIN_GAIN = 0.01

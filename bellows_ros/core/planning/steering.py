@@ -508,7 +508,8 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
     if method == 'inverse':
         row = simulation.tool_rows(plan)[0]
         first = None if of_package else simulation.state_row(*np.split(row, [3, 7]))
-        return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [], 0.0)
+        package = plan if of_package else hanging(model, plan)
+        return Steered(*inverse(model, package, first), [], 0.0)
     tool = tool_above(model, plan) if of_package else plan
     prediction = planning.PlanSimulation(model, None, tool, tail=TAIL).predict()
     tool, modes, residual = best_shaper(model, tool, method, prediction)

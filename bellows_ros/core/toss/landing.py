@@ -60,7 +60,7 @@ class Contributions(NamedTuple):
 
     def of(self, prefix: str) -> tuple[Array, Array]:
         """Return standard deviations and covariance (6, 6) that parameters together make up."""
-        chosen = np.char.startswith(self.names, prefix)
+        chosen = np.array([name.startswith(prefix) for name in self.names], bool)
         part = self._replace(parts=self.parts * chosen[:, None])
         return self.std[chosen], part.covariance
 

@@ -1,6 +1,6 @@
 """From points to a plan: splines against known motions, and what no arm does refused."""
 
-from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.geometry.lie import log_so3, rotation_to_quaternion
 from bellows_ros.core.planning.points import MAX_POINTS, plan_of
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -84,3 +84,62 @@ def test_velocities_in_the_wrong_axes_are_noticed():
         plan_of(stamps, poses, v, twist_frame='world')
     with pytest.raises(BellowsError):
         plan_of(stamps, poses, v * [1, 1, 1, 5, 5, 5.0], twist_frame='tool')
+
+
+def sampled(count, rng, stretch=0.0):
+    """Return points of a random move at few, unevenly spaced times, with twists in the world."""
+    move = Move(rng.normal(0.0, 0.4, 3), rng.normal(0.0, 0.1, 3), 0.8)
+    t = np.linspace(0.0, 0.8, count)
+    t[1:-1] += stretch * rng.uniform(-0.4, 0.4, count - 2) * 0.8 / (count - 1)
+    o, R, v = move.at(t)
+    return np.round(t * 1e9).astype(np.int64), np.hstack([o, rotation_to_quaternion(R)]), (
+        in_world(R, v)), R
+
+
+def test_plans_of_few_points_are_accepted():
+    rng = np.random.default_rng(3)
+    for count in range(2, 25):
+        for stretch in (0.0, 1.0):
+            stamps, poses, twist, _ = sampled(count, rng, stretch)
+            plan_of(stamps, poses, twist)
+    there = np.array([[x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0] for x in (0.0, 0.3, 0.3, 0.0)])
+    plan_of(np.arange(4) * 10**9, there, np.zeros((4, 6)))  # stops at each, and comes back
+
+
+@pytest.mark.parametrize(('part', 'factor', 'reason'), [
+    (0, -1.0, 'opposite sign'), (0, 1e-3, 'too small by 1000'), (0, 0.0, 'zero'),
+    (1, -1.0, 'opposite sign'), (1, 180.0 / np.pi, 'degrees'), (1, 0.0, 'zero')])
+def test_velocities_of_few_points_in_another_unit_or_sign_are_named(part, factor, reason):
+    """From three points on; a plan of two may be a move in its first or last half."""
+    rng = np.random.default_rng(5)
+    for count in range(3, 20):
+        stamps, poses, twist, _ = sampled(count, rng)
+        twist[:, 3 * part:3 * part + 3] *= factor
+        with pytest.raises(BellowsError, match=reason):
+            plan_of(stamps, poses, twist)
+
+
+def test_velocities_of_two_points_and_their_frame_are_checked():
+    stamps, poses, twist = np.array([0, 10**8]), np.zeros((2, 7)), np.zeros((2, 6))
+    poses[:, 6], poses[1, 0], twist[:, 0] = 1.0, 0.05, 0.5
+    plan_of(stamps, poses, twist)
+    with pytest.raises(BellowsError, match='opposite sign'):
+        plan_of(stamps, poses, -twist)
+    quarter = [0.0, 0.0, 0.5**0.5, 0.5**0.5]
+    poses[:, 3:] = quarter
+    plan_of(stamps, poses, twist)
+    with pytest.raises(BellowsError, match=r'other tool_twist\.frame'):
+        plan_of(stamps, poses, twist, twist_frame='tool')
+
+
+@pytest.mark.parametrize('count', [4, 8, 30])
+def test_accelerations_are_checked_against_velocities(count):
+    t = np.linspace(0.0, 0.8, count)
+    stamps, (o, R, v) = np.round(t * 1e9).astype(np.int64), MOVE.at(t)
+    poses = np.hstack([o, rotation_to_quaternion(R)])
+    bent = np.zeros((count, 6))
+    bent[1:-1] = rates(lambda at: in_world(*MOVE.at(at)[1:]), t[1:-1])
+    plan_of(stamps, poses, in_world(R, v), bent)
+    for factor, reason in ((-1.0, 'opposite sign'), (1e3, 'too large by 1000')):
+        with pytest.raises(BellowsError, match=f'accelerations.*{reason}'):
+            plan_of(stamps, poses, in_world(R, v), factor * bent)
