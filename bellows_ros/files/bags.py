@@ -14,6 +14,7 @@ from contextlib import closing, suppress
 from functools import cache
 from pathlib import Path
 import sqlite3
+import struct
 from typing import Any, BinaryIO, NamedTuple
 
 from bellows_ros.core.parameters.table import PARAMETERS
@@ -274,6 +275,17 @@ def messages_of(path: File, types: Collection[str], topic: str = '') -> Iterator
         lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name))
 
 
+ROBOT_TRAJECTORY = 'moveit_msgs/msg/RobotTrajectory'
+DISPLAY_TRAJECTORY = 'moveit_msgs/msg/DisplayTrajectory'
+MOVEIT_TYPES = {
+    ROBOT_TRAJECTORY: 'trajectory_msgs/JointTrajectory joint_trajectory\n'
+    'trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory',
+    DISPLAY_TRAJECTORY: 'string model_id\nmoveit_msgs/RobotTrajectory[] trajectory'}
+"""Definitions of types that rosbags does not know."""
+BEGUN_TYPES = (DISPLAY_TRAJECTORY,)
+"""Types of whose messages only the first fields are defined here."""
+
+
 def decoded(data: bytes, type_name: str) -> Any:
     """
     Return a message as an object with its fields, of any type.
@@ -287,17 +299,25 @@ def decoded(data: bytes, type_name: str) -> Any:
     from rosbags.serde import SerdeError
 
     try:
+        if type_name in BEGUN_TYPES:  # whose rest is not read, and differs between releases
+            definition = message_types().get_msgdef(type_name)
+            read = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
+            return read(data[4:], 0, definition.cls, message_types())[0]
         return message_types().deserialize_cdr(data, type_name)
-    except SerdeError as error:
+    except (SerdeError, IndexError, struct.error, ValueError) as error:
         raise BellowsError(f'A {type_name} cannot be decoded: {error} Record it again.') from None
 
 
 @cache
 def message_types() -> Any:
     """Return the store of message types that encodes and decodes messages."""
-    from rosbags.typesys import get_typestore, Stores  # late: takes long, and is rarely needed
+    # late: takes long, and is rarely needed
+    from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, definition in MOVEIT_TYPES.items():
+        store.register(get_types_from_msg(definition, name))
+    return store
 
 
 def absolute(topic: str) -> str:

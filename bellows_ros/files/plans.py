@@ -26,7 +26,12 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.signals.transforms import Chain
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, plan_messages, read_text, safe_yaml
-from bellows_ros.files.bags import decoded, messages_of
+from bellows_ros.files.bags import (
+    decoded,
+    DISPLAY_TRAJECTORY,
+    messages_of,
+    ROBOT_TRAJECTORY,
+)
 from bellows_ros.files.plan_messages import JointPlan, MULTI_DOF, ns_of, PATH, PlanMessage
 import numpy as np
 
@@ -139,6 +144,8 @@ def _frames_to_root(parents: Mapping[str, str], frame: str, of: str) -> list[str
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
+PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, ROBOT_TRAJECTORY, DISPLAY_TRAJECTORY)
+"""Types of messages that are plans."""
 MAX_URDF_BYTES = 2**26
 
 
@@ -156,12 +163,22 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
         If the recording cannot be read, or a plan in it is none.
 
     """
-    makers: dict[str, Callable[[bytes], PlanMessage | JointPlan]] = {
-        MULTI_DOF: plan_messages.decode_multi_dof,
-        PATH: lambda data: path_points(decoded(data, PATH)),
-        JOINTS: lambda data: plan_messages.joint_plan(decoded(data, JOINTS))}
-    return [(channel.name, makers[channel.type_name](data))
-            for channel, _, data in messages_of(path, makers, topic)]
+    makers: dict[str, Callable[[bytes], list[PlanMessage | JointPlan]]] = {
+        MULTI_DOF: lambda data: [plan_messages.decode_multi_dof(data)],
+        PATH: lambda data: [path_points(decoded(data, PATH))],
+        JOINTS: lambda data: [plan_messages.joint_plan(decoded(data, JOINTS))],
+        ROBOT_TRAJECTORY: lambda data: of_moveit([decoded(data, ROBOT_TRAJECTORY)]),
+        DISPLAY_TRAJECTORY: lambda data: of_moveit(decoded(data, DISPLAY_TRAJECTORY).trajectory)}
+    return [(channel.name, plan) for channel, _, data in messages_of(path, makers, topic)
+            for plan in makers[channel.type_name](data)]
+
+
+def of_moveit(trajectories: Iterable[Any]) -> list[PlanMessage | JointPlan]:
+    """Return the plans in RobotTrajectory messages: of joints, or else of a body."""
+    return [
+        plan_messages.joint_plan(each.joint_trajectory) if each.joint_trajectory.points
+        else multi_dof(each.multi_dof_joint_trajectory) for each in trajectories
+        if each.joint_trajectory.points or each.multi_dof_joint_trajectory.points]
 
 
 def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPlan:
@@ -178,6 +195,8 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
         message: Any = json.loads(json.dumps(content), object_hook=lambda x: SimpleNamespace(**x))
         if 'poses' in content:
             read: PlanMessage | JointPlan = path_points(message)
+        elif 'trajectory' in content or 'joint_trajectory' in content:
+            read = of_moveit(getattr(message, 'trajectory', [message]))[0]
         else:
             points = message.points or []
             require_count(len(points), 'The plan')
@@ -191,7 +210,7 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
         missing = getattr(error, 'name', '')
         why = f"'{missing}' is missing" if missing else f'a part has another form ({error})'
         raise BellowsError(
-            f"'{name}' holds no plan: {why}. Expected a {MULTI_DOF}, {PATH} or {JOINTS} as 'ros2 "
+            f"'{name}' holds no plan: {why}. Expected one of {', '.join(PLAN_TYPES)} as 'ros2 "
             "topic echo --once --full-length' prints it, or a motion of 'bellows simulate'."
         ) from None
 

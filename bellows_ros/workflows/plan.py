@@ -434,7 +434,10 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
     name, rates, axes = 'The motion', None, 'tool'
     if not isinstance(poses, PoseStream):
         if not values.tool_link:
-            raise contents.problems['tool_pose']
+            problem = contents.problems['tool_pose']
+            raise type(problem)(
+                f'{problem} A plan is a message of type {", ".join(plans.PLAN_TYPES)}; or poses '
+                'of the tool are recorded, or joint states or transforms with tool_link.')
         read = plans.joints_or_tf(path, urdf, values.tool_link)
         rates, twists = read.twists, None
         poses = PoseStream(

@@ -2,13 +2,16 @@
 
 import tracemalloc
 
+from bellows_ros.files.bags import MOVEIT_TYPES
 import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+for name, definition in MOVEIT_TYPES.items():
+    TYPES.register(get_types_from_msg(definition, name))
 EPOCH_NS = 1_760_000_000_000_000_000
 
 POSE = 'geometry_msgs/msg/PoseStamped'

@@ -9,6 +9,7 @@ from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
+from bellows_ros.files.bags import DISPLAY_TRAJECTORY, ROBOT_TRAJECTORY
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,
     encode_path,
@@ -150,6 +151,36 @@ def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
     other = bag_of(tmp_path / 'o', JOINTS, serialized(JOINTS, joint_message(('a', 'b', 'c'))))
     with pytest.raises(BellowsError, match="'turn'"):
         figures(other, values=values, urdf=str(tmp_path / 'arm.urdf'))
+
+
+@pytest.mark.parametrize('kind', [ROBOT_TRAJECTORY, DISPLAY_TRAJECTORY])
+def test_plans_of_moveit_are_plans(kind, truth, tmp_path):
+    """Of joints or of the tool; the start state after them is not read."""
+    values = {'tool_link': 'tool'}
+    none = header(0, ''), (), []
+    urdf = tmp_path / 'arm.urdf'
+    urdf.write_text(URDF)
+    expected = figures(bag_of(tmp_path / 'plain', JOINTS, serialized(JOINTS, joint_message())),
+                       values=values, urdf=str(urdf))
+    times, poses, twists = samples()
+    of_tool = (header(0, 'base'), ('tool',), [
+        ([(p[:3], p[3:])], [(v[:3], v[3:])], [], divmod(int(t), 10**9))
+        for t, p, v in zip(times, poses, twists, strict=True)])
+    for number, (trajectory, found) in enumerate(
+            (((joint_message(), none), expected), ((none, of_tool), truth))):
+        data = serialized(ROBOT_TRAJECTORY, trajectory)
+        if kind == DISPLAY_TRAJECTORY:
+            data = serialized(kind, ('arm', [trajectory])) + bytes(range(48))
+        bag = bag_of(tmp_path / f'bag{number}', kind, data)
+        read = figures(bag, values=values, urdf=str(urdf))
+        for figure in FIGURES:
+            assert_allclose(read[figure], found[figure], rtol=1e-6)
+
+
+def test_a_recording_without_a_plan_says_what_a_plan_is(tmp_path):
+    bag = bag_of(tmp_path / 'bag', DESCRIPTION, serialized(DESCRIPTION, ('none',)))
+    with pytest.raises(BellowsError, match='DisplayTrajectory'):
+        figures(bag)
 
 
 def test_transforms_and_joint_states_become_tool_poses(tmp_path):
