@@ -117,7 +117,8 @@ class LivePredictor:
     lost_cups : set of int
         Cups of cup.layout that were lost since the package was attached.
     future : callable
-        Returns the tool's planned motion after a prediction, or None.
+        Returns the tool's planned motion after a prediction, or None, with the progress changed by
+        a number of its standard deviations.
     pairing : Pairing
         Poses that wait for their twists.
     tool : ToolMotion
@@ -172,7 +173,7 @@ class LivePredictor:
         self.vacuum, self.lost_cups = Vacuum(), set[int]()
         self.load: Load | None = None
         self.uncertainty: Uncertainty | None = None
-        self.future: Callable[[Prediction], ToolRows | None] = lambda now: None
+        self.future: Callable[[Prediction, float], ToolRows | None] = lambda now, deviations: None
         self.latest: Prediction | None = None
         self._unsafe_ns = -1
         self._alarms_seen = self._used_at_loss = 0
@@ -365,7 +366,8 @@ class LivePredictor:
         self.uncertainty = Uncertainty(self.model, values)
         self.coast_limit_ns = round(values.coast.limit * NS_PER_S)
         if self.flight is None or not self.flight.state:
-            self.flight = Flight(values, lambda now: self.future(now), lambda: load.grip)
+            self.flight = Flight(
+                values, lambda now, deviations: self.future(now, deviations), lambda: load.grip)
 
     def reset(self, reason: str = '') -> None:
         """
