@@ -8,14 +8,14 @@ class BellowsError(Exception):
     """
     An error that the user can correct; the message says how.
 
-    The message has what is wrong, what was expected, what was got, and the remedy. Commands
-    and nodes print it without a traceback and end with `exit_code`; anything that is not a
+    The message has the fact, the expectation, the value and the remedy. Commands
+    and nodes print the message without a traceback and end with `exit_code`; anything that is not a
     `BellowsError` is a defect of this package and keeps its traceback.
 
     Attributes
     ----------
     exit_code : int
-        What the process ends with: 2 as for a wrong command line, 1 where the answer is no.
+        Exit code of the process: 2 for a mistake of the user, 1 for the answer no.
 
     """
 
@@ -39,7 +39,7 @@ class NoTopicError(BellowsError):
 
 
 class UndeterminedError(BellowsError):
-    """The recordings do not determine what is to be estimated."""
+    """The recordings do not determine the unknown quantities."""
 
     exit_code = 1
 
@@ -92,7 +92,7 @@ def shown(text: object, length: int = 80, allowed: str = '') -> str:
     Parameters
     ----------
     text : object
-        A string, or what has a representation.
+        A string, or an object with a representation.
     length : int
         Largest number of characters of the result; a longer text ends with '...'.
     allowed : str

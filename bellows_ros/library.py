@@ -328,7 +328,7 @@ def plan(
     motion: MotionSource, parameters: Parameters, urdf: str = '', topic: str = ''
 ) -> PlanReport:
     """
-    Predict what a planned motion of the tool does to the package, as `bellows plan`.
+    Predict the package's motion under a planned motion of the tool, as `bellows plan`.
 
     Parameters
     ----------
@@ -372,8 +372,8 @@ def fastest(
     Returns
     -------
     PlanReport
-        As of `plan`; `fastest.scale` is the shortest time over that of the motion, and `driven`
-        the motion in that time. `fastest` is None where no time is safe.
+        As of `plan`; `fastest.scale` is the shortest time over the motion's own time, and `driven`
+        the motion in the shortest time. `fastest` is None where no time is safe.
 
     Raises
     ------

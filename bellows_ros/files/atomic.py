@@ -18,7 +18,7 @@ import sys
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 
-# Of renameat2(2): names are relative to the working folder; both files exist and change places.
+# Constants of renameat2(2): relative names begin in the working folder; two files change places.
 _HERE, _EXCHANGE = -100, 2
 
 PREFIX = '.bellows-'
@@ -39,14 +39,15 @@ def write_bytes(path: File, data: bytes) -> None:
     Parameters
     ----------
     path : path
-        An existing file is replaced and its permissions are kept; of a link, the file it leads to.
+        Target of the data. An existing file is replaced and keeps its permissions; a link is
+        followed.
     data : bytes
         The whole content.
 
     Raises
     ------
     BellowsError
-        If it cannot be written; what was there is untouched.
+        If the file cannot be written; an existing file is then unchanged.
 
     """
     target = require_file_target(path)

@@ -40,7 +40,7 @@ OTHER_FILES = {
     'points': 'a plan',
     'provenance': 'a result of --json',
     'workspace': 'limits, for --limits'}
-"""What a file holds that has such a name at its beginning."""
+"""Kinds of other YAML and JSON files by the first name in the file."""
 
 
 def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
@@ -117,7 +117,8 @@ def write_parameters(path: File, values: Mapping[str, Any], header: Sequence[str
     Raises
     ------
     BellowsError
-        If a value is not allowed, or the file cannot be written; what was there is then untouched.
+        If a value is not allowed, or the file cannot be written; an existing file is then
+        unchanged.
 
     Examples
     --------
@@ -189,7 +190,7 @@ def _body(values: Mapping[str, Value]) -> Iterator[str]:
     """
     Yield the lines of the values, nested by the parts of their names.
 
-    They come in the order of the table, and behind them those of named cups, by cup.
+    The values of the table come first, in its order; then the values of each named cup.
     """
     order = {name: k for k, name in enumerate(PARAMETERS)}
     cups = cup_names(values)

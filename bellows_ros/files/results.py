@@ -102,12 +102,12 @@ def read_result(path: File) -> dict[str, Any]:
 @contextmanager
 def content_of(*paths: File) -> Iterator[None]:
     """
-    Say of results that hold something else than a fit writes which files they are.
+    Name the files if their content is not the result of a fit.
 
     Raises
     ------
     BellowsError
-        In place of what a missing key, another type or an impossible number causes.
+        In place of the exception of a missing key, another type or an impossible number.
 
     """
     try:
@@ -193,13 +193,13 @@ TOOLS = ('numpy', 'scipy', 'numba', 'rosbags')
 
 def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ()) -> dict[str, Any]:
     """
-    Return what a result depends on but its settings, the same for the same files.
+    Return the files and versions that a result depends on; equal files give equal digests.
 
     Returns
     -------
     dict
         'recordings' and 'parameter_files': a list of path and files, each with name, bytes and
-        sha256; 'versions' by name, None for what is not there.
+        sha256; 'versions' by name, None for a missing library.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ())
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions of this package, of Python, and of what the numbers depend on."""
+    """Return the versions of this package, of Python, and of the numerical libraries."""
     installed: dict[str, str | None] = {
         'bellows_ros': __version__, 'python': platform.python_version()}
     for name in TOOLS:

@@ -33,7 +33,7 @@ RADIUS = 0.020  # m
 
 BOX_EDGES = [[i, i | bit] for i in range(8) for bit in (1, 2, 4) if not i & bit]
 BOX_FACES = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
-"""Of the corners of `box_corners`."""
+"""Edges and faces of a box, as indices of `box_corners`."""
 
 
 def write_animation(
@@ -48,7 +48,7 @@ def write_animation(
     path : path
         Ends in .gif or .mp4.
     replayed : Replayed
-        What is drawn.
+        The poses to draw.
     note : str
         Which recording and cup.
     theme : {'light', 'dark'}
@@ -110,7 +110,7 @@ def _write(
 
 
 def _ffmpeg() -> str:
-    """Return the program ffmpeg, that of the system or that of the extra."""
+    """Return the path of ffmpeg from the system, or from the extra `video`."""
     if program := shutil.which('ffmpeg'):
         return program
     try:

@@ -1,8 +1,8 @@
 """
 Pictures of recordings and of plans.
 
-Of a recording motion, spectra, path, loads of the cup, predictions; of a plan what it does to the
-package, as it is steered, tossed or designed, and the safety factor over time.
+A recording has pictures of motion, spectra, path, loads of the cup and predictions; a plan has
+pictures of the predicted, steered, tossed or designed motion, and of the safety factor over time.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -282,7 +282,7 @@ def errors_figure(
 
 def whiteness_figure(test: residuals.Whiteness, note: str, theme: str = 'light') -> Any:
     """
-    Draw the autocorrelation of errors, and the band in which that of white noise stays.
+    Draw the autocorrelation of errors, and the band that contains the autocorrelation of white noise.
 
     Parameters
     ----------
@@ -614,7 +614,7 @@ def replay_figure(result: replay.Replay, theme: str = 'light') -> Any:
 
 
 def identification_figure(result: Identification, theme: str = 'light') -> Any:
-    """Draw the free simulation of what the cup has not seen, or else of what it was found from."""
+    """Draw the free simulation of a validation recording, or else of the first fitted one."""
     return replay_figure(next(iter(result.validations), None) or replay.validated(
         result.cup_values(), as_found(result.recordings[0], result.fit.nuisances, 0)), theme)
 

@@ -1,9 +1,8 @@
 """
 Style of the pictures: a light and a dark theme, layouts of panels, and atomic output.
 
-What is measured is a wide pale line and what is predicted a thin strong one on top of it, so that
-they differ without colour too; the two colours can be distinguished with all common kinds of
-colour vision.
+A measured quantity is a wide pale line, a predicted one a thin strong line on top of it: the two
+differ by width, too, and their colours are distinct with all common kinds of colour vision.
 """
 
 from collections.abc import Iterator, Sequence
@@ -227,7 +226,7 @@ def draw_series(
 
 
 def name_panel(panel: Any, title: str, abscissa: str = '') -> None:
-    """Write what a panel shows above it, with a legend of what has a label, and below it."""
+    """Write the title and the legend above a panel, and the abscissa below it."""
     panel.set_title(title, loc='left', fontsize=9.5, pad=4.0)
     panel.tick_params(length=2.5, width=0.6)
     panel.set_xlabel(abscissa)

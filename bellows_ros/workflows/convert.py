@@ -33,9 +33,9 @@ class Body(NamedTuple):
     Parameters
     ----------
     messages : Encoded
-        To write on a topic: poses, or what is copied.
+        Messages of one topic: converted poses, or copied messages.
     source : str
-        File, and body where it has several.
+        File, with the name of the body if the file has several bodies.
     left_out : mapping of str to int
         Reason to number of frames that are not among them.
     world : {'z_up', 'motive_y_up'}
@@ -50,12 +50,12 @@ class Body(NamedTuple):
 
     @property
     def topic(self) -> str:
-        """Where they are written."""
+        """Topic of the written messages."""
         return self.messages.topic
 
     @property
     def poses(self) -> int:
-        """How many they are."""
+        """Number of messages."""
         return len(self.messages.stamps_ns)
 
     def at(self, chosen: Mask) -> 'Body':
@@ -74,9 +74,9 @@ class Conversion(NamedTuple):
     out : str
     bodies : tuple of Body
     world : str
-        Value of recording.world for what was written.
+        Value of recording.world for the written poses.
     notes : tuple of str
-        What else there is to know.
+        Notes for the user, one sentence each.
 
     """
 
@@ -241,7 +241,7 @@ def bodies_in_recording(
 
 
 def _copied_topics(bag: File, types: Collection[str], without: Collection[str] = ()) -> list[Body]:
-    """Return messages of some types in a recording as they are, but those of some topics."""
+    """Return unchanged messages of some types, without the messages of some topics."""
     grouped: dict[Channel, list[tuple[int, bytes]]] = {}
     for topic, log_ns, data in bags.messages_of(bag, types):
         if topic.name not in without:
@@ -298,7 +298,7 @@ def to_bag(
 
 
 def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
-    """Return the bodies in a file, and what was left out."""
+    """Return the bodies in a file, with the number of frames left out."""
     if not os.path.isfile(source):
         raise BellowsError(
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM file.")

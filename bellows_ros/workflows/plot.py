@@ -83,8 +83,8 @@ class Loads:
     """
     Load and deflection of the cup: at S1, in axes halfway between tool and lip.
 
-    In these axes a bent cup's load and deflection belong together; in those of tool or lip the
-    weight would seem to push sideways as soon as the cup bends.
+    In these axes load and deflection of a bent cup are parallel; in axes of the tool or the lip
+    the weight of a bent cup's package has a sideways component.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class Loads:
     load : array (N, 6)
         Wrench of the package on the cup that its motion needs, N and N m.
     residual : array (N, 6)
-        Load minus that of the cup of the parameters.
+        Load minus the wrench that the cup of the parameters predicts.
     stiffness : array (6,)
         Diagonal of that cup's K.
     valid : bool array (N,)
@@ -164,7 +164,7 @@ DRAWN_UNITS: Mapping[type, Mapping[str, Any]] = {
         'deflection': POSE_UNITS, 'load': WRENCH_UNITS, 'residual': WRENCH_UNITS,
         'stiffness': [*3 * ['N/m'], *3 * ['N m/rad']]},
     Margins: {'factors': '1', 'std': '1', 'least': '1'}}
-"""Units of what is drawn that the keys of other results do not have."""
+"""Units of the drawn quantities, by class and key."""
 
 Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
 

@@ -1,7 +1,7 @@
 """
 Simulate a recording of a given cup: a motion and its faults in, a rosbag2 recording out.
 
-What a motion file may hold, with units, stands in config/motion_example.yaml.
+The entries of a motion file, with units, stand in config/motion_example.yaml.
 """
 
 from collections.abc import Mapping

@@ -50,9 +50,9 @@ def _in_pool(
     joblib: Any, jobs: int, task: Task, work: Sequence[Work]
 ) -> Generator[Outcome, None, None]:
     """
-    Yield the results of a pool of processes, which is handed no more than it works on.
+    Yield the results of a pool of processes, with one task in each process and none waiting.
 
-    Whatever ends this generator early ends the processes.
+    Closing the generator ends the processes.
     """
     parallel = joblib.Parallel(
         jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')

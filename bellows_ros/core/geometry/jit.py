@@ -1,8 +1,8 @@
 """
 Numba where it is installed; the only module that imports it.
 
-A kernel is scalar code on tuples of floats. Where numba is installed it is compiled (and the
-machine code kept on disk), where it is not the very same source is interpreted.
+A kernel is scalar code on tuples of floats. With numba a kernel is compiled, and its machine code
+is kept on disk; without numba Python interprets the kernel's source.
 """
 
 from collections.abc import Callable, Iterator
@@ -93,8 +93,9 @@ def release_compiler() -> None:
     """
     Return the memory of the compiler's own code, some 35 MiB, to the system.
 
-    A process that has compiled what it needs keeps these pages for nothing. They are as on disk,
-    and read again should the compiler be called once more. Linux only; elsewhere nothing happens.
+    After the last compilation the process does not use these pages. They are unchanged copies of
+    the library's file, which the system reads again if the compiler is called once more. Works
+    on Linux; elsewhere the function does nothing.
     """
     maps = Path('/proc/self/maps')
     for line in maps.read_text().splitlines() if maps.exists() else ():
@@ -177,7 +178,7 @@ class _TolerantCache:
             cache.cache_path, cache._impl.filename_base + kind, files._source_stamp)
 
     def __getattr__(self, name: str) -> Any:
-        """Return whatever else numba asks its cache for."""
+        """Return an attribute of numba's cache."""
         return getattr(self._cache, name)
 
     def load_overload(self, signature: Any, context: Any) -> Any:

@@ -2,7 +2,7 @@
 Rotations, poses, twists and wrenches as NumPy arrays, vectorised over leading axes.
 
 Conventions: ``R_a_b`` and ``T_a_b`` map b-coordinates to a-coordinates; twists and wrenches are
-six-vectors, linear part first; quaternions are (x, y, z, w). Equation numbers are those of Peeters
+six-vectors, linear part first; quaternions are (x, y, z, w). Equation numbers refer to Peeters
 (2021).
 
 The exponential map and its derivatives are combinations of five even functions of the angle t =

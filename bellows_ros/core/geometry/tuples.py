@@ -4,7 +4,7 @@ Vectors, matrices and rotations as tuples of floats, for the kernels.
 A vector is ``(x, y, z)``, a 3x3 matrix its nine entries row by row, a rotation a unit quaternion
 ``(x, y, z, w)`` where it is stored and a 3x3 matrix where it is applied.
 
-Products of small arrays are compiled loops where numba is, else those of numpy.
+Products of small arrays are compiled loops with numba, and numpy's products without it.
 """
 
 import math

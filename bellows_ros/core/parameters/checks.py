@@ -292,10 +292,10 @@ def cup_names(names: Iterable[str]) -> list[str]:
 
 def with_chosen_cup(values: Values) -> Values:
     """
-    Return parameter values with those of the cup named by cup.name in the place of cup.*.
+    Return parameter values with the named cup, cups.NAME.*, in the place of cup.*.
 
-    What the named cup leaves out is taken from cup.*, but for what the identification of cup.* has
-    covered, envelope.*, which does not apply to another cup.
+    The parameter cup.name selects NAME. Parameters that the named cup lacks keep their value in
+    cup.*. The validity range envelope.* belongs to the identified cup and is left out.
 
     Raises
     ------
@@ -450,7 +450,7 @@ class Settings:
                 block.done(ignored)
 
     def refuse(self, name: str, expected: str, got: object) -> BellowsError:
-        """Return the error for a setting that is not what it must be."""
+        """Return the error for a setting that is not allowed."""
         return self.error(
             name, f"Setting '{self.name(name)}' must be {expected}, got {shown(repr(got), 60)}.")
 

@@ -22,7 +22,7 @@ Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_ar
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
 MIN_SIMILARITY = 0.75
-"""At which a name is recognised."""
+"""Smallest similarity (difflib ratio, 0 to 1) of a misspelt name to the name it stands for."""
 
 ANY_LENGTH = 0
 """Length of an array that may have any."""
@@ -44,8 +44,8 @@ class Parameter:
     used_by : tuple of str
         'identifier', 'predictor'.
     kind : str
-        bool, integer, double, string, double_array or string_array, as in ROS; that of the
-        default, where there is one.
+        bool, integer, double, string, double_array or string_array, as in ROS; follows from the
+        default, if there is one.
     minimum, maximum : float, optional
         Allowed range of the number, or of each number of an array; both ends are allowed.
     above : float, optional
@@ -53,14 +53,13 @@ class Parameter:
     choices : tuple of str
         The allowed strings, when not empty.
     length : int, optional
-        How many numbers an array has, `ANY_LENGTH` for any; else as many as the default, if there
-        is one.
+        Length of an array, `ANY_LENGTH` for any; if left out, the length of the default.
     required_text : bool
         True where the empty string is refused.
     read_only : bool
         True where a running node cannot change it.
     example : str
-        What to write for a parameter without a default.
+        A value to write for a parameter without a default.
     description : str
         A sentence or two.
 
@@ -147,7 +146,7 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
         'description': 'Form of K and P: ' + '; '.join(
             f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
             for s in map(structure.structure_named, structure.STRUCTURE_NAMES)) + '.'}}
-"""What the file leaves out."""
+"""Entries that depend on the structures of K and P, by name; they complete the file."""
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
@@ -202,7 +201,7 @@ def _hint(name: str, named: re.Match[str] | None) -> str:
 
 
 def _nearest(name: str, names: Sequence[str]) -> str:
-    """Return the nearest of the names, those of the same group, or the groups."""
+    """Return a hint with the nearest name, the names of the group, or all groups."""
     name = name[:80]
     group, _, leaf = name.rpartition('.')
     inside = [other for other in names if other.startswith(f'{name}.')]

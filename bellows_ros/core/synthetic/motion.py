@@ -250,7 +250,7 @@ class Waypoints(Motion):
         velocity, body_rate = still.copy(), still.copy()
         begin, start = self.rest_duration, self.start
         for segment in self.segments:
-            now = t >= begin  # what a later segment covers, it overwrites
+            now = t >= begin  # a later segment overwrites its interval
             step, slope = smooth_step((t[now] - begin) / segment.move)[:, :, None]
             slope = slope / segment.move
             shift = segment.goal.position - start.position

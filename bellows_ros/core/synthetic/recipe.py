@@ -1,5 +1,5 @@
 """
-The content of a motion file, checked, and what it describes: tosses, and a tracking system.
+The checked content of a motion file: motions, tosses, and a tracking system.
 
 In a recording with tosses packages hang, are released, fly and land, and the next is picked up.
 
@@ -223,7 +223,7 @@ def measure_twists(
     truth : Trajectory
         With body twists at `plan.sampled_ns`.
     sensor : TwistSensor
-        In 'world' axes, or in 'tool' axes: those of the tool's marker frame.
+        In 'world' axes, or in 'tool' axes, which are the axes of the tool's marker frame.
     marker : array (3,)
         Rotation vector of that frame in the tool's axes, rad.
     plan : Schedule
