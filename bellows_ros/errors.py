@@ -8,9 +8,9 @@ class BellowsError(Exception):
     """
     An error that the user can correct; the message says how.
 
-    The message has the fact, the expectation, the value and the remedy. Commands
-    and nodes print the message without a traceback and end with `exit_code`; anything that is not a
-    `BellowsError` is a defect of this package and keeps its traceback.
+    The message has the fact, the expectation, the value and the remedy. Commands and nodes print
+    the message without a traceback and end with `exit_code`; any other exception is a defect of
+    this package and keeps its traceback.
 
     Attributes
     ----------

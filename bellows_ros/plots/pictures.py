@@ -282,7 +282,7 @@ def errors_figure(
 
 def whiteness_figure(test: residuals.Whiteness, note: str, theme: str = 'light') -> Any:
     """
-    Draw the autocorrelation of errors, and the band that contains the autocorrelation of white noise.
+    Draw the autocorrelation of errors, and the band of white noise.
 
     Parameters
     ----------
