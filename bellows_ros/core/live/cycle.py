@@ -37,24 +37,23 @@ class Cycle:
         Of the module's constants.
     valve, vacuum : bool or None
         Last readings: valve on, vacuum in the cup; None before the first.
+    follows : bool
+        Whether the state depends on the tool's motion: since the first grip or vacuum.
 
     """
 
     def __init__(self, is_held: bool) -> None:
         """Start without readings."""
         self.state = HELD if is_held else NONE
+        self.follows = False
         self.valve: bool | None = None
         self.vacuum: bool | None = None
         self._lowest = self._due_ns = 0.0
 
-    @property
-    def is_due(self) -> bool:
-        """Whether time or the tool's motion can change the state."""
-        return self.state == GRIPPED or self._due_ns > 0.0
-
     def grip(self) -> None:
         """Take up the next package."""
         self.state, self._lowest, self._due_ns = GRIPPED, float('inf'), 0.0
+        self.follows = True
 
     def end(self, state: str) -> None:
         """Give up the package, if the cup has one."""
@@ -87,7 +86,7 @@ class Cycle:
             Time in which the camera will have seen a fall, ns; 0 without a camera.
 
         """
-        before, self.vacuum = self.vacuum, is_held
+        before, self.vacuum, self.follows = self.vacuum, is_held, True
         if is_held == before:
             return
         if is_held:
@@ -110,10 +109,13 @@ class Cycle:
             if height - self._lowest > LIFT:
                 self.state = HELD
 
-    def on_time(self, stamp_ns: int, departs: bool) -> None:
-        """Decide on a package without vacuum, by whether measured poses contradict a grip."""
-        if 0.0 < self._due_ns <= stamp_ns:
-            self.end(LOST if departs else RELEASED)
+    def is_due(self, stamp_ns: int) -> bool:
+        """Return whether to decide on a package without vacuum."""
+        return 0.0 < self._due_ns <= stamp_ns
+
+    def decide(self, departs: bool) -> None:
+        """Release a package without vacuum, or lose it if measured poses contradict a grip."""
+        self.end(LOST if departs else RELEASED)
 
 
 Signal = tuple[int, str, bool, int]

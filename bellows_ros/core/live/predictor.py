@@ -17,11 +17,10 @@ from pathlib import Path
 import tomllib
 from typing import Any
 
-from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.live.cycle import Cycle, FALL_NS, LOST, ON_CUP, RELEASED, Signal
+from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED, Signal
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL, check_live, Load, Vacuum
 from bellows_ros.core.live.payload import LivePayload, stated_payload
@@ -54,8 +53,14 @@ from .tool_screening import Frame, REFUSALS, Screen, ToolArrivals, TwistSample, 
 COAST_LIMIT_NS = 100_000_000
 """Default time (ns) for which the tool is extrapolated."""
 
-MOVING_SPEED, MOVING_RATE = 0.02, 0.1
-"""Speed (m/s) or rate (rad/s) of the tool from which on no package is released."""
+MOVING_SPEED = 0.02
+"""Speed of the tool from which on no package is released, m/s."""
+
+MOVING_RATE = 0.1
+"""Angular speed of the tool from which on no package is released, rad/s."""
+
+STOPPED_NS = 100_000_000
+"""Time at rest before a release, ns: a vacuum that ends earlier has ended in motion."""
 
 MIN_UPWARD_GRAVITY = 0.5
 """Fraction of gravity along z of the tool above which the package is above the tool."""
@@ -175,7 +180,7 @@ class LivePredictor:
         self.uncertainty: Uncertainty | None = None
         self.future: Callable[[Prediction, float], ToolRows | None] = lambda now, deviations: None
         self.latest: Prediction | None = None
-        self._unsafe_ns = -1
+        self._unsafe_ns, self._moved_ns = -1, -STOPPED_NS
         self._alarms_seen = self._used_at_loss = 0
 
     @classmethod
@@ -418,7 +423,7 @@ class LivePredictor:
         if self.flight is not None:
             self.flight.forget()
         self.package.forget(is_another=False)
-        self.latest, self._unsafe_ns = None, -1
+        self.latest, self._unsafe_ns, self._moved_ns = None, -1, -STOPPED_NS
         self.pairing.clear()
         self.tool.clear()
         self._twist_frame = Frame()
@@ -447,9 +452,8 @@ class LivePredictor:
 
         """
         stamp_ns = self.newest_ns if stamp_ns is None else stamp_ns
-        observer, sample = self.package.observer, self.package.sample
-        speed, rate = (0.0, 0.0) if sample is None else map(t3.norm, sample.tool[2:4])
-        moves = speed > MOVING_SPEED or rate > MOVING_RATE
+        observer = self.package.observer
+        moves = self.newest_ns - self._moved_ns < STOPPED_NS
         if observer is not None and not (self.flight is not None and self.flight.state):
             breaks = self._held_cups.get(cup, False) and not held
             observer.on_vacuum(held, breaks and self.state in ON_CUP, moves, cup)
@@ -634,7 +638,7 @@ class LivePredictor:
         if newest_ns is None:
             return []
         stamp_ns = self._screen.newest_ns + arrival_ns - newest_ns
-        if self._cycle.is_due:
+        if self._cycle.follows:
             self._on_tool(stamp_ns)
         prediction = self.package.coast(stamp_ns) if self.phase(arrival_ns) == 'coasting' else None
         if prediction is None:
@@ -654,18 +658,20 @@ class LivePredictor:
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
         """Advance the package to a pose's stamp, or start it from rest there."""
         before, now = self._tool_states(pose, twist)
-        if self._cycle.is_due:
+        if self._cycle.follows:
+            if is_moving(now):
+                self._moved_ns = pose.stamp_ns
             self._on_tool(pose.stamp_ns, pose.position)
         if not self.attached:
             return None
         flight = self.flight
-        if flight is not None and flight.is_free:
+        if flight is not None and flight.state and flight.is_free:
             prediction = flight.fly(self.model, pose.stamp_ns, now)
         else:
             prediction = self.package.follow(pose.stamp_ns, before, now)
             if self.package.outcome:
                 self.restarts[self.package.outcome] += 1
-            if flight is not None and prediction is not None:
+            if flight is not None and flight.has_size and prediction is not None:
                 prediction = flight.follow(self.model, prediction)
         if prediction is not None:
             self.predictions += 1
@@ -676,10 +682,13 @@ class LivePredictor:
 
     def _on_tool(self, stamp_ns: int, position: Vector | None = None) -> None:
         """Let time and the tool's motion change the state of the package."""
-        before, gravity, observer = self.state, self.model[2], self.package.observer
-        if position is not None:
-            self._cycle.on_height(-sum(map(mul, position, gravity)) / math.hypot(*gravity))
-        self._cycle.on_time(stamp_ns, observer is not None and observer.departs)
+        cycle, observer = self._cycle, self.package.observer
+        before = cycle.state
+        if before == GRIPPED and position is not None:
+            gravity = self.model[2]
+            cycle.on_height(-sum(map(mul, position, gravity)) / math.hypot(*gravity))
+        if cycle.is_due(stamp_ns):
+            cycle.decide(observer is not None and observer.departs)
         self._follow_cycle(before, stamp_ns)
 
     def watch(self, prediction: Prediction) -> tuple[float, float] | None:
@@ -708,6 +717,13 @@ class LivePredictor:
             self._counts['twist_misses_pose'] += 1
         self.twists_estimated += 1
         return self.tool.estimated(has_before=last is not None)
+
+
+def is_moving(tool: State) -> bool:
+    """Return whether a tool is too fast for a release."""
+    (x, y, z), (a, b, c) = tool[2:4]
+    return (x * x + y * y + z * z > MOVING_SPEED * MOVING_SPEED
+            or a * a + b * b + c * c > MOVING_RATE * MOVING_RATE)
 
 
 @seldom_collected()
