@@ -3,12 +3,14 @@
 import argparse
 from collections.abc import Iterator
 import math
+import textwrap
 
+from bellows_ros.core.identification.diagnosis.commission import Check
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.alignment import MIN_REST
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files.atomic import write_text
-from bellows_ros.report.sentences import many
+from bellows_ros.report.sentences import many, sentence
 from bellows_ros.workflows.info import Info, info, TopicInfo
 
 from . import options
@@ -17,7 +19,7 @@ from .parameters import template_with
 
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
            'cup.length')
-"""What the recording cannot tell: comments of the file, to fill in."""
+"""Quantities that a recording does not show: comments of the file, to fill in."""
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
@@ -28,7 +30,8 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     if arguments.write_params:
         write_text(arguments.write_params, template_with(
             [PARAMETERS[name] for name in UNKNOWN], result.settings,
-            [f'How to read {result.path}, as found by bellows info; check it.']))
+            [f'How to read {result.path}, as found by bellows info; check it.'],
+            _commented(result)))
     return options.Outcome(result, then=(
         'Fill in the package there, then:',
         f'  bellows identify --params {arguments.write_params} --out cup.yaml',
@@ -56,6 +59,38 @@ def print_result(result: Info, console: Console) -> None:
     if result.rest_s is not None and result.rest_s >= MIN_REST:
         console.line(f'Both stand still for the first {result.rest_s:.1f} s.')
     console.paragraph(*result.notes)
+    if result.checks:
+        console.line()
+        console.line('Checks before a fit, in the order to settle them', 'bold')
+        for check in result.checks:
+            console.paragraph(f'  {"ok" if check.passed else "- "} {_check_sentence(check)}')
+
+
+def _check_sentence(check: Check) -> str:
+    """Return a check and its result in words."""
+    name = sentence('commission', f'{check.code}.name')
+    code = f'{check.code}.{"passed" if check.passed else "failed"}'
+    return f'{name}: {sentence("commission", code, **check.numbers)}.'
+
+
+def _commented(result: Info) -> list[str]:
+    """Return lines of a parameter file with the checks, and what they found, as comments."""
+    lines = list[str]()
+    for check in result.checks:
+        lines += textwrap.wrap(
+            _check_sentence(check), 97, initial_indent='    # ', subsequent_indent='    # ')
+        lines += [f'    #{name}: {_yaml(value)}' for name, value in check.settings.items()
+                  if name in PARAMETERS and result.settings.get(name) != value]
+    return ['    # CHECKS BEFORE A FIT, in the order to settle them.', *lines] if lines else []
+
+
+def _yaml(value: object) -> str:
+    """Return a value as in a parameter file."""
+    if isinstance(value, list | tuple):
+        return f'[{", ".join(map(_yaml, value))}]'
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'{value:g}' if isinstance(value, float) else f"'{value}'"
 
 
 def _topic_rows(result: Info) -> list[tuple[str, ...]]:

@@ -17,6 +17,9 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.identification.causes import finding_sentence, IN_DEGREES
+from bellows_ros.core.identification.diagnosis.commission import Check, checks_of
+from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
+from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, conventions, preparation, recording
 from bellows_ros.core.recording.outliers import find_outliers
@@ -25,6 +28,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
+from bellows_ros.report.sentences import sentence
 from bellows_ros.workflows.recordings import within_interval
 import numpy as np
 
@@ -36,6 +40,12 @@ MIN_HOLD, MIN_TILT = 4.0, 0.1
 
 IMPLAUSIBLE_DISTANCE, MAX_CHANGE = (0.3, 10.0), 0.05
 """Range (m) of distances from tool to package that no cup has, if they change by more (m)."""
+
+ROUGH_COM = 0.03
+"""Depth of a centre of mass below the lip for a rough pose of a marker, m."""
+
+STATED_ELSEWHERE = ('tool_z', 'repeated_poses')
+"""Faults of poses that checks or warnings of a topic state."""
 
 MAX_FRAMES = 20
 """Frames of transforms that are named."""
@@ -174,6 +184,8 @@ class Info(NamedTuple):
         Parameters with which to read it, by name.
     notes : tuple of str
         What to know before identifying from it.
+    checks : tuple of Check
+        Checks before a fit, in the order in which they are to be settled.
 
     """
 
@@ -185,6 +197,7 @@ class Info(NamedTuple):
     rest_s: float | None
     settings: Mapping[str, Any]
     notes: tuple[str, ...]
+    checks: tuple[Check, ...] = ()
 
     @property
     def valve(self) -> str:
@@ -194,7 +207,9 @@ class Info(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return results.with_units({**self._asdict(), 'valve': self.valve})
+        return results.with_units({
+            **self._asdict(), 'valve': self.valve,
+            'checks': [check._asdict() for check in self.checks]})
 
 
 def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
@@ -302,27 +317,32 @@ def _with_roles(
     notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
               if topic.problem]
     notes += [text for topic in described if topic.name in used for text in topic.warnings]
-    rest_s, streams = None, tuple(poses[guess.topic] for guess in (tool, package) if guess)
+    rest_s, found = None, tuple[Check, ...]()
+    streams = tuple(poses[guess.topic] for guess in (tool, package) if guess)
     if any(timing(stream.stamps_ns).rate_hz < recording.LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
     if len(streams) == 2:
-        rest_s = _registration_settings(pair, streams, path, settings, notes)
+        rest_s, found = _registration_settings(pair, streams, path, settings, notes)
     else:
         notes.append(
             'An identification needs the poses of tool and package; the tool alone is enough '
             'only for a simulation or a prediction.')
     if in_degrees and twist:
         notes.insert(0, finding_sentence(IN_DEGREES, {'topics.tool_twist': twist.topic}))
-    return Info(str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes))
+    return Info(str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes),
+                found)
 
 
 def _registration_settings(
     pair: Pair | None, streams: Sequence[PoseStream], path: File, settings: dict[str, Any],
     notes: list[str]
-) -> float | None:
-    """Add settings and notes on how the poses fit together; return how long they rest first, s."""
+) -> tuple[float | None, tuple[Check, ...]]:
+    """Add settings and notes on both poses together; return the first rest (s), and checks."""
     remarks, (tool, package) = list[str](), streams
-    error = conventions.convention_sentence(tool, package, path)
+    R = alignment.world_rotation(pair.world if pair else 'z_up')
+    error = conventions.convention_sentence(tool, package, path) or ' '.join(
+        fact_sentence(fact, tool, package) for fact in facts_of(tool, package, R)
+        if fact.code not in STATED_ELSEWHERE)
     separate = '' if error else _why_separate(pair, tool, package)
     if separate:
         settings |= {
@@ -341,7 +361,16 @@ def _registration_settings(
         settings |= at_rest
         remarks += more
     notes[:] = [error, *notes] if error else notes + remarks  # an error makes remarks doubtful
-    return rest_s
+    return rest_s, () if error else checks_of(
+        tool, package, R, THESIS_LENGTH + ROUGH_COM, bool(separate),
+        bool(settings.get('recording.align_at_rest')))
+
+
+def fact_sentence(fact: Fact, tool: PoseStream, package: PoseStream) -> str:
+    """Return the sentence of a fault of the poses, with their topics."""
+    names = {'tool': [tool.name], 'package': [package.name]}
+    topics = names.get(fact.body, [tool.name, package.name])
+    return sentence('facts', fact.code, topic="' and '".join(topics), **fact.numbers)
 
 
 def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:

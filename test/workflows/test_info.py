@@ -215,3 +215,24 @@ def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside
     if reason:
         assert free == {'recording.package_world': 'estimate', 'fit.time_offset': True,
                         'fit.free': ('package_marker',), 'fit.method': 'output_error'}
+
+
+def test_a_flange_with_z_outward_is_named(m, tmp_path):
+    """By gravity and the tool's poses alone, whether or not a camera has a world of its own."""
+    for frame in ('world', 'camera'):
+        found = described(
+            tmp_path, poses('/package', m['t'], m['o_p'], m['R_p'], frame),
+            poses('/tool', m['t'], m['o'], m['R'] @ np.diag([1.0, -1.0, -1.0])))
+        first = found.checks[0]
+        assert (first.code, first.passed) == ('tool_z', False)
+        assert first.settings == {'tool_pose.offset': '0 0 0 1 0 0 0'}
+        assert 'tool_pose.offset' not in found.settings
+
+
+def test_faults_of_the_poses_are_said_first(m, tmp_path):
+    """And no check of a cell is trusted then."""
+    found = described(
+        tmp_path, poses('/package', m['t'], m['o_p'], m['R'][0] + 0.0 * m['R']),
+        poses('/tool', m['t'], m['o'], m['R']))
+    assert 'orientation is frozen' in found.notes[0]
+    assert found.checks == ()

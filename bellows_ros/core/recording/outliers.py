@@ -69,6 +69,13 @@ SIDE_SAMPLES = 6
 MIN_LASTING_PART = 0.5
 """Part of a lasting step that lines through the samples on its two sides show."""
 
+LASTING_MISFITS = 3.0
+"""Lasting step over the RMS misfit of the lines: of a swing that a line does not follow, it is
+smaller."""
+
+SIDES = slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)
+"""Samples before and after a jump."""
+
 CATCH_UP_FACTOR = 1.5
 """Ratio of the step at the end of a frozen pose to the steps around it."""
 
@@ -214,7 +221,12 @@ def _paired(poses: Trajectory, jumps: _Jumps) -> tuple[list[slice], list[Lasting
         else:
             excursions.append(run)
             done = run.stop - 1
-    return excursions, steps
+    lasting = [step for step in steps if not any(  # of steps in a row none lasts
+        0 < abs(other.before - step.before) <= MIN_EXCURSION_SAMPLES
+        or 0.0 < abs(seconds[other.before] - seconds[step.before]) < MAX_EXCURSION
+        for other in steps)]
+    excursions += [slice(step.before, step.before + 2) for step in steps if step not in lasting]
+    return excursions, lasting
 
 
 def _excursion(
@@ -265,11 +277,15 @@ def _lasts(poses: Trajectory, jumps: _Jumps, i: int) -> bool:
     t = poses.seconds[around] - 0.5 * (poses.seconds[i] + poses.seconds[i + 1])
     paths = np.hstack([poses.position[around] - poses.position[i],
                        log_so3(poses.rotation[i].T @ poses.rotation[around])])
-    before, after = (np.polyfit(t[side], paths[side], 1)[1] for side in (
-        slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)))
-    seen = np.linalg.norm((after - before).reshape(2, 3), axis=1)
+    lines = [np.polyfit(t[side], paths[side], 1) for side in SIDES]
+    misfit = np.concatenate([paths[side] - np.vander(t[side], 2) @ line
+                             for side, line in zip(SIDES, lines, strict=True)])
+    seen, misfit = (np.linalg.norm(part.reshape(-1, 2, 3), axis=2) for part in (
+        lines[1][1] - lines[0][1], misfit))
     sizes = np.linalg.norm(jumps.size[:, i], axis=1)
-    return bool(np.any((seen >= jumps.threshold[:, i]) & (seen >= MIN_LASTING_PART * sizes)))
+    least = np.maximum(jumps.threshold[:, i], MIN_LASTING_PART * sizes)
+    return bool(np.any(seen[0] >= np.maximum(
+        least, LASTING_MISFITS * np.sqrt(np.mean(misfit**2, axis=0)))))
 
 
 def _exclude(good: Mask, runs: Iterable[slice]) -> None:

@@ -1,0 +1,295 @@
+"""
+Checks of a cell before any fit, from a recording with a standstill, tilts and motion.
+
+Each check has a code, its numbers, and the parameters to set. All numbers are rough: a fit
+estimates them with standard errors.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.identification.diagnosis.facts import MAX_UP
+from bellows_ros.core.parameters import checks
+from bellows_ros.core.recording import alignment
+from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.recording.recording import LOW_RATE_HZ
+from bellows_ros.core.signals import resampling
+from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
+from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.core.signals.trajectory import (
+    at_tip,
+    earlier,
+    NS_PER_S,
+    PoseStream,
+    Trajectory,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+FLANGE_OUTWARD = '0 0 0 1 0 0 0'
+"""Pose of the tool tip in a flange with z out of the arm: half a turn about x."""
+
+MARKER_UP = -0.95
+"""Vertical component of the z axis of a tool whose axes follow from a standstill, below which it
+is a flange with z out of the arm all the same: few marker frames are."""
+
+SWING = (-0.02, 0.08)
+"""Time by which a package rotates after its tool, as it swings on a cup, s."""
+
+OFFSET_STEPS = 21
+"""Offsets that are tried about a rough one."""
+
+OFFSET_RANGE = 0.1
+"""Largest correction of a rough offset, s."""
+
+STILL_SPEED = np.array([0.01, 0.04])
+"""Speeds of a tool at rest, m/s and rad/s."""
+
+SPEED_STEP = 20_000_000
+"""Half of the time between the poses of a speed, ns."""
+
+DIFFERENCES, DIFFERENCES_NORM = 4, np.sqrt(70.0)
+"""Order of the differences of poses that motion contributes little to, and their norm."""
+
+MAX_STEP_ERROR = 0.2
+"""Relative deviation of steps that count as uniform."""
+
+MIN_SAMPLES = 20
+"""Number of differences that determine noise."""
+
+TAG_ROTATION, TAG_DEPTH, TAG_RATE_HZ = 2e-3, 2.5, 70.0
+"""Noise of the orientation (rad), depth over lateral noise, and rate (Hz) of a detector of tags:
+at least, at least, at most."""
+
+MAX_FLIP_PART = 1e-3
+"""Part of the poses that may be in flips of a tracked body."""
+
+BLUR_RATIO = 2.5
+"""Noise in fast motion over noise at rest from which the exposure blurs the image."""
+
+FAST_PART = 0.7
+"""Quantile of the speeds from which motion is fast."""
+
+MIN_TILT, MIN_TILTS = np.deg2rad(5.0), 2
+"""Smallest tilt (rad) that separates world and marker, and number of directions of tilts."""
+
+MAX_K_ERROR = 0.1
+"""Relative error of an entry of K that is good enough."""
+
+
+class Check(NamedTuple):
+    """
+    A check before a fit.
+
+    Parameters
+    ----------
+    code : str
+        Its name in the texts of the room 'commission'.
+    passed : bool
+        Whether nothing is to be set or changed.
+    numbers : mapping
+        What was measured, in SI units.
+    settings : mapping
+        Parameters to set, by name.
+
+    """
+
+    code: str
+    passed: bool
+    numbers: Mapping[str, Any]
+    settings: Mapping[str, Any] = MappingProxyType({})
+
+
+def checks_of(
+    tool: PoseStream, package: PoseStream, R_world_recorded: Array, depth: float,
+    separate: bool = False, aligned: bool = False
+) -> tuple[Check, ...]:
+    """
+    Return the checks of a cell, in the order in which they are to be settled.
+
+    Parameters
+    ----------
+    tool, package : PoseStream
+        As recorded.
+    R_world_recorded : ndarray (3, 3)
+        Rotation from the tool's recorded axes to a world with z up.
+    depth : float
+        Rough distance from the tool tip to the centre of mass below it, m.
+    separate : bool
+        Whether tool and package are in two worlds.
+    aligned : bool
+        Whether the axes of tool and package follow from the standstill at the beginning.
+
+    """
+    up = float(np.median(tool.rotation[:, :, 2] @ R_world_recorded[2]))
+    outward = up < (MARKER_UP if aligned else MAX_UP)
+    result = list[Check]()
+    if outward or not aligned:
+        result.append(Check(
+            'tool_z', not outward, {'angle': float(np.arccos(np.clip(up, -1.0, 1.0)))},
+            {'tool_pose.offset': FLANGE_OUTWARD} if outward else {}))
+    if outward:
+        tool = at_tip(tool, np.diag([1.0, -1.0, -1.0, 1.0]))
+    outliers = find_outliers(
+        package.trajectory(), resampling.timing(package.stamps_ns).longest_step_ns)
+    body = package.trajectory().select(outliers.good)
+    hand = tool.trajectory()
+    try:
+        offset = _clock_offset(hand, body)
+        hand = earlier(hand, offset)
+        pose, marker = _registered(hand, body, separate)
+    except BellowsError as error:
+        return (*result, Check('no_registration', False, {'reason': str(error)}))
+    result += [check for check in _registration(pose, marker, offset, separate, depth)
+               if not aligned or check.code != 'marker']
+    first, last = (stamp + side * SPEED_STEP for stamp, side in zip(
+        resampling.common_span(hand, body), (1, -1), strict=True))
+    body = body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
+    return (*result, *_detector(body, _speeds(hand, body.stamps_ns), outliers.flips, package),
+            *_motion(hand, body, pose, separate))
+
+
+def _clock_offset(tool: Trajectory, package: Trajectory) -> float:
+    """Return by how much the tool's stamps are behind the package's (s): both rotate alike."""
+    rough = alignment.rough_offsets(tool, package)[0]
+    tried = rough + np.linspace(-OFFSET_RANGE, OFFSET_RANGE, OFFSET_STEPS)
+    residuals = [_rotation_residual(earlier(tool, float(offset)), package) for offset in tried]
+    best = int(np.argmin(residuals))
+    if 0 < best < OFFSET_STEPS - 1:
+        before, at, after = residuals[best - 1:best + 2]
+        curvature = max(before + after - 2.0 * at, 1e-12)
+        return float(tried[best] + 0.5 * (before - after) / curvature * (tried[1] - tried[0]))
+    return float(tried[best])
+
+
+def _rotation_residual(tool: Trajectory, package: Trajectory) -> float:
+    """Return the mean squared rotation (rad^2) of the package in the tool about its mean."""
+    hand, eye = alignment.slow_poses(tool, package)
+    R = alignment.rotation_of(hand.rotation, eye.rotation)
+    relative = np.swapaxes(hand.rotation, 1, 2) @ R @ eye.rotation
+    return float(np.mean(lie.log_so3(lie.mean_rotation(relative).T @ relative) ** 2))
+
+
+def _registered(
+    tool: Trajectory, package: Trajectory, separate: bool
+) -> tuple[Array, alignment.Alignment]:
+    """Return the pose (7,) of the package's world, and the alignment from marker to tool tip."""
+    if separate:
+        return alignment.hand_eye(tool, package, 0.0, np.zeros(3))
+    hand, eye = alignment.slow_poses(tool, package)
+    back = np.swapaxes(hand.rotation, 1, 2)
+    position = lie.apply(back, eye.position - hand.position)
+    R = lie.mean_rotation(back @ eye.rotation)
+    return np.array([0.0] * 6 + [1.0]), alignment.Alignment(
+        np.eye(3), R.T, -np.median(position, axis=0), np.zeros(3))
+
+
+def _registration(
+    pose: Array, marker: alignment.Alignment, offset: float, separate: bool, depth: float
+) -> Iterator[Check]:
+    """Yield the checks of clocks, frames and the marker."""
+    late = separate or not SWING[0] < -offset < SWING[1]
+    yield Check('clocks', not late, {'offset': -offset, 'swing': SWING[1]},
+                {'fit.time_offset': True} if late else {})
+    yield Check('frames', not separate, {
+        'position': pose[:3].tolist(), 'quaternion': pose[3:].tolist()},
+        {'recording.package_world': checks.ESTIMATE} if separate else {})
+    position = -marker.origin_to_com + [0.0, 0.0, depth]
+    rotation = lie.log_so3(marker.R_package_markers_lip.T)
+    turned = float(np.linalg.norm(rotation))
+    plain = not separate  # else recording.align_at_rest corrects it
+    yield Check('marker', plain, {
+        'position': position.tolist(), 'angle': turned, 'depth': depth},
+        {} if plain else {'fit.free': ('package_marker',), 'measured.offset': [
+            *np.round(position, 3).tolist(), *np.round(rotation, 3).tolist()]})
+
+
+def _speeds(tool: Trajectory, stamps_ns: Stamps) -> Array:
+    """Return the speeds (N, 2) of the tool, m/s and rad/s."""
+    before, after = (resample(tool, stamps_ns + shift) for shift in (-SPEED_STEP, SPEED_STEP))
+    seconds = 2.0 * SPEED_STEP / NS_PER_S
+    return np.column_stack([
+        np.linalg.norm(after.position - before.position, axis=1) / seconds,
+        np.linalg.norm(lie.log_so3(np.swapaxes(before.rotation, 1, 2) @ after.rotation), axis=1)
+        / seconds])
+
+
+def _noise(body: Trajectory, chosen: Mask) -> Array:
+    """Return the standard deviation (6,) of the noise of some poses, NaN of too few."""
+    n = DIFFERENCES
+    steps = np.diff(body.stamps_ns)
+    uniform = np.abs(steps / np.median(steps) - 1.0) < MAX_STEP_ERROR
+    at = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(uniform, n).all(axis=1)
+                        & chosen[n // 2:len(body) - n // 2])
+    if len(at) < MIN_SAMPLES:
+        return np.full(6, np.nan)
+    weights = (1.0, -4.0, 6.0, -4.0, 1.0)
+    middle = np.swapaxes(body.rotation[at + n // 2], 1, 2)
+    change = sum(weight * np.hstack([
+        body.position[at + k], lie.log_so3(middle @ body.rotation[at + k])])
+        for k, weight in enumerate(weights))
+    return np.asarray(MAD_TO_STD * np.median(np.abs(change), axis=0) / DIFFERENCES_NORM)
+
+
+def _detector(
+    body: Trajectory, speeds: Array, flips: int, package: PoseStream
+) -> Iterator[Check]:
+    """Yield the checks of the kind of detector, its noise, flips, rate and blur."""
+    still = np.all(speeds < STILL_SPEED, axis=1)
+    fast = speeds[:, 0] > np.quantile(speeds[:, 0], FAST_PART)
+    at_rest, in_motion, quick = (_noise(body, mask) for mask in (still, ~still, fast))
+    rate_hz = resampling.timing(package.stamps_ns).rate_hz
+    known = np.where(np.isfinite(at_rest), at_rest, in_motion)
+    lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (known[:2], known[3:]))
+    is_tag = rate_hz < TAG_RATE_HZ and (
+        flips > MAX_FLIP_PART * len(package) or rotation > TAG_ROTATION
+        or float(known[2]) > TAG_DEPTH * lateral)
+    moving = np.where(np.isfinite(in_motion), in_motion, known)
+    overall = [float(np.sqrt(np.mean(part**2))) for part in (moving[:3], moving[3:])]
+    yield Check('detector', True, {
+        'kind': 'tag' if is_tag else 'body', 'lateral': lateral, 'depth': float(known[2]),
+        'rotation': rotation, 'position_moving': overall[0], 'rotation_moving': overall[1]},
+        {'measured.noise': [float(f'{x:.2g}') for x in overall],
+         **({'measured.model': 'tag'} if is_tag else {})})
+    yield Check('flips', flips <= MAX_FLIP_PART * len(package), {
+        'flips': flips, 'poses': len(package)}, {'measured.model': 'tag'} if is_tag else {})
+    slow = rate_hz < LOW_RATE_HZ
+    yield Check('rate', not slow, {'rate': rate_hz, 'least': LOW_RATE_HZ},
+                {'fit.method': 'output_error'} if slow else {})
+    ratio = float(np.max(quick / np.maximum(known, 1e-9)))
+    if np.isfinite(ratio):
+        yield Check('blur', ratio < BLUR_RATIO, {'ratio': ratio})
+
+
+def _motion(
+    tool: Trajectory, package: Trajectory, pose: Array, separate: bool
+) -> Iterator[Check]:
+    """Yield whether tilts separate world and marker, and whether the motion identifies K."""
+    up = tool.rotation[:, 2, :2] / np.linalg.norm(tool.rotation[:, 2], axis=1)[:, None]
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(up.T)), 0.0))
+    tilts = int(np.count_nonzero(2.0 * spread > MIN_TILT))
+    if separate:
+        yield Check('tilts', tilts >= MIN_TILTS, {
+            'largest': float(2.0 * spread[1]), 'smallest': float(2.0 * spread[0])})
+    hand = resample(tool, package.stamps_ns)
+    R = lie.quaternion_to_rotation(pose[3:])
+    back = np.swapaxes(hand.rotation, 1, 2)
+    relative = replace(
+        package, position=lie.apply(back, pose[:3] + lie.apply(R, package.position)
+                                    - hand.position), rotation=back @ R @ package.rotation)
+    mean = lie.mean_rotation(relative.rotation)
+    turned = relative.rotation @ mean.T
+    lip = relative.position - lie.apply(turned, relative.position.mean(axis=0))
+    moved = np.hstack([lip, lie.log_so3(turned)])
+    noise = _noise(replace(relative, position=lip, rotation=turned),
+                   np.ones(len(package), dtype=bool))
+    signal = np.sqrt(np.maximum((MAD_TO_STD * np.median(
+        np.abs(moved - np.median(moved, axis=0)), axis=0))**2 - noise**2, 1e-18))
+    errors = noise / signal / np.sqrt(len(package))
+    weak = [name for name, error in zip(AXES, errors, strict=True) if not error < MAX_K_ERROR]
+    yield Check('excitation', not weak, {
+        'weak': weak, 'errors': errors.tolist(), 'worst': float(np.max(errors))})
