@@ -24,8 +24,12 @@ FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 SIZE, DPI = (8.0, 4.5), 80
 ARM_LENGTH = 0.10  # m, of the tool that is drawn above its tip
 TAIL_SHOWN = 0.5  # s, that a steered motion is shown after its end
-CUP_ZOOM, REPLAY_ZOOM, PLAN_ZOOM = 1.6, 1.3, 2.0  # the box stays inside, wherever it swings
+CUP_ZOOM, REPLAY_ZOOM, PLAN_ZOOM = 1.6, 1.3, 1.22  # the box stays inside, wherever it swings
 VIEW = {'elev': 14.0, 'azim': -60.0}
+PLAN_VIEW = {'elev': 13.0, 'azim': -42.0}
+
+FLOOR_LINES = 0.1
+"""Distance of the lines on the floor, m."""
 
 RINGS, SIDES = 25, 13  # of the drawn cup; the last point of a ring is its first one again
 CONVOLUTIONS = 2.5
@@ -69,7 +73,9 @@ def write_animation(
     _write(path, views, 'Predicted, and measured as an outline', note, theme, progress, speed)
 
 
-def write_steering(path: File, report: steer.SteerReport, note: str, speed: float) -> None:
+def write_steering(
+    path: File, report: steer.SteerReport, note: str, speed: float, theme: str = 'light'
+) -> None:
     """Write a motion as planned and as steered, side by side; see `write_animation`."""
     values, views = report.source.values, []
     last = TAIL_SHOWN + max(float(motion.tool.seconds[-1]) for motion in report.motions.values())
@@ -79,20 +85,27 @@ def write_steering(path: File, report: steer.SteerReport, note: str, speed: floa
             package = ToolRows(motion.along.stamps_ns, motion.states).trajectory()
             tool, package, outline = (body.select(seconds <= last)
                                       for body in (motion.along, package, motion.reference))
-            views.append(View(name, plot.Scene(
+            label = name if name == 'as planned' else f'steered ({name})'
+            views.append(View(label, plot.Scene(
                 seconds[seconds <= last], tool, package, outline, values.cup.length,
-                np.array(values.package.com), np.array(equivalent_box(values))), PLAN_ZOOM))
-    _write(path, views, 'The motion as planned and steered; the reference as an outline', note,
-           'light', recordings.no_progress, speed)
+                np.array(values.package.com), np.array(equivalent_box(values))), PLAN_ZOOM,
+                shows_tilt=True))
+    _write(path, views, 'The same transport, as planned and steered', note, theme,
+           recordings.no_progress, speed)
 
 
 class View(NamedTuple):
-    """A scene in the world, or close up and moving with the tool tip."""
+    """
+    A scene in the world, or close up and moving with the tool tip.
+
+    With `shows_tilt` there are a floor, the trail of the package, and its present tilt.
+    """
 
     label: str
     scene: plot.Scene
     zoom: float
     at_tool: bool = False
+    shows_tilt: bool = False
 
 
 def _write(
@@ -156,12 +169,30 @@ def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
         centre = np.array([0.0, 0.0, -0.15 * half])
     space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d', computed_zorder=False)
     space.set_axis_off()
-    space.view_init(**VIEW)
-    for name, c in zip('xyz', centre, strict=True):
-        getattr(space, f'set_{name}lim')(c - half, c + half)
-    space.set_box_aspect((1.0, 1.0, 1.0), zoom=view.zoom)
-    figure.text(left + 0.27, 0.03, view.label, ha='center', color=colours.quiet)
+    space.view_init(**(PLAN_VIEW if view.shows_tilt else VIEW))
+    reach = np.full(3, half)
+    if view.shows_tilt:
+        margin = np.max(scene.box) * np.array([0.75, 0.75, 0.6])
+        reach, centre = 0.5 * (high - low) + margin, 0.5 * (low + high)
+        _draw_floor(space, centre, reach, colours)
+    for name, c, r in zip('xyz', centre, reach, strict=True):
+        getattr(space, f'set_{name}lim')(c - r, c + r)
+    space.set_box_aspect(reach, zoom=view.zoom)
+    figure.text(left + 0.27, 0.03, view.label, ha='center', color=colours.quiet,
+                fontsize=11 if view.shows_tilt else None)
     return space
+
+
+def _draw_floor(space: Any, centre: Array, reach: Array, colours: Theme) -> None:
+    """Draw a floor with a grid below a scene."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    z = centre[2] - reach[2]
+    (x0, x1), (y0, y1) = ((c - r, c + r) for c, r in zip(centre[:2], reach[:2], strict=True))
+    lines = [[(x, y0, z), (x, y1, z)] for x in np.arange(x0, x1 + 1e-9, FLOOR_LINES)]
+    lines += [[(x0, y, z), (x1, y, z)] for y in np.arange(y0, y1 + 1e-9, FLOOR_LINES)]
+    space.add_collection3d(Line3DCollection(
+        lines, colors=colours.quiet, linewidths=0.7, alpha=0.45, zorder=0))
 
 
 def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
@@ -190,6 +221,13 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
         thing.set_zorder(order)
         space.add_collection3d(thing)
     drawn = space.plot(*arm.T, color=colours.quiet, linewidth=7.0, solid_capstyle='butt', zorder=2)
+    if view.shows_tilt:
+        drawn += space.plot(*scene.package.position[:i + 1].T, color=colours.predicted,
+                            linewidth=1.6, zorder=1)
+        tilt = float(np.degrees(np.arccos(np.clip(body_R[2, 2], -1.0, 1.0))))
+        drawn.append(space.text2D(
+            0.5, 0.8, f'tilt {tilt:4.1f} deg', transform=space.transAxes, ha='center',
+            fontsize=15, color=colours.predicted, family='monospace'))
     return [package, cup, edges, *drawn]
 
 

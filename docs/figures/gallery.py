@@ -5,14 +5,18 @@ import io
 from pathlib import Path
 import tempfile
 
+from bellows_ros import read_parameters, steer
 from bellows_ros.cli import main as bellows
 from bellows_ros.files.atomic import write_bytes
+from bellows_ros.plots.animation import write_steering
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / 'docs' / 'images'
 CUP = ('--params', 'bags/package.yaml', '--params', 'bags/cup.yaml')
 COLOURS = 64
+SPEED = 0.25
+"""Seconds of the transport per second of its film."""
 
 
 def main() -> None:
@@ -28,8 +32,11 @@ def main() -> None:
                  str(IMAGES / 'replay.gif')])
         plan = ('bags/transport.yaml', '--params', 'bags/tossing.yaml', '--plot')
         bellows(['plan', *plan, str(IMAGES / 'plan.png')])
-        for ending in ('png', 'gif'):
-            bellows(['steer', '--method', 'inverse', *plan, str(IMAGES / f'steer.{ending}')])
+        bellows(['steer', '--method', 'inverse', *plan, str(IMAGES / 'steer.png')])
+        report = steer(plan[0], read_parameters(plan[2]), method='inverse')
+        for theme, name in (('light', 'steer'), ('dark', 'steer_dark')):
+            write_steering(IMAGES / f'{name}.gif', report, '0.6 m in 0.5 s, with 1.84 kg', SPEED,
+                           theme)
 
 
 if __name__ == '__main__':
