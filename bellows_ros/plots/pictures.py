@@ -13,7 +13,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.identification.result import WRENCH_UNITS
+from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.core.model.grip import MODES
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -25,7 +27,7 @@ from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
 
 from . import style
-from .animation import box_corners, BOX_EDGES
+from .animation import box_corners, BOX_EDGES, RADIUS
 
 
 def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
@@ -170,6 +172,32 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
             panel.set_ylabel(f'{load} {AXES[axis]} ({WRENCH_UNITS[axis]})')
         figure.legend((points, line), ('needed by the motion', 'stiffness of the cup'),
                       loc='upper right', ncols=2, markerscale=4.0)
+    return figure
+
+
+def sketch_figure(values: Values, theme: str = 'light') -> Any:
+    """Draw cup, lip and package to scale, seen along y, with the points E, S and B."""
+    depth, _, height = equivalent_box(values)
+    x, _, z = values.package.com
+    length = values.cup.length
+    with style.picture('Cup and package to scale', f'{values.package.mass:.3g} kg', theme,
+                       (6.4, 4.4)) as (figure, colours):
+        panel = figure.add_axes((0.12, 0.13, 0.84, 0.7))
+        turns = np.linspace(0.0, 1.0, 200)
+        radius = RADIUS * (0.8 + 0.2 * np.cos(6.0 * np.pi * turns))
+        panel.fill_betweenx(1e3 * length * (1.0 - turns), -1e3 * radius, 1e3 * radius,
+                            color=colours.measured, alpha=0.8)
+        sides = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]]) * [[0.5 * depth], [0.5 * height]]
+        panel.fill(*(1e3 * (sides + [[x], [z]])), facecolor=colours.predicted, alpha=0.35,
+                   edgecolor=colours.text)
+        for name, at in (('E', (0.0, length)), ('S', (0.0, 0.0)), ('B', (x, z))):
+            panel.plot(1e3 * at[0], 1e3 * at[1], 'o', color=colours.text, markersize=4.0)
+            panel.annotate(name, (1e3 * at[0], 1e3 * at[1]), (6.0, 4.0),
+                           textcoords='offset points', fontweight='bold')
+        panel.set_aspect('equal')
+        panel.margins(0.12)
+        panel.set_xlabel('x (mm)')
+        panel.set_ylabel('z from the lip (mm)')
     return figure
 
 
@@ -610,7 +638,7 @@ def replay_figure(result: replay.Replay, theme: str = 'light') -> Any:
     """Draw a replay as `prediction_figure` does."""
     return prediction_figure(
         result.recording.since_start(result.validation.stamps_ns), result.validation,
-        'Measured and simulated', f'{result.bag}, relative to the tool', theme)
+        'Measured and predicted', f'{result.bag}, relative to the tool', theme)
 
 
 def identification_figure(result: Identification, theme: str = 'light') -> Any:

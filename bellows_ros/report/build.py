@@ -9,25 +9,39 @@ from dataclasses import asdict
 from html import escape
 from pathlib import Path
 from typing import Any
+import zlib
 
 from bellows_ros.core.identification import samples, validation
+from bellows_ros.core.model.cup_package import package_of
+from bellows_ros.core.model.modes import modes
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.errors import UnstableError
+from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.errors import BellowsError, shown, UnstableError
 from bellows_ros.files import atomic, File, results
 from bellows_ros.plots import pictures
 from bellows_ros.plots.style import inline_svg, THEMES
 from bellows_ros.workflows import identification, plot, recordings, replay
 import numpy as np
 
+from .sentences import sentence
 from .text import print_identification, print_replay
 
 
 def page(title: str, subtitle: str, sections: Iterable[str]) -> str:
     """Return a whole page of sections that are HTML already."""
     return PAGE.read_text().format(
-        title=escape(title), style=_style(), subtitle=escape(subtitle),
+        title=escaped(title), style=_style(), subtitle=escaped(subtitle),
         sections='\n'.join(sections))
+
+
+def escaped(text: str) -> str:
+    """Return text, foreign one too, as HTML."""
+    return escape(shown(text, MAX_TEXT))
+
+
+MAX_TEXT = 5000
+"""Length of a paragraph or cell, characters."""
 
 
 class Section:
@@ -35,7 +49,7 @@ class Section:
 
     def __init__(self, title: str) -> None:
         """Begin with a heading."""
-        self._parts = [f'<section>\n<h2>{escape(title)}</h2>']
+        self._parts = [f'<section>\n<h2>{escaped(title)}</h2>']
 
     def html(self) -> str:
         """Return the section."""
@@ -48,7 +62,7 @@ class Section:
     def paragraph(self, *texts: str, style: str = '') -> None:
         """Write paragraphs, in a style of the console."""
         kind = f' class="{style}"' if style else ''
-        self._parts += [f'<p{kind}>{escape(text)}</p>' for text in texts]
+        self._parts += [f'<p{kind}>{escaped(text)}</p>' for text in texts]
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
         """Write a table with a head, all but the first column to the right if wanted."""
@@ -57,7 +71,7 @@ class Section:
 
     def warn(self, *texts: str) -> None:
         """Write warnings as a list."""
-        items = ''.join(f'<li>{escape(text)}</li>' for text in texts)
+        items = ''.join(f'<li>{escaped(text)}</li>' for text in texts)
         self.add(*([f'<ul class="warning">{items}</ul>'] if texts else []))
 
     def add(self, *parts: str) -> None:
@@ -68,16 +82,31 @@ class Section:
 def table(rows: Sequence[Sequence[str]], right: bool = False) -> str:
     """Return a table with a head, all but the first column to the right if wanted."""
     lines = [''.join(
-        f'<{tag}{" class=number" if right and column else ""}>{escape(cell)}</{tag}>'
+        f'<{tag}{" class=number" if right and column else ""}>{escaped(cell)}</{tag}>'
         for column, cell in enumerate(cells))
         for tag, cells in zip(['th', *['td'] * (len(rows) - 1)], rows, strict=True)]
     body = '\n'.join(f'<tr>{line}</tr>' for line in lines)
     return f'<div class="wide"><table>\n{body}\n</table></div>'
 
 
-def figure(drawn: Any) -> str:
-    """Return a figure of `plots` as a picture of the page."""
-    return f'<figure>{inline_svg(drawn)}</figure>'
+def figure(drawn: Any, caption: str = '') -> str:
+    """
+    Return a figure of `plots` as a picture of the page, with a sentence below it.
+
+    On a narrow screen the two columns of six panels stand below each other.
+    """
+    svg = inline_svg(drawn)
+    text = f'<figcaption>{escaped(caption)}</figcaption>' if caption else ''
+    if len(drawn.axes) < len(AXES):
+        return f'<figure>{svg}{text}</figure>'
+    name = f'picture-{zlib.crc32(svg.encode()):08x}'
+    width, height = (72.0 * side for side in drawn.get_size_inches())
+    halves = ''.join(
+        f'<svg class="half" aria-hidden="true" viewBox="{left:g} 0 {0.5 * width:g} {height:g}">'
+        f'<use xlink:href="#{name}"/></svg>' for left in (0.0, 0.5 * width))
+    whole = svg.replace('<svg ', '<svg class="whole" ', 1).replace(
+        '>', f'><g id="{name}">', 1).replace('</svg>', '</g></svg>')
+    return f'<figure>{whole}{halves}{text}</figure>'
 
 
 def _style() -> str:
@@ -102,9 +131,8 @@ def identification_report(result: identification.Identification) -> str:
         If a file of its provenance cannot be read.
 
     """
-    cup = Section('Cup')
-    print_identification(result, cup)
-    sections = [cup]
+    details = Section('Fit')
+    sections = [_card(result, details), details]
     for replayed in result.validations:
         sections.append(_motion(f'Not used in the fit: {replayed.bag}', replayed))
     parameters = dict(zip(
@@ -120,6 +148,40 @@ def identification_report(result: identification.Identification) -> str:
         f'Cup identified from {", ".join(result.bags)}',
         f'{result.fit.method.replace("_", " ")}, {result.fit.structure}',
         [*(section.html() for section in sections), _origin(origin, result.values)])
+
+
+def _card(result: identification.Identification, details: Section) -> Section:
+    """Return verdict, cup, modes, validity range and the limits of accuracy, with a sketch."""
+    card = Section('Summary')
+    fit, values = result.fit, result.cup_values()
+    if not result.refusals:
+        card.line(sentence('report', 'card.usable'), 'bold')
+    print_identification(result, card, details)
+    if not fit.converged:
+        return card
+    try:
+        found = modes(result.cup, package_of(values), values.gravity.magnitude)
+    except BellowsError:
+        found = []
+    if found:
+        card.table([('mode', 'frequency', 'damping ratio'), *(
+            (mode.direction, f'{mode.frequency:.2f} Hz', f'{mode.damping:.3f}')
+            for mode in found)], right=True)
+    low, high = result.envelope.deflection_low, result.envelope.deflection_high
+    card.paragraph(sentence(
+        'report', 'card.range', masses=[f'{mass:.3g} kg' for mass in dict.fromkeys(
+            result.envelope.mass.tolist())],
+        shifts=[f'{AXES[i]} {1e3 * low[i]:.1f} to {1e3 * high[i]:.1f} mm' for i in range(3)],
+        bending=float(np.abs([low[3:5], high[3:5]]).max()),
+        torsion=float(np.abs([low[5], high[5]]).max())))
+    labels, errors = fit.labels, np.sqrt(np.diag(fit.covariance))
+    relative = errors / np.abs(fit.parameters)
+    if np.isfinite(relative).any():
+        worst = int(np.nanargmax(np.where(np.isfinite(relative), relative, np.nan)))
+        card.paragraph(sentence('report', 'card.limit', label=labels[worst],
+                                error=float(relative[worst])))
+    card.add(figure(pictures.sketch_figure(values), sentence('report', 'card.sketch')))
+    return card
 
 
 def replay_report(result: replay.Replay, parameter_files: Sequence[File] = ()) -> str:
@@ -150,33 +212,41 @@ def _simulated(values: Values, recording: Recording) -> Section:
     """Return how a recording of the fit is simulated, or why it cannot be."""
     title = f'Used in the fit: {recording.name}'
     try:
-        return _motion(title, replay.validated(values, recording))
+        return _motion(title, replay.validated(values, recording), with_loads=True)
     except UnstableError as error:
         section = Section(title)
         section.paragraph(f'This cup cannot be simulated: {error}', style='dim')
         return section
 
 
-def _motion(title: str, replayed: replay.Replay) -> Section:
+def _motion(title: str, replayed: replay.Replay, with_loads: bool = False) -> Section:
     """Return text and figures of a recording that was simulated freely."""
     section = Section(title)
     print_replay(replayed, section)
-    section.add(*map(figure, _figures(replayed)))
+    if with_loads:
+        drawn = pictures.deflection_figure(
+            plot.loads(replayed.values, replayed.recording), replayed.bag)
+        section.add(figure(drawn, sentence('report', 'caption.deflection')))
+    section.add(*(figure(drawn, sentence('report', f'caption.{code}', **numbers))
+                  for drawn, code, numbers in _figures(replayed)))
     return section
 
 
-def _figures(replayed: replay.Replay) -> Iterator[Any]:
-    """Yield the figures of a recording that was simulated freely."""
+def _figures(replayed: replay.Replay) -> Iterator[tuple[Any, str, dict[str, Any]]]:
+    """Yield figures of a recording that was simulated freely, with codes of their captions."""
     validation, bag = replayed.validation, replayed.bag
+    yield pictures.replay_figure(replayed), 'replay', {'samples': validation.scores.samples}
     if replayed.margin:
-        yield pictures.margin_figure(replayed.margins, bag)
-    yield pictures.replay_figure(replayed)
+        yield pictures.margin_figure(replayed.margins, bag), 'margin', {}
     yield pictures.spectra_figure(
         plot.Spectra(validation.motion.frequency, np.sqrt(validation.motion.density),
                      np.sqrt(validation.spectrum.density)),
-        bag, one_step=validation.one_step.spectrum if validation.one_step else None)
-    yield pictures.whiteness_figure(
-        validation.one_step.whiteness if validation.one_step else validation.whiteness, bag)
+        bag, one_step=validation.one_step.spectrum if validation.one_step else None
+    ), 'spectra', {}
+    whiteness = validation.one_step.whiteness if validation.one_step else validation.whiteness
+    coloured = [AXES[i] for i, verdict in enumerate(whiteness.verdicts) if 'coloured' in verdict]
+    yield (pictures.whiteness_figure(whiteness, bag),
+           'coloured' if coloured else 'white', {'axes': coloured})
 
 
 def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
@@ -189,7 +259,7 @@ def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     section.table([
         ('', 'version or seed'),
         *((name, version or 'not there') for name, version in provenance['versions'].items()),
-        ('seeds of made-up noise',
+        ('random seeds',
          f'{validation.DRAW_SEED} (validation), {samples.NOISE_SEED} (excitation)')])
     content = table([
         ('parameter', 'value'), *((name, _setting(value)) for name, value in settings.items())])

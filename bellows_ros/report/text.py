@@ -83,8 +83,11 @@ class Writer(Protocol):
         """Write warnings."""
 
 
-def print_identification(result: 'Identification', out: Writer) -> None:
-    """Print the cup, and the samples and findings behind it."""
+def print_identification(
+    result: 'Identification', out: Writer, details: Writer | None = None
+) -> None:
+    """Print the cup, and the samples and findings behind it, which a page has elsewhere."""
+    details = details or out
     fit, verdict = result.fit, result.verdict
     sentences = verdict.sentences if verdict else ()
     if verdict:
@@ -96,9 +99,9 @@ def print_identification(result: 'Identification', out: Writer) -> None:
     out.line()
     for simulated in verdict.simulated if verdict else ():
         if not all(map(math.isfinite, simulated.rms)):
-            out.paragraph(simulated.sentence)
+            details.paragraph(simulated.sentence)
             continue
-        out.table([
+        details.table([
             ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, DISPLAY_UNITS, strict=True))),
             *((name, *(f'{x:.3g}' for x in DISPLAY_FACTORS * values))
               for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
@@ -107,15 +110,15 @@ def print_identification(result: 'Identification', out: Writer) -> None:
         if result.refusals:
             out.line('K and P of the refused fit, for diagnosis only:')
         print_cup(fit, out)
-    _print_samples(result, out)
+    _print_samples(result, details)
     if fit.converged:
-        out.paragraph(sentence('report', 'condition', number=fit.condition_number))
+        details.paragraph(sentence('report', 'condition', number=fit.condition_number))
     if result.selection:
-        out.table([('structure', 'parameters', 'held-out error', 'usable'), *(
+        details.table([('structure', 'parameters', 'held-out error', 'usable'), *(
             (each.structure, str(each.parameters), percent(each.held_out),
              'yes' if each.usable else 'no') for each in result.selection.candidates)],
             right=True, title='Structures of K and P')
-    out.paragraph(*result.findings[len(sentences):])
+    details.paragraph(*result.findings[len(sentences):])
     out.warn(*result.warnings)
 
 

@@ -6,7 +6,9 @@ their parsers, so that no page can say something else than the program does.
 """
 
 import argparse
+import ast
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 import json
 import os
 from pathlib import Path
@@ -164,17 +166,16 @@ def _exit_codes() -> Iterator[str]:
 
 
 RESULTS = (
-    'identify bags/identification --params bags/package.yaml --set fit.method=least_squares',
-    'compare {folder}/identify.json {folder}/identify.json',
+    'identify bags/validation --to 6 --params bags/package.yaml --set fit.method=least_squares',
     'replay bags/validation --params bags/tossing.yaml --observe /package/pose '
     '--calibrate-alarms --set measured.calibrate=true',
-    'replay bags/validation --params bags/tossing.yaml --observe /package/pose '
+    'replay bags/validation --to 6 --params bags/tossing.yaml --observe /package/pose '
     '--set package.mass=2.2',
     'static bags/static --params bags/cup.yaml',
     'plan bags/transport.yaml --params bags/tossing.yaml --fastest',
     'steer bags/transport.yaml --method inverse --params bags/tossing.yaml',
     'steer bags/transport.yaml --method zv --params bags/tossing.yaml',
-    'toss bags/throw.yaml --params bags/tossing.yaml --target 1.8 0.149 --monte-carlo 200',
+    'toss bags/throw.yaml --params bags/tossing.yaml --target 1.8 0.149 --monte-carlo 50',
     'info bags/validation',
     'excite --params bags/cup.yaml --limits config/limits_example.yaml --time 6 '
     '--out {folder}/excite',
@@ -185,8 +186,9 @@ RESULTS = (
     'convert bags/validation --topic /package/pose --out {folder}/package.tum',
     'export bags/cup.yaml --to c --out {folder}/cup.h',
     'parameters cup.length',
+    'compare {folder}/0_identify.json {folder}/0_identify.json',
 )
-"""Commands that write every kind of result; files are made in one folder."""
+"""Commands that write every kind of result; the last needs what the first writes."""
 
 
 ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': '86'}
@@ -212,20 +214,27 @@ def results() -> Iterator[str]:
         '[parameters](parameters.md); `provenance` has files, digests and versions.', '',
     )
     before = ''
-    with tempfile.TemporaryDirectory() as folder:
-        for command in RESULTS:
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
+        made = pool.map(lambda item: _result(folder, *item), enumerate(RESULTS))
+        for command, content in zip(RESULTS, made, strict=True):
             verb = command.partition(' ')[0]
-            file = Path(folder) / f'{verb}.json'
-            subprocess.run(
-                [sys.executable, '-m', 'bellows_ros.cli',
-                 *command.format(folder=folder).split(), '--json', str(file)],
-                cwd=FOLDER.parents[1], env={**os.environ, **ALONE}, capture_output=True)
-            rows = dict.fromkeys(result_rows(json.loads(file.read_text()), ''))
             yield from (f'## {verb}', '') if verb != before else ()
             yield from (of_command(command), '', '| key | unit | shape |', '|---|---|---|')
-            yield from rows
+            yield from dict.fromkeys(result_rows(content, ''))
             yield ''
             before = verb
+
+
+def _result(folder: str, number: int, command: str) -> Any:
+    """Run a command, and return the JSON that it writes."""
+    file = Path(folder) / f'{number}_{command.partition(" ")[0]}.json'
+    done = subprocess.run(
+        [sys.executable, '-m', 'bellows_ros.cli', *command.format(folder=folder).split(),
+         '--json', str(file)],
+        cwd=FOLDER.parents[1], env={**os.environ, **ALONE}, capture_output=True, text=True)
+    if not file.is_file():
+        sys.exit(f'bellows {command}\n{done.stdout}{done.stderr}')
+    return json.loads(file.read_text())
 
 
 def of_command(command: str) -> str:
@@ -303,7 +312,26 @@ def _class_of(path: str) -> str:
     return ''.join(word.capitalize() for word in path.replace('.', '_').split('_')) + 'Group'
 
 
+def modules() -> Iterator[str]:
+    """Yield the lines of the page of modules: each with the first sentence of its docstring."""
+    yield from ('# Modules', '', GENERATED, '',
+                'Each module of the package with its purpose; '
+                '[architecture](../architecture.md) says where a change belongs.', '')
+    before = ''
+    for file in sorted((FOLDER.parents[1] / 'bellows_ros').rglob('*.py')):
+        text = ast.get_docstring(ast.parse(file.read_text())) or ''
+        path = file.relative_to(FOLDER.parents[1] / 'bellows_ros')
+        if file.name.startswith('__') or not text:
+            continue
+        if (room := str(path.parent)) != before:
+            yield from ('', f'## {room}' if room != '.' else '## bellows_ros', '',
+                        '| module | purpose |', '|---|---|')
+            before = room
+        yield f'| `{path.name}` | {_cell(" ".join(text.split(chr(10) * 2)[0].split()))} |'
+
+
 PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
+    'modules.md': modules,
     'parameters.md': parameters,
     'topics.md': topics,
     'commands.md': commands,

@@ -55,6 +55,14 @@ def test_reference_is_current(name, root):
     assert reference.STUB.read_text() == reference.stub_text(), 'run: make reference'
 
 
+def test_every_module_has_a_row(root):
+    """Name each module once; `make reference` writes the page."""
+    page = (root / 'docs' / 'reference' / 'modules.md').read_text()
+    missing = [file.name for file in (root / 'bellows_ros').rglob('*.py')
+               if not file.name.startswith('__') and f'| `{file.name}` |' not in page]
+    assert missing == [], 'run: make reference'
+
+
 def test_results_are_documented_with_their_units(root):
     """Describe every key of a plan's JSON, and units wherever there are numbers."""
     reference = load('tools', 'reference')

@@ -110,3 +110,33 @@ def test_a_cup_that_cannot_be_simulated_still_has_its_page(result, words_only):
     soft = dataclasses.replace(result.fit, parameters=result.fit.parameters * 5e-3)
     html = identification_report(dataclasses.replace(result, fit=soft))
     assert 'cannot be simulated' in html
+
+
+def test_the_card_sums_up_the_cup(html):
+    """Begin with verdict, K and P, modes, validity range and what limits the accuracy."""
+    card = ' '.join(parsed(html).iter('section').__next__().itertext())
+    for words in ('This cup is usable', 'stiffness K', 'damping ratio', 'axial', 'Valid for 1.8 kg',
+                  'The accuracy is limited by P', 'to scale'):
+        assert words in card, words
+    assert html.count('stiffness K') == 1 and 'made-up' not in html
+
+
+def test_every_figure_says_what_to_see(html):
+    """Have one sentence below each, and both halves of six panels for narrow screens."""
+    figures = list(parsed(html).iter('figure'))
+    assert len(figures) >= 4
+    for figure in figures:
+        (caption,) = figure.iter('figcaption')
+        assert caption.text.endswith('.')
+        assert len([part for part in figure if part.tag == 'svg']) in (1, 3)
+
+
+def test_foreign_names_do_no_harm(words_only):
+    """Show control characters, mathematics and broken names as they are, in HTML."""
+    section = pages.Section('run_$5_and_$6')
+    section.paragraph('caf\udce9 \x1b[31m<b>', style='dim')
+    section.table([('a\n', '<script>')])
+    section.warn('\u202e')
+    text = pages.page('a\udce9', '$\\frac{', [section.html()])
+    assert text.encode() and '\x1b' not in text and '<script>' not in text and '<b>' not in text
+    assert '\\xe9' in text or '\\udce9' in text
