@@ -115,8 +115,8 @@ def test_a_cup_that_cannot_be_simulated_still_has_its_page(result, words_only):
 def test_the_card_sums_up_the_cup(html):
     """Begin with verdict, K and P, modes, validity range and what limits the accuracy."""
     card = ' '.join(parsed(html).iter('section').__next__().itertext())
-    for words in ('This cup is usable', 'stiffness K', 'damping ratio', 'axial', 'Valid for 1.8 kg',
-                  'The accuracy is limited by P', 'to scale'):
+    for words in ('This cup is usable', 'stiffness K', 'damping ratio', 'axial',
+                  'Valid for 1.8 kg', 'The accuracy is limited by P', 'to scale'):
         assert words in card, words
     assert html.count('stiffness K') == 1 and 'made-up' not in html
 
