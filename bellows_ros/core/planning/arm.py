@@ -37,6 +37,11 @@ class Joint(NamedTuple):
     """Ends of its range, rad or m."""
     speed: float = math.inf
     """Maximum, rad/s or m/s."""
+    drive: str = ''
+    """Name of the joint that this one mimics, with its range and speed; '' if it moves itself."""
+    ratio: float = 1.0
+    offset: float = 0.0
+    """Position by that of its drive: ratio times it, and an offset, rad or m."""
 
 
 class Arm(NamedTuple):
@@ -63,13 +68,15 @@ class Arm(NamedTuple):
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Names of the joints that are not fixed."""
+        """Names of the joints that move, of those that mimic others only these."""
         return tuple(joint.name for joint in self.moving_joints)
 
     @property
     def moving_joints(self) -> tuple[Joint, ...]:
-        """Joints that are not fixed."""
-        return tuple(joint for joint in self.joints if joint.kind != 'fixed')
+        """Joints that are not fixed, each drive of several once."""
+        drives = {joint.drive or joint.name: joint
+                  for joint in reversed(self.joints) if joint.kind != 'fixed'}
+        return tuple(joint._replace(name=name) for name, joint in reversed(drives.items()))
 
     def columns(self, names: Sequence[str], of: str) -> list[int]:
         """
@@ -108,21 +115,24 @@ class Arm(NamedTuple):
 
     def _moved(self, position: Array) -> tuple[Array, Array]:
         """Return poses and Jacobian of the tool, of each joint's twist of it in its axes."""
-        T = np.tile(np.eye(4), (len(position), 1, 1))
-        moved: list[tuple[bool, Array, Array]] = []
+        T, names = np.tile(np.eye(4), (len(position), 1, 1)), self.moving
+        moved: list[tuple[int, Joint, Array, Array]] = []
         for joint in self.joints:
             T = T @ joint.origin
             if joint.kind != 'fixed':
-                turns, q = joint.kind in TURNING, np.multiply.outer(
-                    position[:, len(moved)], joint.axis)
-                moved.append((turns, T[:, :3, 3], T[:, :3, :3] @ joint.axis))
-                T = T @ (lie.transform(lie.exp_so3(q), [0, 0, 0]) if turns
+                column = names.index(joint.drive or joint.name)
+                q = np.multiply.outer(
+                    joint.ratio * position[:, column] + joint.offset, joint.axis)
+                moved.append((column, joint, T[:, :3, 3], T[:, :3, :3] @ joint.axis))
+                T = T @ (lie.transform(lie.exp_so3(q), [0, 0, 0]) if joint.kind in TURNING
                          else lie.transform(np.eye(3), q))
-        columns = [
-            [np.cross(axis, T[:, :3, 3] - place), axis] if turns else [axis, 0.0 * axis]
-            for turns, place, axis in moved]
-        J = np.swapaxes(T[:, None, :3, :3], -1, -2) @ np.array(columns).transpose(2, 1, 3, 0)
-        return T, J.reshape(len(T), 6, len(moved))
+        J = np.zeros((len(T), 6, len(names)))
+        for column, joint, place, axis in moved:
+            turns = joint.kind in TURNING
+            linear = np.cross(axis, T[:, :3, 3] - place) if turns else axis
+            J[:, :, column] += joint.ratio * np.hstack([linear, axis if turns else 0.0 * axis])
+        in_tool = np.swapaxes(T[:, None, :3, :3], -1, -2) @ J.reshape(len(T), 2, 3, -1)
+        return T, in_tool.reshape(J.shape)
 
     def positions(self, T: Array, guess: Array) -> Array:
         """
@@ -142,6 +152,15 @@ class Arm(NamedTuple):
             step = np.linalg.pinv(self.jacobian(position), rcond=MIN_RATIO) @ error[:, :, None]
             position = position + np.clip(step[:, :, 0], -MAX_JOINT_STEP, MAX_JOINT_STEP)
         worst = int(np.argmax(np.abs(error).max(axis=1)))
+        R = self.tool(position)[0][:, :3, :3]
+        axes, sizes, _ = np.linalg.svd(np.hstack(list(R @ self.jacobian(position)[:, 3:])))
+        fixed = axes[:, sizes < MIN_RATIO]  # about which no joint turns the tool
+        tilt = float(np.linalg.norm(fixed.T @ R[worst] @ error[worst, 3:]))
+        if tilt > MIN_RATIO:
+            raise BellowsError(
+                'The arm cannot tilt its tool: no joint turns it about some axis, but the motion '
+                f'needs {math.degrees(tilt):.2g} degrees about it. Use the method zv or zvd, '
+                'which keep the orientations of the plan, or a plan without tilts.')
         raise BellowsError(
             f'The arm cannot reach {np.round(T[worst, :3, 3], 3).tolist()} m from the joint '
             'positions of the start. Make the workspace smaller, or start away from '
@@ -163,7 +182,7 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     ------
     BellowsError
         If it is no URDF, the link is not in it or does not move, or a joint on the way is of
-        another kind than fixed, revolute, continuous or prismatic.
+        another kind than fixed, revolute, continuous or prismatic, or mimics one that mimics.
 
     """
     robot = _robot(urdf)
@@ -180,7 +199,8 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
             raise BellowsError(f"The URDF has a circle of joints at the link '{link}'.")
         chain.append(by_child[link])
         link = _link(by_child[link], 'parent')
-    arm = Arm(link, tool_link, tuple(_joint(element) for element in reversed(chain)))
+    by_name = {joint.get('name', ''): joint for joint in robot.findall('joint')}
+    arm = Arm(link, tool_link, tuple(_joint(each, by_name) for each in reversed(chain)))
     if not arm.moving:
         raise BellowsError(
             f"No joint of the URDF moves tool_link '{tool_link}'; expected the link at the tool "
@@ -217,15 +237,24 @@ def _attributes(joint: ElementTree.Element, tag: str) -> Mapping[str, str]:
     return {} if element is None else element.attrib
 
 
-def _joint(element: ElementTree.Element) -> Joint:
-    """Return a joint of the chain."""
+def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Element]) -> Joint:
+    """Return a joint of the chain, with the limits of the one that it mimics, if any."""
     name, kind = element.get('name', ''), element.get('type', '')
-    if kind not in ('fixed', *TURNING, *SLIDING) or element.find('mimic') is not None:
+    if kind not in ('fixed', *TURNING, *SLIDING):
         raise BellowsError(
-            f"Joint '{name}' on the way to the tool is {kind or 'of no kind'}"
-            f'{" and mimics another" if element.find("mimic") is not None else ""}; fixed, '
-            'revolute, continuous and prismatic joints can be followed.')
-    origin, limit = _attributes(element, 'origin'), _attributes(element, 'limit')
+            f"Joint '{name}' on the way to the tool is {kind or 'of no kind'}; fixed, revolute, "
+            'continuous and prismatic joints can be followed.')
+    mimic, drive, ratio, offset = element.find('mimic'), '', 1.0, 0.0
+    if mimic is not None and kind != 'fixed':
+        drive = mimic.get('joint', '')
+        if drive not in by_name or by_name[drive].find('mimic') is not None:
+            raise BellowsError(
+                f"Joint '{name}' on the way to the tool mimics '{drive}'; expected a joint of the "
+                'URDF that mimics no other. Name the joint that is driven.')
+        ratio, offset = (float(_numbers(name, f'mimic {key}', mimic.get(key, default), 1)[0])
+                         for key, default in (('multiplier', '1'), ('offset', '0')))
+    origin = _attributes(element, 'origin')
+    limit = _attributes(by_name[drive] if drive else element, 'limit')
     axis = _numbers(name, 'axis', _attributes(element, 'axis').get('xyz', '1 0 0'))
     length = float(np.linalg.norm(axis))
     if kind != 'fixed' and not length > 0.0:
@@ -238,7 +267,8 @@ def _joint(element: ElementTree.Element) -> Joint:
     for i, key in enumerate(('lower', 'upper', 'velocity')):
         if key in limit and not (kind == 'continuous' and i < 2):
             ends[i] = float(_numbers(name, f'limit {key}', limit[key], 1)[0])
-    return Joint(name, kind, pose, axis / (length or 1.0), *ends)
+    return Joint(name, kind, pose, axis / (length or 1.0), ends[0], ends[1], ends[2], drive, ratio,
+                 offset)
 
 
 def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:

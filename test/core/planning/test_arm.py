@@ -1,6 +1,13 @@
 """An arm by its URDF against products of matrices and finite differences."""
 
-from bellows_ros.core.geometry.lie import exp_so3, log_so3, rpy_rotation, transform
+from bellows_ros.core.geometry.lie import (
+    exp_so3,
+    inverse_transform,
+    log_se3,
+    log_so3,
+    rpy_rotation,
+    transform,
+)
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.points import plan_of_joints
 from bellows_ros.errors import BellowsError
@@ -94,7 +101,7 @@ def test_a_plan_of_joints_goes_through_its_points():
     (URDF, 'world', "tool_link 'world'"),
     (URDF.replace('<parent link="b"/>', ''), 'tool', "'spin'.* parent"),
     (URDF.replace('<parent link="world"/>', '<parent link="tool"/>'), 'tool', "link 'b'"),
-    (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="turn"/>'), 'tool', "'slide'.* mimic"),
+    (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="no"/>'), 'tool', "'slide'.* mimics 'no'"),
 ])
 def test_what_cannot_be_followed_is_refused(urdf, link, named):
     with pytest.raises(BellowsError, match=named):
@@ -124,3 +131,55 @@ def test_joint_positions_are_found_again():
     far[0, :3, 3] += 2.0
     with pytest.raises(BellowsError):
         ARM.positions(far, near)
+
+
+PALLETISER = """<robot name="p"><link name="base"/><link name="a"/><link name="b"/><link name="c"/>
+<link name="tool"/>
+<joint name="base_turn" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="2"/></joint>
+<joint name="lift" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+<origin xyz="0.1 0 0.4"/><limit lower="-1" upper="1" velocity="2"/></joint>
+<joint name="level" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 1 0"/>
+<origin xyz="0.6 0 0"/><mimic joint="lift" multiplier="-1" offset="0.1"/></joint>
+<joint name="spin" type="continuous"><parent link="c"/><child link="tool"/><axis xyz="0 0 1"/>
+<origin xyz="0.1 0 -0.1"/></joint></robot>"""
+
+
+def test_a_joint_that_mimics_another_moves_with_it():
+    """Pose and Jacobian of a parallel palletiser: the tool keeps its tilt as the arm is lifted."""
+    arm = read_arm(PALLETISER, 'tool')
+    assert arm.moving == ('base_turn', 'lift', 'spin')
+    q = np.array([[0.3, -0.4, 0.2], [0.3, 0.5, 0.2]])
+    T, _ = arm.tool(q)
+    assert_allclose(T[0, :3, :3], T[1, :3, :3], atol=1e-12)
+    height = 0.4 - 0.6 * np.sin(q[:, 1])
+    tilt = np.cos(0.1) * -0.1 - np.sin(0.1) * 0.1
+    assert_allclose(T[:, 2, 3], height + tilt, atol=1e-12)
+    for k in range(3):
+        step = 1e-6 * np.eye(3)[k]
+        moved = log_se3(inverse_transform(arm.tool(q - step)[0]) @ arm.tool(q + step)[0])
+        assert_allclose(moved / 2e-6, arm.jacobian(q)[:, :, k], atol=1e-7)
+    with pytest.raises(BellowsError, match="mimics 'none'"):
+        read_arm(PALLETISER.replace('joint="lift" multi', 'joint="none" multi'), 'tool')
+
+
+@pytest.mark.parametrize('kind', ['palletiser', 'gantry'])
+def test_an_arm_that_cannot_tilt_says_so(kind):
+    """And what to use instead; a pose without a tilt that is out of reach is told otherwise."""
+    urdf = PALLETISER.replace(' offset="0.1"', '')
+    if kind == 'gantry':
+        axes = ('1 0 0', '0 1 0', '0 0 1')
+        urdf = '<robot name="g"><link name="l0"/>' + ''.join(
+            f'<link name="l{i + 1}"/><joint name="j{i}" type="prismatic"><parent link="l{i}"/>'
+            f'<child link="l{i + 1}"/><axis xyz="{axis}"/><limit lower="-2" upper="2" '
+            'velocity="3"/></joint>' for i, axis in enumerate(axes)) + '</robot>'
+    arm = read_arm(urdf, 'tool' if kind == 'palletiser' else 'l3')
+    at = np.zeros((1, 3))
+    T = arm.tool(at)[0]
+    tilted = T @ transform(exp_so3(np.array([0.0, 0.1, 0.0])), np.zeros(3))
+    with pytest.raises(BellowsError, match='cannot tilt.* 5.7 degrees.* zvd'):
+        arm.positions(tilted, at)
+    assert_allclose(arm.positions(T, at + 0.1), at, atol=1e-8)
+    if kind == 'palletiser':
+        with pytest.raises(BellowsError, match='cannot reach'):
+            arm.positions(transform(T[:, :3, :3], T[:, :3, 3] + [5.0, 0.0, 0.0]), at)
