@@ -1,0 +1,109 @@
+"""Every command with the least input it takes, and with each optional group left out."""
+
+import json
+
+from bellows_ros.cli import COMMANDS
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.files.parameter_files import read_parameters
+import pytest
+import yaml
+
+from .conftest import write_yaml
+from ..conftest import ROOT
+
+pytestmark = pytest.mark.skipif(
+    not COMPILED, reason='numba is not installed: interpreted commands take minutes')
+
+WHOLE = dict(read_parameters(ROOT / 'bags' / 'tossing.yaml'))
+GROUPS = {
+    'nothing': (), 'standard deviations': ('_std', 'correlation'),
+    'grip': ('cup.lip_radius', 'cup.suction_area', 'vacuum.', 'cup.friction'),
+    'box': ('package.size',), 'release': ('release.',), 'landing': ('landing.',),
+    'all': ('_std', 'cup.lip_radius', 'vacuum.', 'package.size', 'release.', 'landing.')}
+"""Parts of the names of optional parameters, by group."""
+LEAST = {
+    'info': ['recording'], 'convert': None, 'play': None, 'parameters': [],
+    'identify': ['recording', '--params', 'package.yaml'],
+    'static': ['recording', '--params', 'cup.yaml'],
+    'replay': ['recording', '--params', 'cup.yaml'],
+    'compare': ['fit.json', 'fit.json'],
+    'plan': ['move.yaml', '--params', 'cup.yaml'],
+    'steer': ['move.yaml', '--params', 'cup.yaml', '--method', 'zvd'],
+    'toss': ['throw.yaml', '--params', 'cup.yaml', '--release', '2.95'],
+    'excite': ['--params', 'cup.yaml', '--limits', 'limits.yaml', '--time', '5', '--hold', '0',
+               '--out', 'excited', '--force'],
+    'simulate': ['--params', 'cup.yaml', '--motion', 'move.yaml', '--out', 'made', '--force'],
+    'plot': ['motion', 'recording', '--params', 'cup.yaml', '--out', 'p.png', '--force'],
+    'export': ['cup.yaml', '--to', 'c', '--out', 'cup.h']}
+"""The least arguments of each command; None where its own tests have them."""
+NEEDED = {('toss', 'box'): 'package.size', ('toss', 'all'): 'package.size'}
+"""The parameter that a command asks for without a group."""
+
+
+def without(parts):
+    """Return all parameters but those with one of these parts in their names."""
+    return {name: value for name, value in WHOLE.items()
+            if not any(part in name for part in parts)}
+
+
+@pytest.fixture(scope='module')
+def kitchen(workshop, identified, tmp_path_factory):
+    """Give a folder with the inputs of all commands."""
+    folder = tmp_path_factory.mktemp('kitchen')
+    for source, name in (
+            (workshop / 'recording', 'recording'), (workshop / 'package.yaml', 'package.yaml'),
+            (identified / 'fit.json', 'fit.json'), (ROOT / 'bags' / 'throw.yaml', 'throw.yaml')):
+        (folder / name).symlink_to(source)
+    write_yaml(folder / 'move.yaml', {
+        'kind': 'waypoints', 'rest_duration': 0.5,
+        'waypoints': {'poses': [{'position': [0.3, 0.0, 0.0], 'move': 0.5}]},
+        'tool': {'rate_hz': 250.0}, 'package': {'rate_hz': 200.0}})
+    limits = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
+    write_yaml(folder / 'limits.yaml', {**limits, 'highest_frequency': 1.5})
+    return folder
+
+
+def test_every_command_has_its_least_input():
+    assert set(LEAST) == set(COMMANDS)
+
+
+@pytest.mark.parametrize('group', GROUPS)
+@pytest.mark.parametrize('command', [
+    'plan', 'steer', 'toss', 'simulate', 'replay', 'static', 'export'])
+def test_commands_run_without_an_optional_group(command, group, kitchen, bellows):
+    """End to end, with a result as JSON; or name the parameter that is needed."""
+    write_yaml(kitchen / 'cup.yaml', without(GROUPS[group]))
+    (kitchen / 'result.json').unlink(missing_ok=True)
+    done = bellows(command, *LEAST[command], '--json', 'result.json', cwd=kitchen)
+    assert 'Traceback' not in done.stderr
+    if needed := NEEDED.get((command, group)):
+        assert done.returncode == 2 and needed in done.stderr
+        return
+    assert done.returncode in (0, 1), done.stderr
+    json.loads((kitchen / 'result.json').read_text())
+
+
+@pytest.mark.parametrize('command', ['info', 'identify', 'compare', 'parameters', 'excite'])
+def test_commands_run_with_their_least_input(command, kitchen, bellows):
+    write_yaml(kitchen / 'cup.yaml', without(GROUPS['all']))
+    done = bellows(command, *LEAST[command], cwd=kitchen)
+    assert done.returncode in (0, 1) and 'Traceback' not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize('method', ['inverse', 'zv', 'zvd'])
+def test_all_methods_of_steering_run_without_standard_deviations(method, kitchen, bellows):
+    write_yaml(kitchen / 'cup.yaml', without(GROUPS['all']))
+    done = bellows('steer', 'move.yaml', '--params', 'cup.yaml', '--method', method, cwd=kitchen)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize('kind', ['motion', 'spectra', 'path', 'deflection', 'prediction'])
+def test_pictures_are_drawn_of_the_least_input(kind, kitchen, bellows):
+    """Without box and grip; the margin of an unknown grip is refused."""
+    write_yaml(kitchen / 'cup.yaml', without(GROUPS['all']))
+    rest = ['recording', '--params', 'cup.yaml', '--out', f'{kind}.png']
+    done = bellows('plot', kind, *rest, cwd=kitchen)
+    assert done.returncode == 0, done.stderr
+    if kind == 'motion':
+        done = bellows('plot', 'margin', *rest[:3], '--out', 'm.png', cwd=kitchen)
+        assert done.returncode == 2 and 'cup.lip_radius' in done.stderr
