@@ -36,12 +36,13 @@ def print_result(report: steer.SteerReport, console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows: list[tuple[str, ...]] = [
-        ('motion', 'takes', 'later by', 'tilt', 'residual', 'expected', 'settled', 'safety')]
+        ('motion', 'tool moves', 'package arrives', 'tilt', 'residual', 'expected', 'settled',
+         'safety')]
     for name, motion in report.motions.items():
         figures = motion.summary()
         expected = figures['expected_swing'] if report.uncertain else math.nan
         rows.append((
-            name, f'{figures["duration"]:.3f} s', f'{1e3 * figures["added_time"]:.0f} ms',
+            name, f'{figures["duration"]:.3f} s', f'{1e3 * figures["added_time"]:.0f} ms later',
             *(formatted(angle, '.1f' if angle >= math.radians(10.0) else '.3f', 'deg', DEGREES)
               for angle in (figures['largest_tilt'], figures['swing_left'], expected)),
             formatted(figures['settled_after'], '.2f', 's'),

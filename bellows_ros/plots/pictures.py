@@ -579,7 +579,7 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
             hspace=0.12, wspace=0.14)
         side = figure.add_subplot(grid[0, 0])
         above = figure.add_subplot(grid[1, 0], sharex=side)
-        close = figure.add_subplot(grid[1, 1])
+        close = figure.add_subplot(grid[:, 1])
         height, box = result.case.release.height, result.case.release.box
         for panel, axes in ((side, [0, 2]), (above, [0, 1])):
             for rows, mark, colour, name in (

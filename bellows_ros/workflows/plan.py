@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
@@ -41,6 +42,12 @@ TIME_MARGIN = 1.001
 
 TAIL_SHOWN, STANDSTILL_STEP = 1.5, 0.005
 """Time (s) shown after the end, and the spacing of its points."""
+
+START_WINDOW, MIN_START_POSES = 0.2, 5
+"""Time from which the twist at the start of a recording is fitted (s), and fewest poses."""
+
+START_DEVIATIONS = 3.0
+"""Standard errors of the fitted twist within which a tool stands: 0.3 % false alarms."""
 
 MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
@@ -448,8 +455,36 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
         name = f"Poses '{poses.name}'"
         motion, rates, axes = _with_rates(
             motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
-    return Source(at_tip(_checked_motion(motion, rates, axes, name), tip_of(values)),
-                  poses.frame_id, contents.notes, recorded_ns=poses.stamps_ns)
+    tool = at_tip(_checked_motion(motion, rates, axes, name), tip_of(values))
+    if stands_at_first(poses.trajectory()):
+        tool = from_rest(tool)
+    return Source(tool, poses.frame_id, contents.notes, recorded_ns=poses.stamps_ns)
+
+
+def stands_at_first(measured: Trajectory) -> bool:
+    """
+    Return whether a recorded tool stands in the first `START_WINDOW`.
+
+    Its mean twist there, fitted to the poses, is that of a standing tool within
+    `START_DEVIATIONS` of its standard error.
+    """
+    window = measured.select(measured.seconds <= START_WINDOW)
+    if len(window) < MIN_START_POSES:
+        return False
+    rotation = lie.log_so3(window.rotation[0].T @ window.rotation)
+    poses, t = np.hstack([window.position, rotation]), window.seconds - window.seconds.mean()
+    rate = t @ poses / (t @ t)
+    error = poses - poses.mean(axis=0) - np.outer(t, rate)
+    std = np.sqrt(np.sum(error**2, axis=0) / ((len(t) - 2) * (t @ t)))
+    allowed = np.repeat(simulation.MAX_REST_RATES, 3) + START_DEVIATIONS * std
+    return bool((np.abs(rate) <= allowed).all())
+
+
+def from_rest(tool: Trajectory) -> Trajectory:
+    """Return a motion whose first twist is zero: the package rests at its start."""
+    twist = np.array(tool.twist)
+    twist[0] = 0.0
+    return replace(tool, twist=twist)
 
 
 def _with_rates(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from operator import itemgetter
 import os
@@ -238,14 +239,19 @@ class Replay(CommandResult):
         """The offset that was subtracted from the tool's stamps; None if it was not estimated."""
         return self.recording.report.time_offset
 
+    @cached_property
+    def _factors(self) -> Array | None:
+        """Safety factors of the free simulation, as of `factors_along`; None if unknown."""
+        grip, validation = grip_of(self.values), self.validation
+        rows = map(simulation.tool_rows, (validation.tool, validation.package))
+        return None if grip is None else factors_along(validation.model, grip, *rows)
+
     @property
     def margin(self) -> Margin | None:
         """The smallest safety factor of the grip in the free simulation; None if unknown."""
-        grip, validation = grip_of(self.values), self.validation
-        rows = map(simulation.tool_rows, (validation.tool, validation.package))
-        return None if grip is None else margin(
-            grip, factors_along(validation.model, grip, *rows),
-            self.recording.since_start(validation.tool.stamps_ns))
+        grip, factors = grip_of(self.values), self._factors
+        return None if grip is None or factors is None else margin(
+            grip, factors, self.recording.since_start(self.validation.tool.stamps_ns))
 
     @property
     def margins(self) -> 'Margins':
@@ -258,15 +264,17 @@ class Replay(CommandResult):
             If the grip is unknown.
 
         """
-        smallest, validation = self.margin, self.validation
-        if smallest is None:
+        smallest, validation, factors = self.margin, self.validation, self._factors
+        if smallest is None or factors is None:
             raise BellowsError(plan.NO_FACTOR)
-        along = plan.curves(
-            self.values, validation.model, grip_of(self.values), validation.tool,
-            None if validation.start == 'equilibrium' else validation.state)
+        rests = validation.start == 'equilibrium'
+        tool = plan.from_rest(validation.tool) if rests else validation.tool
+        along = plan.curves(self.values, validation.model, grip_of(self.values), tool,
+                            None if rests else validation.state)
         return Margins(
-            self.recording.since_start(validation.tool.stamps_ns), along.values[:, 4:6],
-            along.std[:, 4:6], smallest, float(self.values.safety.least))
+            self.recording.since_start(tool.stamps_ns),
+            np.minimum(factors[:, :2], plan.MAX_DRAWN_FACTOR), along.std[:, 4:6], smallest,
+            float(self.values.safety.least))
 
     @property
     def sentence(self) -> str:

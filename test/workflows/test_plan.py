@@ -3,13 +3,17 @@
 from dataclasses import replace
 import math
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import read_arm
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import DISPLAY_TRAJECTORY, ROBOT_TRAJECTORY
+from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,
     encode_path,
@@ -20,12 +24,14 @@ from bellows_ros.files.plan_messages import (
 from bellows_ros.files.plans import DESCRIPTION, JOINTS, read_yaml, STATES, TF
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
-from bellows_ros.workflows.plan import plan, read_plan
+from bellows_ros.workflows.plan import plan, plan_with_cup, read_plan, stands_at_first
+from bellows_ros.workflows.replay import replay
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 import yaml
 
+from ..conftest import ROOT
 from ..core import plans
 from ..core.planning.test_arm import URDF
 from ..core.plans import CUP, Move
@@ -343,3 +349,28 @@ def test_the_settling_time_has_a_deviation_where_it_may_be_longer_than_is_watche
     found = figures(bag, values={'cup.damping': weak, 'cup.damping_std': 0.1 * weak})
     assert found['settled_after'] is None and found['settled_after_std'] is None
     assert found['swing_left_std'] > 0.0
+
+
+def test_a_recording_that_begins_at_rest_is_predicted_from_rest():
+    """Although its noise makes twists; one that begins in motion is not."""
+    values = read_parameters(ROOT / 'bags' / 'tossing.yaml')
+    source = plan_with_cup(ROOT / 'bags' / 'static', values)
+    assert source.begins_at_rest
+    t = np.arange(200) / 500.0
+    rng = np.random.default_rng(2)
+    for speed, stands in ((0.0, True), (0.02, False)):
+        position = np.outer(speed * t, [1.0, 0.0, 0.0]) + 2e-5 * rng.standard_normal((200, 3))
+        R = lie.exp_so3(5e-5 * rng.standard_normal((200, 3)))
+        poses = Trajectory(np.round(t * 1e9).astype(np.int64), position, R)
+        assert stands_at_first(poses) is stands
+
+
+def test_the_margin_of_a_standstill_is_that_of_the_weight():
+    """Curve and marker are of one simulation."""
+    values = Values(read_parameters(ROOT / 'bags' / 'tossing.yaml'))
+    found = replay(ROOT / 'bags' / 'static', values)
+    margins, area = found.margins, math.pi * values.cup.lip_radius**2
+    held = values.vacuum.holding * area / (values.package.mass * 9.81)
+    still = margins.seconds < margins.seconds[0] + 1.0
+    assert_allclose(margins.factors[still], held, rtol=0.06)  # noise of the tool moves the damper
+    assert margins.factors.min() == margins.smallest.factor
