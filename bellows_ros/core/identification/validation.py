@@ -8,14 +8,23 @@ bodies does to the comparison is simulated too: an error beyond that is the mode
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.search import Search
 from bellows_ros.core.identification.segments import measured_segments, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
+from bellows_ros.core.model.simulation import (
+    lip_wrenches,
+    rest,
+    row_state,
+    simulate,
+    state_row,
+    tool_rows,
+)
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import NOISE_SAMPLES, Recording
@@ -41,6 +50,12 @@ NOISE_RUNS = 2
 
 MAX_BRIDGE_TIME = 0.08
 """Gaps of the tool longer than this (s) are bridged with a warning."""
+
+START_SECONDS, START_ITERATIONS, MIN_START_POSES = 0.8, 3, 6
+"""Time (s) over which the first state behind a gap is fitted, iterations, and fewest poses."""
+
+START_STEPS = np.repeat([1e-4, 1e-3, 1e-3, 1e-2], 3)
+"""Steps of its derivatives: m, rad, m/s, rad/s."""
 
 REST_S = 0.3
 """A recording begins at rest if both bodies stand still for so long."""
@@ -71,6 +86,20 @@ class OneStep(NamedTuple):
     spectrum: Spectrum
 
 
+class Run(NamedTuple):
+    """
+    A free simulation of a segment.
+
+    Tool with twists and package at the stamps of the tool, the first state of the package, and
+    its origin: 'equilibrium' or 'measured'.
+    """
+
+    tool: Trajectory
+    package: Trajectory
+    state: State
+    start: str
+
+
 @dataclass(frozen=True, eq=False)
 class Validation(residuals.Comparison):
     """
@@ -88,6 +117,8 @@ class Validation(residuals.Comparison):
         Of B in the world at the first of them.
     start : str
         'equilibrium' or 'measured': where the simulation begins.
+    runs : tuple of Run
+        The simulations of the segments, of which `tool` and `package` are.
     warnings : tuple of str
         What the user should know.
 
@@ -99,6 +130,7 @@ class Validation(residuals.Comparison):
     package: Trajectory
     state: State
     start: str
+    runs: tuple[Run, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -114,19 +146,20 @@ class Validation(residuals.Comparison):
     @cached_property
     def noise(self) -> Array:
         """RMS error (6,) that measurement noise of package and tool alone makes, m and rad."""
-        tool, body = (each.select(slice(NOISE_SAMPLES)) for each in (self.tool, self.package))
         poses, settings = self.recording.aligned_tool, self.recording.settings
         rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(DRAW_SEED)
         W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
         sizes, correlations = np.transpose(self.recording.ar1_noise[0])
         correlations = np.where(correlations > MIN_CORRELATION, correlations, 0.0)
-        for _ in range(NOISE_RUNS):
+        samples = NOISE_SAMPLES // len(self.runs)
+        for run in NOISE_RUNS * self.runs:
+            tool, body = (each.select(slice(samples)) for each in (run.tool, run.package))
             noisy = with_filtered_noise(tool, sizes, correlations, W, 1.0 / rate_hz, rng)
-            moved = simulate(
-                self.cup, self.recording.payload, noisy, self.state, settings.gravity)
-            squares.append(np.mean(np.subtract(*(
-                residuals.relative_coordinates(tool, each) for each in (moved, body)))**2, axis=0))
-        return np.asarray(np.sqrt(np.mean(squares, axis=0) + self.recording.body_noise[1].std**2))
+            moved = simulate(self.cup, self.recording.payload, noisy, run.state, settings.gravity)
+            squares.append(np.subtract(*(
+                residuals.relative_coordinates(tool, each) for each in (moved, body)))**2)
+        variances = np.mean(np.concatenate(squares), axis=0)
+        return np.asarray(np.sqrt(variances + self.recording.body_noise[1].std**2))
 
     @cached_property
     def whiteness(self) -> Whiteness:
@@ -226,29 +259,117 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
         not stay finite.
 
     """
-    poses, gravity = recording.aligned_tool, recording.settings.gravity
+    poses = recording.aligned_tool
     first, last = recording.measured_tool.stamps_ns[[0, -1]]
     poses = poses.select(slice(max(int(np.searchsorted(poses.stamps_ns, first, 'right')) - 1, 0),
                                int(np.searchsorted(poses.stamps_ns, last)) + 1))
     if max_samples is not None:
         poses = poses.select(slice(int(np.argmax(poses.valid)) + max_samples))
-    tool, gaps = recording.cached(('smoothed', len(poses)), lambda: smoothed_tool(
-        poses, half_window_of(poses)))
-    state, begin, start = _start(model_tuple(cup, recording.payload, gravity), tool, recording)
+    runs, warnings = list[Run](), list[str]()
+    for part in _segments_of(poses, recording):
+        run, more = _run(cup, recording, part, is_first=not runs)
+        runs.append(run)
+        warnings += more
+    warnings += [
+        f'The tool is unknown for {(after - before) / NS_PER_S:.2f} s from '
+        f'{(before - int(poses.stamps_ns[0])) / NS_PER_S:.2f} s on. The simulation begins anew '
+        'behind it, with the state that the poses there show.'
+        for before, after in ((int(one.tool.stamps_ns[-1]), int(other.tool.stamps_ns[0]))
+                              for one, other in pairwise(runs))]
+    compared = [_compared(recording, run, first, last) for run in runs]
+    stamps, measured, predicted = (np.concatenate([getattr(each, name) for each in compared])
+                                   for name in ('stamps_ns', 'measured', 'predicted'))
+    return Validation(
+        stamps, measured, predicted, residuals.score(measured, predicted), cup=cup,
+        recording=recording, tool=_joined([run.tool for run in runs]),
+        package=_joined([run.package for run in runs]), state=runs[0].state, start=runs[0].start,
+        runs=tuple(runs), warnings=tuple(warnings))
+
+
+def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
+    """Return the poses of the tool in the segments of a recording; all if there is one."""
+    spans = [span for span in recording.segments if span.first_ns < poses.stamps_ns[-1]]
+    valid = poses.stamps_ns[poses.valid][1:-1]  # the outer ones may lie before and behind a span
+    if len(spans) == 1 and not np.any(
+            (valid < spans[0].first_ns) | (valid > spans[0].last_ns)):
+        return [poses]
+    return [poses.between(span.first_ns, span.last_ns) for span in spans] or [poses]
+
+
+def _run(
+    cup: Cup, recording: Recording, poses: Trajectory, is_first: bool
+) -> tuple[Run, list[str]]:
+    """Return the free simulation of a segment, and warnings on gaps of the tool in it."""
+    payload, gravity = recording.payload, recording.settings.gravity
+    tool, gaps = recording.cached(
+        ('smoothed', int(poses.stamps_ns[0]), len(poses)),
+        lambda: smoothed_tool(poses, half_window_of(poses)))
+    model = model_tuple(cup, payload, gravity)
+    state, begin, start = _start(model, tool, recording, is_first)
     tool = resample(tool, np.append(begin, tool.stamps_ns[tool.stamps_ns > begin]))
-    moved = simulate(cup, recording.payload, tool, state, gravity)
+    if not is_first:
+        state = _fitted_state(cup, recording, tool, state)
+    moved = simulate(cup, payload, tool, state, gravity)
+    return Run(tool, moved, state, start), [
+        f'The tool is unknown for {duration:.2f} s from {since:.2f} s on. The simulation '
+        'bridges this gap by interpolation, and its error is larger for a while afterwards.'
+        for since, duration in gaps.tolist() if duration > MAX_BRIDGE_TIME]
+
+
+def _compared(
+    recording: Recording, run: Run, first: int, last: int
+) -> residuals.Comparison:
+    """Return a free simulation with the measured poses of the package."""
     measured = recording.tracked_package.between(
-        max(tool.stamps_ns[0], first), min(tool.stamps_ns[-1], last))
-    compared = residuals.compare(
-        resample(moved, measured.stamps_ns),
+        max(run.tool.stamps_ns[0], first), min(run.tool.stamps_ns[-1], last))
+    return residuals.compare(
+        resample(run.package, measured.stamps_ns),
         resample(recording.aligned_tool, measured.stamps_ns,
                  recording.report.tool.timing.longest_step_ns), measured)
-    return Validation(
-        **vars(compared), cup=cup, recording=recording, tool=tool, package=moved, state=state,
-        start=start, warnings=tuple(
-            f'The tool is unknown for {duration:.2f} s from {since:.2f} s on. The simulation '
-            'bridges this gap by interpolation, and its error is larger for a while afterwards.'
-            for since, duration in gaps.tolist() if duration > MAX_BRIDGE_TIME))
+
+
+def _joined(parts: list[Trajectory]) -> Trajectory:
+    """Return trajectories with twists one after the other."""
+    if not parts[1:]:
+        return parts[0]
+    stamps, position, rotation, twist, valid = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ('stamps_ns', 'position', 'rotation', 'twist', 'valid'))
+    return Trajectory(stamps, position, rotation, twist, valid=valid)
+
+
+def _fitted_state(
+    cup: Cup, recording: Recording, tool: Trajectory, guess: State
+) -> State:
+    """Return the package's first state with which its first poses agree best."""
+    end = int(tool.stamps_ns[0]) + int(START_SECONDS * NS_PER_S)
+    window = tool.between(tool.stamps_ns[0], end)
+    package = recording.tracked_package.between(*window.stamps_ns[[0, -1]])
+    package = package.select(package.valid)
+    if len(package) < MIN_START_POSES:
+        return guess
+    std = np.maximum(recording.body_noise[1].std, MIN_NOISE)
+
+    def differences(row: Array) -> Array:
+        moved = simulate(
+            cup, recording.payload, window, row_state(row), recording.settings.gravity)
+        at = resample(moved, package.stamps_ns)
+        return np.asarray(residuals.relative_coordinates(package, at) / std).ravel()
+
+    row = np.concatenate(guess[:4])
+    for _ in range(START_ITERATIONS):
+        now = differences(row)
+        J = np.column_stack([(differences(_changed(row, step)) - now) / step.sum()
+                             for step in np.diag(START_STEPS)])
+        row = _changed(row, -np.linalg.lstsq(J, now, rcond=None)[0])
+    return row_state(row)
+
+
+def _changed(row: Array, change: Array) -> Array:
+    """Return a row after a change (12,) of position, rotation in body axes, and twist."""
+    R = lie.quaternion_to_rotation(row[3:7]) @ lie.exp_so3(change[3:6])
+    return np.concatenate([row[:3] + change[:3], lie.rotation_to_quaternion(R),
+                           row[7:] + change[6:]])
 
 
 def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, Array]:
@@ -295,11 +416,15 @@ def half_window_of(tool: Trajectory) -> int:
     return max(round(LIGHT_HALF_WINDOW * rate_hz), LIGHT_ORDER // 2 + 1)
 
 
-def _start(model: ModelTuple, tool: Trajectory, recording: Recording) -> tuple[State, int, str]:
+def _start(
+    model: ModelTuple, tool: Trajectory, recording: Recording, is_first: bool
+) -> tuple[State, int, str]:
     """Return the package's first state, its stamp (ns), and its origin."""
-    if rest_of(recording.measured_tool, recording.measured_package).seconds < REST_S:
+    if not is_first or (
+            rest_of(recording.measured_tool, recording.measured_package).seconds < REST_S):
         package = recording.package
-        usable = package.valid & (package.stamps_ns >= tool.stamps_ns[0])
+        first_ns, last_ns = tool.stamps_ns[[0, -1]]
+        usable = package.valid & (package.stamps_ns >= first_ns) & (package.stamps_ns < last_ns)
         first = int(np.argmax(usable))
         if usable[first]:
             (row,) = tool_rows(package.select(slice(first, first + 1)))

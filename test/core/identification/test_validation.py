@@ -167,3 +167,34 @@ def test_a_tool_without_poses_is_refused():
     lost = Trajectory(motion.stamps_ns, motion.position, motion.rotation, valid=False)
     with pytest.raises(BellowsError):
         smoothed_tool(lost, 4)
+
+
+def lost(stream, *spans):
+    """Return a stream without the poses of spans, s from its first stamp."""
+    seconds = (stream.stamps_ns - stream.stamps_ns[0]) * 1e-9
+    kept = ~np.any([(seconds > a) & (seconds < b) for a, b in spans], axis=0)
+    return replace(stream, stamps_ns=stream.stamps_ns[kept], position=stream.position[kept],
+                   rotation=stream.rotation[kept])
+
+
+@pytest.mark.parametrize(('tool_gaps', 'package_gaps'), [
+    ([(5.0, 5.3)], []), ([(4.0, 4.5), (7.0, 7.4)], [(2.0, 3.5)]), ([], [(3.0, 6.0)]),
+    ([(1.4 * k, 1.4 * k + 0.25) for k in range(1, 6)], [(5.0, 6.0)]),
+    ([(3.0, 7.0)], [(3.0, 7.0)])])
+@pytest.mark.parametrize('kept', [0.0, 0.8])
+def test_the_true_cup_is_right_behind_gaps_of_either_body(tool_gaps, package_gaps, kept):
+    """Each gap of the tool that cannot be bridged begins a segment with a fitted first state."""
+    sound = simulated.record(simulated.shake(duration=9.0, seed=2), tool=(2e-5, 5e-5),
+                             package=(1e-4, 5e-4), rate_hz=240.0, kept=kept)
+    recording = prepare(
+        lost(sound.tool_pose, *tool_gaps) if tool_gaps else sound.tool_pose,
+        lost(sound.package_pose, *package_gaps) if package_gaps else sound.package_pose,
+        sound.settings)
+    found = validate(simulated.CUP, recording)
+    assert len(found.runs) == 1 + len(tool_gaps)
+    assert found.worse_than_noise == ()
+    assert np.all(found.scores.rms < 1.5 * found.noise)
+    assert sum('begins anew' in warning for warning in found.warnings) == len(tool_gaps)
+    wrong = validate(Cup(0.8 * simulated.CUP.stiffness, simulated.CUP.damping,
+                         simulated.CUP.length), recording)
+    assert wrong.worse_than_noise
