@@ -71,6 +71,7 @@ class Pipeline(Predicting):
     Attributes
     ----------
     pose_in, twist_in : SensorInput
+        The second is None where the poses are Odometry, which has the twists.
     compute : deque
         Computing times of messages, s.
 
@@ -93,10 +94,10 @@ class Pipeline(Predicting):
             self.pose_in: SensorInput = TransformInput(node, values, self.process_pose)
         else:
             kind = TOOL_POSES[values.tool_pose.type]
-            self._read_pose = reader(kind)
+            self._read_pose, self._twist_at = reader(kind), LAYOUTS[type_name(kind)].twist
             self.pose_in = SensorInput(node, kind, 'tool_arm/pose', self._on_pose)
-        self._read_twist = reader(TwistStamped)
-        self.twist_in = SensorInput(
+        self._read_twist, self._has_odometry_twists = reader(TwistStamped), False
+        self.twist_in = None if values.tool_pose.type == 'odometry' else SensorInput(
             node, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self.attachment = Attachment(self)
         self.planning = Planning(self)
@@ -137,14 +138,20 @@ class Pipeline(Predicting):
         self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
 
     def _on_pose(self, data: bytes) -> None:
-        """Predict with a message."""
-        if self.node.is_active:
-            stamp_ns, names, numbers = self._read_pose(data)
-            self.process_pose(stamp_ns, names[0], numbers[:3], numbers[3:7])
+        """Predict with a message, and with its twist if its driver fills it in."""
+        if not self.node.is_active:
+            return
+        stamp_ns, names, numbers = self._read_pose(data)
+        if self._twist_at:
+            twist = numbers[self._twist_at]
+            self._has_odometry_twists |= any(twist)
+            if self._has_odometry_twists:
+                self.publish(self.live.on_twist, stamp_ns, twist[:3], twist[3:], names[1])
+        self.process_pose(stamp_ns, names[0], numbers[:3], numbers[3:7])
 
     def _on_twist(self, data: bytes) -> None:
         """Predict with a twist of the tool."""
-        if not self.node.is_active:
+        if not (self.node.is_active and self.twist_in):
             return
         stamp_ns, names, numbers = self._read_twist(data)
         arrival_ns = self.twist_in.note(stamp_ns)

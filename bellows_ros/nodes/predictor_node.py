@@ -209,7 +209,8 @@ class PredictorNode(ManagedNode):
         log(f'Package of {values.package.mass:g} kg.')
         for sentence in checks.implausible(values):
             self.get_logger().warning(sentence)
-        log(f'Listens to {pipeline.pose_in.topic} and {pipeline.twist_in.topic}, publishes '
+        inputs = [each.topic for each in (pipeline.pose_in, pipeline.twist_in) if each]
+        log(f'Listens to {" and ".join(inputs)}, publishes '
             f'{pipeline.outputs.pose.name}.')
         if grip_of(values, 0.0 if values.vacuum.signal == 'pressure' else None) is None:
             log('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
@@ -310,10 +311,12 @@ class Diagnostics:
         of_twists = {k: n for k, n in live.refused.items() if k.startswith('twist_')}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
         of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
-        poses, twists = pipeline.pose_in.report(of_poses), pipeline.twist_in.report(of_twists)
+        twist_in, poses = pipeline.twist_in, pipeline.pose_in.report(of_poses)
+        twists = twist_in.report(of_twists) if twist_in else poses._replace(
+            refused={}, total_refused=of_twists)
         lines += [
             health.input_status('tool pose', poses),
-            health.twist_status('tool twist', twists, new['poses'], new['alone'])]
+            health.twist_status('tool twist', twists, new['poses'], new['alone'] * bool(twist_in))]
         for line, report in zip(lines[1:], (poses, twists), strict=True):
             refused = any(report.refused.values())
             self._log(line, line.level > health.Level.OK, 0.0 if refused else LOG_DELAY, refused)

@@ -4,6 +4,7 @@ import math
 
 from bellows_ros.nodes.conversions import quaternion_xyzw, TOOL_POSES, vector
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -168,3 +169,23 @@ def test_cup_too_soft_for_the_package_is_said_once(make_partner, capfd):
 
     assert partner.poses == []
     assert capfd.readouterr().err.count('the cup cannot hold the package') == 1
+
+
+@pytest.mark.parametrize('is_filled', [True, False])
+def test_twists_of_odometry_are_used_in_the_child_frame(make_predictor, peer, is_filled):
+    """Take them in the tool's axes, though tool_twist.frame is the world; not if all are zero."""
+    node = make_predictor({**PACKAGE, 'tool_pose.type': 'odometry'})
+    live, writer = node.pipeline.live, peer.writes(Odometry, 'tool_arm/pose')
+    peer.connect(node)
+    quarter = (0.0, 0.0, 0.5 ** 0.5, 0.5 ** 0.5)  # about z: x of the tool is y of the world
+    for step in range(1, 450):
+        message = placed(
+            stamped(Odometry(child_frame_id='tool'), START + step * MS),
+            (0.0, 0.2 * step * 1e-3, 0.0), quarter)
+        message.twist.twist.linear.x = 0.2 * is_filled
+        writer.publish(message)
+        peer.wait(lambda: live.predictions == step)  # noqa: B023
+    assert_allclose(live.latest.tool[2], (0.2, 0.0, 0.0), atol=1e-9)
+    assert live.twists_estimated == (0 if is_filled else 449)
+    assert live.tool.verdict == ('fits' if is_filled else 'unknown')
+    assert node.count_subscribers('/tool_arm/twist') == 0

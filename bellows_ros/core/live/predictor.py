@@ -210,7 +210,8 @@ class LivePredictor:
         values = with_chosen_cup(resolve(parameters, PACKAGE_PARAMETERS))
         check_live(values)
         predictor = cls(
-            cup_of(values), package_of(values), gravity_of(values), values.tool_twist.frame)
+            cup_of(values), package_of(values), gravity_of(values),
+            'tool' if values.tool_pose.type == 'odometry' else values.tool_twist.frame)
         predictor.tool.set_tip(tip_of(values))
         is_held = bool(values.package.attached) and values.vacuum.signal == 'none'
         predictor.attached, predictor._cycle = is_held, Cycle(is_held)
