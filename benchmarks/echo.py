@@ -1,7 +1,8 @@
 """
 A bare node that sends every tool pose back: the floor for the latency of the predictor.
 
-`python -m benchmarks.echo` spins it as the commands of this package spin theirs.
+`python -m benchmarks.echo` spins it as the commands of this package spin theirs; `--raw` sends the
+bytes of messages back, without message objects.
 """
 
 import sys
@@ -24,7 +25,8 @@ class Echo(Node):
         self.finished = Future()
         publisher = self.create_publisher(PoseStamped, 'package/pose', QUEUE)
         qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.create_subscription(PoseStamped, 'tool_arm/pose', publisher.publish, qos)
+        self.create_subscription(
+            PoseStamped, 'tool_arm/pose', publisher.publish, qos, raw='--raw' in sys.argv)
 
     def close(self) -> None:
         """Take the node down."""

@@ -21,14 +21,14 @@ SECONDS = {False: 7.0, True: 1.0}
 ROUNDS = {False: 3, True: 1}
 END_TIMEOUT = 10.0
 
-BARE = 'bare'
-"""A node that sends every pose back, spun as the commands of this package are."""
+BARE, RAW = 'bare', 'bare, bytes'
+"""Nodes that send every pose back, spun as the commands of this package are."""
 
 PARAMETERS = (
     '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
     '-p', 'package.com:=[0.0, 0.0, -0.03]')
 NODES: Mapping[str, tuple[str, ...]] = {
-    BARE: ('benchmarks.echo',),
+    BARE: ('benchmarks.echo',), RAW: ('benchmarks.echo', '--raw'),
     'predictor': ('bellows_ros.nodes.command', 'predictor', '--ros-args', *PARAMETERS)}
 
 

@@ -252,9 +252,10 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     """
     Let a node work until it has finished or is asked to stop, and close it.
 
-    What exists at the beginning is never looked at by the collector again, and it runs only here,
-    between two callbacks, never within one. `EventsExecutor.spin` is not used: it would not let
-    Python see a signal, and never calls back where the C++ library overflows on an endless wait.
+    The collector never examines objects that exist at the beginning, and it runs only here,
+    between two callbacks, never within one. Each call of the executor ends after `MAX_SPIN_WAIT`:
+    an endless one would not let Python see a signal, and never calls back where the C++ library
+    overflows on an endless wait.
 
     Parameters
     ----------
@@ -262,7 +263,7 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
         With a future `finished`, whose exception is raised here, and methods `close` and
         `note_failure`.
     is_asked_to_stop : callable
-        Looked at after each callback, and every `MAX_SPIN_WAIT`.
+        Asked every `MAX_SPIN_WAIT`.
 
     """
     executor = executor_for(node)
@@ -273,7 +274,7 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     try:
         while not (is_asked_to_stop() or node.finished.done()):
             try:
-                executor.spin_once(timeout_sec=MAX_SPIN_WAIT)
+                executor.spin_until_future_complete(node.finished, MAX_SPIN_WAIT)
             except Exception as error:  # noqa: BLE001 (of rclpy's own callbacks: the node goes on)
                 if not node.context.ok():
                     raise
