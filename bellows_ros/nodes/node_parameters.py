@@ -5,7 +5,7 @@ from typing import Any
 
 from rcl_interfaces import msg as interfaces
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
 from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.parameter import Parameter
@@ -185,17 +185,30 @@ class AtomicParameterService(ParameterService):
     """
     The parameter services of a node, with its own `set_parameters`.
 
-    The service of rclpy sets one parameter after the other, whatever the node. A request with a
-    type that does not exist fails, and gets an empty answer.
+    The service of rclpy sets one parameter after the other, whatever the node, and answers nothing
+    to a request that holds a type that does not exist.
     """
 
     def _set_parameters_callback(
         self, request: SetParameters.Request, response: SetParameters.Response
     ) -> SetParameters.Response:
         """Set parameters that belong together all or none, the others one by one."""
-        response.results = self._get_node().set_parameters(
-            [Parameter.from_parameter_msg(message) for message in request.parameters])
+        response.results = self._get_node().set_parameters(list(map(_read, request.parameters)))
         return response
+
+    def _set_parameters_atomically_callback(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        """Set all parameters or none."""
+        response.result = self._get_node().set_parameters_atomically(
+            list(map(_read, request.parameters)))
+        return response
+
+
+def _read(message: interfaces.Parameter) -> Parameter:
+    """Return a parameter of a request, without value if its type does not exist."""
+    is_known = any(message.value.type == kind.value for kind in Parameter.Type)
+    return Parameter.from_parameter_msg(message) if is_known else Parameter(message.name)
 
 
 def _refused(reason: str) -> SetParametersResult:

@@ -161,6 +161,24 @@ def test_malformed_requests_are_answered(node, caller):
     assert caller.set_parameters(package__mass=2.0) == [(True, '')]
 
 
+def test_one_type_that_does_not_exist_spoils_no_other_answer(node, caller, capfd):
+    """Set the others that stand alone; refuse those that belong to it; report no fault of ours."""
+    odd = [Parameter(name, value=value).to_parameter_msg() for name, value in (
+        ('plan.rate', 5.0), ('coast.limit', 0.3), ('package.mass', 2.0), ('landing.rate', 7.0))]
+    for name in ('plan.points_rate', 'use_sim_time'):
+        odd.insert(2, ParameterMessage(name=name, value=ParameterValue(type=99)))
+    results = caller.set_one_by_one(odd)
+    assert [result.successful for result in results] == [True, True, False, False, True, True]
+    assert all(result.reason for result in results[2:4])
+    odd.append(ParameterMessage(name='package.com', value=ParameterValue(type=77)))
+    odd[4].value.double_value = 2.5
+    assert [result.successful for result in caller.set_one_by_one(odd)] == [
+        True, True, False, False, False, True, False]
+    assert not caller.set_at_once(odd).successful
+    assert node.values.package.mass == 2.0 and not node.failures
+    assert 'report' not in capfd.readouterr().err
+
+
 def test_every_parameter_is_described(node, caller):
     """Show sentence, unit, range and whether it can change."""
     table = parameters_for('predictor')

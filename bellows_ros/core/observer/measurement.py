@@ -40,6 +40,9 @@ Largest squared Mahalanobis distance (99 % of chi^2 of 6) of a measurement as it
 its covariance is enlarged, as the noise of cameras has heavier tails than a normal distribution.
 """
 
+MAX_VARIANCE = 1e12
+"""Largest variance or covariance of a message, m^2 or rad^2: 1000 km; the filter squares it."""
+
 MEMORY_COUNT = 1000.0
 """The noise's memory is that of so many measurements."""
 
@@ -101,8 +104,10 @@ class PoseSensor:
             return reason
         noise = self.noise
         if covariance is not None and covariance.any():
+            if not np.abs(covariance).max() <= MAX_VARIANCE:
+                return 'covariance'
             noise = 0.5 * (covariance + covariance.T)
-            if not (np.isfinite(noise).all() and np.linalg.eigvalsh(noise)[0] > 0.0):
+            if not np.linalg.eigvalsh(noise)[0] > 0.0:
                 return 'covariance'
         q = t3.normalised(quaternion_xyzw)
         if self.has_own_world:

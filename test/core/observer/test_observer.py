@@ -7,7 +7,7 @@ from bellows_ros.core.model.equilibrium import largest_step, moved_by, pose_erro
 from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.observer.correction import prior_std, walk_variances
 from bellows_ros.core.observer.filter import DAMPING
-from bellows_ros.core.observer.measurement import at_com
+from bellows_ros.core.observer.measurement import at_com, MAX_VARIANCE
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -197,8 +197,13 @@ def test_poses_and_covariances_that_are_none():
     assert sight.measurement(1, here, (0.0, 0.0, 0.0, 0.0)) == 'zero_quaternion'
     assert sight.measurement(1, here, (0.0, 0.0, 0.0, 2.0)) == 'not_unit'
     assert sight.measurement(0, here, unit) == 'zero_stamp'
-    for wrong in (np.full((6, 6), np.nan), -np.eye(6), np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])):
-        assert sight.measurement(1, here, unit, wrong) == 'covariance'
+    for wrong in (np.full((6, 6), np.nan), -np.eye(6), np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]),
+                  np.full((6, 6), np.inf), 1e308 * np.eye(6), np.full((6, 6), -1e308),
+                  2.0 * MAX_VARIANCE * np.eye(6)):
+        with np.errstate(all='raise'):
+            assert sight.measurement(1, here, unit, wrong) == 'covariance'
+    unknown = np.diag([1e-6, 1e-6, 1e-6, *[0.5 * MAX_VARIANCE] * 3])
+    assert sight.measurement(1, here, unit, unknown).noise[5, 5] > 1e11
     zero = sight.measurement(1, here, unit, np.zeros((6, 6)))
     np.testing.assert_array_equal(zero.noise, np.diag(np.square(NOISE)))
 
