@@ -66,7 +66,7 @@ setup(
     license='Apache-2.0',
     license_files=['LICENSE'],
     maintainer='bellows_ros maintainers',
-    maintainer_email='maintainers@example.org',
+    maintainer_email='maintainers@bellows-ros.example',
     keywords=['ROS 2', 'suction cup', 'rigid body', 'system identification'],
     classifiers=[
         'Development Status :: 5 - Production/Stable',

@@ -12,6 +12,7 @@ All arguments: `ros2 launch bellows_ros identifier.launch.py --show-args`.
 ARGUMENTS = {
     'params_file': (None, 'Parameter file (YAML) with recordings, topics and package. Required.'),
     'namespace': ('', 'Namespace of the node.'),
+    'use_sim_time': ('false', 'Whether its clock is the topic /clock.'),
     'log_level': ('info', 'Least severe log level shown: debug, info, warn, error.'),
 }
 
@@ -30,6 +31,7 @@ def generate_launch_description():
     from launch.actions import DeclareLaunchArgument
     from launch.substitutions import LaunchConfiguration
     from launch_ros.actions import Node
+    from launch_ros.parameter_descriptions import ParameterValue
 
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=description)
@@ -40,7 +42,8 @@ def generate_launch_description():
         executable='identifier',
         name='identifier',
         namespace=LaunchConfiguration('namespace'),
-        parameters=[LaunchConfiguration('params_file')],
+        parameters=[LaunchConfiguration('params_file'), {'use_sim_time': ParameterValue(
+            LaunchConfiguration('use_sim_time'), value_type=bool)}],
         arguments=['--ros-args', '--log-level', LaunchConfiguration('log_level')],
         output='screen',
     )])

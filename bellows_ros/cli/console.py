@@ -101,7 +101,7 @@ class Console:
         self.require_no_signal()
         self._close_gap()
         self._begun = True
-        print(self._styled(self._out, printable(text), style), file=self._out)
+        print(self._styled(self._out, printable(text), style), file=self._out, flush=True)
 
     def _close_gap(self) -> None:
         """Print the empty line that is due."""

@@ -34,9 +34,9 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     messages = [messages[k] for k in np.flatnonzero(chosen)]
     names = {m.topic.name: m.topic.name for m in messages} | renamed
     console.warn(*notes)
-    played = play(messages, names, arguments.rate, arguments.stamps == 'now', console.progress)
+    played = play(messages, names, arguments.rate, arguments.clock, console.progress)
     return options.Outcome(
-        played, content=with_units({'bag': str(arguments.bag), **vars(played)}))
+        played, content=with_units({'bag': str(arguments.bag), **played._asdict()}))
 
 
 def print_result(played: 'Played', console: Console) -> None:
@@ -44,8 +44,7 @@ def print_result(played: 'Played', console: Console) -> None:
     width = max(map(len, played.messages))
     for name, count in played.messages.items():
         console.line(f'  {name:{width}}  {count} messages')
-    console.line(f'Played in {played.duration:.1f} s; the latest message was '
-                 f'{1e3 * played.latest:.1f} ms late.')
+    console.line(f'Played in {played.duration:.1f} s.')
     if not played.has_subscriber:
         console.warn(
             'No subscriber was connected at the start. Start the predictor first, in the same '

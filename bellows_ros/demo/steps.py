@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+import os
 from pathlib import Path
 import signal
 import subprocess
@@ -34,6 +35,21 @@ if TYPE_CHECKING:
 IDENTIFICATION, VALIDATION = 'identification', 'validation'
 PACKAGE = 'package.yaml'
 MILLI, MICRO = 1e3, 1e6
+
+MAX_ERROR = 2.0
+"""Largest RMS error of a prediction in units of the measured noise; 1.0 for a right cup."""
+
+BUSY_LATENCY = 10e-3
+"""Latency (99 %) above which the machine has been busy with other work, s."""
+
+QUEUE = 10_000
+"""Length of the predictor's queues, messages: it may be paused for long on a busy machine."""
+
+RELIABLE = tuple(
+    word for topic in ('pose', 'twist') for setting in ('reliability:=reliable', f'depth:={QUEUE}')
+    for word in ('-p', f'qos_overrides./tool_arm/{topic}.subscription.{setting}'))
+"""Arguments by which the predictor takes part in an exchange without loss."""
+
 PICTURES = {'light': 'demo.png', 'dark': 'demo_dark.png'}
 
 
@@ -88,12 +104,13 @@ def run(bags: Path, out: Path, console: Console) -> int:
         style.write_figure(out / name, pictures.prediction_figure(
             seconds, comparison, 'Package: predicted live, and measured',
             'relative to the tool; the cup was identified from another recording', theme))
-    lost = _print_result(result.fit, comparison.scores, exchange, recorded.noise.package, console)
+    accurate = _print_result(
+        result.fit, comparison.scores, exchange, recorded.noise.package, console)
     console.line()
     files = ', '.join((*PICTURES.values(), 'cup.yaml', 'fit.json'))
     console.line(f'Wrote {files} to {out}, after {time.monotonic() - start:.0f} s.')
     console.line('Next, look at a recording of yours: bellows info BAG')
-    return NOT_USABLE if lost else OK
+    return OK if accurate else NOT_USABLE
 
 
 def _predict_live(
@@ -117,8 +134,8 @@ def _predict_live(
 
 def _print_result(
     fit: Fit, scores: residuals.Scores, exchange: 'Exchange', noise: Noise, console: Console
-) -> int:
-    """Print the cup, the errors, the latency and the messages; return how many were lost."""
+) -> bool:
+    """Print cup, errors, latency and messages; return whether the prediction is accurate."""
     print_cup(fit.exactly_given, console, 'The cup, with standard errors from the recording')
     console.table(
         [('axis', 'error', 'of the motion'), *(
@@ -137,7 +154,15 @@ def _print_result(
     lost = poses - len(answers)
     console.line(f'Messages in {np.ptp(answers) / NS_PER_S:.0f} s: {poses} poses and {twists} '
                  f'twists to the node, {len(answers)} predictions back, {lost or "none"} lost')
-    return lost
+    if lost or high > BUSY_LATENCY * MICRO:
+        load, cores = os.getloadavg()[0], os.cpu_count()
+        console.line(f'The machine was busy (load {load:.1f} on {cores} cores), so latencies here '
+                     'are mostly waiting.')
+    limits = MAX_ERROR * np.repeat([noise.position, noise.rotation], 3)
+    accurate = bool(np.all(scores.rms <= limits))
+    if not accurate:
+        console.line(f'Errors exceed {MAX_ERROR:g} times the noise: the prediction is not usable.')
+    return accurate
 
 
 EXIT_TIMEOUT = 10.0
@@ -163,7 +188,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
 
     """
     command = [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args',
-               *(word for file in parameters for word in ('--params-file', str(file)))]
+               *(word for file in parameters for word in ('--params-file', str(file))), *RELIABLE]
     with log.open('wb') as output:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT)

@@ -1,5 +1,5 @@
 """
-Play recorded messages to ROS when they are due, with rclpy but without `ros2 bag`.
+Play recorded poses and twists to ROS when they are due, with rclpy but without `ros2 bag`.
 
 `converse` plays to a running predictor, and returns its answers.
 """
@@ -8,12 +8,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-import gc
 import importlib
 from itertools import count
 import struct
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
@@ -21,6 +20,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import Channel, Message
 from bellows_ros.workflows.recordings import no_progress, Progress
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 import numpy as np
 import rclpy
@@ -30,56 +30,41 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.validate_topic_name import validate_topic_name
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from .conversions import reader
 
-SEND_QUEUE = 10_000
-"""Length of the queues: nothing is lost while a process is busy."""
+QUEUE = 10_000
+"""Length of the queues: nothing is lost while a process is busy, messages."""
 
 TIMEOUT = 5.0
-"""Longest wait (s) for a subscriber, for an answer, or for the last predictions."""
+"""Longest wait for a subscriber, and for the delivery of the last messages, s."""
 
 POLL_PERIOD = 0.05
-"""Longest wait (s) for a callback before a condition is checked again."""
-
-BUSY_WAIT = 200e-6
-"""Nothing else is done within this time (s) before a message is due."""
+"""Longest wait for a callback before a condition is checked again, s."""
 
 LEAD_TIME = 0.2
-"""Time (s) from the start to the first message."""
+"""Time from the start to the first message, s."""
+
+CLOCK_PERIOD_NS = 10_000_000
+"""Shortest time between two messages on /clock, ns of the recording."""
 
 STAMP = slice(4, 12)
-"""Where the stamp is in a CDR message that begins with its header."""
+"""Position of the stamp in a CDR message that begins with its header, bytes."""
 
 
-@dataclass(frozen=True)
-class Played:
-    """
-    What was sent.
-
-    Parameters
-    ----------
-    messages : mapping of str to int
-        Sent on each topic, under the name it was played with.
-    duration : float
-        s.
-    latest : float
-        Largest lateness of a message, s.
-    has_subscriber : bool
-        Whether there was a subscriber at the start.
-
-    """
+class Played(NamedTuple):
+    """The number of messages by topic, the duration (s), and whether a subscriber was there."""
 
     messages: Mapping[str, int]
     duration: float
-    latest: float
     has_subscriber: bool
 
 
 def play(
-    messages: Sequence[Message], names: Mapping[str, str], rate: float = 1.0,
-    stamps_now: bool = False, progress: Progress = no_progress
+    messages: Sequence[Message], names: Mapping[str, str], rate: float = 1.0, clock: bool = False,
+    progress: Progress = no_progress
 ) -> Played:
     """
     Send recorded messages, byte by byte as they were recorded, in their time.
@@ -92,14 +77,12 @@ def play(
         The names under which topics are played, by those under which they were recorded.
     rate : float
         Seconds of the recording per second.
-    stamps_now : bool
-        Whether headers are stamped with the current time, and twists are those at this rate; else
-        both are as recorded.
+    clock : bool
+        Whether the time of the recording is published on /clock.
     progress : callable
         Called with what is being done and the part (0 to 1) that is done.
 
     """
-    first_ns = messages[0].log_time_ns
     for name in names.values():
         try:
             validate_topic_name(name)
@@ -110,76 +93,43 @@ def play(
     with player_node('bellows_player') as (node, executor):
         publishers = {topic: publisher(node, topic, names[topic.name])
                       for topic in dict.fromkeys(m.topic for m in messages)}
+        clock_out = node.create_publisher(Clock, '/clock', QUEUE) if clock else None
         progress('waiting for a subscriber', 0.0)
         has_subscriber = spin_until(
             executor, lambda: any(p.get_subscription_count() for p in publishers.values()),
             TIMEOUT)
-        begin_ns = time.time_ns() + round(LEAD_TIME * NS_PER_S)
+        clock_ns = 0
 
         def send(message: Message) -> None:
-            """Send a message, stamped anew where that is wanted."""
-            data = message.data
-            if stamps_now:
-                data = stamped(data, lambda ns: begin_ns + round((ns - first_ns) / rate))
-                if message.topic.type_name.endswith('/TwistStamped'):
-                    data = with_twist_times(data, rate)
-            publishers[message.topic].publish(data)
+            nonlocal clock_ns
+            if clock_out and message.log_time_ns - clock_ns >= CLOCK_PERIOD_NS:
+                clock_ns = message.log_time_ns
+                seconds, nanoseconds = divmod(clock_ns, NS_PER_S)
+                clock_out.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
+            publishers[message.topic].publish(message.data)
 
-        latest = send_all(executor, messages, send, progress, rate)
+        send_all(executor, messages, send, progress, rate)
         for each in publishers.values():  # let what is on its way arrive before the topics vanish
             each.wait_for_all_acked(Duration(seconds=TIMEOUT))
     return Played(
         Counter(names[message.topic.name] for message in messages),
-        (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate, latest, has_subscriber)
+        (messages[-1].log_time_ns - messages[0].log_time_ns) / NS_PER_S / rate, has_subscriber)
 
 
 def send_all(
     executor: SingleThreadedExecutor, messages: Sequence[Message],
     send: Callable[[Message], None], progress: Progress, rate: float = 1.0,
-) -> float:
-    """
-    Send messages when they are due, with no garbage collected between them.
-
-    Parameters
-    ----------
-    executor : SingleThreadedExecutor
-        Spun while nothing is due.
-    messages : sequence of Message
-        In the order of their times.
-    send : callable
-        Takes each.
-    progress : callable
-        Called once a second with what is being done and the part (0 to 1) that is done.
-    rate : float
-        Seconds of the recording per second.
-
-    Returns
-    -------
-    float
-        By how much a message was sent later than due, at most, s.
-
-    """
-    max_delay = reported = 0.0
+) -> None:
+    """Send messages when they are due, and spin an executor meanwhile."""
     first_ns = messages[0].log_time_ns
-    duration = (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate
+    duration_ns = messages[-1].log_time_ns - first_ns
     start = time.monotonic() + LEAD_TIME
-    gc.collect()
-    gc.disable()
-    try:
-        for message in messages:
-            due = (message.log_time_ns - first_ns) / NS_PER_S / rate
-            if due > reported:
-                progress('playing the recording', due / duration)
-                reported += 1.0
-            while (remaining := start + due - time.monotonic()) > BUSY_WAIT:
-                executor.spin_once(timeout_sec=remaining - BUSY_WAIT)
-            while (delay := time.monotonic() - start - due) < 0.0:
-                pass
-            max_delay = max(max_delay, delay)
-            send(message)
-    finally:
-        gc.enable()
-    return max_delay
+    for message in messages:
+        elapsed_ns = message.log_time_ns - first_ns
+        while (remaining := start + elapsed_ns / NS_PER_S / rate - time.monotonic()) > 0.0:
+            executor.spin_once(timeout_sec=remaining)
+        progress('playing the recording', elapsed_ns / max(duration_ns, 1))
+        send(message)
 
 
 @contextmanager
@@ -202,7 +152,7 @@ def spin_until(
     executor: SingleThreadedExecutor, done: Callable[[], bool], timeout: float,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> bool:
-    """Receive until something is done, or for a time (s) at most; return whether it is done."""
+    """Spin until a condition holds, or for a time (s) at most; return whether it holds."""
     deadline = time.monotonic() + timeout
     while not (is_done := done()) and time.monotonic() < deadline:
         meanwhile()
@@ -211,32 +161,20 @@ def spin_until(
 
 
 def publisher(node: Node, topic: Channel, name: str) -> Any:
-    """Return a publisher of a recorded topic's messages under some name; it takes their bytes."""
+    """Return a publisher of a recorded topic's messages under a name; it takes their bytes."""
     package, _, kind = topic.type_name.partition('/msg/')
     return node.create_publisher(
-        getattr(importlib.import_module(f'{package}.msg'), kind), name, SEND_QUEUE)
+        getattr(importlib.import_module(f'{package}.msg'), kind), name, QUEUE)
 
 
-def stamped(data: bytes, new_ns: Callable[[int], int]) -> bytes:
-    """Return a CDR message that begins with its header, with the stamp that a function makes."""
-    layout = '<iI' if data[1] & 1 else '>iI'
-    seconds, nanoseconds = struct.unpack(layout, data[STAMP])
-    new = divmod(new_ns(seconds * NS_PER_S + nanoseconds), NS_PER_S)
-    return data[:STAMP.start] + struct.pack(layout, *new) + data[STAMP.stop:]
+START_TIMEOUT = 90.0
+"""Longest wait for each step of the predictor's start; without a cache it compiles first, s."""
 
-
-def with_twist_times(data: bytes, factor: float) -> bytes:
-    """Return a TwistStamped in CDR with its six last numbers times a factor."""
-    layout = '<6d' if data[1] & 1 else '>6d'
-    return data[:-48] + struct.pack(layout, *(
-        factor * x for x in struct.unpack(layout, data[-48:])))
-
-
-DISCOVERY_TIMEOUT = 90.0
-"""Longest wait (s) for the predictor to start; without a cache it compiles first."""
+PROBES = 20
+"""Number of answers after which the predictor is warm."""
 
 PROBE_LEAD_NS = 3_600_000_000_000
-"""Probes are stamped an hour before the recording, so that they can be recognised."""
+"""Time by which the stamps of probes precede the recording, ns: they differ from all others."""
 
 POSES, TWISTS = 'tool_arm/pose', 'tool_arm/twist'
 
@@ -249,11 +187,11 @@ class Exchange:
     Parameters
     ----------
     sent : mapping of str to int
-        How many on `POSES` and `TWISTS`.
+        Numbers of messages on `POSES` and `TWISTS`.
     predicted : Trajectory
         Of the package B in the world, by the stamps that were answered.
     latency : array (N,)
-        From the moment before the tool's pose was handed to ROS until the prediction was here, s.
+        Time from handing the tool's pose to ROS until the arrival of the prediction, s.
 
     """
 
@@ -278,7 +216,7 @@ def converse(
     require_alive : callable
         Raises BellowsError when the predictor has ended; asked while it is waited for.
     progress : callable
-        As of `send_all`.
+        As of `play`.
 
     Raises
     ------
@@ -299,13 +237,15 @@ def converse(
         answers.setdefault(data[STAMP], (time.monotonic_ns(), data))
 
     with player_node('demo_player') as (node, executor):
-        node.create_subscription(PoseStamped, 'package/pose', receive, SEND_QUEUE, raw=True)
+        node.create_subscription(PoseStamped, 'package/pose', receive, QUEUE, raw=True)
         first = {names[message.topic.name]: message for message in reversed(messages)}
         publishers = {name: publisher(node, first[name].topic, name)
                       for name in (TWISTS, POSES) if name in first}
-        _connect(node, executor, publishers, first, lambda: bool(answers), require_alive)
+        progress('waiting for the predictor; on a new machine it compiles first', 0.0)
+        _connect(node, executor, publishers, first, answers, require_alive)
         send_all(executor, messages, send, progress)
-        spin_until(executor, lambda: sent_ns.keys() <= answers.keys(), TIMEOUT)
+        spin_until(executor, lambda: sent_ns.keys() <= answers.keys(), START_TIMEOUT,
+                   require_alive)
     answered = [(*answers[stamp], sent) for stamp, sent in sent_ns.items() if stamp in answers]
     if not answered:
         raise BellowsError('The predictor did not answer. See its log.')
@@ -320,35 +260,37 @@ def converse(
 
 def _connect(
     node: Node, executor: SingleThreadedExecutor, publishers: Mapping[str, Any],
-    first: Mapping[str, Message], is_answered: Callable[[], bool],
+    first: Mapping[str, Message], answers: Mapping[bytes, object],
     require_alive: Callable[[], None],
 ) -> None:
     """
-    Wait until the predictor answers messages of some topics, and reset it.
+    Wait until the predictor answers a stream of probes, and reset it.
 
-    The first answer to a probe shows that messages go all the way. Twists are announced before
-    poses, and announcements arrive in order: then the predictor has heard of both. The reset
-    makes it forget the probes.
+    The answers show that messages go all the way, and that the predictor is warm. Twists are
+    announced before poses, and announcements arrive in order: then the predictor has heard of
+    both. The reset makes it forget the probes.
     """
     probe_stamps = count(first[POSES].log_time_ns - PROBE_LEAD_NS, round(POLL_PERIOD * NS_PER_S))
 
     def wait(
-        timeout: float, failure: str, done: Callable[[], bool],
-        meanwhile: Callable[[], None] = require_alive,
+        failure: str, done: Callable[[], bool], meanwhile: Callable[[], None] = require_alive,
     ) -> None:
-        if not spin_until(executor, done, timeout, meanwhile):
+        if not spin_until(executor, done, START_TIMEOUT, meanwhile):
             raise BellowsError(
-                f'The predictor {failure} ({timeout:g} s waited). See its log, and whether '
+                f'The predictor {failure} ({START_TIMEOUT:g} s waited). See its log, and whether '
                 'DDS may use the loopback interface of this machine.')
 
     def probe() -> None:
         require_alive()
-        stamp_ns = next(probe_stamps)
+        stamp = divmod(next(probe_stamps), NS_PER_S)
         for name, message in first.items():
-            publishers[name].publish(stamped(message.data, lambda _: stamp_ns))
+            order = '<' if message.data[1] & 1 else '>'
+            publishers[name].publish(
+                message.data[:STAMP.start] + struct.pack(f'{order}iI', *stamp)
+                + message.data[STAMP.stop:])
 
     reset = node.create_client(Trigger, 'predictor/reset')
-    wait(DISCOVERY_TIMEOUT, 'does not appear', lambda: reset.service_is_ready() and all(
+    wait('does not appear', lambda: reset.service_is_ready() and all(
         each.get_subscription_count() for each in publishers.values()))
-    wait(TIMEOUT, 'does not answer', is_answered, probe)
-    wait(TIMEOUT, 'does not answer its reset', reset.call_async(Trigger.Request()).done)
+    wait('does not answer', lambda: len(answers) >= PROBES, probe)
+    wait('does not answer its reset', reset.call_async(Trigger.Request()).done)

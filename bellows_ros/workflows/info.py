@@ -255,7 +255,8 @@ def _frames_note(path: File) -> str:
     return (
         f'It has transforms instead of poses. Frames that move: {", ".join(moving) or "none"}. '
         f"Make a recording with poses: 'bellows convert {shown(os.fspath(path))} "
-        "--tool-frame FRAME --package-frame FRAME --out with_poses'.")
+        "--tool-frame FRAME --package-frame FRAME --out with_poses'; of an arm whose joints are "
+        "recorded, with '--tool-link LINK --urdf FILE' instead of '--tool-frame FRAME'.")
 
 
 def _describe_topic(

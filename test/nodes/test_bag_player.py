@@ -6,10 +6,11 @@ from typing import Any
 
 from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_messages
-from bellows_ros.nodes.bag_player import play, stamped
+from bellows_ros.nodes.bag_player import play
 from geometry_msgs.msg import PoseStamped, TwistStamped
 import numpy as np
 import pytest
+from rosgraph_msgs.msg import Clock
 
 from .conftest import stamp_ns, START
 
@@ -65,23 +66,10 @@ def test_messages_come_as_recorded_and_in_time(bag, heard):
     assert np.all(sent - begun >= due)  # a busy machine makes some late, and none early
 
 
-def test_stamps_of_now_keep_pairs_and_intervals(bag, heard):
-    """Move all stamps to the time of playing, closer by the rate; twists grow by it."""
+def test_the_clock_of_the_recording_is_published(bag, heard, peer):
+    """Let nodes with use_sim_time follow the recording, each message after its time."""
+    clock = peer.hears(Clock, '/clock')
     messages, _ = read_messages(bag)
-    before = time.time_ns()
-    _, poses, twists = heard(lambda: play(messages, NAMES, 2.0, stamps_now=True))
-    stamps = [stamp_ns(m) for _, m in poses]
-    assert stamps == [stamp_ns(m) for _, m in twists]
-    assert set(np.diff(stamps)) == {PERIOD_NS // 2}
-    assert before - LATER_NS < stamps[0] < 1e9 * poses[0][0]
-    assert [m.twist.linear.x for _, m in twists] == [2.0 * k for k in range(COUNT)]
-
-
-def test_a_stamp_is_replaced_in_either_order_of_bytes():
-    """Change eight bytes, and read the old ones first."""
-    for order, name in ((b'\x00\x00\x00\x00', 'big'), (b'\x00\x01\x00\x00', 'little')):
-        data = order + (7).to_bytes(4, name) + (5).to_bytes(4, name) + b'rest'
-        seen: list[int] = []
-        new = stamped(data, lambda ns, seen=seen: seen.append(ns) or 9_000_000_008)
-        assert seen == [7_000_000_005]
-        assert new == order + (9).to_bytes(4, name) + (8).to_bytes(4, name) + b'rest'
+    heard(lambda: play(messages, NAMES, 2.0, clock=True))
+    times = [m.clock.sec * 10**9 + m.clock.nanosec for m in clock]
+    assert times == [START + LATER_NS + PERIOD_NS * k for k in range(COUNT)]

@@ -48,10 +48,30 @@ def test_our_reader_takes_it(name, root):
 
 def test_launch_file_gives_the_package_after_the_cup(root):
     """Let the package of the user prevail there, too, and do without a cup."""
-    chosen = runpy.run_path(str(root / 'launch' / 'predictor.launch.py'))['parameter_files']
+    launched = runpy.run_path(str(root / 'launch' / 'predictor.launch.py'))
+    usual = {name: default for name, (default, _) in launched['ARGUMENTS'].items()}
+    switches = {'autostart': True, 'use_sim_time': False}
 
-    assert chosen({'params_file': 'p.yaml', 'cup_file': 'c.yaml'}) == ['c.yaml', 'p.yaml']
-    assert chosen({'params_file': 'p.yaml', 'cup_file': ''}) == ['p.yaml']
+    for cup, files in (('c.yaml', ['c.yaml', 'p.yaml']), ('', ['p.yaml'])):
+        node = launched['node_arguments']({**usual, 'params_file': 'p.yaml', 'cup_file': cup})
+        assert node['parameters'] == [*files, switches] and node['remappings'] == []
+
+
+def test_launch_file_remaps_every_topic(root, make_predictor):
+    """Give each topic of a running node an argument; pass simulated time on."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    launched = runpy.run_path(str(root / 'launch' / 'predictor.launch.py'))
+    value = {name: default for name, (default, _) in launched['ARGUMENTS'].items()}
+    value |= {'params_file': 'p.yaml', 'use_sim_time': 'True'}
+    value |= {name: f'/cell/{name}' for name in launched['TOPICS']}
+    arguments = launched['node_arguments'](value)
+    assert arguments['parameters'][-1] == {'autostart': True, 'use_sim_time': True}
+    remaps = [word for pair in arguments['remappings'] for word in ('-r', ':='.join(pair))]
+    node = make_predictor(cli_args=['--ros-args', *remaps])
+    own = {end.topic_name for end in (*node.subscriptions, *node.publishers)}
+    others = {name for name in own if not name.startswith('/cell/')}
+    assert others <= {'/parameter_events', '/rosout', '/predictor/transition_event'}
+    assert len(own - others) > 25
 
 
 def test_predictor_starts_with_its_files(root, make_predictor):
