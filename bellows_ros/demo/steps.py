@@ -42,11 +42,12 @@ MAX_ERROR = 2.0
 BUSY_LATENCY = 10e-3
 """Latency (99 %) above which the machine has been busy with other work, s."""
 
-QUEUE = 10_000
+PAUSE_QUEUE = 10_000
 """Length of the predictor's queues, messages: it may be paused for long on a busy machine."""
 
 RELIABLE = tuple(
-    word for topic in ('pose', 'twist') for setting in ('reliability:=reliable', f'depth:={QUEUE}')
+    word for topic in ('pose', 'twist')
+    for setting in ('reliability:=reliable', f'depth:={PAUSE_QUEUE}')
     for word in ('-p', f'qos_overrides./tool_arm/{topic}.subscription.{setting}'))
 """Arguments by which the predictor takes part in an exchange without loss."""
 

@@ -35,7 +35,7 @@ from std_srvs.srv import Trigger
 
 from .conversions import reader
 
-QUEUE = 10_000
+SEND_QUEUE = 10_000
 """Length of the queues: nothing is lost while a process is busy, messages."""
 
 TIMEOUT = 5.0
@@ -93,7 +93,7 @@ def play(
     with player_node('bellows_player') as (node, executor):
         publishers = {topic: publisher(node, topic, names[topic.name])
                       for topic in dict.fromkeys(m.topic for m in messages)}
-        clock_out = node.create_publisher(Clock, '/clock', QUEUE) if clock else None
+        clock_out = node.create_publisher(Clock, '/clock', SEND_QUEUE) if clock else None
         progress('waiting for a subscriber', 0.0)
         has_subscriber = spin_until(
             executor, lambda: any(p.get_subscription_count() for p in publishers.values()),
@@ -164,7 +164,7 @@ def publisher(node: Node, topic: Channel, name: str) -> Any:
     """Return a publisher of a recorded topic's messages under a name; it takes their bytes."""
     package, _, kind = topic.type_name.partition('/msg/')
     return node.create_publisher(
-        getattr(importlib.import_module(f'{package}.msg'), kind), name, QUEUE)
+        getattr(importlib.import_module(f'{package}.msg'), kind), name, SEND_QUEUE)
 
 
 START_TIMEOUT = 90.0
@@ -237,7 +237,7 @@ def converse(
         answers.setdefault(data[STAMP], (time.monotonic_ns(), data))
 
     with player_node('demo_player') as (node, executor):
-        node.create_subscription(PoseStamped, 'package/pose', receive, QUEUE, raw=True)
+        node.create_subscription(PoseStamped, 'package/pose', receive, SEND_QUEUE, raw=True)
         first = {names[message.topic.name]: message for message in reversed(messages)}
         publishers = {name: publisher(node, first[name].topic, name)
                       for name in (TWISTS, POSES) if name in first}

@@ -242,21 +242,22 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     described = tuple(_describe_topic(topic, streams, problems, start_ns) for topic in counts)
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
-    if not poses and any(topic.type_name == plans.TF and topic.messages for topic in counts):
-        notes.append(_frames_note(path))
+    if len(poses) < 2 and any(topic.type_name == plans.TF and topic.messages for topic in counts):
+        notes.append(_frames_note(path, has_poses=bool(poses)))
     return _with_roles(path, described, poses, twists, span, notes)
 
 
-def _frames_note(path: File) -> str:
-    """Return which frames move in the transforms, and how to make a recording with poses."""
+def _frames_note(path: File, has_poses: bool) -> str:
+    """Return the moving frames of the transforms, and the command that makes poses of them."""
+    frames = '--tool-link LINK' if has_poses else '--tool-frame FRAME --package-frame FRAME'
     moving = list(map(shown, plans.moving_frames(plans.read_transforms(path))))
     if len(moving) > MAX_FRAMES:
         moving[MAX_FRAMES:] = [f'and {len(moving) - MAX_FRAMES} more']
     return (
-        f'It has transforms instead of poses. Frames that move: {", ".join(moving) or "none"}. '
+        f'It has transforms instead of poses{" of the tool" * has_poses}. '
+        f'Frames that move: {", ".join(moving) or "none"}. '
         f"Make a recording with poses: 'bellows convert {shown(os.fspath(path))} "
-        "--tool-frame FRAME --package-frame FRAME --out with_poses'; of an arm whose joints are "
-        "recorded, with '--tool-link LINK --urdf FILE' instead of '--tool-frame FRAME'.")
+        f"{frames} --out with_poses'.")
 
 
 def _describe_topic(

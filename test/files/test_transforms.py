@@ -2,7 +2,7 @@
 
 from bellows_ros.core.geometry.lie import exp_se3, inverse_transform, rotation_to_quaternion
 from bellows_ros.errors import BellowsError, NoTopicError
-from bellows_ros.files.bag_writer import Encoded, write_bag
+from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.plans import poses_in, read_transforms, TF
 from bellows_ros.workflows.convert import bodies_in_transforms, to_bag
@@ -36,7 +36,7 @@ def message(parent, child, T, ns):
     return made.serialized(TF, [[(made.header(ns, parent), child, pose)]])
 
 
-def recording(folder, more=()):
+def recording(folder, more=(), topics=()):
     """Write a rail (20 Hz), an arm (100 Hz) on it, and a camera that sees a box (60 Hz)."""
     moving = [
         (T0 + round(k / rate * 1e9), parent, child, pose(k / rate))
@@ -50,7 +50,7 @@ def recording(folder, more=()):
     write_bag(folder, [
         Encoded('/tf_static', TF, np.full(3, T0), [message(*each, 0) for each in fixed]),
         Encoded('/tf', TF, np.array([each[0] for each in moving]), [
-            message(parent, child, T, ns) for ns, parent, child, T in moving])])
+            message(parent, child, T, ns) for ns, parent, child, T in moving]), *topics])
     return folder
 
 
@@ -126,3 +126,11 @@ def test_info_names_the_frames_that_move_and_how_to_convert(tmp_path):
     (note,) = [text for text in info(folder).notes if 'bellows convert' in text]
     assert 'base, box, flange' in note  # not what is fixed
     assert f'bellows convert {folder} --tool-frame' in note
+
+
+def test_info_names_the_link_of_the_tool_where_only_the_package_has_poses(tmp_path):
+    stamps = T0 + 10_000_000 * np.arange(100)
+    package = as_messages('/package/pose', made.POSE, stamps, made.pose_values(100))
+    (note,) = [text for text in info(recording(tmp_path / 'tf', topics=[package])).notes
+               if 'bellows convert' in text]
+    assert 'poses of the tool' in note and '--tool-link LINK' in note
