@@ -21,6 +21,14 @@ class BellowsError(Exception):
 
     exit_code = 2
 
+    def __init__(self, message: str = '') -> None:
+        """Escape foreign text in the message, whose lines stay, and bound its length."""
+        super().__init__(shown(message, MAX_MESSAGE, '\n'))
+
+
+MAX_MESSAGE = 2500
+"""Length of an error's message, characters: a screen."""
+
 
 class UnitWarning(UserWarning):
     """A number of the library's caller is likely in another unit."""

@@ -56,8 +56,8 @@ class PlanMessage:
         """Refuse several names for the one transform of each point."""
         if len(self.names) > 1:
             raise BellowsError(
-                f"The plan has the joint names {', '.join(self.names)}, but points with 1 "
-                'transform; expected 1 name. Send a plan of the tool alone.')
+                f"The plan has the joint names {shown(', '.join(self.names), 200)}, but points "
+                'with 1 transform; expected 1 name. Send a plan of the tool alone.')
 
 
 def decode_multi_dof(data: bytes) -> PlanMessage:

@@ -24,7 +24,7 @@ from bellows_ros.core.planning.points import require_count
 from bellows_ros.core.signals.screening import PoseSample, why_no_pose
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.signals.transforms import Chain
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, shown
 from bellows_ros.files import File, plan_messages, read_text, safe_yaml
 from bellows_ros.files.bags import (
     decoded,
@@ -115,7 +115,7 @@ def poses_in(
         rows += chain.due()
     if len(rows) < 2:
         raise BellowsError(
-            f"There are no poses of '{path[0]}' in '{world}' in {of}: "
+            f"There are no poses of '{shown(path[0])}' in '{shown(world)}' in {of}: "
             f'{chain.missing or "the transforms have no time in common"}. Record the transforms '
             'between them together, with stamps of one clock.')
     stamps, position, quaternion = map(np.array, zip(*rows, strict=True))
@@ -127,13 +127,14 @@ def _frames_to_root(parents: Mapping[str, str], frame: str, of: str) -> list[str
     """Return the frames from this one up to the root; refuse loops."""
     if frame not in {*parents, *parents.values()}:
         raise BellowsError(
-            f"Frame '{frame}' is not among the transforms of {of}. There are: "
-            f"{', '.join(sorted(parents)[:8]) or 'none'}.")
+            f"Frame '{shown(frame)}' is not among the transforms of {of}. There are: "
+            f"{shown(', '.join(sorted(parents)[:8]), 300) or 'none'}.")
     chain = [frame]
     while frame in parents:
         frame = parents[frame]
         if frame in chain:
-            loop = ' in '.join(f"'{name}'" for name in [*chain[chain.index(frame):], frame])
+            loop = ' in '.join(f"'{shown(name, 40)}'" for name in [
+                *chain[chain.index(frame):], frame])
             raise BellowsError(
                 f'The transforms of {of} form a loop: {loop}. A frame has one parent, which is '
                 'not below it; record without the publisher of one of these.')
@@ -208,7 +209,8 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
         return read
     except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as error:
         missing = getattr(error, 'name', '')
-        why = f"'{missing}' is missing" if missing else f'a part has another form ({error})'
+        why = (f"'{missing}' is missing" if missing else
+               f'a part has another form ({shown(str(error))})')
         raise BellowsError(
             f"'{name}' holds no plan: {why}. Expected one of {', '.join(PLAN_TYPES)} as 'ros2 "
             "topic echo --once --full-length' prints it, or a motion of 'bellows simulate'."

@@ -25,7 +25,7 @@ from ..core.live import health
 from ..core.live.load import check_live
 from ..core.model.grip import grip_of
 from ..core.parameters import checks
-from ..errors import BellowsError, shown
+from ..errors import BellowsError, MAX_MESSAGE, shown
 
 REPORT_PERIOD = 1.0
 
@@ -281,9 +281,10 @@ class Diagnostics:
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [
             DiagnosticStatus(
-                level=bytes([line.level]), name=f'{name}: {line.name}', message=line.message,
-                hardware_id='suction cup',
-                values=[KeyValue(key=key, value=value) for key, value in line.values.items()])
+                level=bytes([line.level]), name=f'{name}: {line.name}',
+                message=shown(line.message, MAX_MESSAGE), hardware_id='suction cup',
+                values=[KeyValue(key=key, value=shown(value, MAX_MESSAGE))
+                        for key, value in line.values.items()])
             for line in self._lines()]
         self._publisher.publish(message)
 
@@ -338,6 +339,6 @@ class Diagnostics:
         elif now >= self._due.setdefault(key, now + after):
             self._due[key] = now + LOG_INTERVAL
             if line.level == health.Level.ERROR and line.name in ERROR_LINES:
-                self._node.get_logger().error(line.message)
+                self._node.get_logger().error(shown(line.message, MAX_MESSAGE))
             else:  # another line of code: rclpy refuses a second severity from one
-                self._node.get_logger().warning(line.message)
+                self._node.get_logger().warning(shown(line.message, MAX_MESSAGE))

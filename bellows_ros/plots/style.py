@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
-from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.errors import BellowsError, require_pictures, shown
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
 import numpy as np
@@ -125,6 +125,9 @@ BELOW_HEAD = {'left': LEFT_EDGE, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
 """Edges of the panels of a figure of `SIZE`."""
 
 TITLE, NOTE = 0.31, 0.52  # inches from the top
+MAX_NOTE = 150
+"""Length of the conditions above the panels, characters."""
+
 MILLI, DEGREES = DISPLAY_FACTORS[[0, 3]]
 
 
@@ -145,7 +148,8 @@ def picture(
     with drawing(colours) as figures:
         figure = figures.Figure(figsize=size, dpi=dpi, label=title)
         figure.text(LEFT_EDGE, 1.0 - TITLE / size[1], title, fontsize=13.5, fontweight='bold')
-        figure.text(LEFT_EDGE, 1.0 - NOTE / size[1], note, color=colours.quiet)
+        plain = shown(note, MAX_NOTE).replace('$', r'\$')  # no mathematics in foreign names
+        figure.text(LEFT_EDGE, 1.0 - NOTE / size[1], plain, color=colours.quiet)
         yield figure, colours
 
 
@@ -294,8 +298,8 @@ def six_pairs(
             inner = outer[axis % 3, axis // 3].subgridspec(
                 2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
             upper, lower = pair = [figure.add_subplot(part) for part in inner]
-            for panel, shown in ((upper, lines), (lower, (error,))):
-                for _, colour, width, seconds, values in shown:
+            for panel, curves in ((upper, lines), (lower, (error,))):
+                for _, colour, width, seconds, values in curves:
                     panel.plot(seconds, values[:, axis], color=getattr(colours, colour),
                                linewidth=width)
             upper.set_title(titles[axis], loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)

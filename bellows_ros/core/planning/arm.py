@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.parameters.checks import MAX_NUMBER
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, shown
 import numpy as np
 
 MAX_URDF_SIZE = 10_000_000
@@ -91,9 +91,10 @@ class Arm(NamedTuple):
         missing = [name for name in self.moving if name not in names]
         if missing:
             raise BellowsError(
-                f"{of} lacks the joint '{missing[0]}' on the way from '{self.root}' to "
-                f"'{self.tool_link}'; it has {', '.join(names) or 'none'}. Give the URDF of this "
-                'arm, or another tool_link.')
+                f"{of} lacks the joint '{shown(missing[0])}' on the way from "
+                f"'{shown(self.root)}' to '{shown(self.tool_link)}'; it has "
+                f"{shown(', '.join(names), 300) or 'none'}. Give the URDF of this arm, or another "
+                'tool_link.')
         return [list(names).index(name) for name in self.moving]
 
     def tool(self, position: Array, velocity: Array | None = None) -> tuple[Array, Array]:
@@ -191,12 +192,13 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     if tool_link not in links:
         match = get_close_matches(tool_link, links, n=1)
         raise BellowsError(
-            f"tool_link '{tool_link}' is not in the URDF. "
-            + (f"Did you mean '{match[0]}'?" if match else f'There are: {", ".join(links[:20])}.'))
+            f"tool_link '{shown(tool_link)}' is not in the URDF. "
+            + (f"Did you mean '{shown(match[0])}'?" if match else
+               f'There are: {shown(", ".join(links[:20]), 300)}.'))
     chain, link = list[ElementTree.Element](), tool_link
     while link in by_child:
         if len(chain) > len(by_child):
-            raise BellowsError(f"The URDF has a circle of joints at the link '{link}'.")
+            raise BellowsError(f"The URDF has a circle of joints at the link '{shown(link)}'.")
         chain.append(by_child[link])
         link = _link(by_child[link], 'parent')
     by_name = {joint.get('name', ''): joint for joint in robot.findall('joint')}
@@ -204,7 +206,7 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     if not arm.moving:
         raise BellowsError(
             f"No joint of the URDF moves tool_link '{tool_link}'; expected the link at the tool "
-            f'tip. Links that joints carry: {", ".join(list(by_child)[:20])}.')
+            f'tip. Links that joints carry: {shown(", ".join(list(by_child)[:20]), 300)}.')
     return arm
 
 
@@ -220,14 +222,15 @@ def _robot(urdf: str) -> ElementTree.Element:
         raise BellowsError(f'The URDF is not XML: {error}. If it is a xacro file, run xacro '
                            'first.') from None
     if robot.tag != 'robot':
-        raise BellowsError(f'A URDF starts with <robot>, this one with <{robot.tag}>.')
+        raise BellowsError(f'A URDF starts with <robot>, this one with <{shown(robot.tag)}>.')
     return robot
 
 
 def _link(joint: ElementTree.Element, role: str) -> str:
     """Return the parent's or child's name of a joint."""
     if not (name := _attributes(joint, role).get('link', '')):
-        raise BellowsError(f"Joint '{joint.get('name', '')}' of the URDF has no {role} link.")
+        raise BellowsError(
+            f"Joint '{shown(joint.get('name', ''))}' of the URDF has no {role} link.")
     return name
 
 
@@ -242,15 +245,15 @@ def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Eleme
     name, kind = element.get('name', ''), element.get('type', '')
     if kind not in ('fixed', *TURNING, *SLIDING):
         raise BellowsError(
-            f"Joint '{name}' on the way to the tool is {kind or 'of no kind'}; fixed, revolute, "
-            'continuous and prismatic joints can be followed.')
+            f"Joint '{shown(name)}' on the way to the tool is {shown(kind) or 'of no kind'}; "
+            'fixed, revolute, continuous and prismatic joints can be followed.')
     mimic, drive, ratio, offset = element.find('mimic'), '', 1.0, 0.0
     if mimic is not None and kind != 'fixed':
         drive = mimic.get('joint', '')
         if drive not in by_name or by_name[drive].find('mimic') is not None:
             raise BellowsError(
-                f"Joint '{name}' on the way to the tool mimics '{drive}'; expected a joint of the "
-                'URDF that mimics no other. Name the joint that is driven.')
+                f"Joint '{shown(name)}' on the way to the tool mimics '{shown(drive)}'; expected "
+                'a joint of the URDF that mimics no other. Name the joint that is driven.')
         ratio, offset = (float(_numbers(name, f'mimic {key}', mimic.get(key, default), 1)[0])
                          for key, default in (('multiplier', '1'), ('offset', '0')))
     origin = _attributes(element, 'origin')
@@ -258,7 +261,7 @@ def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Eleme
     axis = _numbers(name, 'axis', _attributes(element, 'axis').get('xyz', '1 0 0'))
     length = float(np.linalg.norm(axis))
     if kind != 'fixed' and not length > 0.0:
-        raise BellowsError(f"Joint '{name}' of the URDF has an axis of zero length.")
+        raise BellowsError(f"Joint '{shown(name)}' of the URDF has an axis of zero length.")
     pose = lie.transform(
         lie.rpy_rotation(_numbers(name, 'rpy', origin.get('rpy', '0 0 0'))),
         _numbers(name, 'xyz', origin.get('xyz', '0 0 0')))
@@ -281,5 +284,6 @@ def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:
     if numbers.shape != (count,) or not (np.abs(numbers) < largest).all():
         wanted = 'a number' if count == 1 else 'three numbers'
         raise BellowsError(
-            f"Joint '{name}' of the URDF: {what} must be {wanted}, got '{text[:60]}'.")
+            f"Joint '{shown(name)}' of the URDF: {what} must be {wanted}, got "
+            f"'{shown(text, 60)}'.")
     return numbers
