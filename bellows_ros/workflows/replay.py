@@ -267,13 +267,16 @@ class Replay(CommandResult):
         smallest, validation, factors = self.margin, self.validation, self._factors
         if smallest is None or factors is None:
             raise BellowsError(plan.NO_FACTOR)
-        rests = validation.start == 'equilibrium'
-        tool = plan.from_rest(validation.tool) if rests else validation.tool
-        along = plan.curves(self.values, validation.model, grip_of(self.values), tool,
-                            None if rests else validation.state)
+        std = list[Array]()
+        for run in validation.runs:
+            rests = run.start == 'equilibrium'
+            along = plan.curves(
+                self.values, validation.model, grip_of(self.values),
+                plan.from_rest(run.tool) if rests else run.tool, None if rests else run.state)
+            std.append(along.std[:, 4:6])
         return Margins(
-            self.recording.since_start(tool.stamps_ns),
-            np.minimum(factors[:, :2], plan.MAX_DRAWN_FACTOR), along.std[:, 4:6], smallest,
+            self.recording.since_start(validation.tool.stamps_ns),
+            np.minimum(factors[:, :2], plan.MAX_DRAWN_FACTOR), np.concatenate(std), smallest,
             float(self.values.safety.least))
 
     @property
