@@ -32,7 +32,7 @@ def outcome(laboratory, cause, other=''):
     """
     try:
         recordings = laboratory.recordings()
-        warned = ' '.join(own for one in recordings for own in one.report.warnings)
+        warned = ' '.join(own.code for one in recordings for own in one.report.remarks)
         values = parameters(laboratory)
         length = values['cup.length']
         found = None if facts(recordings, length) else fit(recordings, values).fit
@@ -51,7 +51,7 @@ def outcome(laboratory, cause, other=''):
     if other and named:
         return of_two(named, cause, other), said
     if cause == SOUND:
-        if verdict.refusals or 'does not return' in warned:
+        if verdict.refusals or 'step' in warned:
             return 'refused', f'{said} {warned}'
         return 'right', said
     if verdict.cause and findings:

@@ -29,7 +29,7 @@ from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.report.sentences import sentence
-from bellows_ros.workflows.recordings import within_interval
+from bellows_ros.workflows.recordings import remark_sentences, within_interval
 import numpy as np
 
 REST_FRACTION = 0.9
@@ -295,7 +295,7 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
             'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
                 ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
                 if len(x)},
-            'warnings': tuple(preparation.stream_warnings(
+            'warnings': remark_sentences(preparation.remarks_on(
                 recording.StreamReport(stream, time, outliers, arrivals=arrivals)))}
     return quality
 
@@ -419,7 +419,7 @@ def _initial_rest(
     duration = max(0.1, float(np.floor(10.0 * REST_FRACTION * rest.seconds) / 10.0))
     settings = {'recording.align_at_rest': aligned, 'recording.rest_duration': duration}
     return rest.seconds, settings, [
-        *notes, *(() if separate else rest.turned_sentence)]
+        *notes, *(() if separate else remark_sentences(rest.remarks))]
 
 
 def longest_hold(tool: Trajectory) -> float:

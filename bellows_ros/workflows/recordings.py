@@ -21,6 +21,7 @@ from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import bag_folder, bags, File, parameter_files
+from bellows_ros.report.sentences import sentence
 import numpy as np
 
 Progress = Callable[..., None]
@@ -140,11 +141,25 @@ def prepare_streams(
     streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str = ''
 ) -> Recording:
     """
-    Return prepared streams, in one world and on one clock.
+    Return prepared streams, in one world and on one clock, with sentences on their remarks.
 
     Streams are poses of tool and package, and twists of the tool if there are any, by the names
     of their topics.
     """
+    recording = _prepared(streams, settings, values, name)
+    return replace(recording, report=replace(
+        recording.report, warnings=remark_sentences(recording.report.remarks)))
+
+
+def remark_sentences(remarks: Iterable[frames.Remark]) -> tuple[str, ...]:
+    """Return sentences on the poses of a recording."""
+    return tuple(sentence('recording', remark.code, **remark.numbers) for remark in remarks)
+
+
+def _prepared(
+    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str = ''
+) -> Recording:
+    """Return prepared streams, in one world and on one clock."""
     streams = within_interval(streams, values)
     for stream in streams.values():
         if not len(stream):
@@ -178,10 +193,9 @@ def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
     """Return a sentence about the time offset of a recording, unless unknown."""
     if offset is None or not math.isfinite(offset.std):
         return []
-    where = 'behind' if offset.value >= 0.0 else 'ahead of'
-    return [
-        f'{bag}: the stamps of the tool were {1e3 * abs(offset.value):.3f} ± '
-        f'{1e3 * offset.std:.3f} ms {where} those of the package; this was corrected.']
+    later, other = ('a tool', 'camera') if offset.value >= 0.0 else ('a camera', 'tool')
+    return [sentence('recording', 'offset', bag=str(bag), later=later, other=other,
+                     offset=abs(offset.value), std=offset.std)]
 
 
 def world_sentence(bag: object, estimated: prepared.PackageWorld | None) -> list[str]:

@@ -18,11 +18,6 @@ from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
-NO_OFFSET = (
-    'The time offset between tool and package is not identifiable from this recording; its '
-    'stamps were used unchanged. Record a motion that is richer in all directions.')
-"""Used if a time offset is wanted and not identifiable."""
-
 
 def registered_recording(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
@@ -73,7 +68,7 @@ def _registered(
         recording = with_tool_earlier(recording, result.offset.value)
         changes['time_offset'] = TimeOffset(rough_s + result.offset.value, result.offset.std)
     elif values.fit.time_offset:
-        changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
+        changes['remarks'] = (*recording.report.remarks, frames.Remark('no_offset', {}))
     return replace(recording, report=replace(recording.report, **changes))
 
 

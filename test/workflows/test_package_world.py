@@ -94,8 +94,9 @@ def test_it_is_said_and_written_where_it_belongs(result, bag, settings, tmp_path
     kept = read_parameters(tmp_path / 'cup.yaml')
     pose = result.parts[0].package_world.pose
     (offset,), (error,) = result.fit.delays, result.fit.delays_std
-    assert any(f'{1e3 * offset:.3f} ±' in line and 'behind' in line for line in result.findings)
-    assert 'ms behind those of the package' in (tmp_path / 'cup.yaml').read_text()
+    assert any(f'{1e3 * offset:.3f} ms ±' in line and 'later than' in line
+               for line in result.findings)
+    assert 'later than the camera stamp of the same instant' in (tmp_path / 'cup.yaml').read_text()
     assert kept['recording.package_world'] == ' '.join(f'{x:.10g}' for x in pose)
     content = json.loads(format_json(result.as_json()))
     assert content['time_offsets'] == [offset] and content['time_offsets_std'] == [error]

@@ -13,10 +13,9 @@ Where tool and package are tracked in two worlds, the transform between these br
 poses into the frame of the tool's before anything else is done with them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
-import tomllib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
@@ -26,8 +25,13 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
-WARNINGS = tomllib.loads(Path(__file__).with_name('warnings.toml').read_text())
-"""What the user should know of a recording, in words: of a `topic`, and of the `package`."""
+
+class Remark(NamedTuple):
+    """A fact that the user should know: its code in the texts 'recording', and SI numbers."""
+
+    code: str
+    numbers: Mapping[str, Any]
+
 
 DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of gravity in a world with z up."""
@@ -253,12 +257,11 @@ class Rest(NamedTuple):
                 and bool(self.turned > max(MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT * self.tilts[0])))
 
     @property
-    def turned_sentence(self) -> tuple[str, ...]:
-        """A sentence about marker frames that are turned, or none."""
-        if not self.is_turned:
-            return ()
-        tool, package, turned = np.rad2deg([*self.tilts, self.turned])
-        return (WARNINGS['package']['turned'].format(tool=tool, package=package, turned=turned),)
+    def remarks(self) -> tuple[Remark, ...]:
+        """The rotation of the marker frames against each other, if it is large."""
+        tool, package = self.tilts
+        return (Remark('turned', {'tool': tool, 'package': package, 'turned': self.turned}),) * (
+            self.is_turned)
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:

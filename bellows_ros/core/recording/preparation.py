@@ -18,7 +18,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-from .alignment import aligned_at_rest, Alignment, in_world, rest_of, standstill, WARNINGS
+from .alignment import aligned_at_rest, Alignment, in_world, Remark, rest_of, standstill
 from .outliers import find_outliers, increments_of, LastingStep, repeats_in_motion
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
@@ -84,10 +84,10 @@ def prepare(
             of_body.poses.between(*of_body.stamps_ns[[0, -1]]).valid & ~of_body.whole)),
             interpolated=int(np.count_nonzero(of_body.poses.valid & ~poses.valid)))
         for report, of_body, poses in zip((of_tool, of_package), filters, aligned, strict=True))
-    warnings = [*stream_warnings(of_tool), *stream_warnings(of_package)]
+    remarks = [*remarks_on(of_tool), *remarks_on(of_package)]
     if as_they_are:
-        warnings += rest_of(tool_poses, package_poses).turned_sentence
-    report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
+        remarks += rest_of(tool_poses, package_poses).remarks
+    report = Report(of_tool, of_package, (*remarks, *_alignment_remarks(alignment, settings)))
     return _joined(Recording(
         settings, tool, package, tool_twist, filters, *aligned,
         aligned[1] if of_package.timing.uniform else alignment.package(tracked),
@@ -116,8 +116,10 @@ def _joined(recording: Recording) -> Recording:
     if not recording.whole.any():
         both = report.tool, report.package
         none_left = f'None of the {len(common)} common samples is left'
-        if bursts := burst_sentence(*both):
-            raise BellowsError(f'{bursts} {none_left} between the gaps of such stamps.')
+        if any(_in_bursts(report) for report in both):
+            raise BellowsError(
+                'The poses come in bursts, as if stamped on arrival: stamp them when they are '
+                f'measured. {none_left} between the gaps of such stamps.')
         faults = '; '.join(
             f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
             f'{len(r.timing.gaps)} gaps, {r.overlapping_gap} filtered samples touch one of these'
@@ -221,53 +223,53 @@ def _shifted_alike(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> St
         len(stamps_ns))) + np.arange(len(stamps_ns))
 
 
-def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list[str]:
-    """Return what the user should know of how the package was picked up."""
+def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[Remark]:
+    """Return remarks on the place at which the package was picked up."""
     aside = float(np.linalg.norm(alignment.lateral_offset))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
-    return [WARNINGS['package'][name].format(aside=1e3 * size) for name, size, is_due in (
+    return [Remark(code, {'aside': size}) for code, size, is_due in (
         ('aside', aside, aside > MAX_LATERAL_OFFSET),
         ('com_aside', lateral_com, settings.align_at_rest and lateral_com > MAX_LATERAL_COM))
         if is_due]
 
 
-def stream_warnings(report: StreamReport) -> list[str]:
-    """Return what the user should know about the poses of one topic, before or after a fit."""
+def remarks_on(report: StreamReport) -> list[Remark]:
+    """Return remarks on the poses of one topic, before or after a fit."""
     recorded, time, arrivals = report.recorded, report.timing, report.arrivals
-
-    def said(name: str, **values: object) -> str:
-        return str(WARNINGS['topic'][name].format(topic=recorded.name, **values))
-
+    topic = {'topic': recorded.name}
     lasting = lasting_steps(report)
-    steps = [
-        said('step', shift=1e3 * step.position, rotation=np.degrees(step.rotation),
-             at=(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S)
+    remarks = [Remark('step', {
+        **topic, 'shift': step.position, 'rotation': step.rotation,
+        'at': float(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S})
         for step in lasting]
     if len(lasting) > MAX_POSE_STEPS:
-        steps = [said('steps', count=len(lasting), shift=1e3 * max(step[1] for step in lasting))]
+        remarks = [Remark('steps', {
+            **topic, 'count': len(lasting), 'shift': max(step.position for step in lasting)})]
+    if arrivals:
+        remarks.append(Remark('arrivals', {
+            **topic, 'replaced': arrivals.replaced, 'jitter': arrivals.jitter_s,
+            'latest': arrivals.latest_s, 'position': float(arrivals.smoother[0]),
+            'rotation': float(arrivals.smoother[1]), 'position_before': float(arrivals.rougher[0]),
+            'rotation_before': float(arrivals.rougher[1])}))
+    elif _in_bursts(report):
+        return [Remark('bursts', topic), *remarks]
     good = recorded.position[report.outliers.good]
     travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
-    if arrivals:
-        steps.append(said(
-            'arrivals', replaced=arrivals.replaced, jitter=1e3 * arrivals.jitter_s,
-            latest=1e3 * arrivals.latest_s, smoother=1e3 * arrivals.smoother,
-            rougher=1e3 * arrivals.rougher))
-    elif bursts := burst_sentence(report):
-        return [bursts, *steps]
-    return steps + [warning for is_due, warning in (
-        (travel > MAX_TRAVEL, said('travel', travel=travel)),
-        (time.rate_hz < LOW_RATE_HZ, said('low_rate', rate=time.rate_hz, least=LOW_RATE_HZ)),
-        (repeats > MAX_REPEAT_FRACTION * len(recorded), said('repeats', count=repeats)),
-        (time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER,
-         said('jitter', jitter=1e3 * time.jitter_s, rate=time.rate_hz))) if is_due]
+    return remarks + [Remark(code, {**topic, **numbers}) for is_due, code, numbers in (
+        (travel > MAX_TRAVEL, 'travel', {'travel': travel}),
+        (time.rate_hz < LOW_RATE_HZ, 'low_rate', {'rate': time.rate_hz, 'least': LOW_RATE_HZ}),
+        (repeats > MAX_REPEAT_FRACTION * len(recorded), 'repeats', {'count': repeats}),
+        (report.stamp_resolution > 0.0, 'quantised', {
+            'tick': report.stamp_resolution, 'repeated': report.repeated_stamps,
+            'poses': len(recorded) + report.repeated_stamps}),
+        (not report.stamp_resolution and (
+            time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER),
+         'jitter', {'jitter': time.jitter_s, 'rate': time.rate_hz})) if is_due]
 
 
-def burst_sentence(*reports: StreamReport) -> str:
-    """Return a sentence on streams whose poses come right after another, '' without any."""
-    bursts = [f"'{report.recorded.name}'" for report in reports if resampling.in_bursts(
-        report.recorded.stamps_ns, report.timing)]
-    return WARNINGS['topic']['bursts'].format(topics=' and '.join(bursts)) if bursts else ''
+def _in_bursts(report: StreamReport) -> bool:
+    return resampling.in_bursts(report.recorded.stamps_ns, report.timing)
 
 
 def lasting_steps(report: StreamReport) -> list[LastingStep]:

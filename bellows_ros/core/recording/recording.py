@@ -14,10 +14,17 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import Package, STANDARD_GRAVITY
 from bellows_ros.core.parameters.checks import ESTIMATE
-from bellows_ros.core.recording.alignment import Alignment, rest_of, world_rotation
+from bellows_ros.core.recording.alignment import Alignment, Remark, rest_of, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.resampling import ArrivalStamps, cubic, MAD_TO_STD, resample, Timing
+from bellows_ros.core.signals.resampling import (
+    ArrivalStamps,
+    cubic,
+    MAD_TO_STD,
+    resample,
+    resolution,
+    Timing,
+)
 from bellows_ros.core.signals.savgol import savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, shown, UndeterminedError
@@ -357,6 +364,26 @@ class StreamReport:
     interpolated: int = 0
     arrivals: ArrivalStamps | None = None
 
+    @cached_property
+    def repeated_stamps(self) -> int:
+        """Number of messages left out since their stamps repeat the one before."""
+        return len(self.recorded.refused.get('duplicate_stamp', ()))
+
+    @cached_property
+    def stamp_resolution(self) -> float:
+        """Resolution of rounded or repeated stamps, s; 0 if they are fine enough."""
+        count, stamps_ns = len(self.recorded), self.recorded.stamps_ns
+        if self.repeated_stamps > STAMP_NOISE_PART * count:
+            return float(np.median(np.diff(stamps_ns))) / trajectory.NS_PER_S
+        return resolution(stamps_ns)
+
+    @property
+    def stamp_std(self) -> float:
+        """Standard deviation of rounded stamps, s; of repeated ones the first pose is used."""
+        count = len(self.recorded)
+        part = count / (count + self.repeated_stamps)
+        return float(part * self.stamp_resolution / np.sqrt(12.0))
+
     @property
     def marked(self) -> int:
         """Poses marked as wrong."""
@@ -369,6 +396,7 @@ class StreamReport:
             'rate_hz': self.timing.rate_hz,
             'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
             'outliers': self.marked,
+            'stamp_resolution_s': self.stamp_resolution,
             'arrival_stamps_replaced': self.arrivals.replaced if self.arrivals else 0,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
@@ -407,6 +435,10 @@ class TimeOffset(NamedTuple):
         return {**self._asdict(), 'unit': 's'}
 
 
+STAMP_NOISE_PART = 0.05
+"""Part of the poses that may have repeated stamps without more noise in motion."""
+
+
 @dataclass(frozen=True, eq=False)
 class Report:
     """
@@ -416,8 +448,10 @@ class Report:
     ----------
     tool, package : StreamReport
         Of the two topics.
+    remarks : tuple of Remark
+        Facts on the poses and on their alignment that the user should know.
     warnings : tuple of str
-        What the user should know, in words.
+        Sentences that workflows make of them, and notes on the files.
     time_offset : TimeOffset or None
         What was taken from the tool's stamps, where that was wanted and identifiable.
     package_world : PackageWorld or None
@@ -427,7 +461,8 @@ class Report:
 
     tool: StreamReport
     package: StreamReport
-    warnings: tuple[str, ...]
+    remarks: tuple[Remark, ...] = ()
+    warnings: tuple[str, ...] = ()
     time_offset: TimeOffset | None = None
     package_world: PackageWorld | None = None
 
@@ -477,6 +512,12 @@ class Filter:
     def filtered(self) -> Filtered:
         """The filtered poses."""
         return savgol(self.poses, self.half_window, self.order)
+
+    @property
+    def rms_twist(self) -> Array:
+        """RMS (6,) of the twist, m/s and rad/s."""
+        twist = self.filtered.twist[self.filtered.valid]
+        return np.asarray(np.sqrt(np.mean(twist**2, axis=0))) if len(twist) else np.zeros(6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -631,7 +672,12 @@ class Recording:
             still = self._still(self.tracked_package)
             if len(still) >= MIN_SAMPLES_AT_REST:
                 of_package = noise_at_rest(still)
-        return of_tool, of_package
+        reports = self.report.tool, self.report.package
+        tool, package = (
+            noise._replace(std=np.maximum(noise.std, report.stamp_std * body.rms_twist))
+            if report.stamp_std else noise for noise, report, body in zip(
+                (of_tool, of_package), reports, self.filters, strict=True))
+        return tool, package
 
     def _still(self, poses: Trajectory) -> Trajectory:
         """Return the valid poses of a body while both stand still at the beginning."""
