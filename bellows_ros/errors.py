@@ -1,6 +1,9 @@
 """Errors with a message for the user, and what to install where an optional package is missing."""
 
 import importlib.util
+from pathlib import Path
+import sys
+import sysconfig
 from typing import Any
 
 
@@ -67,6 +70,7 @@ class NoReleaseError(NoLandingError):
 
 
 PACKAGES = {
+    'fast': 'numba',
     'ros': "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
     'plot': 'matplotlib',
     'video': 'imageio-ffmpeg',
@@ -75,8 +79,17 @@ PACKAGES = {
 
 
 def install(extra: str) -> str:
-    """Return the command that installs an extra."""
-    return f'pip install {PACKAGES[extra]}'
+    """
+    Return the command that installs an extra in this Python.
+
+    Python of Ubuntu 24.04, which ROS uses, comes without pip, and accepts packages for a user
+    only; its own NumPy has to stay, as its SciPy needs that one.
+    """
+    marker = Path(sysconfig.get_path('stdlib'), 'EXTERNALLY-MANAGED')
+    if sys.prefix != sys.base_prefix or not marker.exists():
+        return f'pip install {PACKAGES[extra]}'
+    return ('sudo apt-get install -y python3-pip && pip install --user --break-system-packages '
+            f"{PACKAGES[extra]} 'numpy<2'")
 
 
 def require_pictures() -> None:

@@ -98,13 +98,20 @@ def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root):
     assert not {'python3-numba', 'numba', 'rosbags'} & needs
 
 
-def test_what_messages_tell_to_install_is_what_the_extras_need(root):
+def test_what_messages_tell_to_install_is_what_the_extras_need(root, tmp_path, monkeypatch):
     """Name the packages of setup.py, quoted for a shell, as this package is on no index yet."""
     extras = setup_extras(root)
     for extra, packages in PACKAGES.items():
         needs = [need.partition('>')[0] for need in extras[extra]]
         assert packages == shlex.join(needs)
         assert install(extra) == f'pip install {packages}'
+    monkeypatch.setattr('sysconfig.get_path', lambda name: str(tmp_path))
+    monkeypatch.setattr('sys.base_prefix', sys.prefix)
+    (tmp_path / 'EXTERNALLY-MANAGED').touch()  # as of Ubuntu, outside an environment
+    assert shlex.split(install('fast'))[-4:] == [
+        '--user', '--break-system-packages', 'numba', 'numpy<2']
+    command = install('fast').rpartition('numba')[0]
+    assert command in (root / 'docs' / 'install.md').read_text()
     sources = [*root.glob('bellows_ros/**/*.py'), *root.glob('docs/*.md'), root / 'README.md']
     assert not [str(file) for file in sources if "'bellows_ros[" in file.read_text()]
 

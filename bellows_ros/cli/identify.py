@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, install
 from bellows_ros.report.sentences import listed, many
 from bellows_ros.report.text import column, display_unit, formatted, print_identification
 from bellows_ros.workflows.identification import Identification, save
@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     if not COMPILED and settings.get('fit.method', 'output_error') == 'output_error':
         console.warn(
             'numba is not installed, and without it the fit takes about half a minute for each '
-            'second recorded. Install numba, or set fit.method: least_squares.')
+            f'second recorded. Install it ({install("fast")}), or set fit.method: least_squares.')
     result = identify(settings, console.progress, arguments.params, arguments.jobs,
                       arguments.dask, arguments.force)
     if arguments.report:
