@@ -18,7 +18,6 @@ from bellows_ros.core.identification.given import as_found
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.structure_selection import select_structure
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.parameters import checks
@@ -299,6 +298,8 @@ def _identify(
         effective)
     selected = None
     if values.fit.compare_structures:
+        from bellows_ros.core.identification.structure_selection import select_structure
+
         progress('comparing structures', FIT_ENDS)
         selected = select_structure(
             [samples_of(recording) for recording in recordings], effective.cup.length,

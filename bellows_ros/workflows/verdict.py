@@ -10,7 +10,6 @@ from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.given import as_found, given_std
 from bellows_ros.core.identification.quantities import Free, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
-from bellows_ros.core.identification.search import MISFIT_CHI2
 from bellows_ros.core.identification.validation import validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import given_structure, Structure
@@ -29,6 +28,12 @@ MAX_SIMULATED = 50_000
 
 UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
+
+MAX_RMS_TO_NOISE = 3.0
+"""Largest error of a free simulation, times the noise, whatever the standard errors allow."""
+
+MAX_RMS_TO_MOTION = 0.01
+"""Error of a free simulation, in the motion, that never refuses a cup."""
 
 DRAWS, SIGMAS = 5, 3.0
 """Cups drawn from the standard errors, and how many standard deviations are allowed."""
@@ -64,8 +69,10 @@ class Simulated(NamedTuple):
     @property
     def largest(self) -> Array:
         """Largest RMS errors (6,) that noise and the standard errors of K and P explain."""
-        return np.asarray(np.hypot(
-            methods.MAX_MISFIT_TO_NOISE * self.noise, SIGMAS * np.asarray(self.uncertainty)))
+        allowed = np.hypot(
+            methods.MAX_MISFIT_TO_NOISE * self.noise, SIGMAS * np.asarray(self.uncertainty))
+        return np.asarray(np.minimum(allowed, np.maximum(
+            MAX_RMS_TO_NOISE * self.noise, MAX_RMS_TO_MOTION * self.motion)))
 
     @property
     def sentence(self) -> str:
@@ -112,12 +119,10 @@ class FitVerdict(NamedTuple):
 
     @property
     def wrong(self) -> list[causes.Finding]:
-        """Without which no cup is right: what is certain, or first, likely, large, and moves K."""
-        return [finding for number, finding in enumerate(self.causing) if (
-            finding.certain and (
-                finding.datum or finding.name == 'structure' and (
-                    finding.left < causes.DISTINCT**2 or (self.chi2 or 0.0) > MISFIT_CHI2))
-            or finding.datum and number == 0 and self.chi2 is not None and finding.name in LOCAL
+        """Findings that refuse a cup: certain ones, and likely ones that change K materially."""
+        return [finding for finding in self.causing if finding.datum and (
+            finding.certain
+            or self.chi2 is not None and finding.name in LOCAL
             and finding.likely and finding.moved > causes.MATERIAL
             and not _is_within(finding, self.expected))]
 
@@ -165,6 +170,8 @@ class FitVerdict(NamedTuple):
         if not self.diagnosis.findings:
             return ()
         first, *others = self.causing
+        if first.name == 'unknown':
+            return self._unknown(first, others)
         besides = [f'Besides{"" if finding.certain else ", likely"}: '
                    f'{causes.finding_sentence(finding, self.given)}' for finding in others]
         if first.is_fact and not others:
@@ -185,6 +192,16 @@ class FitVerdict(NamedTuple):
                     ' recording.align_at_rest supposes one world for both bodies: if they may be '
                     'in two, set recording.package_world: estimate.'
                     if self.given.get('recording.align_at_rest') else ''),)
+
+    def _unknown(
+        self, residual: causes.Finding, candidates: Sequence[causes.Finding]
+    ) -> tuple[str, ...]:
+        """Return the sentence on an unknown cause, and the likeliest settings without a claim."""
+        if self.is_at_noise:
+            return ()
+        settings = dict.fromkeys(causes.setting_of(finding) for finding in candidates)
+        return (causes.finding_sentence(residual, self.given).strip(), *(
+            [f'Likeliest, but not certain: {" or ".join(settings)}.'] if settings else []))
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -300,8 +317,10 @@ def _judged(
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation), structure.places)
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, structure)
     return verdict._replace(
-        simulated=tuple(_simulated(cup, as_found(recording, fit.nuisances, number), others)
-                        for number, recording in enumerate(tested) if fit.usable),
+        simulated=tuple(
+            _simulated(cup, as_found(recording, fit.nuisances, number), others,
+                       fit.noise_in_motion.get(number))
+            for number, recording in enumerate(tested) if fit.usable),
         chi2=fit.robust_chi2, log_inertia_ratio=log_inertia_ratio,
         expected={name: std for name, std in given_std(values).items() if name in LOCAL},
         found=_found(fit, values, tested[0].payload, length))
@@ -343,8 +362,11 @@ def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
             for K, P in matrices if min(np.linalg.eigvalsh(K)[0], np.linalg.eigvalsh(P)[0]) > 0.0]
 
 
-def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Simulated:
-    """Return a recording simulated freely; all of it is unexplained where that is not possible."""
+def _simulated(
+    cup: Cup, recording: Recording, others: Sequence[Cup] = (),
+    noise_in_motion: Array | None = None,
+) -> Simulated:
+    """Return a free simulation of a recording; a simulation that fails explains no motion."""
     try:
         result = validate(cup, recording, MAX_SIMULATED)
         beyond = result.moves & ~(result.model_error <= UNEXPLAINED)
@@ -356,8 +378,12 @@ def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Si
         with suppress(UnstableError):
             changes.append(validate(other, recording, MAX_SIMULATED).predicted - result.predicted)
     seconds = float(np.ptp(result.stamps_ns)) / NS_PER_S
+    noise = result.noise
+    if noise_in_motion is not None:
+        noise = np.sqrt(noise**2 + np.maximum(
+            noise_in_motion**2 - recording.body_noise[1].std**2, 0.0))
     return Simulated(
-        recording.name, result.scores.rms, result.noise, result.scores.motion,
+        recording.name, result.scores.rms, noise, result.scores.motion,
         tuple(AXES[i] for i in np.flatnonzero(beyond)),
         seconds if len(recording.valid) > MAX_SIMULATED else 0.0,
         np.sqrt(np.nanmean(np.square(changes), axis=(0, 1))) if changes else 0.0)

@@ -12,6 +12,7 @@ from functools import cache
 import gc
 import hashlib
 import mmap
+import os
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, TypeVar, TypeVarTuple
@@ -103,6 +104,17 @@ def release_compiler() -> None:
             start, end = (int(address, 16) for address in line.split()[0].split('-'))
             ctypes.CDLL(None).madvise(
                 ctypes.c_void_p(start), ctypes.c_size_t(end - start), mmap.MADV_DONTNEED)
+
+
+def usable_cores() -> int:
+    """Return the number of cores that affinity and the limit of a container leave to threads."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
+        os.cpu_count() or 1)
+    limit = Path('/sys/fs/cgroup/cpu.max')
+    with suppress(OSError, ValueError):  # no container, or no limit
+        quota, period = map(int, limit.read_text().split())
+        cores = min(cores, -(-quota // period))
+    return max(cores, 1)
 
 
 def as_inputs(*arrays: *Arrays) -> tuple[*Arrays]:

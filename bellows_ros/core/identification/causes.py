@@ -3,7 +3,7 @@ What may be wrong with a recording, or with what was given with it: one list of 
 
 Each cause has a name, the parameter to change, and a sentence with a remedy, in `causes.toml`.
 Some are seen in a recording without any fit, and corrected in it. What is left is tried by
-simulation (`given`, `alternatives`). All of them end in a `Finding`.
+simulation (`diagnosis`). All of them end in a `Finding`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,9 +30,6 @@ from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
-
-SIGNIFICANT = 6.0
-"""Standard errors that a significant change is away from nothing."""
 
 MATERIAL = 0.05
 """Part by which a material change moves an entry of K, or a twist."""
@@ -160,8 +157,7 @@ class Finding(NamedTuple):
         Others are found by their standard errors alone: of each pose a drift or a slip is hardly
         any, and friction counts to first order only.
         """
-        return self.certain or self.left**2 < DISTINCT or self.name in (
-            'world_drift', 'slip', 'friction')
+        return self.certain or self.left**2 < DISTINCT or self.name == 'slip'
 
 
 class Diagnosis(NamedTuple):
@@ -542,15 +538,6 @@ def _marker_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
             'setting': f'fit.free: [package_marker]{alignment}'}
 
 
-def _drift_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
-    """Return what is significant of a camera, or its world, that moves slowly."""
-    rates, stds = (np.split(each, 2) for each in (finding.theta, finding.std))
-    return {'rates': ' and '.join(
-        f'{60.0 * factor * np.linalg.norm(rate):.2g} {unit}' for rate, std, factor, unit in zip(
-            rates, stds, (1e3, np.rad2deg(1.0)), ('mm', 'degrees'), strict=True)
-        if np.any(np.abs(rate) > SIGNIFICANT * std))}
-
-
 def _gravity_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
     """Return by how much a world is not level, and where things fall in it."""
     down = lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN
@@ -595,7 +582,10 @@ FIELDS: Mapping[str, Callable[[Finding, Mapping[str, Any]], Fields]] = {
     'length': lambda finding, given: {'length': given['cup.length'] + finding.theta[0]},
     'length or com': lambda finding, given: {'mm': abs(1e3 * finding.theta[-1])},
     'package_marker': _marker_fields,
-    'world_drift': _drift_fields,
+    'clock_rate': lambda finding, given: {'ppm': 1e6 * finding.theta[0]},
+    'scale': lambda finding, given: {'percent': 100.0 * abs(finding.theta[0])},
+    'unknown': lambda finding, given: dict(
+        zip(('start', 'end', 'low', 'high'), finding.theta.tolist(), strict=True)),
     'slip': lambda finding, given: {
         'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]},
     'flip': lambda finding, given: {
@@ -644,6 +634,8 @@ def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
     """Return what the finding is, its size, by how much the misfit falls if so, and a remedy."""
     if finding.sentence:
         return finding.sentence
+    if not finding.certain and not len(finding.theta):  # only named
+        return ''
     name, fields = _name_of(finding), {'value': finding.value}
     cause = CAUSES[name]
     for number, std in zip(finding.theta[:1], finding.std[:1], strict=True):

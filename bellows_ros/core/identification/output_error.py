@@ -11,15 +11,10 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.alternatives import likeliest_setting
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.given import (
-    near_with_given,
-    NOTHING,
-    reasons_at,
-    scores,
-    with_given,
-)
+from bellows_ros.core.identification.diagnosis.candidates import likeliest_setting, scores
+from bellows_ros.core.identification.diagnosis.ranking import rank
+from bellows_ros.core.identification.given import near_with_given, NOTHING, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
 from bellows_ros.core.identification.result import (
@@ -144,7 +139,7 @@ def output_error(
     (wide, minimum, from_given), ends = _from_slow_poses(
         search, near, given, relaxation, record) if are_slow else _from_quick_poses(
         search, near, given, relaxation, record, other_start or start)
-    reasons = reasons_at(ends, given)
+    reasons = rank(ends, given)
     wide.restore(minimum)
     return _fit(wide, minimum, from_given, iterations, named, reasons)
 
@@ -271,10 +266,12 @@ def covariance_of(
     if noise is not None:
         shares, turn = np.linalg.eigh(directions.T @ noise @ directions)
         directions = directions @ turn
+    covariance = np.asarray(np.linalg.inv(minimum.information), dtype=np.float64)
     scatter = _relative_variances(np.array([
-        directions.T @ gradient
+        gradient @ directions[part.places]
         for segment, part in zip(search.segments, minimum.parts, strict=True)
-        for gradient in _gradients_without(minimum.information, part, segment.period)]))
+        for gradient in _gradients_without(
+            covariance[np.ix_(part.places, part.places)], part, segment.period)]))
     wide = directions / (1.0 - np.clip(shares, 0.0, MAX_NOISE_SHARE))
     covariance = (wide * np.maximum(scatter, 1.0)) @ wide.T
     return (np.asarray(covariance * np.outer(search.units, search.units)),
@@ -282,14 +279,14 @@ def covariance_of(
 
 
 def _gradients_without(
-    information: Array, part: WhitenedSegment, period: float
+    covariance: Array, part: WhitenedSegment, period: float
 ) -> Iterator[Array]:
-    """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
+    """Yield the gradient (q,) of each second of a segment at the minimum without that second."""
     length = 6 * max(round(BLOCK_DURATION / period), 1)
     for first in range(0, len(part.innovations), length):
         J, r = part.jacobian[first:first + length], part.innovations[first:first + length]
-        rest = information - MAX_LEVERAGE * (J.T @ J)
-        yield np.asarray(information @ np.linalg.solve(rest, J.T @ r), dtype=np.float64)
+        leverage = MAX_LEVERAGE * (J.T @ J) @ covariance
+        yield np.asarray(np.linalg.solve(np.eye(len(leverage)) - leverage, J.T @ r))
 
 
 def _relative_variances(influences: Array) -> Array:
@@ -353,6 +350,7 @@ def _fit(
             if name != 'relaxation' and (KINDS[name].each or name not in named)},
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
+        noise_in_motion=search.noise_in_motion(minimum),
     )
 
 

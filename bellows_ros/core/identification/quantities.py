@@ -10,7 +10,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
-from bellows_ros.core.model.structure import UPPER
+from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 import numpy as np
 
@@ -30,23 +30,12 @@ KINDS: Mapping[str, Kind] = {
         Path(__file__).with_name('quantities.toml').read_text()).items()}
 """By their names in fit.free."""
 
-OF_CUP = ('drift', 'cubic', 'couplings', 'friction')
-"""Deviations of the cup itself."""
+CHANGING = ('slip', 'length_drift')
+"""Quantities that change within a recording; their effect is added to first order."""
 
-CHANGING = (*OF_CUP, 'slip')
-"""What changes within a recording. The model has none; the effect is added to first order."""
-
-LARGE_DISPLACEMENT = np.repeat([5e-3, 0.1], 3)
-"""m, rad."""
-
-DIAGONAL, COUPLINGS = (
-    np.flatnonzero(is_one).tolist() for is_one in (UPPER[0] == UPPER[1], UPPER[0] != UPPER[1]))
-"""Places of the two in the upper triangle of a matrix (6, 6), row by row."""
-
-COLUMNS: Mapping[str, slice | list[int]] = {
-    'length': jac.BY_LENGTH, 'com': jac.BY_COM, 'relaxation': slice(-2, None),
-    'slip': slice(jac.BY_COM.start, jac.BY_COM.start + 2), 'drift': DIAGONAL, 'cubic': DIAGONAL,
-    'couplings': COUPLINGS, 'friction': jac.BY_WRENCH}
+COLUMNS: Mapping[str, slice] = {
+    'length': jac.BY_LENGTH, 'length_drift': jac.BY_LENGTH, 'com': jac.BY_COM,
+    'relaxation': slice(-2, None), 'slip': slice(jac.BY_COM.start, jac.BY_COM.start + 2)}
 """Derivatives of the model by quantities, among `jacobians.PARAMETER_COLUMNS`."""
 
 
@@ -76,12 +65,13 @@ def poses_of(
     """
     if 'com' in free:
         package = of_fixed_frame(package, np.zeros(3), moves * free['com'])
-    for name in free.keys() & {'package_world', 'world_drift'}:
+    if 'scale' in free:
+        package = replace(package, position=(1.0 + free['scale']) * package.position)
+    if 'package_world' in free:
         middle = middle_of(package) if middle is None else middle
-        time = _since(package, middle) if name == 'world_drift' else np.ones((len(package), 1))
-        R = lie.exp_so3(time * free[name][3:])
+        R = lie.exp_so3(free['package_world'][3:])
         package = replace(
-            package, position=middle[:3] + time * free[name][:3] + lie.apply(
+            package, position=middle[:3] + free['package_world'][:3] + lie.apply(
                 R, package.position - middle[:3]), rotation=R @ package.rotation)
     if 'package_marker' in free:
         shift, rotation = np.split(free['package_marker'], 2)
@@ -100,9 +90,17 @@ def middle_of(package: Trajectory) -> Array:
     return np.append(used.position.mean(axis=0), used.stamps_ns[0] / NS_PER_S)
 
 
-def _since(package: Trajectory, middle: Array) -> Array:
-    """Return times (N, 1) since the first stamp of `middle_of`, s."""
-    return np.asarray(package.stamps_ns / NS_PER_S - middle[3])[:, None]
+def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
+    """
+    Return the package as if it were fixed to the tool's smooth path.
+
+    Noisy positions in a derivative by their scale would bias that scale towards zero.
+    """
+    tool = resample(tool, package.stamps_ns)
+    back = np.swapaxes(tool.rotation, 1, 2)
+    offset = lie.apply(back, package.position - tool.position).mean(axis=0)
+    return replace(package, position=tool.position + tool.rotation @ offset,
+                   rotation=tool.rotation)
 
 
 def gravity_of(gravity: Array | float, free: Free) -> Array:
@@ -139,20 +137,23 @@ def pose_changes(
     """
     Return the derivatives of poses (M, 6, count) by a quantity, in body axes.
 
-    By the offset of the clocks in units of the twist.
+    By offset and rate of the clocks in units of the twist.
     """
     change = np.zeros((len(package), 6, KINDS[name].size))
     if name == 'com':
         change[:, :3] = np.diag(moves)
     elif name == 'time_offset':
         change -= 1.0
+    elif name == 'clock_rate':
+        first = (middle_of(package) if middle is None else middle)[3]
+        change -= (package.stamps_ns / NS_PER_S - first)[:, None, None]
+    elif name == 'scale':  # of smooth poses, see `carried`
+        change[:, :3, 0] = lie.apply(np.swapaxes(package.rotation, 1, 2), package.position)
     elif name == 'package_marker':
         change += np.eye(6)
-    elif name in ('package_world', 'world_drift'):
+    elif name == 'package_world':
         middle = middle_of(package) if middle is None else middle
         inverse = np.swapaxes(package.rotation, 1, 2)
         change[:, :3, :3] = change[:, 3:, 3:] = inverse
         change[:, :3, 3:] = -inverse @ lie.hat(package.position - middle[:3])
-        if name == 'world_drift':
-            change *= _since(package, middle)[..., None]
     return change

@@ -172,6 +172,9 @@ class Fit:
         RMS of the wrench that noise alone would leave, N and N m; None without noise.
     relaxation, relaxation_std : (float, float)
         Strengths r1, r2 of the cup's relaxation, and their standard errors; zeros without it.
+    noise_in_motion : mapping
+        Standard deviations (6,) of the package's poses by number of the recording, m and rad, if
+        they were estimated and are larger than at rest.
     bias : ndarray (2 n,) or None
         Error of the parameters from noise in the motions that least squares has taken out; None
         where the noise is not given.
@@ -208,6 +211,7 @@ class Fit:
     bias: Array | None = None
     relaxation: tuple[float, float] = (0.0, 0.0)
     relaxation_std: tuple[float, float] = (0.0, 0.0)
+    noise_in_motion: Mapping[int, Array] = field(default_factory=dict)
     causes: tuple[Any, ...] = ()
     from_given: Array | None = None
     nuisances: Mapping[str, Array] = field(default_factory=dict)

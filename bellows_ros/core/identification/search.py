@@ -14,25 +14,24 @@ noise would move anywhere: with an unknown acceleration of the package the diffe
 lies further back than a moment.
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 import math
-import os
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
+from bellows_ros.core.geometry.jit import usable_cores
 from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
-from bellows_ros.core.identification.samples import sizes
 from bellows_ros.core.identification.segments import MIN_POSE_STD, Nodes, Segment
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
-from bellows_ros.core.model.jacobians import BY_DAMPING, BY_WRENCH
+from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
@@ -118,14 +117,23 @@ changed derivatives, it may leave the root again."""
 MAX_DAMPING, MAX_STIFFENING = 10.0, 100.0
 """Times ordinary damping, and the stiffness of the start, that a cup hardly has."""
 
-SLIDING = 0.2
-"""Part of the largest displacement of the lip from which on friction slides."""
-
 DIVERGED = 1e3
 """Standard deviations by which a pose counts as off to which a simulation diverges."""
 
 CHANCE = 3.0
 """Standard deviations by which noise at rest may be smaller by chance."""
+
+WHITE_LAGS = (1, 2, 3)
+"""Lags at which innovations are tested for correlation, poses."""
+
+WHITE_SIGMAS = 4.0
+"""Largest correlation of white innovations, standard deviations; false-alarm rate 1 in 900."""
+
+MAX_WHITE_CORRELATION = 0.1
+"""Largest correlation of innovations that count as white."""
+
+MAX_CLIPPED = 3.0
+"""Size at which innovations are clipped in the test for whiteness, standard deviations."""
 
 MAX_NOISE_CHI2, MISFIT_CHI2 = 1.2, 1.5
 """Chi^2 per difference that is put down to noise, and above which surely more is left."""
@@ -152,24 +160,39 @@ class WhitenedSegment(NamedTuple):
     """
     The whitened differences of a segment.
 
-    Innovations (6 N,), their derivatives (6 N, m) by the unknowns, the variance (N, 6) of each
-    difference and that (6,) of what is new in a pose's noise, what is found on the way back: the
-    tool's changes and the package's first state. And the largest displacements (6,) of the lip, in
-    `LARGE_DISPLACEMENT`, where K may change with them.
+    Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the segment, the places (q,)
+    of these among all m unknowns, the variance (N, 6) of each
+    difference and that (6,) of the innovation of a pose's noise, and the likeliest changes of the
+    tool's path and first state of the package.
     """
 
     innovations: Array
     jacobian: Array
+    places: Places
     variance: Array
     new_variance: Array
     tool_change: Array
     start: State
-    reach: Array
+
+    def information(self, size: int) -> Array:
+        """Return J^T J (m, m) of the segment among all unknowns."""
+        H = np.zeros((size, size))
+        H[np.ix_(self.places, self.places)] = self.jacobian.T @ self.jacobian
+        return H
 
     @property
     def residuals(self) -> Array:
         """The differences (N, 6) themselves, m and rad."""
         return np.asarray(self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
+
+    @property
+    def is_white(self) -> bool:
+        """Whether neighbouring innovations are uncorrelated."""
+        e = np.clip(self.innovations.reshape(-1, 6), -MAX_CLIPPED, MAX_CLIPPED)
+        correlation = [np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
+                       for lag in WHITE_LAGS if lag < len(e)]
+        limit = max(MAX_WHITE_CORRELATION, WHITE_SIGMAS / np.sqrt(len(e)))
+        return bool(np.max(np.abs(correlation), initial=0.0) < limit)
 
 
 Report = Callable[[Cup, float], None]
@@ -316,6 +339,11 @@ class Parametrization:
         return {name: rows[segment.measured.recording if KINDS[name].each else 0]
                 for name, rows in self.places.items()}
 
+    def index_of(self, segment: Segment) -> Places:
+        """Return the places (q,) of a segment's unknowns, of the cup and its free quantities."""
+        return np.sort(np.concatenate([
+            np.arange(self.count), *self.places_of(segment).values()]).astype(np.int64))
+
     def transferred(self, other: 'Parametrization', theta: Array) -> Array:
         """Return the unknowns at those of another search with the same cup."""
         moved = self.start.copy()
@@ -399,12 +427,12 @@ class Search(Parametrization):
     """Gauss-Newton steps of the unknowns."""
 
     def with_free(
-        self, theta: Array, more: Free, structure: Structure | None = None,
+        self, theta: Array, more: Free
     ) -> 'Search':
-        """Return a search from unknowns: more is free, or another structure."""
+        """Return a search from some unknowns with more free quantities."""
         free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
                 for name, rows in self.places.items()}
-        return Search(self.segments, structure or self.structure, self.cup(theta),
+        return Search(self.segments, self.structure, self.cup(theta),
                       {**free, **more}, self.slip_ns)
 
     def minimum(
@@ -571,12 +599,12 @@ class Search(Parametrization):
         if len(self.segments) == 1:
             parts = [whitened(self.segments[0])]
         else:
-            with ThreadPoolExecutor(os.cpu_count()) as threads:
+            with ThreadPoolExecutor(usable_cores()) as threads:
                 parts = list(threads.map(whitened, self.segments))
         H, g = self.prior(theta, forgetting)
         for part in parts:
-            H = H + part.jacobian.T @ part.jacobian
-            g = g + part.jacobian.T @ part.innovations
+            H[np.ix_(part.places, part.places)] += part.jacobian.T @ part.jacobian
+            g[part.places] += part.jacobian.T @ part.innovations
         return parts, H, g
 
     @property
@@ -603,12 +631,25 @@ class Search(Parametrization):
             minimum.robust_chi2 * max(self.learned(minimum), 1.0) < MISFIT_CHI2)
 
     def learned(self, minimum: Minimum) -> float:
-        """Return the variance of slow poses by a fit, in what it may be of those at rest."""
-        return max(
-            float(np.mean(part) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
-            for segment, std in zip(self.segments, minimum.noise, strict=True)
-            for noise in [segment.measured.package_noise]
-            for part in np.split((std / noise.std) ** 2, 2))
+        """
+        Return the ratio of the estimated variance of slow poses to their variance at rest.
+
+        Below 1 within chance. White residuals are noise, larger in motion than at rest: a misfit
+        leaves correlated ones.
+        """
+        return max((
+            float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
+            for segment, part, std in zip(
+                self.segments, minimum.parts, minimum.noise, strict=True)
+            for noise in [segment.measured.package_noise] if not part.is_white
+            for share in np.split((std / noise.std) ** 2, 2)), default=0.0)
+
+    def noise_in_motion(self, minimum: Minimum) -> dict[int, Array]:
+        """Return the standard deviations (6,) of white noise in motion by recording, m and rad."""
+        return {segment.measured.recording: np.maximum(std, segment.measured.package_noise.std)
+                for segment, part, std in zip(
+                    self.segments, minimum.parts, minimum.noise, strict=True)
+                if segment.is_slow and part.is_white}
 
     def accept(self, parts: Sequence[WhitenedSegment]) -> None:
         """Set the likeliest paths and first states, but for a simulation that diverges."""
@@ -636,7 +677,8 @@ class Search(Parametrization):
     ) -> WhitenedSegment:
         """Return a segment's whitened differences."""
         model, free = self.model(theta, segment)
-        nodes = segment.nodes(float(free.get('time_offset', (0.0,))[0]))
+        nodes = segment.nodes(*(
+            float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate')))
         lengths = np.diff(nodes.stamps) / NS_PER_S
         step = self._integration_step(model, COARSE_FACTOR if forgetting else 1.0)
         path = whitening.Path(simulation.tool_rows(resample(segment.path, nodes.stamps)),
@@ -645,17 +687,21 @@ class Search(Parametrization):
             adapted(model, simulation.row_state(path.rows[0]), body)
             for body in (segment.expected_start, segment.start))
         start = _start_near_rest(model, path.rows[0], start, segment.std)
-        mean, poses = _difference(start, expected), self._poses(segment, nodes, free, lengths)
+        index = self.index_of(segment)
+        places = {name: np.searchsorted(index, place)
+                  for name, place in self.places_of(segment).items()}
+        mean = _difference(start, expected)
+        poses = _poses(segment, nodes, free, lengths, places, self.units[index])
         marker = free.get('tool_marker', np.zeros(6))
         tool_noise = segment.tool_noise(nodes, marker)
         initial_std = INITIAL_STD[:len(mean)]
-        scales, extra, reach = self._cup_deviations(
-            theta, segment, nodes.stamps, model, start, path)
-        unknowns = self._unknowns(segment, free, scales, extra)
+        unknowns = self._unknowns(
+            segment, free, places, index, *self._changes(theta, segment, nodes.stamps, index))
         is_correlated = segment.measured.package_noise.correlation > 0.0
         std = [initial_std, np.zeros(6), segment.std][:3 if is_correlated else 2]
         result = whitening.whiten(
-            model, start, mean, np.concatenate(std), path, tool_noise, poses, unknowns,
+            whitening.relaxing(model), whitening.with_inner(start), mean, np.concatenate(std),
+            path, tool_noise, poses, unknowns,
             forgetting**4 * segment.period * segment.std**2)
         innovations, slopes, *_, gains = result
         smoothed, slope = whitening.smooth(
@@ -666,10 +712,10 @@ class Search(Parametrization):
         with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
             variance = gains[:, :, -1] ** -2
         return WhitenedSegment(
-            innovations.ravel(), slopes.reshape(innovations.size, -1), variance,
+            innovations.ravel(), slopes.reshape(innovations.size, -1), index, variance,
             (1.0 - segment.measured.package_noise.correlation**2) * segment.std**2,
             first_order(change, segment.measured.tool_noise.correlation) + marker,
-            whitening.with_mean(start, correction[:, None]), reach)
+            whitening.shifted(start, correction))
 
     def _integration_step(self, model: ModelTuple, factor: float) -> float:
         """Return the longest step (s) of the integrator, or refuse a cup that is too fast."""
@@ -681,70 +727,63 @@ class Search(Parametrization):
                 'package.inertia, cup.stiffness and cup.damping.')
         return longest
 
-    def _poses(
-        self, segment: Segment, nodes: Nodes, free: Free, lengths: Array
-    ) -> whitening.Poses:
-        """Return the package's poses at the nodes, as the free quantities make them."""
-        noise, poses = segment.measured.package_noise, segment.package.select(nodes.used)
-        context = segment.com_axes, segment.measured.middle
-        package = quantities.poses_of(poses, free, *context)
-        by_unknowns = np.zeros((len(poses), 6, len(self.units)))
-        for name, places in self.places_of(segment).items():
-            by_unknowns[:, :, places] = -quantities.pose_changes(name, poses, *context)
-        rows = np.column_stack(
-            [package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays])
-        return whitening.Poses(
-            nodes.place, rows, by_unknowns * self.units,
-            (MIN_POSE_STD if noise.correlation > 0.0 else segment.std) ** 2, segment.std**2,
-            noise.correlation ** (lengths / segment.period))
-
     def _unknowns(
-        self, segment: Segment, free: Free, scales: Array, extra: Array
+        self, segment: Segment, free: Free, places: Mapping[str, Places], index: Places,
+        scales: Array, extra: Array,
     ) -> whitening.Unknowns:
-        """Return what the unknowns do to the model of a segment."""
-        places, payload = self.places_of(segment), quantities.payload_of(
-            segment.measured.payload, free)
-        columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units) + 1))
+        """Return the effect of a segment's unknowns on its model."""
+        payload = quantities.payload_of(segment.measured.payload, free)
+        columns = np.zeros((whitening.PARAMETER_COUNT, len(index) + 1))
         columns[:BY_DAMPING.stop, :self.count] = self.structure.upper
         for name, place in places.items():
             columns[:, place] = quantities.model_columns(
                 name, payload, segment.measured.gravity, free, len(columns))
-        columns[:, :-1] *= self.units
-        used = np.flatnonzero(np.any(columns[:BY_WRENCH.stop], axis=1))[-1]
-        last = next(n for n in (BY_DAMPING.stop, BY_WRENCH.start, BY_WRENCH.stop) if used < n)
+        columns[:, :-1] *= self.units[index]
+        used = np.flatnonzero(np.any(columns[:PARAMETER_COLUMNS], axis=1))[-1]
+        last = BY_DAMPING.stop if used < BY_DAMPING.stop else PARAMETER_COLUMNS
         return whitening.Unknowns(
-            last, columns, scales, extra, *(
-                int(places.get(name, (-1,))[0]) for name in ('time_offset', 'tool_marker')))
+            last, columns, scales, extra, np.array([
+                int(place) for name in ('time_offset', 'clock_rate')
+                for place in places.get(name, ())], dtype=np.int64),
+            int(places.get('tool_marker', (-1,))[0]))
 
-    def _cup_deviations(
-        self, theta: Array, segment: Segment, stamps: Stamps, model: ModelTuple, start: State,
-        path: whitening.Path,
-    ) -> tuple[Array, Array, Array]:
-        """
-        Return factors (M, m) of columns from node to node, and unknowns (m,) of `CHANGING`.
-
-        And the largest displacements (6,), 1 where all of it is empty as none of them is free.
-        """
+    def _changes(
+        self, theta: Array, segment: Segment, stamps: Stamps, index: Places
+    ) -> tuple[Array, Array]:
+        """Return factors (M, q) of columns at the nodes, and values (q,) of `CHANGING`."""
         if self.places.keys().isdisjoint(quantities.CHANGING):
-            return np.empty((len(stamps), 0)), np.empty(0), np.ones(6)
-        displacement = _displacement(
-            model, path.rows, simulation.simulate_rows(model, start, *path))
-        size = np.asarray(sizes(displacement) / quantities.LARGE_DISPLACEMENT)
-        dragged = _dragged(displacement)
+            return np.empty((len(stamps), 0)), np.empty(0)
         first, *_, last = np.concatenate([
             other.path.stamps_ns[[0, -1]] for other in self.segments
             if other.measured.recording == segment.measured.recording])
-        K = np.diag(gripper_of(self.cup(theta), self.structure.places).stiffness)
-        profiles = {'drift': K * (np.asarray((stamps - first) / (last - first))[:, None] - 0.5),
-                    'cubic': K * (size**2 - _slope(displacement, displacement * size**2)),
-                    'friction': K * (_slope(displacement, dragged) * displacement - dragged),
-                    'couplings': np.sqrt(np.outer(K, K))[np.triu_indices(6, 1)],
-                    'slip': ((stamps >= self.slip_ns) & (self.slip_ns >= first))[:, None]}
+        profiles = {
+            'length_drift': (stamps - first) / (last - first) - 0.5,
+            'slip': (stamps >= self.slip_ns) & (self.slip_ns >= first)}
         scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
         for name, places in self.places_of(segment).items():
             if name in profiles:
-                scales[:, places], extra[places] = profiles[name], theta[places]
-        return scales, extra, size.max(axis=0)
+                scales[:, places], extra[places] = profiles[name][:, None], theta[places]
+        return scales[:, index], extra[index]
+
+
+def _poses(
+    segment: Segment, nodes: Nodes, free: Free, lengths: Array, places: Mapping[str, Places],
+    units: Array,
+) -> whitening.Poses:
+    """Return the package's poses at the nodes, corrected by the free quantities."""
+    noise, poses = segment.measured.package_noise, segment.package.select(nodes.used)
+    context = segment.com_axes, segment.middle
+    package = quantities.poses_of(poses, free, *context)
+    by_unknowns = np.zeros((len(poses), 6, len(units)))
+    for name, place in places.items():
+        known = quantities.carried(poses, segment.path) if name == 'scale' else poses
+        by_unknowns[:, :, place] = -quantities.pose_changes(name, known, *context)
+    rows = np.column_stack(
+        [package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays])
+    return whitening.Poses(
+        nodes.place, rows, by_unknowns * units,
+        (MIN_POSE_STD if noise.correlation > 0.0 else segment.std) ** 2, segment.std**2,
+        noise.correlation ** (lengths / segment.period))
 
 
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:
@@ -802,34 +841,7 @@ def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -
         return start
     difference = _difference(rest, start)
     size = np.max(np.abs(difference[:6]) / std) / REST_SIGMAS
-    return whitening.with_mean(rest, (1.0 - max(size, 1.0) ** -2) * difference[:, None])
-
-
-def _displacement(model: ModelTuple, tool: Array, body: Array) -> Array:
-    """Return that of the lip (M, 6), m and rad, nan where a simulation diverges."""
-    if not np.isfinite(body).all():
-        return np.full((len(body), 6), np.nan)
-    R_tool, R = (lie.quaternion_to_rotation(rows[:, 3:7]) for rows in (tool, body))
-    back = np.swapaxes(R_tool, 1, 2)
-    o = lie.apply(back, body[:, :3] - lie.apply(R, np.array(model[1][1])) - tool[:, :3])
-    return np.hstack([o + [0.0, 0.0, model[0][1]], lie.log_so3(back @ R)])
-
-
-def _slope(displacement: Array, other: Array) -> Array:
-    """Return the slopes (6,) of what is nearly proportional to displacements (M, 6)."""
-    return np.asarray(np.sum(displacement * other, axis=0) / np.maximum(
-        np.sum(displacement**2, axis=0), 1e-24))
-
-
-def _dragged(displacement: Array) -> Array:
-    """Return what a slider is dragged along by the lip (M, 6), in the lip's size (Dahl, 1968)."""
-    largest = np.maximum(sizes(displacement).max(axis=0), 1e-12)
-    steps = np.diff(displacement, axis=0, prepend=displacement[:1])
-    kept = 1.0 / (1.0 + sizes(steps) / (SLIDING * largest))
-    z, dragged = np.zeros(6), np.empty_like(steps)
-    for k, step in enumerate(steps):
-        z = dragged[k] = (z + step) * kept[k]
-    return dragged / SLIDING
+    return whitening.shifted(rest, (1.0 - max(size, 1.0) ** -2) * difference)
 
 
 def _difference(body: State, other: State) -> Array:

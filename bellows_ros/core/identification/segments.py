@@ -178,6 +178,8 @@ class Segment:
         self.variance = np.where(valid, measured.tool_noise.std, BRIDGED_STD)[self.inner] ** 2
         self.package = measured.package.select(measured.package.valid)
         self.com_axes = np.array(measured.moves_with_com, dtype=float)
+        self.middle = quantities.middle_of(
+            self.package) if measured.middle is None else measured.middle
         self.expected_start = simulation.state_row(
             self.package.position[0], lie.rotation_to_quaternion(self.package.rotation[:1])[0])
         self.reset()
@@ -196,9 +198,11 @@ class Segment:
             tool.rotation @ lie.exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
         self.deviation = relative_coordinates(self.path, tool.select(self.inner))
 
-    def nodes(self, delay: float) -> Nodes:
-        """Return the nodes, with the tool's stamps late by so many seconds."""
-        grid, poses = self.path.stamps_ns, self.package.stamps_ns + round(delay * NS_PER_S)
+    def nodes(self, delay: float, rate: float = 0.0) -> Nodes:
+        """Return the nodes for the delay (s) and the relative rate of the tool's clock."""
+        since = self.package.stamps_ns - round(self.middle[3] * NS_PER_S)
+        grid, poses = self.path.stamps_ns, self.package.stamps_ns + np.rint(
+            delay * NS_PER_S + rate * since).astype(np.int64)
         after = np.clip(np.searchsorted(grid, poses), 1, len(grid) - 1)
         nearest = np.where(2 * poses < grid[after - 1] + grid[after], grid[after - 1], grid[after])
         tolerance = np.min(np.diff(poses) // 4, initial=round(SIMULTANEITY_TOLERANCE * NS_PER_S))

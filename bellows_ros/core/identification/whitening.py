@@ -23,12 +23,13 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
-from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.jit import array_kernel
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import moved_by, pose_error
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import ModelTuple, State, Strains
 from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.model.structure import RELAXATION_TIMES
 import numpy as np
 
 HUBER_STD = 3.0
@@ -37,8 +38,34 @@ HUBER_STD = 3.0
 MAX_EXPONENTIAL_STEPS = 8
 """Largest number of the integrator's steps that one fourth-order exponential covers."""
 
+RIGID_STATES = 12
+"""Number of states of a package whose cup does not relax; 12 more are internal strains."""
+
+NO_STRAINS: Strains = ((t3.ZERO, t3.ZERO), (t3.ZERO, t3.ZERO))
+"""Internal strains of a cup that does not relax."""
+
+NO_BRANCHES = tuple((0.0, tau) for tau in RELAXATION_TIMES)
+"""Branches of a cup that does not relax."""
+
 PARAMETER_COUNT = jac.PARAMETER_COLUMNS + 2
 """Those of `jacobians.PARAMETER_COLUMNS`, then the two strengths of relaxation."""
+
+
+def relaxing(model: ModelTuple) -> ModelTuple:
+    """Return a model with branches of relaxation, of no strength if it has none."""
+    cup, package, gravity = model
+    return (*cup[:4], *(cup[4:] or NO_BRANCHES)), package, gravity
+
+
+def with_inner(body: State) -> State:
+    """Return a state with internal strains, zero if it has none."""
+    return kernels.with_strains(body, body[4:] or NO_STRAINS)
+
+
+def shifted(body: State, x: Array) -> State:
+    """Return a state moved by x (m,), with internal strains if it has them."""
+    moved = with_mean(with_inner(body), x.reshape(-1, 1).copy(), len(x))
+    return moved if body[4:] else (moved[0], moved[1], moved[2], moved[3])
 
 
 @array_kernel
@@ -53,11 +80,11 @@ def _derivatives(
     jac.write_square(B, 6, 0, jac.add_scaled_square(
         of_pose, 1.0, jac.times_twist(of_twist, tool[2], tool[3])))
     t3.add_product(A[6:12, 6:12], B[:6], B[6:12])
-    if len(body) == 6:
+    if len(A) > RIGID_STATES:
         _strain_derivatives(model, tool, body, A, C, B)
 
 
-@kernel
+@array_kernel
 def _strain_derivatives(
     model: ModelTuple, tool: State, body: State, A: Any, C: Any, B: Any
 ) -> None:
@@ -125,18 +152,18 @@ class Unknowns(NamedTuple):
     """
     What p unknowns do to the model.
 
-    How many of `jacobians.PARAMETER_COLUMNS` are used, and derivatives (64, p + 1) of the model's
-    parameters; what these are multiplied by at the nodes (M, p), and the values (p,) of unknowns
-    that the model is without, whose effect, as far as it is linear, is in the mean: empty where it
-    has all; and the unknown by which the tool's stamps are late, and the first of those (6,) by
-    which the tool's frame is moved and turned in the measured one, -1 for none.
+    Number of used `jacobians.PARAMETER_COLUMNS`, and derivatives (64, p + 1) of the model's
+    parameters; factors of the columns at the nodes (M, p), and values (p,) of the unknowns that
+    the model lacks, whose linear effect is in the mean: empty without such unknowns; the unknowns
+    of the clocks, whose effect is proportional to the twist; and the first of the unknowns (6,)
+    of the tool's marker frame, -1 for none.
     """
 
     last: int
     columns: Array
     scales: Array
     extra: Array
-    delay: int
+    clocks: Places
     marker: int
 
 
@@ -173,22 +200,21 @@ def whiten(
 
     """
     rows, lengths, steps = path  # by their order, on which the machine code on disk depends
-    place, measured, by_unknowns, white_variance, _, _ = poses
-    last, columns, _, _, delay, marker = unknowns
-    m, n, nodes, count = len(mean), len(std), len(rows), len(measured)
+    place, _, _, _, _, _ = poses
+    last, columns, _, _, _, marker = unknowns
+    m, n, nodes, count = len(mean), len(std), len(rows), len(poses[1])
     S, P = np.zeros((n, columns.shape[1])), np.zeros((n, n))
     for i in range(n):
         P[i, i] = std[i] * std[i]
-    S[:m, -1] = mean
-    out, slopes = np.empty((count, 6)), np.empty((count, 6, S.shape[1] - 1))
+    for i in range(m):
+        S[i, columns.shape[1] - 1] = mean[i]
+    out, slopes = np.empty((count, 6)), np.empty((count, 6, columns.shape[1] - 1))
     T, B, K = np.zeros((nodes, n, n)), np.zeros((nodes, n, 6)), np.zeros((count, 6, n + 1))
     A, C, E = np.zeros((2, m, m)), np.zeros((2, m, PARAMETER_COUNT)), np.zeros((2, m, 6))
-    twist = np.zeros(6)
     for k in range(nodes):
         here, slot = row_state(rows[k]), k % 2
         if k > 0:
-            body = kernels.advance(
-                model, body, row_state(rows[k - 1]), here, lengths[k - 1], steps[k - 1])
+            body = _advanced(model, body, rows[k - 1], rows[k], lengths[k - 1], steps[k - 1])
         _derivatives(model, here, body, last, A[slot], C[slot], E[slot])
         for i in range(6):
             B[k, m + i, i] = 1.0
@@ -198,32 +224,58 @@ def whiten(
         _add_tool_noise(k, tool_noise, marker, B[k], S, P)
         i = place[k]
         if i >= 0:
-            pose = measured[i]
-            shift, rotation = pose_error(
-                body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
-            for j in range(3):
-                twist[j], twist[3 + j] = body[2][j], body[3][j]
-                out[i, j], out[i, 3 + j] = shift[j], rotation[j]
-            out[i] -= pose[7] * twist
-            if delay >= 0:
-                by_unknowns[i, :, delay] *= twist
-            _update(white_variance, by_unknowns[i], m + 6, S, P, out[i], slopes[i], K[i])
+            _write_difference(body, i, poses, unknowns, out[i])
+            _update(poses[3], poses[2][i], m + 6, S, P, out[i], slopes[i], K[i])
             if walk[0] > 0.0:
-                body = with_mean(body, S)
+                body = with_mean(body, S, m)
     return out, slopes, T, B, K
 
 
-@kernel
-def with_mean(body: State, S: Any) -> State:
-    """Return a package moved by the mean of x, the last column, which becomes zero."""
+@array_kernel
+def _advanced(
+    model: ModelTuple, body: State, before: Any, after: Any, length: float, steps: int
+) -> State:
+    """Return the body after a step in which the tool moves from a row to the next."""
+    return kernels.advance(model, body, row_state(before), row_state(after), length, steps)
+
+
+@array_kernel
+def _write_difference(
+    body: State, i: int, poses: Poses, unknowns: Unknowns, out: Any
+) -> None:
+    """Write the difference (6,) of pose i from the body; multiply clock columns by the twist."""
+    pose, by_unknowns = poses[1][i], poses[2][i]
+    shift, rotation = pose_error(
+        body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
+    linear, angular = body[2], body[3]
+    for j in range(3):
+        out[j], out[3 + j] = shift[j] - pose[7] * linear[j], rotation[j] - pose[7] * angular[j]
+    for column in unknowns[4]:
+        for j in range(3):
+            by_unknowns[j, column] *= linear[j]
+            by_unknowns[3 + j, column] *= angular[j]
+
+
+@array_kernel
+def with_mean(body: State, S: Any, m: int) -> State:
+    """Return a package moved by the mean of x, the last column, of whose rows m become zero."""
     x = S[:, S.shape[1] - 1]
     moved = moved_by(body, x)
-    if len(body) == 4:
-        x[:12] = 0.0
-        return moved
-    strains = kernels.moved_strains(body[4:], 1.0, kernels.strains_of(x[12:]))
-    x[:24] = 0.0
-    return kernels.with_strains(moved, strains)
+    strains = NO_STRAINS
+    if m > RIGID_STATES:
+        strains = kernels.strains_of(x[12:24])
+    for i in range(m):
+        x[i] = 0.0
+    return kernels.with_strains(moved, kernels.moved_strains(body[4:], 1.0, strains))
+
+
+@array_kernel
+def _step_mean(pair: Any, length: float, out: Any) -> Any:
+    """Write the mean of two matrices, times a length."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = 0.5 * length * (pair[0, i, j] + pair[1, i, j])
+    return out
 
 
 @array_kernel
@@ -238,8 +290,9 @@ def _propagate(
     n, m, length = len(P), A.shape[1], lengths[k - 1]
     mean, ramp, entered = np.zeros((m, m)), np.zeros((m, m)), np.empty((m, 6))
     tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]
-    F = _exponential(0.5 * length * (A[0] + A[1]), steps[k - 1], mean, ramp)
-    held = 0.5 * length * (E[0] + E[1])
+    F = _exponential(
+        _step_mean(A, length, np.empty((m, m))), steps[k - 1], mean, ramp)
+    held = _step_mean(E, length, np.empty((m, 6)))
     t3.product(mean, held, entered)
     t3.product(ramp, held, B[:m])
     for i in range(m):
@@ -249,16 +302,28 @@ def _propagate(
             T[i, m + j] = entered[i, j] + (tool_correlation - 1.0) * B[i, j]
     for i in range(m, n):
         T[i, i] = tool_correlation if i < m + 6 else noise_correlation
-    effect = t3.product(0.5 * length * (C[0] + C[1]), columns, np.empty((m, S.shape[1])))
-    for j in range(len(extra)):
-        effect[:, j] *= 0.5 * (scales[k - 1, j] + scales[k, j])
-        effect[:, -1] += effect[:, j] * extra[j]
-    S[:] = t3.add_product(mean, effect, t3.product(T, S, np.empty(S.shape)))
+    slopes = _step_mean(C, length, np.empty((m, PARAMETER_COUNT)))
+    effect = t3.product(slopes, columns, np.empty((m, S.shape[1])))
+    _scale_changes(effect, scales[k - 1:k + 1], extra)
+    moved = t3.add_product(mean, effect, t3.product(T, S, np.empty(S.shape)))
+    for i in range(n):
+        for j in range(S.shape[1]):
+            S[i, j] = moved[i, j]
     t3.product(T, t3.transpose(t3.product(T, P, np.empty((n, n)))), P)
     for i in range(6):
         P[6 + i, 6 + i] += walk[i] * length
     for i in range(m + 6, n):
         P[i, i] += (1.0 - noise_correlation * noise_correlation) * variance[i - m - 6]
+
+
+@array_kernel
+def _scale_changes(effect: Any, scales: Any, extra: Any) -> None:
+    """Scale columns by their mean factor, and add the effect of extra values to the mean."""
+    for j in range(len(extra)):
+        factor = 0.5 * (scales[0, j] + scales[1, j])
+        for i in range(len(effect)):
+            effect[i, j] *= factor
+            effect[i, effect.shape[1] - 1] += effect[i, j] * extra[j]
 
 
 @array_kernel
@@ -272,13 +337,18 @@ def _exponential(M: Any, steps: int, mean: Any, ramp: Any) -> Any:
     doublings = 0
     while steps > MAX_EXPONENTIAL_STEPS:
         steps, doublings = (steps + 1) // 2, doublings + 1
-    M *= 0.5**doublings
-    F, other = _short_exponential(M, mean, ramp), np.empty(M.shape)
+    size, factor = len(M), 0.5**doublings
+    for i in range(size):
+        for j in range(size):
+            M[i, j] *= factor
+    F, other, more = _short_exponential(M, mean, ramp), np.empty(M.shape), np.empty(M.shape)
     for _ in range(doublings):
-        ramp += mean + t3.product(F, ramp, other)
-        ramp *= 0.25
-        mean += t3.product(F, mean, other)
-        mean *= 0.5
+        t3.product(F, ramp, other)
+        t3.product(F, mean, more)
+        for i in range(size):
+            for j in range(size):
+                ramp[i, j] = 0.25 * (ramp[i, j] + mean[i, j] + other[i, j])
+                mean[i, j] = 0.5 * (mean[i, j] + more[i, j])
         F, other = t3.product(F, F, other), F
     return F
 
@@ -286,7 +356,10 @@ def _exponential(M: Any, steps: int, mean: Any, ramp: Any) -> Any:
 @array_kernel
 def _short_exponential(M: Any, mean: Any, ramp: Any) -> Any:
     """Return exp(M), and write its means, to fourth order."""
-    X, Y = M.copy(), np.empty(M.shape)
+    X, Y = np.empty(M.shape), np.empty(M.shape)
+    for i in range(len(M)):
+        for j in range(len(M)):
+            X[i, j] = M[i, j]
     for constant in (4.0, 12.0, 24.0):  # 4 + M, 12 + M X, 24 + M Y
         if constant > 4.0:
             t3.product(M, X, Y)
@@ -311,13 +384,15 @@ def _add_tool_noise(k: int, tool_noise: ToolNoise, marker: int, B: Any, S: Any, 
     """
     innovations, all_variances, correlations = tool_noise
     innovation, variances = innovations[k], all_variances[k]
-    if marker >= 0:
-        S[:, marker:marker + 6] += (1.0 - correlations[k] if k > 0 else 1.0) * B
+    part = 1.0 - correlations[k] if k > 0 else 1.0
+    for i in range(P.shape[0] if marker >= 0 else 0):
+        for j in range(6):
+            S[i, marker + j] += part * B[i, j]
     noise = np.empty((6, P.shape[0]))
     for i in range(P.shape[0]):
         for j in range(6):
             noise[j, i] = variances[j] * B[i, j]
-            S[i, -1] += B[i, j] * innovation[j]
+            S[i, S.shape[1] - 1] += B[i, j] * innovation[j]
     t3.add_product(B, noise, P)
 
 
@@ -365,11 +440,25 @@ def smooth(
     for k in range(len(place) - 1, -1, -1):
         n = place[k]
         for j in range(5 if n >= 0 else -1, -1, -1):
-            total = out[n, j] * K[n, j, -1] + np.dot(K[n, j, :-1], slope)
+            total = out[n, j] * K[n, j, len(slope)]
+            for i in range(len(slope)):
+                total += K[n, j, i] * slope[i]
             slope[j] -= total
             if len(slope) > noise_state:
                 slope[noise_state + j] -= total
-        innovations[k] = -variances[k] * np.dot(B[k].T, slope)
+        for i in range(len(slope)):
+            for j in range(6):
+                innovations[k, j] -= variances[k, j] * B[k, i, j] * slope[i]
         if k > 0:
-            slope[:] = np.dot(T[k].T, slope)
+            slope = _times_transposed(T[k], slope)
     return innovations, slope
+
+
+@array_kernel
+def _times_transposed(T: Any, x: Any) -> Any:
+    """Return T^T x."""
+    out = np.zeros(T.shape[1])
+    for i in range(T.shape[0]):
+        for j in range(T.shape[1]):
+            out[j] += T[i, j] * x[i]
+    return out

@@ -32,12 +32,13 @@ def radial(way):
     return size
 
 
-def moved(cup, package, tool, stiffness, friction, slipped):
+def moved(cup, package, tool, stiffness, friction, slipped, leak=0.0):
     """
     Return the package's motion with a stiffness (6,) of time (0 to 1) and deflection (6,).
 
     Friction is so many times a spring of that stiffness, at a slider that slips from `SLIP` on.
-    The package slips (3,) on the lip, within a two hundredth of the time.
+    The package slips (3,) on the lip, within a two hundredth of the time; the cup lengthens by a
+    leak (m) from beginning to end.
     """
     model = model_tuple(cup, package, GRAVITY)
     since = np.clip(np.linspace(-150.0, 90.0, len(tool)), 0.0, 1.0)
@@ -45,7 +46,7 @@ def moved(cup, package, tool, stiffness, friction, slipped):
     body = static_equilibrium(model, row_state(rows[0]))
     out = np.empty((len(rows), 13))
     write_row(out[0], body)
-    half, length, _, P = model[0]
+    _, length, _, P = model[0]
     before = z = np.zeros(6)
     for k, step in enumerate(np.diff(seconds).tolist()):
         R = quaternion_to_rotation(out[k, 3:7])
@@ -60,7 +61,8 @@ def moved(cup, package, tool, stiffness, friction, slipped):
         K = stiffness(seconds[k] / seconds[-1], deflection).tolist()
         stiff = ((K[0], 0.0, 0.0, 0.0, K[1], 0.0, 0.0, 0.0, K[2]), (0.0,) * 9,
                  (K[3], 0.0, 0.0, 0.0, K[4], 0.0, 0.0, 0.0, K[5]))
-        now = (half, length, stiff, P), model[1], model[2]
+        longer = length + leak * seconds[k] / seconds[-1]
+        now = (0.5 * longer, longer, stiff, P), model[1], model[2]
         arm = rows[k], rows[k + 1]
         if friction:
             way, before = deflection - (before if k else deflection), deflection
@@ -100,6 +102,7 @@ class Laboratory:
         self.late, self.turn, self.scale, self.swapped = 0.0, {}, {}, False
         self.apart, self.wander, self.friction = np.zeros(6), np.zeros(3), 0.0
         self.slipped, self.level, self.low_pass_hz = np.zeros(3), np.eye(3), 0.0
+        self.leak, self.clock_rate, self.magnified = 0.0, 0.0, 1.0
         self.twist_unit, self.w_first, self.occluded, self.exchanged = 0.0, (), False, False
         self.motion = shake(duration=seconds, seed=int(rng.integers(1 << 30)))
         self.law = lambda when, deflection: self.K
@@ -137,7 +140,8 @@ class Laboratory:
         tool = self.motion.at_rate(self.rate_hz, 0)
         cup = Cup(np.diag(self.K), self.P, self.length)
         tool = _turned(self.level, tool)
-        body = moved(cup, self.package, tool, self.law, self.friction, self.slipped)
+        body = moved(cup, self.package, tool, self.law, self.friction, self.slipped,
+                     self.leak)
         tool, body = (_turned(self.level.T, own) for own in (tool, body))
         streams = [self._seen('package', body, self.noise[0]),
                    self._seen('tool', tool, self.noise[1])]
@@ -160,7 +164,7 @@ class Laboratory:
             p = p - apply(R, self.package.com) if self.frame == 'lip' else p
             turn, middle = exp_so3(self.apart[3:]), p.mean(axis=0)
             p, R = middle + self.apart[:3] + apply(turn, p - middle), turn @ R
-            p = p + body.seconds[:, None] * self.wander
+            p = self.magnified * (p + body.seconds[:, None] * self.wander)
         R = R @ self.turn.get(name, np.eye(3)) @ exp_so3(noise[1] * drawn[1])
         p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
         if self.low_pass_hz:
@@ -176,7 +180,11 @@ class Laboratory:
             at = len(p) // 3
             p[at:at + 40] += [0.03, 0.0, 0.0]
             seen[at + 40:at + 55] = False
-        return PoseStream(name, 'world', (body.stamps_ns + late)[seen], p[seen], R[seen])
+        stamps = body.stamps_ns + late
+        if name == 'tool':
+            stamps = stamps + np.rint(
+                self.clock_rate * (stamps - stamps[0])).astype(np.int64)
+        return PoseStream(name, 'world', stamps[seen], p[seen], R[seen])
 
 
 def parameters(laboratory):
@@ -307,11 +315,15 @@ FAULTS = {
     'yaw': (_yaw, 'yaw'),
     'package frame': (_frame, 'recording.package_frame'),
     'two worlds': (_worlds, 'package_world'),
-    'drift': (_drift, 'drift K'),
-    'camera drifts': (_world_drift, 'world_drift'),
-    'soft spring': (lambda own: own.soften(own.rng.uniform(0.3, 0.5)), 'cubic'),
-    'friction': (_friction, 'friction'),
-    'structure': (_oval, 'structure'),
+    'drift': (_drift, 'unknown'),
+    'camera drifts': (_world_drift, 'unknown'),
+    'soft spring': (lambda own: own.soften(own.rng.uniform(0.3, 0.5)), 'unknown'),
+    'friction': (_friction, 'unknown'),
+    'structure': (_oval, 'unknown'),
+    'leak': (lambda own: setattr(own, 'leak', own.rng.uniform(4e-4, 1.5e-3)), 'length_drift'),
+    'clocks drift': (lambda own: setattr(own, 'clock_rate', either(own.rng, 6e-4, 2e-3)),
+                     'clock_rate'),
+    'scale': (lambda own: setattr(own, 'magnified', 1.0 + either(own.rng, 0.01, 0.03)), 'scale'),
     'exchanged topics': (lambda own: setattr(own, 'swapped', True), 'are exchanged'),
     'millimetres': (_millimetres, 'in millimetres'),
     'two worlds far apart': (_far_worlds, 'package_world'),

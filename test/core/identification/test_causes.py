@@ -74,16 +74,33 @@ def named(laboratory, cause):
 
 
 @pytest.mark.parametrize(('fault', 'seed', 'options', 'cause'), [
-    ('structure', 4, {}, 'structure'),
     # A yaw that noise nearly hides, and poses of the lip that put it above or at the tool.
     ('yaw', 902, {'rate_hz': 480.0, 'seconds': 12.0}, 'yaw'),
-    # An inertia would explain a part, and a search with friction does not converge.
     ('package frame', 4000, QUICK, 'recording.package_frame'),
-    ('friction', 4101, QUICK, 'friction'),
+    ('leak', 4103, QUICK, 'length_drift'),
+    ('clocks drift', 4104, QUICK, 'clock_rate'),
+    ('scale', 4105, QUICK, 'scale'),
     *(('package frame', seed, {}, 'recording.package_frame: lip') for seed in (20271, 901))])
 def test_one_fault_is_named(fault, seed, options, cause):
     laboratory = faulty(fault, seed, **options)
     assert named(laboratory, cause) == 'right'
+
+
+def test_of_two_faults_without_a_fit_and_with_one_both_are_named():
+    laboratory = faulty(('mass in grams', 'yaw'), 305)
+    found = judged(laboratory)[1]
+    assert [own.name for own in diagnosed(laboratory)] == ['mass', 'yaw']
+    assert 'Besides' in found.cause[1]
+
+
+@pytest.mark.parametrize(('fault', 'seed'), [
+    ('friction', 100), ('soft spring', 401), ('structure', 4), ('drift', 313)])
+def test_a_cup_unlike_the_model_is_an_unknown_cause(fault, seed):
+    """Describe the residual, and claim nothing."""
+    found = diagnosed(faulty(fault, seed))
+    assert found[0].name == 'unknown' and not any(finding.certain for finding in found)
+    start, end, low, high = found[0].theta
+    assert 0.0 <= start < end <= 10.1 and 0.0 <= low <= high
 
 
 @pytest.mark.parametrize(('seed', 'rate_hz'), [(502, 240.0), (703, 480.0)])
@@ -113,19 +130,6 @@ def test_what_an_inertia_shares_with_the_centre_of_mass_is_its_own():
     found, = diagnosed(laboratory)
     factor = laboratory.package.inertia[0, 0] / laboratory.said.inertia[0, 0]
     assert found.name == 'inertia' and abs(found.theta[0] - np.log(factor)) < 0.03
-
-
-@pytest.mark.parametrize(('first', 'second', 'seed'), [
-    ('inertia', 'drift', 313), ('two worlds', 'exchanged topics', 314),
-    ('mass in grams', 'yaw', 305), ('soft spring', 'centre of mass aside', 723)])
-def test_of_two_faults_both_are_named(first, second, seed):
-    laboratory = faulty((first, second), seed)
-    _, found = judged(laboratory)
-    named = [f'{own.name} {own.value}{own.sentence}' for own in (
-        *found.diagnosis.findings, *found.diagnosis.besides)] + list(found.found)
-    assert [True, True] == [any(FAULTS[fault][1] in own for own in named)
-                            for fault in (first, second)]
-    assert found.found or len(named) == 2 and 'Besides' in found.cause[1]
 
 
 def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_did():
@@ -205,40 +209,6 @@ def test_a_mass_that_moves_k_is_named_and_refused_where_no_inertia_is_that_far_o
     assert bool(verdict.refusals) == refused
 
 
-@pytest.mark.stress
-@pytest.mark.parametrize('seed', [100, 401])
-def test_a_camera_that_drifts_is_named_by_the_fit(seed):
-    """Name it first, with its size, though it is less than a millimetre, and keep K and P."""
-    laboratory = faulty('camera drifts', seed, rate_hz=480.0, seconds=12.0)
-    recordings, values = laboratory.recordings(), parameters(laboratory)
-    found = fit(recordings, values).fit
-    cause, = found.causes
-    assert cause.name == 'world_drift'
-    assert np.linalg.norm(cause.theta[:3] + laboratory.wander) < 0.2 * np.linalg.norm(
-        laboratory.wander)
-    verdict = verdict_of(found, recordings, values['cup.length'], values)
-    assert verdict.diagnosis.findings[0] == cause and not verdict.refusals
-    rate = 60e3 * np.linalg.norm(cause.theta[:3])
-    assert f'by {rate:.2g} mm per minute' in verdict.cause[0]
-    off = np.diag(found.stiffness) - laboratory.K
-    assert np.all(np.abs(off) < 4.0 * np.diag(found.stiffness_std))
-
-
-@pytest.mark.parametrize(('seed', 'break_it', 'cause'), [
-    (904, FAULTS['soft spring'][0], 'not linear'),
-    (930, lambda own: own.vary(lambda when, deflection: 0.95 + 0.1 * when), 'drifts')])
-def test_a_cup_that_changes_a_little_is_named_by_the_fit(seed, break_it, cause):
-    """Where K z would be 11 % too small, without a word; and a drift with five times the error."""
-    laboratory = Laboratory(seed, seconds=6.0)
-    break_it(laboratory)
-    found, verdict = judged(laboratory)
-    first, = found.causes
-    size = 0.1 if cause == 'drifts' else -0.06
-    assert first.certain and not first.material
-    assert abs(first.theta[0] - size) < 3.0 * first.std[0] < 0.02
-    assert cause in verdict.cause[0]
-
-
 @pytest.mark.parametrize('seed', [62000, 62002])
 def test_worlds_that_are_metres_apart_are_found(seed):
     """Find them from the closed form of a rigid cup, whether the lip is below the tool or not."""
@@ -249,15 +219,6 @@ def test_worlds_that_are_metres_apart_are_found(seed):
     degrees = np.degrees(np.linalg.norm(laboratory.apart[3:]))
     turned = float(re.search(r'in two worlds, turned by ([\d.]+)', text)[1])
     assert abs(turned - degrees) < 2.0 and 'Set recording.package_world: estimate' in text
-
-
-@pytest.mark.parametrize(('fault', 'seed', 'rate_hz'), [
-    ('friction', 100, 120.0), ('soft spring', 401, 480.0)])
-def test_a_cup_that_is_otherwise_is_called_what_it_is(fault, seed, rate_hz):
-    """Also one that is 4 % softer at the largest deflection, which noise would nearly explain."""
-    first, *_ = diagnosed(faulty(fault, seed, rate_hz=rate_hz))
-    assert first.name == FAULTS[fault][1] and not first.material
-    assert first.value.startswith('K ') and abs(first.theta[0]) > 4.0 * first.std[0]
 
 
 @pytest.mark.stress
@@ -340,4 +301,4 @@ def test_a_free_simulation_is_of_what_was_found_with_the_cup():
 @pytest.mark.parametrize(('seed', 'soft', 'coloured'), [
     (4, 0.1, False), (3, 0.0, True), (8022, 0.0, True), (51058, 0.0, True), (961, 0.0, True)])
 def test_a_sound_recording_is_not_refused(seed, soft, coloured):
-    assert named(Laboratory(seed, soft, coloured), 'cubic') in ('silent', 'not certain', 'right')
+    assert named(Laboratory(seed, soft, coloured), 'unknown') in ('silent', 'not certain', 'right')

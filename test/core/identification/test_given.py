@@ -4,7 +4,9 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import given as module
-from bellows_ros.core.identification.given import given_std, outlying, PACKAGE_STD, stated
+from bellows_ros.core.identification.diagnosis import candidates
+from bellows_ros.core.identification.diagnosis.ranking import deviating
+from bellows_ros.core.identification.given import given_std, PACKAGE_STD, stated
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.search import Search
 from bellows_ros.core.identification.segments import Segment
@@ -133,19 +135,17 @@ def test_a_com_far_off_is_no_slip_soon_after_the_beginning():
     assert_allclose(com.theta, [-0.015, 0.0, 0.0], atol=1e-3)
 
 
-@pytest.mark.parametrize(('sensor', 'coupled', 'named'), [
-    ({}, 0.0, 'gravity.direction'), (CAPTURED, 0.0, 'gravity.direction'), ({}, 0.1, 'structure')])
-def test_a_world_that_is_not_level_is_named(sensor, coupled, named):
-    """Of both bodies, so that gravity is not along its z; or a cup that couples directions."""
-    root = np.sqrt(np.diag(TRUTH.stiffness))
-    K = TRUTH.stiffness + coupled * np.outer(root, root) * np.eye(6)[::-1]
-    own = measured(3, tool_hz=100.0, cup=replace(TRUTH, stiffness=K), **sensor)
-    tilt = exp_so3(np.array([0.0, 0.0 if coupled else 0.12, 0.0]))
+@pytest.mark.parametrize('sensor', [{}, CAPTURED])
+def test_a_world_that_is_not_level_is_named(sensor):
+    """Of both bodies, so that gravity is not along its z; a constant force would look alike."""
+    own = measured(3, tool_hz=100.0, **sensor)
+    tilt = exp_so3(np.array([0.0, 0.12, 0.0]))
     tilted = replace(own, **{name: replace(body, position=body.position @ tilt.T, rotation=(
         tilt @ body.rotation)) for name, body in (('tool', own.tool), ('package', own.package))})
     (gravity, *_) = output_error([tilted], AXISYMMETRIC, TRUTH, given=USUAL).causes
-    assert gravity.name == named and gravity.certain
-    assert coupled or np.all(np.abs(gravity.theta - [0.0, -0.12]) < 4.0 * gravity.std)
+    assert (gravity.name, gravity.instead) == ('gravity.direction', 'force')
+    assert gravity.certain
+    assert np.all(np.abs(gravity.theta - [0.0, -0.12]) < 4.0 * gravity.std)
 
 
 def test_a_world_that_lets_no_search_converge_is_named():
@@ -168,8 +168,8 @@ def test_a_centre_of_stiffness_on_the_axis_is_no_length_and_com_that_are_wrong(s
     coupled = replace(TRUTH, stiffness=shift.T @ TRUTH.stiffness @ shift,
                       damping=shift.T @ TRUTH.damping @ shift)
     own = measured(seed, tool_hz=100.0, duration=8.0, cup=coupled, **CAPTURED)
-    cause, = output_error([own], AXISYMMETRIC, TRUTH, given=USUAL).causes
-    assert (cause.name, cause.value, cause.certain) == ('structure', 'axisymmetric_coupled', True)
+    found = output_error([own], AXISYMMETRIC, TRUTH, given=USUAL).causes
+    assert found[0].name == 'unknown' and not any(finding.certain for finding in found)
 
 
 def test_what_is_off_under_motion_capture_is_named_with_all_that_is_a_little_off():
@@ -203,7 +203,8 @@ def test_what_is_a_little_off_is_no_cause_where_chance_leaves_something(monkeypa
     own = measured(5, tool_hz=100.0, duration=8.0)
     aside = replace(own, payload=varied(PLATE, com=np.array([1.5e-3, 0.0, 0.0])))
     assert output_error([aside], AXISYMMETRIC, TRUTH).causes
-    monkeypatch.setattr(module, 'is_explained', lambda *end: False)
+    for one in (module, candidates):
+        monkeypatch.setattr(one, 'is_explained', lambda *end: False)
     assert not output_error([aside], AXISYMMETRIC, TRUTH, given=USUAL).causes
 
 
@@ -212,7 +213,7 @@ def test_what_would_be_off_by_many_standard_deviations_is_named(off, named):
     """With all that was given free, the fit explains the poses."""
     longer = replace(TRUTH, length=TRUTH.length + off)
     search = Search([Segment(measured(6, duration=8.0))], AXISYMMETRIC, longer, USUAL)
-    found = outlying(search, search.minimum(), USUAL)
+    found = deviating(search, search.minimum(), USUAL)
     assert [own.name for own in found] == named
     assert all(abs(own.theta[0] + off) < 4.0 * own.std[0] for own in found)
 

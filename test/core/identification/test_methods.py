@@ -58,7 +58,7 @@ def test_motion_is_too_little_where_neither_a_misfit_nor_noise_hides_the_damping
     found = methods.fitted([recording], VALUES)
     unknown = replace(
         found, method='output_error', robust_chi2=chi2,
-        causes=(Finding('drift', '', certain=certain),), covariance=np.diag([
+        causes=(Finding('length', '', certain=certain),), covariance=np.diag([
             (std * x) ** 2 if label == 'K rz' else np.inf
             for label, x in zip(found.labels, found.parameters, strict=True)]))
     monkeypatch.setattr(methods, 'fitted', lambda *own: unknown)

@@ -1,0 +1,292 @@
+"""
+Candidates for the cause of a misfit: quantities that may be freed, and how much each explains.
+
+Each of `CANDIDATES` gets its columns in one pass about the minimum; the fall of chi² if the
+candidate were free is its score. A candidate of a high score is freed, and all is fitted again.
+The open alternative, "something else", is an unknown white force on the package: an explanation
+that no candidate has. Settings that are no numbers (worlds, axes, exchanged packages) are each
+tried by a search.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from copy import copy
+from dataclasses import replace
+from operator import itemgetter
+from typing import NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification import quantities
+from bellows_ros.core.identification.causes import DISTINCT, Finding
+from bellows_ros.core.identification.quantities import Free, of_fixed_frame
+from bellows_ros.core.identification.search import deviance, Minimum, Search
+from bellows_ros.core.identification.segments import MeasuredSegment, Segment
+from bellows_ros.core.model.cup_package import Cup, gravity_vector
+from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
+from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+SIGNIFICANT = 6.0
+"""Distance of a significant change from zero, standard errors."""
+
+CANDIDATES = ('time_offset', 'clock_rate', 'com', 'length', 'length_drift', 'mass', 'gravity',
+              'package_world', 'scale', 'package_marker', 'tool_marker')
+"""Quantities that may be the cause of a misfit; besides them a slip, see `with_likeliest_slip`."""
+
+MARKERS = ('package_marker', 'tool_marker')
+"""Two frames that one recording can hardly tell apart."""
+
+MAX_PULL = 4.0
+"""Largest deviation of a given quantity, standard deviations; false-alarm rate 1 in 16,000."""
+
+MAX_RATIO_PULL = 3.0
+"""Largest deviation of the ratio of inertia and mass, standard deviations."""
+
+MIN_KNOWN = 0.01
+"""Smallest share of a given variance that recordings reduce, in the scale of a deviation."""
+
+SLIP_PERIOD = 1.0
+"""Time between the moments at which a slip is tried first, s."""
+
+MIN_SLIP_PERIOD = 0.03
+"""Resolution of the moment of a slip, s."""
+
+MAX_SLIPS = 30
+"""Largest number of moments at which a slip is tried first: each is a simulation."""
+
+UNKNOWN_FORCES = (3.0, 10.0, 30.0)
+"""Rates at which an unknown white force makes the model forget, 1/s; the likeliest is used."""
+
+SQUARED_UNITS = [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]
+"""Squares of the units in which shifts (m) and rotations (rad) of poses are compared."""
+
+
+def is_explained(search: Search, minimum: Minimum, given: Free) -> bool:
+    """Return whether a minimum leaves no cause to look for, with what was given free."""
+    names = [name for name in candidates_of(search) if not (  # a little off, it is as one of both
+        name in MARKERS and search.places.keys() & set(MARKERS))]
+    return search.fits(minimum) and not is_off(search, minimum, given) and (
+        max(scores(search, minimum, names).values()) < SIGNIFICANT**2)
+
+
+def candidates_of(search: Search, without: Sequence[str] = ()) -> list[str]:
+    """Return the candidates that are not free; with a marker free anywhere, no other marker."""
+    taken = {*search.places, *without}
+    for name in search.places.keys() & set(MARKERS):
+        kind = quantities.KINDS[name]
+        if np.all(search.weights[search.places[name]] * (kind.prior_std / kind.unit) ** 2 < 2.0):
+            taken.update(MARKERS)
+    return [name for name in CANDIDATES if name not in taken]
+
+
+def is_off(search: Search, minimum: Minimum, given: Free) -> bool:
+    """Return whether something given is off by more than is allowed."""
+    return max(pulls(search, minimum, given).values(), default=0.0) > 1.0
+
+
+def pulls(search: Search, minimum: Minimum, given: Free) -> dict[str, float]:
+    """
+    Return by how much what was given is off, by name, in what is allowed: `MAX_PULL`.
+
+    Of mass and inertia only the ratio is known.
+    """
+    found = dict[str, float]()
+    covariance = np.linalg.inv(minimum.information - search.fixing)
+
+    def pull(by: Array) -> float:
+        """Return that of a sum of the unknowns."""
+        prior = float(np.sum(by**2 / np.where(by != 0.0, search.weights, 1.0)))
+        known = max(1.0 - float(by @ covariance @ by) / prior, MIN_KNOWN)
+        return abs(float(by @ minimum.theta)) / float(np.sqrt(prior * known))
+
+    for name in search.places.keys() & given.keys() - {'mass', 'inertia'}:
+        found[name] = max(map(pull, np.eye(len(search.units))[search.places[name].ravel()]))
+    if {'mass', 'inertia'} <= search.places.keys() & given.keys():
+        ratio = np.zeros(len(search.units))
+        for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
+            place = search.places[name].ravel()
+            ratio[place] = part * search.units[place]
+        found['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(ratio)
+    return {name: size / MAX_PULL for name, size in found.items()}
+
+
+class FreedSearch(NamedTuple):
+    """A search with one free quantity more, its end, and the fall of chi²."""
+
+    name: str
+    search: Search
+    minimum: Minimum
+    gain: float
+
+    def left(self, before: Minimum) -> float:
+        """Return the ratio of the residuals (RMS; 1 mm counts as 10 mrad) to those before."""
+        now, then = (np.sum(np.median(minimum.residuals**2, axis=0) / SQUARED_UNITS)
+                     for minimum in (self.minimum, before))
+        return float(np.sqrt(now / then))
+
+
+def freed(
+    search: Search, minimum: Minimum, name: str, from_start: bool = False
+) -> FreedSearch:
+    """Return the search from a minimum or its start with one quantity more, and its gain."""
+    search.restore(minimum)
+    theta = search.start if from_start else minimum.theta
+    wide = search.with_free(theta, quantities.weak_prior([name]))
+    if from_start:
+        for segment in search.segments:
+            segment.reset()
+    again = wide.minimum(near=None if from_start else wide.transferred(search, theta))
+    gain = gain_of((search, minimum), (wide, again), name == 'slip')
+    return FreedSearch(name, wide, again, gain)
+
+
+def gain_of(
+    before: tuple[Search, Minimum], after: tuple[Search, Minimum], of_poses: bool = False
+) -> float:
+    """
+    Return by how much squares fall, with those of what was given, from one end to another.
+
+    For slow poses, whose noise is estimated, deviances are compared. For a slip, those of the
+    poses alone: soon after the beginning it is a centre of mass elsewhere, whose squares it would
+    share.
+    """
+    is_slow = any(segment.is_slow for segment in before[0].segments)
+
+    def left(search: Search, minimum: Minimum) -> float:
+        """Return the squares or the deviance, and the squares of what was given."""
+        given = 0.0 if of_poses else float(search.weights @ minimum.theta**2)
+        if not is_slow:
+            return minimum.squares + given
+        return deviance(minimum.parts) * after[1].residual_count / minimum.residual_count + given
+
+    return left(*before) - left(*after)
+
+
+def scores(search: Search, minimum: Minimum, names: Sequence[str]) -> dict[str, float]:
+    """Return by how much the squares would fall with each quantity free."""
+    wide = search.with_free(minimum.theta, quantities.weak_prior(names))
+    _, H, g = wide.system(wide.transferred(search, minimum.theta))
+    base = np.arange(len(search.units))
+    gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
+    decreases = dict[str, float]()
+    for name in names:
+        place = wide.places[name].ravel()
+        S = H[np.ix_(place, place)] - H[np.ix_(place, base)] @ gain[:, place]
+        slope = g[place] - H[np.ix_(place, base)] @ gain[:, -1]
+        decreases[name] = float(slope @ np.linalg.solve(S, slope))
+    return decreases
+
+
+def with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:
+    """Return a search with the likeliest moment of a slip, and by how much the squares fall."""
+    tried = dict[int, tuple[Search, float]]()
+
+    def fall(slip_ns: int) -> float:
+        if slip_ns not in tried:
+            with_slip = copy(search)
+            with_slip.slip_ns = slip_ns
+            tried[slip_ns] = with_slip, float(np.nan_to_num(
+                scores(with_slip, minimum, ['slip'])['slip'], posinf=0.0))
+        return tried[slip_ns][1]
+
+    ends = [segment.path.stamps_ns[[0, -1]].tolist() for segment in search.segments]
+    period = max(round(SLIP_PERIOD * NS_PER_S),
+                 sum(last - first for first, last in ends) // MAX_SLIPS)
+    moments = [stamp for first, last in ends for stamp in range(first + period, last, period)]
+    margin = period // 2  # nearer to an end a slip is a centre of mass elsewhere
+    while moments and period > MIN_SLIP_PERIOD * NS_PER_S:
+        best = max(moments, key=fall)
+        period //= 2
+        moments = [stamp for stamp in (best - period, best, best + period) if any(
+            first + margin <= stamp <= last - margin for first, last in ends)]
+    return tried[best] if tried else (search, 0.0)
+
+
+def deviance_of_unknown_force(search: Search, minimum: Minimum) -> float:
+    """Return the smallest deviance with an unknown force on the package, K and P unchanged."""
+    deviances = [np.inf]
+    for rate in UNKNOWN_FORCES:
+        try:
+            value = deviance(search.system(minimum.theta, rate)[0])
+        except BellowsError:
+            continue
+        deviances.append(value if np.isfinite(value) else np.inf)
+    return float(min(deviances))
+
+
+def moved_between(*ends: tuple[Search, Minimum]) -> float:
+    """Return the largest part by which the diagonal of K moves from one minimum to another."""
+    first, second = (np.diag(search.cup(minimum.theta).stiffness) for search, minimum in ends)
+    return float(np.max(np.abs(second / first - 1.0)))
+
+
+ROTATIONS = (90, 180, -90)
+"""Angles (degrees) about z by which a frame may be turned."""
+
+Setting = tuple[Finding, list[MeasuredSegment]]
+"""A setting, and the recordings with it."""
+
+
+def settings_of(measured: Sequence[MeasuredSegment]) -> Iterator[Setting]:
+    """Yield the other settings of recordings of one cup."""
+    for value, R in _worlds(measured[0].world):
+        yield Finding('recording.world', value), [
+            replace(each, gravity=R.T @ gravity_vector(each.gravity)) for each in measured]
+    for degrees in ROTATIONS:
+        phi = np.array([0.0, 0.0, -np.radians(degrees)])
+        yield Finding('yaw', f'tool {degrees}'), [
+            replace(each, tool=of_fixed_frame(each.tool, phi, np.zeros(3))) for each in measured]
+        yield Finding('yaw', f'package {degrees}'), [  # turned about its lip
+            replace(each, package=of_fixed_frame(
+                each.package, phi, exp_so3(phi) @ each.payload.com - each.payload.com))
+            for each in measured]
+    packages = list({each.payload.mass: each.payload for each in measured}.values())
+    if len(packages) == 2:
+        yield Finding('package.files', 'exchanged'), [
+            replace(each, payload=packages[int(each.payload.mass == packages[0].mass)])
+            for each in measured]
+
+
+def _worlds(world: str) -> Iterator[tuple[str, Array]]:
+    """Yield worlds other than the given one: values of a setting, and the turn to it."""
+    other, R = ('motive_y_up', R_WORLD_MOTIVE) if world == 'z_up' else ('z_up', R_WORLD_MOTIVE.T)
+    yield other, R
+    for down in np.concatenate([np.eye(3), -np.eye(3)[:2]]):
+        if down @ R[2] > -0.5:  # where things fall in the other world
+            yield f'gravity {down.astype(int).tolist()}', levelling(down)
+
+
+def likeliest_setting(search: Search, cup: Cup) -> Finding | None:
+    """
+    Return the other setting with which recordings fit to the noise, None without one.
+
+    Each setting is approached from one cup, and the best is fitted. If recordings do not tell
+    which of two frames is rotated, the finding names both.
+
+    Parameters
+    ----------
+    search : Search
+        Of recordings as they were given.
+    cup : Cup
+        Where the searches begin.
+
+    """
+    given = [segment.measured for segment in search.segments]
+    ends = list[tuple[float, Finding, Search]]()
+    for finding, measured in [(Finding('', ''), given), *settings_of(given)]:
+        other = search.with_free(search.unknowns(cup), {})
+        other.segments = [Segment(each) for each in measured]
+        with suppress(BellowsError):  # no cup explains that
+            ends.append((other.approach(with_couplings=False).squares, finding, other))
+    least, likeliest, other = min(ends, key=itemgetter(0))
+    for segment in other.segments:
+        segment.reset()
+    if not likeliest.name or not other.fits(other.minimum()):
+        return None
+    (before, *_), *_ = ends
+    instead = [finding.value for squares, finding, *_ in ends if finding is not likeliest and (
+        finding.name == likeliest.name == 'yaw' and DISTINCT * squares < least)]
+    return likeliest._replace(
+        left=float(np.sqrt(least / before)), instead=next(iter(instead), ''))
