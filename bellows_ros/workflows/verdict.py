@@ -65,12 +65,16 @@ class Simulated(NamedTuple):
     """So much of a long recording, s; 0 where it is all of it."""
     uncertainty: Array | float = 0.0
     """RMS errors (6,) that the standard errors of K and P explain."""
+    all_identifiable: bool = True
+    """Whether no entry of K and P is free to be anything."""
 
     @property
     def largest(self) -> Array:
         """Largest RMS errors (6,) that noise and the standard errors of K and P explain."""
         allowed = np.hypot(
             methods.MAX_MISFIT_TO_NOISE * self.noise, SIGMAS * np.asarray(self.uncertainty))
+        if not self.all_identifiable:
+            return np.asarray(allowed)
         return np.asarray(np.minimum(allowed, np.maximum(
             MAX_RMS_TO_NOISE * self.noise, MAX_RMS_TO_MOTION * self.motion)))
 
@@ -319,7 +323,8 @@ def _judged(
     return verdict._replace(
         simulated=tuple(
             _simulated(cup, as_found(recording, fit.nuisances, number), others,
-                       fit.noise_in_motion.get(number))
+                       fit.noise_in_motion.get(number))._replace(
+                           all_identifiable=bool(np.all(np.isfinite(np.diag(fit.covariance)))))
             for number, recording in enumerate(tested) if fit.usable),
         chi2=fit.robust_chi2, log_inertia_ratio=log_inertia_ratio,
         expected={name: std for name, std in given_std(values).items() if name in LOCAL},

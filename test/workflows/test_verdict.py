@@ -9,6 +9,7 @@ from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.workflows import verdict
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.verdict import FitVerdict, Simulated
@@ -149,6 +150,24 @@ def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
         assert name == 'package.com' and float(off.removesuffix(' mm')) > 800.0 * aside
         np.testing.assert_allclose(com[:2], 0.0, atol=0.1 * aside)
         assert 'package.com [' in said.doubts[-1]
+
+
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
+def test_a_gap_of_the_tool_refuses_no_cup():
+    """Fit and simulate each segment from a first state of its own."""
+    laboratory = Laboratory(4, seconds=8.0, rate_hz=240.0)
+    recording, values = laboratory.recording(), parameters(laboratory)
+    tool = recording.tool_pose
+    kept = np.abs(np.arange(len(tool)) - len(tool) // 2) > 40
+    gapped = prepare(replace(tool, stamps_ns=tool.stamps_ns[kept], position=tool.position[kept],
+                             rotation=tool.rotation[kept]),
+                     recording.package_pose, recording.settings)
+    assert len(gapped.segments) == 2
+    found = fit([gapped], values).fit
+    off = np.abs(np.diag(found.stiffness) - laboratory.K) / np.diag(found.stiffness_std)
+    assert np.all(off < 4.0)
+    said = verdict.verdict_of(found, [gapped], laboratory.length, values)
+    assert not said.refusals and np.all(said.simulated[0].rms < 1.5 * said.simulated[0].noise)
 
 
 @pytest.mark.parametrize(('name', 'wrong', 'named'), [

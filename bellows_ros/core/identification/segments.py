@@ -15,7 +15,12 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.recording.recording import BodyNoise, LOW_RATE_HZ, Recording
+from bellows_ros.core.recording.recording import (
+    BodyNoise,
+    LOW_RATE_HZ,
+    MIN_SEGMENT,
+    Recording,
+)
 from bellows_ros.core.signals.resampling import subdivided
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.savgol import bridged, savgol
@@ -32,11 +37,11 @@ MAX_REMOVED_POWER = 1.5
 MIN_POSE_STD = np.repeat([2e-7, 2e-6], 3)
 """Smallest noise of a pose (m, rad): interpolation and rounding."""
 
-MAX_GAP, MIN_SEGMENT, MAX_SEGMENT = 0.15, 1.0, 15.0
-"""Longest gap (s) of the tool that is bridged, and shortest and longest segment (s) in between.
+MAX_SEGMENT = 15.0
+"""
+Longest segment, s; longer ones are split, as each core whitens one at a time.
 
-Longer ones are split, as each core whitens one at a time. Two in 26 s make standard errors
-1 % larger.
+Two in 26 s make standard errors 1 % larger.
 """
 
 MEAN_HALF_WINDOW, MAX_STEP_CHANGE, MIN_IN_MEANS = 5, 0.1, 0.85
@@ -112,11 +117,8 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
     context: tuple[Any, ...] = (
         recording.payload, recording.settings.gravity, *noises, number,
         recording.settings.moves_with_com, quantities.middle_of(package), recording.settings.world)
-    stamps = tool.stamps_ns[tool.valid]
-    cuts = np.flatnonzero(np.diff(stamps) > MAX_GAP * NS_PER_S)
     motions = []
-    for start, end in zip(
-            stamps[np.append(0, cuts + 1)], stamps[np.append(cuts, -1)], strict=True):
+    for start, end, _ in recording.segments:
         count = int((end - start) / NS_PER_S / MAX_SEGMENT) + 1
         edges = start + np.linspace(0, end - start, count + 1).astype(np.int64)
         for first, last in pairwise(edges):
