@@ -11,12 +11,14 @@ Unusable messages are left out of a stream, and counted by reason.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 import struct
+import tomllib
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
-from bellows_ros.core.signals.screening import UNIT_TOLERANCE, unusable_stamps, WHY_REFUSED
+from bellows_ros.core.signals.screening import UNIT_TOLERANCE, unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -378,7 +380,10 @@ MIN_QUATERNION_NORM = 1e-6
 # No robot is further away (m), or faster (m/s, rad/s), than this; a damaged message may say so.
 MAX_VALUE = 1e6
 
-REASONS: Mapping[str, str] = {**WHY_REFUSED['both'], **WHY_REFUSED['recorded']}
+REASONS: Mapping[str, str] = {reason: text for table in tomllib.loads(
+    Path(__file__).with_name('refusals.toml').read_text()).values()
+    for reason, text in table.items()}
+"""Reasons for rejecting messages, in words."""
 
 
 def describe(refused: Mapping[str, tuple[int, ...]]) -> str:

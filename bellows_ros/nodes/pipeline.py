@@ -35,7 +35,7 @@ from .outputs import Outputs, Predicting, QUEUE, Topic, Tossing
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import flight, health, LivePredictor, Prediction, uncertainty, warm_up
+from ..core.live import flight, LivePredictor, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import cup_of, model_tuple, package_of
 from ..core.model.kernels import ModelTuple
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
@@ -43,6 +43,7 @@ from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, shown
+from ..report import health
 
 TICK = 0.02
 """Time (s) between two checks for missing messages; each costs as much as a message."""
@@ -385,7 +386,7 @@ class SensorInput:
 
     def _sentence(self, mismatch: str, name: str) -> str:
         """Return what does not match, in words."""
-        return str(health.INPUTS[mismatch].format(topic=self.topic, name=name))
+        return health.say(f'inputs.{mismatch}', topic=self.topic, name=name)
 
 
 class TransformInput(SensorInput):

@@ -21,7 +21,6 @@ from .node_parameters import ManagedNode
 from .outputs import Predicting, Topic
 from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
-from ..core.live.health import Level, number, Status
 from ..core.live.plan_tracker import DEVIATED, DONE, MAX_WAIT, PlanTracker, thin_out, WAITING
 from ..core.live.uncertainty import STILL, UNKNOWN_ROOT
 from ..core.model.grip import grip_of, safety_sentence
@@ -35,6 +34,7 @@ from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajec
 from ..errors import BellowsError
 from ..files import plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
+from ..report.health import Level, number, Status
 
 MAX_REQUEST_LEAD = 10.0
 """How far ahead (s) package/predict_at may ask."""

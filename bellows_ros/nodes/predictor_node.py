@@ -22,11 +22,11 @@ from std_srvs.srv import Trigger
 from .node_parameters import ManagedNode, QOS_PREFIX, TableNode
 from .pipeline import Pipeline
 from ..core.geometry.jit import COMPILED
-from ..core.live import health
 from ..core.live.load import check_live
 from ..core.model.grip import grip_of
 from ..core.parameters import checks
 from ..errors import BellowsError, install, MAX_MESSAGE, shown
+from ..report import health
 
 REPORT_PERIOD = 1.0
 

@@ -2,11 +2,11 @@
 
 import time
 
-from bellows_ros.core.live.health import Level
 from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.equilibrium import moved_by
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.nodes.conversions import TOOL_POSES
+from bellows_ros.report.health import Level
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, PoseStamped
 import numpy as np

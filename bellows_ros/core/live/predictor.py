@@ -13,8 +13,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import math
 from operator import mul
-from pathlib import Path
-import tomllib
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
@@ -41,7 +39,6 @@ from bellows_ros.core.parameters.checks import (
 )
 from bellows_ros.core.parameters.table import lookup
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, tip_of, Trajectory
 from bellows_ros.errors import BellowsError, require_types
@@ -74,11 +71,10 @@ UNSAFE_DURATION_NS = 1_000_000_000
 SEEN_AGAIN = 3
 """Number of used poses that show the next package, without vacuum and valve."""
 
-MESSAGES = tomllib.loads(Path(__file__).with_name('messages.toml').read_text())
-RESTARTS: Mapping[str, str] = {
-    reason: text.format(gap=screening.LONGEST_GAP_NS / NS_PER_S)
-    for reason, text in MESSAGES['restarts'].items()}
-"""Why the prediction starts again, in words."""
+RESTARTS = (
+    'gap', 'clock_set_back', 'clock_set_forward', 'clock_jump', 'frame_changed', 'moved',
+    'diverged', 'no_equilibrium', 'failure')
+"""Reasons for starting the prediction from rest again."""
 
 
 class LivePredictor:

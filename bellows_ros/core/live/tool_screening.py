@@ -8,7 +8,6 @@ changes its frame or a tool was moved while nobody saw it. Of two tools on one t
 came first is followed.
 """
 
-from collections.abc import Mapping
 import math
 from typing import NamedTuple
 
@@ -20,8 +19,11 @@ from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen
 from bellows_ros.core.signals.trajectory import NS_PER_S
 
-REFUSALS: Mapping[str, str] = {**screening.WHY_REFUSED['both'], **screening.WHY_REFUSED['live']}
-"""Why messages are refused, in words."""
+REFUSALS = (
+    'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
+    'future_stamp', 'frame_id', 'repeated_pose', 'jump', 'twist_nan', 'twist_too_fast',
+    'twist_frame_id', 'twist_misses_pose', 'twist_unpaired')
+"""Reasons for rejecting poses and twists of the tool."""
 
 FRAME_RUN_NS = 150_000_000
 """A new frame is accepted after consecutive poses that span this time (ns)."""
@@ -278,7 +280,7 @@ class Screen(StampScreen):
 
         """
         reason = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
-        if reason not in REFUSALS:
+        if not reason or reason not in REFUSALS:
             moved = self._elsewhere if reason == 'moved' else None
             if reason:
                 self.forget_motion()

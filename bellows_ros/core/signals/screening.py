@@ -9,16 +9,11 @@ possible are left out.
 """
 
 import math
-from pathlib import Path
-import tomllib
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 import numpy as np
-
-WHY_REFUSED = tomllib.loads(Path(__file__).with_name('refusals.toml').read_text())
-"""Why messages are refused, in words: `both`, `recorded`, or `live`."""
 
 MAX_TOOL_SPEED = 20.0
 """Largest speed of an arm, m/s."""

@@ -15,10 +15,12 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.live.load import Load, Safety
-from bellows_ros.core.live.predictor import LivePredictor, MESSAGES, RESTARTS
-from bellows_ros.core.live.tool_screening import REFUSALS
+from bellows_ros.core.live.predictor import LivePredictor
 from bellows_ros.core.model.validity_range import Distance, FLAT_MOMENT_BENDING
+from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.files import messages
+from bellows_ros.report.sentences import sentence, texts
 import numpy as np
 
 WINDOW_LENGTH = 2048
@@ -83,8 +85,13 @@ class Arrivals:
 MAX_AGE = 1.0
 """Messages older or younger (s) than this carry stamps of another clock."""
 
-PHASES, INPUTS, TWIST_TEXTS, FAULTS = (
-    MESSAGES[name] for name in ('phases', 'inputs', 'twists', 'faults'))
+say = partial(sentence, 'live')
+"""Return the sentence of a code of the live predictor."""
+
+REASONS: Mapping[str, str] = {**messages.REASONS, **{
+    code.partition('.')[2]: text.format(gap=LONGEST_GAP_NS / NS_PER_S)
+    for code, text in texts('live').items() if code.startswith(('refusals.', 'restarts.'))}}
+"""Reasons for rejecting a message or for a restart, in words."""
 
 
 class Level(IntEnum):
@@ -144,9 +151,8 @@ def _values(report: InputReport) -> dict[str, str]:
 
 def _listed(counts: Mapping[str, int]) -> str:
     """Return counts in words."""
-    words = {**REFUSALS, **RESTARTS}
     return ', '.join(
-        f'{count} x {words.get(reason, reason)}' for reason, count in counts.items() if count)
+        f'{count} x {REASONS.get(reason, reason)}' for reason, count in counts.items() if count)
 
 
 def _refusals(report: InputReport) -> str:
@@ -170,14 +176,14 @@ def input_status(name: str, report: InputReport, optional: bool = False) -> Stat
         (refused >= report.messages, worst, f'{_refusals(report)}.'),
         (refused, Level.WARN, f'{_refusals(report)}.'),
         (report.mismatch, Level.WARN, report.mismatch),
-        (age > MAX_AGE, Level.WARN, INPUTS['behind'].format(seconds=age)),
-        (age < -MAX_AGE, Level.WARN, INPUTS['ahead'].format(seconds=-age)),
+        (age > MAX_AGE, Level.WARN, say('inputs.behind', seconds=age)),
+        (age < -MAX_AGE, Level.WARN, say('inputs.ahead', seconds=-age)),
         (math.isfinite(rate), Level.OK, f'{rate:.4g} Hz.'),
         (True, Level.OK, 'A single message.')) if report.messages else _first(
         (report.mismatch, worst, report.mismatch),
-        (report.publishers, worst, INPUTS['silent'].format(topic=topic, since=since)),
-        (optional, Level.OK, INPUTS['estimated'].format(topic=topic)),
-        (True, worst, INPUTS['absent'].format(topic=topic)))
+        (report.publishers, worst, say('inputs.silent', topic=topic, since=since)),
+        (optional, Level.OK, say('inputs.estimated', topic=topic)),
+        (True, worst, say('inputs.absent', topic=topic)))
     return Status(name, level, message, _values(report))
 
 
@@ -188,7 +194,7 @@ def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> S
     if status.level > Level.OK or rare or 2 * unpaired <= poses:
         return status
     return status._replace(
-        level=Level.WARN, message=INPUTS['unpaired'].format(unpaired=unpaired, poses=poses))
+        level=Level.WARN, message=say('inputs.unpaired', unpaired=unpaired, poses=poses))
 
 
 def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> Status:
@@ -201,7 +207,7 @@ def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> 
     state, topic = f'the package counts as {"" if held else "not "}held', report.topic
     level, message = _first(
         (report.mismatch, worst, report.mismatch),
-        (not report.publishers, worst, INPUTS['no_vacuum'].format(topic=topic, state=state)),
+        (not report.publishers, worst, say('inputs.no_vacuum', topic=topic, state=state)),
         (any(report.refused.values()), worst,
          f'{_refusals(report)}; {state}. Publish the absolute pressure, Pa.'),
         (math.isinf(report.silent), Level.WARN, f'No message on {topic} so far: {state}.'),
@@ -235,19 +241,20 @@ def prediction_status(
         package is above it.
 
     """
-    failures, reasons = restarts.get('failure'), _listed(restarts)
+    failures, reasons, said = restarts.get('failure'), _listed(restarts), texts('live')
     level, message = _first(
         (state != 'active', Level.OK, f'{state.capitalize()}: nothing is published.'),
-        (restarts.get('no_equilibrium'), Level.ERROR, FAULTS['no_equilibrium']),
+        (restarts.get('no_equilibrium'), Level.ERROR, say('faults.no_equilibrium')),
         (failures, Level.ERROR,
          f'{failures} callbacks failed, a fault of this node. Report its log.'),
-        (phase == 'lost', Level.ERROR, PHASES['lost']),
-        (above, Level.ERROR, FAULTS['above']),
+        (phase == 'lost', Level.ERROR, say('phases.lost')),
+        (above, Level.ERROR, say('faults.above')),
         (reasons, Level.WARN, f'Started again from static equilibrium: {reasons}.'),
-        (phase in ('coasting', 'settling'), Level.WARN, PHASES.get(phase, '')),
-        (twist_verdict in TWIST_TEXTS, Level.WARN, TWIST_TEXTS.get(twist_verdict, '')),
-        (not has_covariance, Level.WARN, FAULTS['no_covariance']),
-        (True, Level.OK, PHASES.get(phase, 'Predicting.')))
+        (phase in ('coasting', 'settling'), Level.WARN, said.get(f'phases.{phase}', '')),
+        (f'twists.{twist_verdict}' in said, Level.WARN,
+         said.get(f'twists.{twist_verdict}', '')),
+        (not has_covariance, Level.WARN, say('faults.no_covariance')),
+        (True, Level.OK, said.get(f'phases.{phase}', 'Predicting.')))
     return Status(name, level, message, {
         'lifecycle': state, 'phase': phase, 'cup': cup,
         **{f'compute time {which} (us)': number(1e6 * seconds)
@@ -268,14 +275,13 @@ def load_status(
         'distance from envelope': number(
             excess.value if excess else math.nan) if load.has_envelope else 'not known',
         'largest bending (degrees)': number(math.degrees(bending))}
-    unsafe = partial(FAULTS['unsafe'].format, factor=factor, mode=mode)
+    unsafe = partial(say, 'faults.unsafe', factor=factor, mode=mode)
     return Status(name, *_first(
         (factor < min(required, 1.0), Level.ERROR, unsafe(limit='1: the cup lets go')),
         (factor < required, Level.WARN, unsafe(limit=f'safety.least, {required:g}')),
-        (bending > FLAT_MOMENT_BENDING, Level.WARN, FAULTS['bending'].format(
-            bending=math.degrees(bending))),
+        (bending > FLAT_MOMENT_BENDING, Level.WARN, say('faults.bending', bending=bending)),
         (excess and excess.outside, Level.WARN, excess.text if excess else ''),
-        (not (has_grip or load.has_envelope), Level.OK, FAULTS['no_limits']),
+        (not (has_grip or load.has_envelope), Level.OK, say('faults.no_limits')),
         (safety is None and excess is None, Level.OK, 'No load: no package is held.'),
         (True, Level.OK, 'Within all known limits.')), values)
 
