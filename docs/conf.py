@@ -4,7 +4,12 @@ How Sphinx builds these pages: `make docs`.
 Formulas become MathML, so that the pages need nothing from the network.
 """
 
+import base64
+from collections.abc import Iterator
+import json
+from pathlib import Path
 import re
+import shutil
 from typing import Any
 
 from bellows_ros import __version__
@@ -31,17 +36,45 @@ html_math_renderer = 'mathml'
 
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 3
-# Links that lead out of the pages, to files of the repository; test/docs/test_links.py checks all.
-suppress_warnings = ['myst.xref_missing']
 
+HERE = Path(__file__).parent
+NOTEBOOKS = HERE / 'notebooks'
+"""Pages that are made of the notebooks while the site is built."""
 
 # Brackets grow with a matrix only in fonts made for formulas; lines beside it do everywhere.
 BRACKETS = re.compile(r'<mo>\[</mo>\s*<mtable>(.*?)</mtable>\s*<mo>\]</mo>', re.DOTALL)
 
 
 def setup(app: Any) -> None:
-    """Add the renderer of formulas."""
+    """Add the renderer of formulas, and the pages of the notebooks."""
     app.add_html_math_renderer('mathml', (inline_formula, None), (formula, None))
+    shutil.rmtree(NOTEBOOKS, ignore_errors=True)
+    NOTEBOOKS.mkdir()
+    for book in sorted((HERE.parent / 'notebooks').glob('*.ipynb')):
+        (NOTEBOOKS / f'{book.stem}.md').write_text('\n\n'.join(notebook_parts(book)) + '\n')
+    app.connect('source-read', lead_to_notebooks)
+
+
+def notebook_parts(book: Path) -> Iterator[str]:
+    """Yield the cells of a notebook, and their outputs, as Markdown; write its pictures."""
+    for cell in json.loads(book.read_text())['cells']:
+        source = ''.join(cell['source'])
+        yield source if cell['cell_type'] == 'markdown' else f'```python\n{source}\n```'
+        for number, output in enumerate(cell.get('outputs', ())):
+            data = output.get('data', {})
+            if 'image/png' in data:
+                name = f'{book.stem}_{cell["id"]}_{number}.png'
+                (NOTEBOOKS / name).write_bytes(base64.b64decode(data['image/png']))
+                yield f'![What the cell above draws]({name})'
+            elif text := ''.join(output.get('text', data.get('text/plain', ()))):
+                yield f'```text\n{text.rstrip()}\n```'
+
+
+def lead_to_notebooks(app: Any, name: str, source: list[str]) -> None:
+    """Let links to notebooks lead to their pages, and links of these to the other pages."""
+    inside = name.startswith('notebooks/')
+    pairs = ('](../docs/', '](../') if inside else ('](../notebooks/', '](notebooks/')
+    source[0] = re.sub(r'(\]\(notebooks/\w+)\.ipynb\)', r'\1.md)', source[0].replace(*pairs))
 
 
 def inline_formula(translator: Any, node: Any) -> None:

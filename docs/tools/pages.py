@@ -81,7 +81,8 @@ class Block:
 
 def pages() -> list[Path]:
     """Return all pages, the README first."""
-    inside = sorted((ROOT / 'docs').rglob('*.md'))
+    inside = [page for page in sorted((ROOT / 'docs').rglob('*.md'))
+              if page.parent.name != 'notebooks']  # made while the site is built
     return [ROOT / 'README.md', *inside, ROOT / 'bags' / 'README.md']
 
 
@@ -167,11 +168,12 @@ def environment(base: Mapping[str, str]) -> dict[str, str]:
 
 
 def run(
-    command: Command, folder: Path, variables: Mapping[str, str]
+    command: Command | str, folder: Path, variables: Mapping[str, str]
 ) -> 'subprocess.CompletedProcess[str]':
     """Run a command in a shell; its stdout has stderr in it, as on a terminal."""
+    text = command if isinstance(command, str) else command.text
     return subprocess.run(
-        ['bash', '-c', PRELUDE + command.text], cwd=folder, env=dict(variables), text=True,
+        ['bash', '-c', PRELUDE + text], cwd=folder, env=dict(variables), text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
         timeout=TIMEOUT,
     )

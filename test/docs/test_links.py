@@ -98,7 +98,7 @@ def test_the_first_page_leads_to_every_page(root):
     docs = root / 'docs'
     books = {f'../notebooks/{path.name}' for path in root.glob('notebooks/*.ipynb')}
     text = (docs / 'index.md').read_text()
-    pages = [path for path in sorted(docs.rglob('*.md')) if path.name != 'index.md']
+    pages = [path for path in PAGES.pages() if docs in path.parents and path.name != 'index.md']
     links = books | {str(path.relative_to(docs)) for path in pages}
     assert books and [link for link in links if f']({link})' not in text] == []
 
