@@ -83,7 +83,7 @@ count: $(VENV)/ready  ## print lines of code, modules, and words of the pages
 
 .PHONY: reference
 reference: $(VENV)/ready  ## write docs/reference/ from the declarations
-	@$(BIN)/python docs/tools/reference.py
+	@$(BIN)/python docs/tools/reference.py $(ARGS)
 
 .PHONY: figures
 figures: $(VENV)/ready  ## draw docs/images/ again (the demo's plot from demo_output/)

@@ -350,10 +350,10 @@ def stub_text() -> str:
 
 
 def main() -> None:
-    """Write all pages."""
+    """Write the pages that are named, or all."""
     write_text(STUB, stub_text())
     FOLDER.mkdir(exist_ok=True)
-    for name in PAGES:
+    for name in sys.argv[1:] or PAGES:
         write_text(FOLDER / name, text_of(name))
 
 
