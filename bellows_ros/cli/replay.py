@@ -20,14 +20,10 @@ def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
     """Refuse what cannot be drawn or written, before any work."""
     if arguments.report:
         require_pictures()
-    if arguments.calibrate_alarms and not arguments.observe:
+    if arguments.out and not arguments.observe:
         raise BellowsError(
-            '--calibrate-alarms takes the poses of a camera. Give their topic with --observe.')
-    if arguments.out and not (arguments.observe and (
-            arguments.calibrate_alarms or settings.get('measured.calibrate'))):
-        raise BellowsError(
-            '--out writes the calibration of a camera, which is not estimated here. Give its '
-            'topic with --observe, and --calibrate-alarms or --set measured.calibrate=true.')
+            '--out writes the calibration of a camera. Give the topic of its poses with '
+            '--observe.')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
@@ -35,7 +31,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     settings = options.read_settings(arguments, cup_for=console)
     _check(arguments, settings)
     result = replay.replay(
-        arguments.bag, settings, console.progress, arguments.observe, arguments.calibrate_alarms)
+        arguments.bag, settings, console.progress, arguments.observe)
     limit = MAX_NRMSE if arguments.limit is None else arguments.limit / PERCENT
     if result.observed and arguments.out:
         parameter_files.write_parameters(arguments.out, result.observed.parameters, [

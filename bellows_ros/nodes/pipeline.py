@@ -44,6 +44,7 @@ from ..core.signals.trajectory import NS_PER_S
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, shown
 from ..report import health
+from ..report.sentences import alarm_sentence
 
 TICK = 0.02
 """Time (s) between two checks for missing messages; each costs as much as a message."""
@@ -604,7 +605,8 @@ class Observing:
         alarms = self._live.alarms
         new_alarms, self._reported = alarms[self._reported:], len(alarms)
         for alarm in new_alarms:
-            self._pipeline.node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
+            text = f'Alarm, {alarm.cause}: {alarm_sentence(alarm)}'
+            self._pipeline.node.get_logger().error(text)
 
     def status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics; None if no message ever came."""
@@ -622,6 +624,6 @@ class Observing:
             name, self._measured_in.report({verdict: counts[verdict] for verdict in VERDICTS}))
         status.values.update({key: str(value) for key, value in more.items()})
         if alarm := live.alarm:
-            return status._replace(level=health.Level.ERROR, message=alarm.message)
+            return status._replace(level=health.Level.ERROR, message=alarm_sentence(alarm))
         is_held = live.attached and not (live.flight and live.flight.state)
         return status if is_held else status._replace(level=min(status.level, health.Level.WARN))

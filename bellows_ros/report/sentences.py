@@ -16,9 +16,12 @@ import math
 from pathlib import Path
 from string import Formatter
 import tomllib
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import shown
+
+if TYPE_CHECKING:
+    from bellows_ros.core.observer.alarms import Alarm, Sizes
 
 TEXTS = Path(__file__).with_name('texts')
 
@@ -103,3 +106,24 @@ class _Sentence(Formatter):
 
 
 _FORMATTER = _Sentence()
+
+
+def alarm_sentence(alarm: 'Alarm') -> str:
+    """Return the finding of an alarm, its second cause, and the way to decide between them."""
+    parts = [_finding(alarm.cause, alarm.parts, alarm), sentence(
+        'alarms', 'second', second=alarm.second, odds=max(alarm.odds, 1.0))]
+    if alarm.second_parts:
+        parts += [
+            texts('alarms')['then'].format(
+                finding=_finding(alarm.second, alarm.second_parts, alarm)),
+            texts('alarms').get('_'.join(sorted((alarm.cause, alarm.second))), '')]
+    return ' '.join(filter(None, parts))
+
+
+def _finding(cause: str, parts: 'Sizes', alarm: 'Alarm') -> str:
+    sizes = dict(zip(('a', 'a_std', 'b', 'b_std'), (x for part in parts for x in part),
+                     strict=False)) or {'a': alarm.size, 'a_std': alarm.std}
+    code = cause.split()[0] + ('_both' if len(parts) > 1 else '') + (
+        '_by_vacuum' if alarm.shown_by == 'vacuum' else '')
+    x, y = alarm.place
+    return sentence('alarms', code, cup=alarm.cup, x=x, y=y, **sizes)

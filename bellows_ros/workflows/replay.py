@@ -22,7 +22,6 @@ from bellows_ros.core.live.predictor import Messages, predicted_trajectory
 from bellows_ros.core.model import simulation, validity_range
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
-from bellows_ros.core.observer.alarm_calibration import AlarmCalibration, calibrated_alarms
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.observer.observer import Calibration, Observer, Payload
@@ -35,6 +34,7 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import bags, File, messages, results
+from bellows_ros.report.sentences import alarm_sentence
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
@@ -120,11 +120,9 @@ class Observed(NamedTuple):
     payload : Payload or None
         Estimated mass and centre of mass, where payload.estimate is set.
     calibration : Calibration or None
-        Estimated errors of the camera, where measured.calibrate is set.
+        Estimated errors of the camera.
     parameters : mapping
         Parameters that take this into account, with what stays uncertain.
-    alarm_calibration : AlarmCalibration or None
-        What alarms must allow for, where it was asked.
 
     """
 
@@ -135,7 +133,6 @@ class Observed(NamedTuple):
     payload: Payload | None
     calibration: Calibration | None
     parameters: Mapping[str, Any]
-    alarm_calibration: AlarmCalibration | None
 
     @property
     def sentence(self) -> str:
@@ -163,8 +160,6 @@ class Observed(NamedTuple):
             sentences.append(
                 f'Errors of the camera: {shift} mm and {turn} degrees along and about world '
                 f'axes, {latency} ms of its stamps.')
-        if self.alarm_calibration:
-            sentences.append(self.alarm_calibration.sentence)
         return ' '.join(sentences + ([] if self.alarms else ['No alarm.']))
 
     @property
@@ -173,7 +168,7 @@ class Observed(NamedTuple):
         times: dict[str, list[float]] = {}
         for seconds, alarm in self.alarms:
             times.setdefault(alarm.cause, []).append(seconds)
-        messages = {alarm.cause: alarm.message for _, alarm in reversed(self.alarms)}
+        messages = {alarm.cause: alarm_sentence(alarm) for _, alarm in reversed(self.alarms)}
         return [
             f'{first:.2f} s, {cause}: {messages[cause]}' + (
                 f' Found {1 + len(later)} times until {later[-1]:.2f} s.' if later else '')
@@ -185,13 +180,12 @@ class Observed(NamedTuple):
             'topic': self.topic, 'counts': dict(self.counts),
             'alarms': [
                 {'time': seconds, **results.attributes(
-                    alarm, 'cause', 'size', 'size_std', 'second', 'odds', 'message'),
-                 'units': {'size': 'm, m/s or 1'}}
+                    alarm, 'cause', 'size', 'std', 'second', 'odds'),
+                 'message': alarm_sentence(alarm), 'units': {'size': 'm, m/s or 1'}}
                 for seconds, alarm in self.alarms],
             'payload': self.payload and results.attributes(
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
             'calibration': self.calibration,
-            'alarm_calibration': self.alarm_calibration,
             **{f'rms {name}': estimate.scores.rms for name, estimate in self.estimates.items()},
             'units': {f'rms {name}': result.POSE_UNITS for name in self.estimates}}
 
@@ -320,7 +314,6 @@ class Replay(CommandResult):
 
 def replay(
     bag: File, settings: Mapping[str, Any], progress: Progress = no_progress, observe: str = '',
-    calibrate_alarms: bool = False,
 ) -> Replay:
     """
     Predict a recording with a cup, freely from start to end, and compare.
@@ -339,8 +332,6 @@ def replay(
     observe : str
         Topic with measured poses of the package, which correct another live prediction; none when
         left out.
-    calibrate_alarms : bool
-        Whether to find what alarms must allow for in work like this, which must be sound.
 
     Raises
     ------
@@ -362,7 +353,7 @@ def replay(
     live = predicted_live(
         recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
     camera = observed(
-        bag, recording, sent, live, values, observe, calibrate_alarms, signals) if sent else None
+        bag, recording, sent, live, values, observe, signals) if sent else None
     progress('done', 1.0)
     warnings = (note,) * bool(note) + _final_warnings(free, camera)
     return replace(free, live=live, observed=camera, warnings=warnings)
@@ -514,8 +505,7 @@ def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum)
 
 def observed(
     bag: File, recording: Recording, messages: Messages, uncorrected: residuals.Comparison,
-    values: Values, topic: str, calibrate_alarms: bool = False,
-    signals: Sequence[Signal] = (),
+    values: Values, topic: str, signals: Sequence[Signal] = (),
 ) -> Observed:
     """
     Predict a recording live with the poses of the package on a topic, and compare.
@@ -534,8 +524,6 @@ def observed(
         Parameters by name, measured.* among them.
     topic : str
         With poses of the package in the world of the recording.
-    calibrate_alarms : bool
-        Whether to find what alarms must allow for, see `calibrated_alarms`.
     signals : sequence of Signal
         Vacuum and valve; without any the package is held from start to end.
 
@@ -578,9 +566,6 @@ def observed(
     if later := len(measured) - sum(counts.values()):
         counts['future_stamp'] = counts.get('future_stamp', 0) + later
     counts |= {reason: len(numbers) for reason, numbers in stream.refused.items()}
-    allowed = calibrated_alarms(
-        run, values, float(np.ptp(stream.stamps_ns)) / NS_PER_S,
-        stream.covariance is not None) if calibrate_alarms else None
     return Observed(
         topic, {'prediction alone': prediction,
                 'camera alone': residuals.compare(camera, tool, package),
@@ -588,8 +573,7 @@ def observed(
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
         observer.payload, observer.calibration, {
-            **_calibrated(observer.calibration, pose, R_model_tool),
-            **(allowed.parameters if allowed else {})}, allowed)
+            **_calibrated(observer.calibration, pose, R_model_tool)})
 
 
 def _transformed_pose(pose: Array, R: Array, shift: Array | float = 0.0) -> Array:
@@ -620,7 +604,7 @@ def _calibrated(
     return {
         'recording.package_world': checks.pose_text(
             _transformed_pose(pose, R_model_tool.T @ lie.exp_so3(-turn), -shift)),
-        'measured.offset_std': (float(shift_std.max()), float(turn_std.max())),
+        'measured.camera_std': (float(shift_std.max()), float(turn_std.max())),
         'measured.latency_std': math.hypot(latency, latency_std)}
 
 

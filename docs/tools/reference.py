@@ -167,8 +167,6 @@ def _exit_codes() -> Iterator[str]:
 
 RESULTS = (
     'identify bags/validation --to 6 --params bags/package.yaml --set fit.method=least_squares',
-    'replay bags/validation --params bags/tossing.yaml --observe /package/pose '
-    '--calibrate-alarms --set measured.calibrate=true',
     'replay bags/validation --to 6 --params bags/tossing.yaml --observe /package/pose '
     '--set package.mass=2.2',
     'static bags/static --params bags/cup.yaml',

@@ -142,9 +142,7 @@ NOT_ALLOWED = [
     ('EXCITE noiseless.yaml --time 6', "'tracking.tool.noise'"),
     ('EXCITE speedless.yaml --time 6', "'linear.speed' ... m/s"),
     ('plot spectra recording CUP --out a.png --to 3', '--from and --to'),
-    ('replay recording CUP --calibrate-alarms', '--observe'),
-    ('replay recording CUP --calibrate-alarms --observe package/pose --out alarms.yaml --set '
-     'recording.end=0.7', ''),
+    ('replay recording CUP --out camera.yaml', '--observe'),
     ('TOSS --target 1900 150', 'mm'), ('TOSS --release 3 --monte-carlo -3', '2 tosses'),
     ('TOSS', 'release ... target'),
 ]

@@ -11,6 +11,7 @@ from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, package_of
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
+from bellows_ros.core.observer.correction import ANOTHER_PACKAGE, SAME_PACKAGE
 from bellows_ros.core.observer.measurement import Measurement
 from bellows_ros.core.observer.observer import Observer, Payload
 from bellows_ros.core.parameters.values import Values
@@ -169,10 +170,10 @@ class LivePayload:
         if sample is not None:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
 
-    def forget(self, is_another: bool = True) -> None:
-        """Restart from rest at the next tool sample, with the same or another package."""
+    def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
+        """Restart from rest at the next tool sample, with what the observer shall keep."""
         if self.observer is not None:
-            self.observer.forget(is_another)
+            self.observer.forget(kept)
         self.sample = None
         self.settling.clear()
         self._retry_ns = -1
@@ -201,7 +202,7 @@ class LivePayload:
         if result is None:
             self.outcome = 'diverged'
             if self.observer is not None:
-                self.observer.forget(is_another=False)
+                self.observer.forget(SAME_PACKAGE)
             return self._start(stamp_ns, now)
         body, (force, moment) = result
         self.sample = Sample(stamp_ns, now, body)

@@ -30,6 +30,7 @@ from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import ToolRows, trajectory_of
 from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.observer.alarms import Alarm, Alarms
+from bellows_ros.core.observer.correction import CAMERA_ROWS, SAME_PACKAGE
 from bellows_ros.core.observer.observer import Observer, Payload
 from bellows_ros.core.parameters.checks import (
     gravity_of,
@@ -383,10 +384,9 @@ class LivePredictor:
         else:
             self._screen.reset()
             self.pairing.expect = self._twists_expected
-            self.package.forget()
             if self.attached and self.state == LOST:
                 self._cycle.grip()
-        self._forget_motion()
+        self._forget_motion(SAME_PACKAGE if reason else CAMERA_ROWS)
 
     def expect_twists(self, expected: bool) -> None:
         """Let poses wait for their twists, or not, until those that come show otherwise."""
@@ -404,6 +404,8 @@ class LivePredictor:
 
     def _attach(self, attached: bool) -> None:
         """Predict the next package, or none."""
+        is_next = attached and not (self.attached and (
+            self.flight is None or not self.flight.state))
         if self.flight is not None and self.flight.state:
             self.flight.forget()
             self.package.forget()
@@ -411,15 +413,17 @@ class LivePredictor:
             self.package.forget()
             self.arrivals.clear()
         self.attached, self.latest = attached, None
+        if is_next and self.package.observer is not None:
+            self.package.observer.grip()
         if attached and self.lost_cups:  # they may hold the next package
             self.lost_cups.clear()
             self.use(self._given)
 
-    def _forget_motion(self) -> None:
+    def _forget_motion(self, kept: tuple[int, ...] = SAME_PACKAGE) -> None:
         """Drop the package's state and all that waits, but not the frame."""
         if self.flight is not None:
             self.flight.forget()
-        self.package.forget(is_another=False)
+        self.package.forget(kept)
         self.latest, self._unsafe_ns, self._moved_ns = None, -1, -STOPPED_NS
         self.pairing.clear()
         self.tool.clear()

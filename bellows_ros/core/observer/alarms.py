@@ -23,7 +23,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 import math
 from pathlib import Path
-import re
 import tomllib
 from typing import Any, NamedTuple
 
@@ -38,11 +37,8 @@ from bellows_ros.core.observer.measurement import MeasuredPose, output_of, OUTSI
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
-LOG = 0.0
-"""Stands for the unit of a component that is a logarithm, which is shown in percent."""
-
-TEXTS = tomllib.loads(Path(__file__).with_name('alarms.toml').read_text())
-"""Causes, and what is said of them."""
+CAUSES = tomllib.loads(Path(__file__).with_name('alarms.toml').read_text())
+"""Causes by name."""
 
 
 class Cause(NamedTuple):
@@ -56,8 +52,8 @@ class Cause(NamedTuple):
     share: float
     at_start: bool
     sets_in: bool
-    message: str
-    parts: Sequence[tuple[int, int, float]]
+    parts: Sequence[tuple[int, int, bool]]
+    """First and last component of each size, and whether it is a logarithm."""
     every: int = 1
     """One in so many of the onsets is tested, and counts for all of them."""
     after_ns: int = 0
@@ -78,7 +74,7 @@ class Cause(NamedTuple):
 NAMED = {
     name: Cause(name, **{**entry, 'steps': tuple(
         tuple(getattr(ekf, row) + place for row, place in step) for step in entry['steps'])})
-    for name, entry in TEXTS['causes'].items()}
+    for name, entry in CAUSES.items()}
 ALARM_CAUSES = tuple(sorted(NAMED.values(), key=lambda cause: cause.name == 'cup'))
 """
 The faults that are tested. The last is the loss of one cup of several: each cup that holds has
@@ -148,6 +144,9 @@ Measurements after which the evidence of faults from the start is collected anew
 estimate is in its signatures, too: products of the two add up where there is little evidence.
 """
 
+DISTURBED_COUNT = 3
+"""Consecutive poses outside the gate from which a disturbance is named: outliers are rarer."""
+
 MIN_LEAD, DECIDE_NS = 3.0, 800_000_000
 """
 A cause is named when its log-likelihood ratio leads that of the next by so much, which is 95 %, or
@@ -161,16 +160,27 @@ SIZE_ROUNDS = 20
 """Rounds in which the usual sizes of a fault's components grow to those of a larger fault."""
 
 MIN_CLEAR_ODDS = 100.0
-"""Below these odds to the second cause the message has both with their sizes."""
+"""Odds below which an alarm has the sizes of the second cause, too."""
 
 ALIKE = frozenset(('wear', 'payload'))
-"""Causes told apart by damping only: the message has both, whatever the odds."""
+"""Causes told apart by damping only: an alarm has the sizes of both, whatever the odds."""
 
-DECIDES = {frozenset(each['pair']): each['message'] for each in TEXTS['decides']}
+MAX_ODDS = math.exp(14.0)
+"""Largest odds that an alarm states, a million."""
 
-Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int]
-NO_FAULT = -math.inf, 0.0, (0, 0, 0), 0, (0, 0, 0), 1
+LOG_SHARE_OF_NONE = math.log(0.1)
+"""Logarithm of the prior share of causes without a signature, a disturbance among them."""
+
+NONE = -1
+"""Place of the cause without a signature."""
+
+Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int, float]
+NO_FAULT = -math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, -math.inf
 """What `_assessed` returns, and where nothing is compared."""
+
+
+Sizes = tuple[tuple[float, float], ...]
+"""Sizes of the parts of a fault with standard deviations: m, rad, m/s, s or relative."""
 
 
 class Alarm(NamedTuple):
@@ -179,15 +189,24 @@ class Alarm(NamedTuple):
     stamp_ns: int
     cause: str
     size: float
-    """m, m/s or relative."""
-    size_std: float
+    """Of the clearest part, m, m/s, s or relative."""
+    std: float
     second: str
-    """The second likeliest cause."""
+    """The second likeliest cause; 'disturbance' for none with a signature."""
     odds: float
-    """Of the cause to the second, at most a million."""
-    message: str
+    """Odds of the cause against the second, at most `MAX_ODDS`."""
+    parts: Sizes = ()
+    second_parts: Sizes = ()
+    """Sizes of the second cause, if it may well be the cause."""
     cup: int = -1
-    """Index in cup.layout of a cup that is lost."""
+    """Index in cup.layout of a lost cup."""
+    place: tuple[float, float] = (0.0, 0.0)
+    """Position of a lost cup in the tool, m."""
+    shown_by: str = 'poses'
+    """'poses' of the package, or 'vacuum'."""
+
+
+NO_ALARM = Alarm(0, '', 0.0, 0.0, '', 1.0)
 
 
 class DetectedFault(NamedTuple):
@@ -208,8 +227,6 @@ class Alarms:
     ----------
     false_per_hour : float
         How many false alarms are allowed.
-    rows : int
-        Of the error.
     of_lip : bool
         Whether the lip is measured: a package that slips moves, a marker on it is no longer there.
     places : ndarray (cups, 4)
@@ -222,12 +239,12 @@ class Alarms:
 
     """
 
-    def __init__(self, false_per_hour: float, rows: int, of_lip: bool, places: Array) -> None:
+    def __init__(self, false_per_hour: float, of_lip: bool, places: Array) -> None:
         """Set the threshold, and the signatures at the onset."""
         self._places = places
         self._threshold = math.log(3600 * NS_PER_S / ONSET_NS / false_per_hour) + (
             MARGIN if len(places) == 1 else GRIPPER_MARGIN)
-        self.steps: Array = np.zeros((rows + ekf.FALLEN, len(STEPS)))
+        self.steps: Array = np.zeros((ekf.ROWS + ekf.FALLEN, len(STEPS)))
         for component, step in enumerate(STEPS):
             for row in step:
                 self.steps[row, component] = 1.0
@@ -254,6 +271,10 @@ class Alarms:
         """Return the stamps (ns) since half-way to the threshold, with one more measurement."""
         return (*before, stamp_ns) if total > 0.5 * self._threshold else ()
 
+    def is_likely(self, likeliest: Likeliest) -> bool:
+        """Return whether a cause has passed the threshold and leads."""
+        return min(likeliest[0] - self._threshold, likeliest[1]) > 0.0
+
     def detected(
         self, evidence: Evidence, stamp_ns: int, likeliest: Likeliest, lost_cups: tuple[int, ...]
     ) -> DetectedFault | None:
@@ -262,69 +283,47 @@ class Alarms:
 
         The lost cups of a gripper have been found before.
         """
-        total, lead, best, second, runner_up, _ = likeliest
+        total, lead, best, second, runner_up, *_ = likeliest
         likely = HYPOTHESES[min(best[1], CUP)]
         suspect_ns = stamp_ns - min(evidence.suspect_ns, default=stamp_ns)
-        if total < self._threshold or len(evidence.suspect_ns) <= likely.confirmed or (
-                suspect_ns < (DECIDE_NS if lead < MIN_LEAD else likely.confirmed_ns)) or (
-                    stamp_ns < evidence.onsets[1, best[0]] + best[2] * likely.after_ns):
+        if min(total - self._threshold, lead) < 0.0 or (
+                len(evidence.suspect_ns) <= likely.confirmed) or (
+                    suspect_ns < (DECIDE_NS if lead < MIN_LEAD else likely.confirmed_ns)) or (
+                        stamp_ns < evidence.onsets[1, best[0]] + best[2] * likely.after_ns):
             return None
         holding = [k for k in range(len(self._places)) if k not in lost_cups]
-        odds = math.exp(min(lead, 14.0))
-        cause, error, spread, sentence, size, std = self._fault(evidence, best, holding)
+        cause, error, spread, parts = _fault(evidence, best)
+        logs = [part for part, (_, _, is_log) in zip(parts, cause.parts, strict=False) if is_log]
+        size, std = max(logs or parts[:1], key=lambda each: each[0] / each[1])
         if size < cause.least:
             return None
-        name = (ALARM_CAUSES[second] if second < OF_CAUSE[CUP] else
-                self._cup(holding[second - OF_CAUSE[CUP]], '')).name
-        message = sentence + _runner_up(name, odds)
-        pair = frozenset((cause.name, name))
-        if odds < MIN_CLEAR_ODDS or pair == ALIKE:
-            _, _, other, sentence, *_ = self._fault(evidence, runner_up, holding)
-            message += f' Then: {sentence}' + DECIDES.get(pair, '')
-            spread = np.hstack([spread, other])
-        cup = holding[best[1] - CUP] if best[1] >= CUP else -1
-        index = round(self._places[cup, 3]) if cup >= 0 else -1
-        return DetectedFault(
-            Alarm(stamp_ns, cause.name, size, std, name, odds, message, index), error, spread, cup)
+        odds, cup = min(math.exp(min(lead, 20.0)), MAX_ODDS), -1
+        name = 'disturbance' if second == NONE else ALARM_CAUSES[second].name if (
+            second < OF_CAUSE[CUP]) else self._of_cup(holding[second - OF_CAUSE[CUP]]).cause
+        alarm = Alarm(stamp_ns, cause.name, size, std, name, odds, parts)
+        if second != NONE and (odds < MIN_CLEAR_ODDS or {cause.name, name} == ALIKE):
+            _, _, other, others = _fault(evidence, runner_up)
+            spread, alarm = np.hstack([spread, other]), alarm._replace(second_parts=others)
+        if best[1] >= CUP:
+            cup = holding[best[1] - CUP]
+            alarm = self._of_cup(cup, alarm)
+        return DetectedFault(alarm, error, spread, cup)
 
-    def _cup(self, k: int, finding: str) -> Cause:
-        """Return the cause by which the cup at a place is lost, with what shows it."""
+    def _of_cup(self, k: int, alarm: Alarm = NO_ALARM) -> Alarm:
+        """Return an alarm as that of the cup at a place."""
         x, y, _, index = self._places[k].tolist()
-        return NAMED['cup']._replace(
-            name=f'cup {index:.0f}',
-            message=NAMED['cup'].message.format(index, 1e3 * x, 1e3 * y, finding))
+        return alarm._replace(cause=f'cup {index:.0f}', cup=round(index), place=(x, y))
 
-    def _fault(
-        self, evidence: Evidence, fault: tuple[int, int, int], holding: list[int]
-    ) -> tuple[Cause, Array, Array, str, float, float]:
-        """
-        Return what is known of a fault, with the slot, hypothesis and components of `Likeliest`.
-
-        Its cause, the error that it has made (n,) and the spread of that (n, components), the
-        finding as a sentence, and size and standard deviation of its first part, or of the clearer
-        of two relative ones.
-        """
-        onset, number, components = fault
-        h, column = _layout(number)
-        cause = HYPOTHESES[h] if number < CUP else self._cup(
-            holding[number - CUP], 'lost: {} % of its wrench')
-        slots, slot = SLOTS[h], max(onset - 1, 0) // EVERY[h]
-        std, mean = np.array(cause.prior_std[:components]), np.full(components, cause.mean)
-        columns = column + slot + slots * np.arange(components)
-        d, *products = evidence.statistics[:1 + components, columns]
-        J = products + np.triu(products, 1).T
-        for _ in range(1 if cause.mean else SIZE_ROUNDS):  # a large fault has larger parts
-            P = np.asarray(np.linalg.inv(J + np.diag(std ** -2.0)), np.float64)
-            size = mean + P @ (d - J @ mean)
-            if not cause.mean:
-                std = std * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / std**2)))
-        E: Array = evidence.signatures[:-ekf.FALLEN, columns]
-        made = size if number < CUP else mean  # the model goes on without the whole of a cup
-        parts = [part for part in cause.parts if part[2] == cause.parts[0][2] == LOG] or (
-            cause.parts[:1])
-        lengths = (_length(size, P, *part) for part in parts)
-        return (cause, E @ made, E * std, _sentence(cause, size, P),
-                *max(lengths, key=lambda each: each[0] / each[1]))
+    def disturbance(
+        self, stamp_ns: int, gated: int, likeliest: Likeliest
+    ) -> Alarm | None:
+        """Return the alarm on innovations of which no cause has the signature, if there are."""
+        total, _, (_, number, _), *_, none = likeliest
+        if gated < DISTURBED_COUNT or none < self._threshold or none < total + MIN_LEAD:
+            return None
+        cause = HYPOTHESES[min(number, CUP)].name if total > -math.inf else 'slip'
+        odds = math.exp(min(none - total, math.log(MIN_CLEAR_ODDS)))
+        return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, cause, odds)
 
     def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
         """Return the alarm on a cup whose vacuum breaks down, by its index; None if it is open."""
@@ -332,9 +331,8 @@ class Alarms:
         if not len(places):
             return None
         odds = VACUUM_ODDS * NAMED['cup'].share / NAMED['leak'].share
-        cause = self._cup(int(places[0]), 'its vacuum breaks down')
-        return Alarm(
-            stamp_ns, cause.name, 1.0, 0.0, 'leak', odds, cause.message + _runner_up('leak', odds))
+        return self._of_cup(int(places[0]), Alarm(
+            stamp_ns, 'cup', 1.0, 0.0, 'leak', odds, shown_by='vacuum'))
 
     @staticmethod
     def lost(
@@ -351,34 +349,46 @@ class Alarms:
         if is_held is not None:
             odds *= VACUUM_ODDS ** (1 - 2 * is_held)
         if odds < 1.0:
-            return Alarm(stamp_ns, second.name, reach, 0.0, lost.name, 1.0 / odds,
-                         TEXTS['sees_another'] + _runner_up(lost.name, 1.0 / odds))
-        return Alarm(stamp_ns, lost.name, 1.0, 0.0, second.name, odds,
-                     lost.message + _runner_up(second.name, odds))
+            return Alarm(
+                stamp_ns, second.name, reach, 0.0, lost.name, 1.0 / odds, shown_by='vacuum')
+        return Alarm(stamp_ns, lost.name, 1.0, 0.0, second.name, odds)
 
 
-def _sentence(cause: Cause, size: Array, P: Array) -> str:
-    """Return a finding with the sizes of its parts."""
-    sizes = []
-    for first, end, unit in cause.parts:
-        if first < len(size):
-            length, std = _length(size, P, first, end, unit)
-            sizes.append(f'{(unit or 100.0) * length:.1f} ± {(unit or 100.0) * std:.1f}')
-    lacks = len(sizes) < len(cause.parts)
-    message = re.sub(r'\[(.*?)\]', '' if lacks else r'\1', cause.message)
-    return message.format(*sizes)
+def _fault(
+    evidence: Evidence, fault: tuple[int, int, int]
+) -> tuple[Cause, Array, Array, Sizes]:
+    """
+    Return a fault by the slot, hypothesis and components of `Likeliest`.
+
+    Its cause, the error that it has made (n,), the spread of this error (n, components), and the
+    sizes of its parts.
+    """
+    onset, number, components = fault
+    h, column = _layout(number)
+    cause = HYPOTHESES[h]
+    slots, slot = SLOTS[h], max(onset - 1, 0) // EVERY[h]
+    std, mean = np.array(cause.prior_std[:components]), np.full(components, cause.mean)
+    columns = column + slot + slots * np.arange(components)
+    d, *products = evidence.statistics[:1 + components, columns]
+    J = products + np.triu(products, 1).T
+    for _ in range(1 if cause.mean else SIZE_ROUNDS):  # a large fault has larger parts
+        P = np.asarray(np.linalg.inv(J + np.diag(std ** -2.0)), np.float64)
+        size = mean + P @ (d - J @ mean)
+        if not cause.mean:
+            std = std * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / std**2)))
+    E: Array = evidence.signatures[:-ekf.FALLEN, columns]
+    made = size if number < CUP else mean  # the model goes on without the whole of a cup
+    parts = tuple(
+        _length(size[first:end], P[first:end, first:end], is_log)
+        for first, end, is_log in cause.parts if first < components)
+    return cause, E @ made, E * std, parts
 
 
-def _runner_up(second: str, odds: float) -> str:
-    return f' Second likeliest: {second}, odds {max(odds, 1.0):.0f} to 1.'
-
-
-def _length(size: Array, P: Array, first: int, end: int, unit: float) -> tuple[float, float]:
+def _length(part: Array, P: Array, is_log: bool) -> tuple[float, float]:
     """Return the length of a part of a fault with a covariance, and its standard deviation."""
-    part = size[first:end]
     length = float(np.linalg.norm(part))
-    std = float(np.sqrt(part @ P[first:end, first:end] @ part)) / max(length, 1e-12)
-    if unit == LOG:
+    std = max(float(np.sqrt(part @ P @ part)) / max(length, 1e-12), 1e-12)
+    if is_log:
         return abs(math.expm1(part[0])), std * math.exp(part[0])
     return length, std
 
@@ -386,7 +396,7 @@ def _length(size: Array, P: Array, first: int, end: int, unit: float) -> tuple[f
 @kernel
 def filter_step(
     row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples,
-    is_recorded: bool, until_ns: int, max_step: float, noise: tuple[Array, Array],
+    is_recorded: bool, until_ns: int, max_step: float, noise: ekf.Noise,
     faults: tuple[Any, Array, Array, Stamps, bool, Array], cups: Array, seen: MeasuredPose,
 ) -> Any:
     """
@@ -401,17 +411,18 @@ def filter_step(
     model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     E, statistics, distances, onsets, from_start, steps = faults
     verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
-    after, E = predicted(
+    after, E, gain = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
     _, tool, body, theta, P, _ = after
     if seen[5] > 0.0:
-        verdict, innovation, body, theta, learned = updated(model, after, seconds, seen)
+        verdict, innovation, body, theta, learned = updated(
+            model, after, seconds, seen, gain)
         if len(E) > 0 and verdict <= OUTSIDE:
             statistics, distances = statistics.copy(), distances.copy()
             onsets = onsets.copy()
             likeliest = _assessed(
                 E, statistics, distances, onsets, steps, until_ns, body[0], innovation,
-                seen[3][2], verdict == USED, from_start)
+                seen[3][2], verdict <= USED, from_start)
         if likeliest[0] < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
     return (verdict, (until_ns, tool, body, theta, P, memory),
@@ -443,10 +454,12 @@ def _assessed(
     best : tuple of int
         Of the likeliest cause: slot of its onset, place in `HYPOTHESES`, number of components.
     second, runner_up : int, tuple of int
-        The next, its place in `ALARM_CAUSES`, and as the likeliest; cups of a gripper are after
-        all others in both.
+        The next, its place in `ALARM_CAUSES` or `NONE`, and the next cause as the likeliest; cups
+        of a gripper are after all others in both.
     pinned : int
         Slots of the likeliest onset of each cause, as bits.
+    none : float
+        As total, of `_none_of_these`.
 
     """
     z, H, root, _, whitened = innovation
@@ -576,20 +589,37 @@ def _likeliest_fault(
                     best[c, 0], best[c, 1], best[c, 2] = slot * EVERY[h] + later, number, i + 1
     for c in range(causes):
         top[c] += math.log(max(sums[c], 1.0)) + LOG_SHARES[min(c, OF_CAUSE[CUP])]
-        if c >= OF_CAUSE[CUP]:
-            top[c] -= math.log(faults - CUP)
+        top[c] -= math.log(faults - CUP) if c >= OF_CAUSE[CUP] else 0.0
     leader, pinned = top.argmax(), 1
+    none = _none_of_these(distances, onsets)
     if top[leader] == -math.inf:
-        return NO_FAULT
-    total, second = 0.0, 1 if leader == 0 else 0
+        return -math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, none
+    second, rival = NONE, none
     for c in range(causes):
         pinned |= 1 << best[c, 0]
-        total += math.exp(top[c] - top[leader])
-        if c != leader and top[c] > top[second]:
-            second = c
-    return (top[leader] + math.log(total), top[leader] - top[second],
-            (best[leader, 0], best[leader, 1], best[leader, 2]), second,
-            (best[second, 0], best[second, 1], best[second, 2]), pinned)
+        if c != leader and top[c] > rival:
+            second, rival = c, top[c]
+    first, other = best[leader], best[max(second, 0)]
+    total = top[leader] + math.log(np.exp(top - top[leader]).sum())
+    return (total, top[leader] - rival, (first[0], first[1], first[2]), second,
+            (other[0], other[1], other[2]), pinned, none)
+
+
+@kernel
+def _none_of_these(distances: Array, onsets: Stamps) -> float:
+    """
+    Return the log-likelihood ratio of larger innovations without a signature since an onset.
+
+    Of n innovations with the sum D of squared distances, the likeliest factor of their variance
+    is D / 6 n. It is what a cause must explain better: the odds of a cause are capped by its fit.
+    """
+    top = -math.inf
+    for k in range(1, len(distances)):
+        expected = 6.0 * onsets[0, k]
+        if expected > 0.0 and distances[k] > expected:
+            top = max(top, 0.5 * (distances[k] - expected) - 0.5 * expected * math.log(
+                distances[k] / expected))
+    return top + LOG_SHARE_OF_NONE
 
 
 @kernel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
@@ -18,6 +18,7 @@ from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE, ST
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FALLING,
+    FLIPPED,
     Measurement,
     OUT_OF_REACH,
     OUTSIDE,
@@ -51,11 +52,23 @@ MIN_SAMPLES = 4096
 INITIAL_STD = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
 """Standard deviations at the start: m, rad, m/s, rad/s."""
 
-MASS_SHARE, COM_UNCERTAIN = 0.05, 0.01
+MASS_SHARE, COM_UNCERTAIN = 0.05, (4e-3, 4e-3, 2e-3)
 """Default standard deviations of the payload: relative mass, centre of mass (m)."""
 
-UNCALIBRATED = 0.03, 0.05, 0.05
-"""Standard deviations of position (m), rotation and latency (s) of a camera to be calibrated."""
+UNSTATED_CUP, UNSTATED_DAMPING, UNSTATED_INERTIA = 0.05, 0.2, 0.05
+"""Relative standard deviations of K, P and moments of inertia that are not stated (0)."""
+
+UNSTATED_MASS, UNSTATED_COM = 0.02, 2e-3
+"""Relative standard deviation of a mass and std (m) of a centre of mass that are not stated."""
+
+SUPPORT_WALK, SUPPORT_ARM = 1.5, 0.05
+"""Random walk of a support's wrench in 1 s: fraction of the weight, and moment by force (m)."""
+
+MODEL_ERROR_SHARE = 0.01
+"""First variance of the model's error, relative to that of the lip's displacement."""
+
+FIRST_MEMORY = 0.043
+"""First time in which the correlation of the noise falls to 1 / e, s."""
 
 BIAS_WALK, WALK_ARM = 0.0003, 0.02
 """Random walk of the wrench bias per second: fraction of the weight, and moment by force (m)."""
@@ -75,12 +88,27 @@ Time (s) between measurements, and sum of squares of noise, before the first: as
 a payload that is off from the start is taken for noise with a long memory.
 """
 
-MOTION_ROWS = (*range(STATE), *range(ekf.WRENCH, ekf.STIFFNESS), *range(ekf.NOISE, ekf.NOISE + 6))
-"""Rows that are forgotten at a fresh start with the same package, ..."""
+CAMERA_ROWS = tuple(range(ekf.CAMERA, ekf.LATENCY + 1))
+"""Rows that belong to the camera."""
 
-PACKAGE_ROWS = (*range(ekf.MASS, ekf.COM + 3), *range(ekf.MARKER, ekf.MARKER + 6),
-                *range(ekf.INERTIA, ekf.ALL_ROWS))
-"""... and with another one, too."""
+CUP_ROWS = *range(ekf.STIFFNESS, ekf.MARKER), *range(ekf.DAMPING, ekf.INERTIA)
+"""Rows that belong to the cup."""
+
+PACKAGE_ROWS = (*range(ekf.MASS, ekf.COM + 3), *range(ekf.MARKER, ekf.CAMERA),
+                *range(ekf.INERTIA, ekf.ROWS))
+"""Rows that belong to the package."""
+
+ANOTHER_PACKAGE = CAMERA_ROWS + CUP_ROWS
+"""Rows that stay known with another package."""
+
+SAME_PACKAGE = ANOTHER_PACKAGE + PACKAGE_ROWS
+"""Rows that stay known over a gap with the same package."""
+
+KNOWN_ROWS = np.sort(SAME_PACKAGE)
+"""Rows that are learned over time; the others belong to the motion."""
+
+KNOWN = np.ix_(KNOWN_ROWS, KNOWN_ROWS)
+"""Their block of a covariance."""
 
 NUMBERS = 54
 """K and P (6, 6) of a cup, as the kernels' blocks."""
@@ -89,45 +117,53 @@ NO_CUPS: Array = np.zeros((0, NUMBERS))
 """A gripper of one cup: if that is lost, the package is."""
 
 
-def walk_variances(values: Values, model: ModelTuple) -> Array:
+def walk_variances(
+    values: Values, model: ModelTuple, is_supported: bool = False
+) -> Array:
     """Return the variances (12,) that wrench bias and pose of the camera gain in 1 s."""
     weight = model[1][0] * math.hypot(*model[2])
-    camera = np.divide(values.measured.offset_std, math.sqrt(CAMERA_WALK_TIME))
-    bias = BIAS_WALK * weight * np.array([1.0, WALK_ARM])
+    camera = np.divide(values.measured.camera_std, math.sqrt(CAMERA_WALK_TIME))
+    share, arm = (SUPPORT_WALK, SUPPORT_ARM) if is_supported else (BIAS_WALK, WALK_ARM)
+    bias = share * weight * np.array([1.0, arm])
     walk: Array = np.square(np.repeat([*bias, *camera], 3))
     return walk
 
 
-def first_memory(time_constant: float) -> Array:
-    """Return the memory (s) of the noise before the first measurement, see `correlations`."""
-    products = FIRST_SQUARES * math.exp(-FIRST_PERIOD / time_constant)
+def first_memory() -> Array:
+    """Return the memory of the noise before the first measurement, see `correlations`."""
+    products = FIRST_SQUARES * math.exp(-FIRST_PERIOD / FIRST_MEMORY)
     memory: Array = np.r_[
-        FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2)]
+        FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2),
+        MODEL_ERROR_SHARE]
     return memory
 
 
 def prior_std(values: Values, model: ModelTuple) -> Array:
     """Return the standard deviations (n,) of the error at the start."""
-    (_, _, *blocks), (mass, *_), gravity = (model[0][:4], *model[1:])
+    (_, _, *blocks), (mass, _, inertia, _), gravity = (model[0][:4], *model[1:])
     weight = mass * math.hypot(*gravity)
     C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
-    K, P = (
-        np.minimum(np.sqrt(C @ np.square(np.reshape(values[f'cup.{name}_std'], (6, 6))[UPPER]))
-                   / np.maximum(np.r_[matrix[0][::4], matrix[2][::4]], 1e-12), 1.0)
-        for name, matrix in zip(('stiffness', 'damping'), blocks, strict=True))
-    inertia = np.array(values.package.inertia_std[:3])
-    mass, com = values.package.mass_std / mass, list(values.package.com_std)
-    if values.payload.estimate:
-        mass, com = mass or MASS_SHARE, [each or COM_UNCERTAIN for each in com]
-    bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
-    marker = camera = math.sqrt(0.5) * np.repeat(values.measured.offset_std, 3)
-    latency = values.measured.latency_std
-    if values.measured.calibrate:
-        camera = np.maximum(camera, np.repeat(UNCALIBRATED[:2], 3))
-        latency = max(latency, UNCALIBRATED[2])
+    relative = []
+    for name, unstated, matrix in zip(
+            ('stiffness', 'damping'), (UNSTATED_CUP, UNSTATED_DAMPING), blocks, strict=True):
+        stated = np.reshape(values[f'cup.{name}_std'], (6, 6))[UPPER]
+        share = np.sqrt(C @ np.square(stated)) / np.maximum(
+            np.r_[matrix[0][::4], matrix[2][::4]], 1e-12)
+        relative.append(np.minimum(share, 1.0) if stated.any() else np.full(6, unstated))
+    moments = np.array(values.package.inertia_std[:3])
+    if not moments.any():
+        moments = UNSTATED_INERTIA * np.array(inertia)[::4]
+    is_free = values.payload.estimate
+    mass = values.package.mass_std / mass or (MASS_SHARE if is_free else UNSTATED_MASS)
+    com = [each or (unstated if is_free else UNSTATED_COM)
+           for each, unstated in zip(values.package.com_std, COM_UNCERTAIN, strict=True)]
+    bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN[0]], 3)
+    marker, camera = (
+        np.repeat(values[f'measured.{name}_std'], 3) for name in ('marker', 'camera'))
     std: Array = np.r_[
-        INITIAL_STD, mass, com, bias, 0.0, 0.0, K, marker, camera, latency, np.ones(6)]
-    return np.r_[std, P, inertia] if P.any() or inertia.any() else std
+        INITIAL_STD, mass, com, bias, 0.0, 0.0, relative[0], marker, camera,
+        values.measured.latency_std, np.ones(6), relative[1], moments]
+    return std
 
 
 def cups_of(model: ModelTuple, places: Array) -> Array:
@@ -158,6 +194,17 @@ def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
         return stamp_ns
     most_ns = last_ns + (stamp_ns - before.stamp_ns - last_ns) // 2
     return max(stamp_ns - max(min(late_ns, most_ns), 0), before.stamp_ns)
+
+
+class Known(NamedTuple):
+    """Knowledge that outlives a package or a motion."""
+
+    theta: Array
+    """Rows of the error from `MASS` on (n - 12,)."""
+    covariance: Array
+    """Covariance of the error (n, n)."""
+    memory: Array
+    """Memory of the noise, see `correlations`."""
 
 
 class Track:
@@ -239,14 +286,15 @@ class Correction:
         self.holding_reach = model[0][1] + LARGEST_LOAD * sag(model)
         self.law = law_of(model)
         self._row = model_row(model)
-        self.prior, self._walk = prior_std(values, model), walk_variances(values, model)
+        self.prior = prior_std(values, model)
+        self._walks = [walk_variances(values, model, carries) for carries in (False, True)]
         self._marker, places = marker, places_of(values)
         self._cups = cups_of(model, places)
         allowed = values.alarm.false_per_hour
         self.alarms = alarms.Alarms(
-            allowed, len(self.prior), marker[2], places) if allowed > 0.0 else None
+            allowed, marker[2], places) if allowed > 0.0 else None
         self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
-        self.first_memory = first_memory(values.measured.memory)
+        self.first_memory = first_memory()
         noise = values.tool_noise.position, values.tool_noise.rotation
         self._tool_noise = np.repeat(np.maximum(noise, LEAST_TOOL_NOISE), 3)
 
@@ -281,16 +329,19 @@ class Correction:
 
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
-        measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0,
+        measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, is_supported: bool = False,
     ) -> tuple[int, Estimate, alarms.Likeliest]:
         """Return verdict, estimate and faults by `filter_step`; only propagate with gate 0."""
         evidence, theta = before.evidence, before.theta.copy()
+        if is_supported:
+            evidence = NO_EVIDENCE._replace(from_start=evidence.from_start)
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         theta[ekf.LATENCY - STATE] -= late  # the pose is read so much earlier
         verdict, numbers, (E, statistics, distances, onsets), likeliest = alarms.filter_step(
             self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
-            (self._drive, self._walk), (*evidence[:4], evidence.from_start, self._steps),
+            (self._drive, self._walks[is_supported], self._marker[3][0]),
+            (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
             (*measurement[1:], self._marker, self.holding_reach, gate))
         _, tool, body, theta, P, memory = numbers
@@ -301,12 +352,13 @@ class Correction:
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp; the package has been there before."""
-        return self._step(estimate, track, stamp_ns, True)[1]
+        return self._step(
+            estimate, track, stamp_ns, True, is_supported=estimate.is_supported)[1]
 
     def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
         """Return an estimate at a sample of the tool, whose noise is in its twist at once."""
         P = estimate.covariance.copy()
-        P[6:STATE, 6:STATE] += self._drive[:6, :6]
+        P[6:STATE, 6:STATE] += self._drive[0, :6, :6]
         return estimate._replace(covariance=P)
 
     def body_at_end(self, estimate: Estimate, track: Track) -> State:
@@ -318,48 +370,105 @@ class Correction:
             track.newest_ns, self.max_step)
 
     def updated(
-        self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool
+        self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
+        is_supported: bool = False,
     ) -> tuple[Estimate, str, alarms.Alarm | None]:
         """
-        Return the estimate after a measurement: the one before it where that is no package.
+        Return the estimate after a measurement: the one before it if that is no package.
 
-        With the verdict (`used`, `recovered`, `gate` or `out_of_reach`), and an alarm if one is
-        raised.
+        With the verdict (`used`, `flipped`, `recovered`, `gate` or `out_of_reach`), and an alarm
+        if one is raised. While a support may carry the package its wrench is estimated, nothing
+        is learned about camera, cup and package, and no fault is looked for.
         """
-        stamp_ns, lost_cups = _exposure_ns(before, measurement.stamp_ns), before.lost_cups
+        if before.is_supported and not is_supported:
+            before = self.released(before)
+        stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         verdict, after, likeliest = self._step(
-            before, track, stamp_ns, is_recorded, measurement, GATE)
+            before, track, stamp_ns, is_recorded, measurement, GATE, is_supported)
         if verdict in (OUT_OF_REACH, FALLING):
             falls = verdict == FALLING and (before.falls or before.away_ns == 0)
             return before._replace(falls=falls), 'out_of_reach', None
         gated = (*before.gated_ns, stamp_ns) if verdict == OUTSIDE else ()
-        name = 'used' if not gated else 'recovered' if (
-            len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'
-        fault, evidence = None, after.evidence
-        row = ekf.LATENCY
+        name = ('flipped' if verdict == FLIPPED else 'used') if not gated else 'recovered' if (
+            len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS
+            and not self._may_be_fault(after, likeliest)) else 'gate'
+        after = after._replace(
+            gated_ns=gated, away_ns=before.away_ns if gated else 0,
+            late_ns=measurement.stamp_ns - stamp_ns, is_supported=is_supported)
+        if is_supported:
+            after.theta[KNOWN_ROWS - STATE] = before.theta[KNOWN_ROWS - STATE]
+            after.covariance[KNOWN] = before.covariance[KNOWN]
+        else:
+            after, fault = self._judged(before, after, likeliest)
+            if fault is not None:
+                return after, name, fault
+        if name == 'recovered':
+            after = self._restarted(after, before.memory, track, measurement)
+        return after, name, None
+
+    def _may_be_fault(self, estimate: Estimate, likeliest: alarms.Likeliest) -> bool:
+        """Return whether an alarm is about to be raised: a restart would lose its evidence."""
+        suspect_ns = estimate.evidence.suspect_ns
+        return self.alarms is not None and bool(suspect_ns) and (
+            self.alarms.is_likely(likeliest)
+            and estimate.stamp_ns - suspect_ns[0] < alarms.DECIDE_NS)
+
+    def _judged(
+        self, before: Estimate, after: Estimate, likeliest: alarms.Likeliest
+    ) -> tuple[Estimate, alarms.Alarm | None]:
+        """Return an estimate without a fault that is found, and the alarm on it."""
+        row, evidence, stamp_ns = ekf.LATENCY, after.evidence, after.stamp_ns
         change = after.theta[row - STATE] - before.theta[row - STATE]
         if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
             after.covariance[row, row] += change**2
-            evidence = self._evidence(stamp_ns, after.body, lost_cups, evidence.from_start)
-        elif self.alarms is not None:  # what came back within the gate confirms nothing before
-            is_back = before.gated_ns and not gated
-            evidence = evidence._replace(suspect_ns=self.alarms.suspect_ns(
-                () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0]))
-            fault = self.alarms.detected(evidence, stamp_ns, likeliest, lost_cups)
-        after = after._replace(
-            evidence=evidence, gated_ns=gated, away_ns=before.away_ns if gated else 0,
-            late_ns=measurement.stamp_ns - stamp_ns)
-        if fault is not None:
-            lost_cups += (fault.cup,) if fault.cup >= 0 else ()
-            body, theta = changed_by(after.body, after.theta, fault.error)
-            memory = np.r_[self.first_memory[:11], after.memory[11:]]
-            after = after._replace(  # the fault was taken for noise, too
-                body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
-                evidence=self._evidence(stamp_ns, body, lost_cups, False),
-                covariance=after.covariance + fault.spread @ fault.spread.T)
-        elif name == 'recovered':
-            after = self._restarted(after, before.memory, track, measurement)
-        return after, name, fault and fault.alarm
+            return after._replace(evidence=self._evidence(
+                stamp_ns, after.body, after.lost_cups, evidence.from_start)), None
+        if self.alarms is None:
+            return after, None
+        is_back = before.gated_ns and not after.gated_ns  # confirms nothing before
+        evidence = evidence._replace(suspect_ns=self.alarms.suspect_ns(
+            () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0]))
+        fault = self.alarms.detected(evidence, stamp_ns, likeliest, after.lost_cups)
+        if fault is None:
+            gated = len(after.gated_ns) if (
+                evidence.onsets[0, 0] >= 2 * alarms.MIN_NOISE_COUNT) else 0
+            alarm = self.alarms.disturbance(stamp_ns, gated, likeliest)
+            after = after._replace(evidence=evidence)
+            return after if alarm is None else self._disturbed(after), alarm
+        lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
+        body, theta = changed_by(after.body, after.theta, fault.error)
+        memory = np.r_[self.first_memory[:11], after.memory[11:]]
+        return after._replace(  # the fault was taken for noise, too
+            body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
+            evidence=self._evidence(stamp_ns, body, lost_cups, False),
+            covariance=after.covariance + fault.spread @ fault.spread.T), fault.alarm
+
+    def _disturbed(self, estimate: Estimate) -> Estimate:
+        """Return an estimate whose state is as uncertain as at the start."""
+        rows, P = np.arange(STATE), estimate.covariance.copy()
+        P[rows, rows] += np.square(self.prior[rows])
+        return estimate._replace(covariance=P, gated_ns=(), evidence=self._evidence(
+            estimate.stamp_ns, estimate.body, estimate.lost_cups, estimate.evidence.from_start))
+
+    def released(self, estimate: Estimate) -> Estimate:
+        """Return an estimate of a package that its support has just let go."""
+        rows = np.arange(ekf.WRENCH, ekf.WRENCH + 6)
+        theta, P = estimate.theta.copy(), estimate.covariance.copy()
+        theta[rows - STATE] = 0.0
+        P[rows], P[:, rows] = 0.0, 0.0
+        P[rows, rows] = np.square(self.prior[rows])
+        return estimate._replace(
+            theta=theta, covariance=P, is_supported=False, gated_ns=(), away_ns=0,
+            evidence=self._evidence(estimate.stamp_ns, estimate.body, estimate.lost_cups,
+                                    estimate.evidence.from_start))
+
+    def rolled_back(self, estimate: Estimate, known: Known) -> Estimate:
+        """Return an estimate whose camera, cup and package are as they were known before."""
+        theta, P = estimate.theta.copy(), estimate.covariance.copy()
+        theta[KNOWN_ROWS - STATE] = known.theta[KNOWN_ROWS - STATE]
+        P[KNOWN_ROWS], P[:, KNOWN_ROWS] = 0.0, 0.0
+        P[KNOWN] = known.covariance[KNOWN]
+        return estimate._replace(theta=theta, covariance=P)
 
     def _restarted(
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement
@@ -369,10 +478,12 @@ class Correction:
         P, stamp_ns = estimate.covariance.copy(), estimate.stamp_ns
         P[rows, rows] += np.square(self.prior[rows])
         restarted = estimate._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
-        _, after, _ = self._step(restarted, track, stamp_ns, True, measurement, math.inf)
+        is_supported = estimate.is_supported
+        _, after, _ = self._step(
+            restarted, track, stamp_ns, True, measurement, math.inf, is_supported)
         from_start = estimate.evidence.from_start
         # a fault found so early has been there since the beginning
         from_start &= bool(estimate.evidence.onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
         return after._replace(
-            memory=memory, gated_ns=(), away_ns=0,
+            memory=memory, gated_ns=(), away_ns=0, is_supported=is_supported,
             evidence=self._evidence(stamp_ns, after.body, estimate.lost_cups, from_start))

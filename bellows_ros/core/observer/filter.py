@@ -43,14 +43,14 @@ observable. With logarithms it is the same direction of the error at every estim
 the filter would take noise for knowledge of the scale.
 """
 
-MARKER, CAMERA, LATENCY, NOISE, MIN_ROWS = 30, 36, 42, 43, 49
+MARKER, CAMERA, LATENCY, NOISE = 30, 36, 42, 43
 """
 Pose of the marker, in B axes, and of the camera, in the world (m, rad); how late stamps are (s);
 the noise with memory of the measured pose, in B axes (m, rad).
 """
 
-DAMPING, INERTIA, ALL_ROWS = 49, 55, 58
-"""As K; moments of inertia at the nominal mass (kg m^2). Left out where all of these are exact."""
+DAMPING, INERTIA, ROWS = 49, 55, 58
+"""Logarithms of P along each axis; moments of inertia at the nominal mass (kg m^2); all rows."""
 
 STATE = 12
 SECONDS, FALL_SPEED, FALL = 0, 1, 4
@@ -76,6 +76,21 @@ NO_MATRIX: Array = np.zeros((0, 0))
 
 MAX_CORRELATION = 0.97
 """Largest correlation of the noise of successive measurements."""
+
+VIEW_SPEED, STILL_AGING = 0.1, 0.03
+"""
+Speed of a tag (m/s) at which the memory of its errors is that of a body, and the part of this
+rate at rest: errors of a detected tag belong to the view.
+"""
+
+MODEL_ERROR_TIME = 0.05
+"""
+Time in which the model's error is a displacement of the lip by its relative twist, s: unmodelled
+relaxation and damping are forces in proportion to what the lip moves.
+"""
+
+SHARE = 13
+"""Place of the model error's variance in the memory, relative to the moved displacement's."""
 
 
 class Evidence(NamedTuple):
@@ -111,7 +126,7 @@ class Estimate(NamedTuple):
     covariance: Array
     """Of the error (n, n)."""
     memory: Array
-    """Of the noise, see `correlations` (13,)."""
+    """Of the noise, see `correlations` (14,)."""
     evidence: Evidence = NO_EVIDENCE
     """Of faults."""
     lost_cups: tuple[int, ...] = ()
@@ -123,6 +138,8 @@ class Estimate(NamedTuple):
     none, -1 once they have been judged."""
     falls: bool = False
     """Whether all of them are where a falling package may be."""
+    is_supported: bool = False
+    """Whether a support may have carried the package."""
     late_ns: int = 0
     """By how much (ns) the last measurement was read earlier than its stamp."""
 
@@ -139,6 +156,12 @@ Moving = tuple[int, State, State, Array]
 EstimateTuple = tuple[int, State, State, Array, Array, Array]
 """`Moving`, covariance and memory, as an `Estimate` begins."""
 
+Noise = tuple[Array, Array, bool]
+"""
+Drive of `driving`, walk of `propagated_covariance`, and whether the errors of measured poses age
+with the view.
+"""
+
 Transition = tuple[Array, Array, Array]
 """
 Transition (13, m), covariance of the noise (12, 12), and transitions (cups, 12, 13) without each
@@ -152,13 +175,12 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
     cup, (mass, com, inertia, inverse), gravity = model
     k, longer = math.exp(theta[0]), theta[LENGTH - STATE]
     (oo, oR, RR), P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
-    if len(theta) > DAMPING - STATE:
-        P = _scaled(P, theta[DAMPING - STATE:])
-        x, y, z = theta[INERTIA - STATE], theta[INERTIA - STATE + 1], theta[INERTIA - STATE + 2]
-        more = (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
-        inertia = t3.add_scaled_matrix(inertia, 1.0, more)
-        inverse = t3.add_scaled_matrix(
-            inverse, -1.0, t3.multiply(inverse, t3.multiply(more, inverse)))
+    P = _scaled(P, theta[DAMPING - STATE:])
+    x, y, z = theta[INERTIA - STATE], theta[INERTIA - STATE + 1], theta[INERTIA - STATE + 2]
+    more = (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
+    inertia = t3.add_scaled_matrix(inertia, 1.0, more)
+    inverse = t3.add_scaled_matrix(
+        inverse, -1.0, t3.multiply(inverse, t3.multiply(more, inverse)))
     return (cup[0] + 0.5 * longer, cup[1] + longer, (oo, oR, RR, *cup[2][3:]), P, *cup[4:]), (
         k * mass, t3.add(com, (theta[1], theta[2], theta[3])), t3.scale_matrix(k, inertia),
         t3.scale_matrix(1.0 / k, inverse)), gravity
@@ -193,8 +215,7 @@ def stable_step(max_step: float, theta: Array) -> float:
     stiffer = damped = 0.0
     for i in range(6):
         stiffer = max(stiffer, theta[STIFFNESS - STATE + i] - theta[0])
-        if len(theta) > DAMPING - STATE:
-            damped = max(damped, theta[DAMPING - STATE + i] - theta[0])
+        damped = max(damped, theta[DAMPING - STATE + i] - theta[0])
     return max_step * min(1.0, STEP_MARGIN * math.exp(-max(0.5 * stiffer, damped)))
 
 
@@ -208,15 +229,17 @@ def wrench_bias(theta: Array) -> Wrench:
 
 def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
     """
-    Return the covariance of the state (12, 12) by white noise (6,) of the tool, held for 1 s.
+    Return the covariances of the state by white noise (6,) of the tool, held for 1 s.
+
+    Of all of it, then of its position and of its rotation alone with unit variance (3, 12, 12).
 
     The tool's twist is the derivative of its noise e. Integrated by parts, its slope T_v acts
     like the slope A T_v of e. It is linearised about a state.
     """
     by = linearise(model, tool, body)
-    drive: Array = np.vstack(
-        [by.tool_twist, by.tool_pose + by.body_twist @ by.tool_twist]) * noise
-    return drive @ drive.T
+    drive = np.vstack([by.tool_twist, by.tool_pose + by.body_twist @ by.tool_twist])
+    each = noise, np.repeat([1.0, 0.0], 3), np.repeat([0.0, 1.0], 3)
+    return np.stack([drive * np.square(std) @ drive.T for std in each])
 
 
 @kernel
@@ -262,19 +285,18 @@ def slopes(
     _by_axes(-0.125, model[0][2], jac.accelerations(package, jac.shift_left(
         c, (t3.transposed(J_oo), jac.ZERO_MATRIX, t3.transposed(J_oR), t3.transposed(J_RR)))),
         h[0], h[1], B[:, STIFFNESS:])
-    if B.shape[1] > MARKER:
-        far, R_back = t3.apply(R, w), t3.transposed(R)
-        at_S1 = jac.IDENTITY, jac.ZERO_MATRIX, jac.ZERO_MATRIX, jac.IDENTITY
-        at_S2 = R_back, jac.ZERO_MATRIX, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
-        _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S1)),
-                 v, w, B[:, MARKER:])
-        _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),
-                 t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, MARKER:])
-        by_inertia = B[:, MARKER + INERTIA - DAMPING:]
-        jac.parameter_jacobian(model, tool, body, 43, 46, by_inertia)
-        for i in range(6):
-            for j in range(3):
-                by_inertia[i, j] *= mass_ratio
+    far, R_back = t3.apply(R, w), t3.transposed(R)
+    at_S1 = jac.IDENTITY, jac.ZERO_MATRIX, jac.ZERO_MATRIX, jac.IDENTITY
+    at_S2 = R_back, jac.ZERO_MATRIX, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
+    _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S1)),
+             v, w, B[:, MARKER:])
+    _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),
+             t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, MARKER:])
+    by_inertia = B[:, MARKER + INERTIA - DAMPING:]
+    jac.parameter_jacobian(model, tool, body, 43, 46, by_inertia)
+    for i in range(6):
+        for j in range(3):
+            by_inertia[i, j] *= mass_ratio
     dv, dw = jac.by_length(model, tool, body, f)
     jac.write_column(B, LENGTH, dv, dw)
     dv, dw = jac.acceleration_at(package, com, f, m)
@@ -414,13 +436,13 @@ def identity_plus(factor: float, A: Array, out: Array) -> Array:
 
 
 @kernel
-def identity_transition(rows: int) -> Array:
+def identity_transition() -> Array:
     """
-    Return the transition (13, m) over no time, for so many rows of the error.
+    Return the transition (13, m) over no time.
 
     Its columns are those of the rows before `MARKER` and from `DAMPING` on: others move nothing.
     """
-    T = np.zeros((STATE + 1, MARKER + rows - MIN_ROWS))
+    T = np.zeros((STATE + 1, MARKER + ROWS - DAMPING))
     for i in range(STATE):
         T[i, i] = 1.0
     return T
@@ -430,17 +452,14 @@ def identity_transition(rows: int) -> Array:
 def times_transition(T: Any, B: Any, out: Any) -> Any:
     """Write what a transition (13, m) makes of errors (n, k) into (12, k), and return it."""
     t3.product(T[:STATE], B[:MARKER], out)
-    if T.shape[1] > MARKER:
-        t3.add_product(np.ascontiguousarray(T[:STATE, MARKER:]), B[DAMPING:], out)
-    return out
+    return t3.add_product(np.ascontiguousarray(T[:STATE, MARKER:]), B[DAMPING:], out)
 
 
 @kernel
-def carry_theta(columns: Array, seconds: float, memory: Array) -> None:
+def carry_theta(columns: Array, seconds: float, correlation: tuple[float, float]) -> None:
     """Let theta, or rows of errors by something (n - 12, m), go on by themselves, in place."""
     for c in range(columns.shape[1]):
         columns[LENGTH - STATE, c] += seconds * columns[LENGTHENING - STATE, c]
-    correlation = correlations(memory, seconds)
     for i in range(6):
         columns[NOISE - STATE + i] *= correlation[i // 3]
 
@@ -452,7 +471,8 @@ def correlations(memory: Array, seconds: float) -> tuple[float, float]:
 
     The memory: mean time (s) between measurements, and for position and rotation the sums of
     squares of the noise and of its products with the noise before, in standard deviations; that
-    noise (6,), and by how much its variances are larger than stated (2,).
+    noise (6,), by how much its variances are larger than stated (2,), and the variance of the
+    model's error relative to that of the lip's displacement.
     """
     rate = seconds / memory[0]
     return _correlation(memory[3] / memory[1], rate), _correlation(memory[4] / memory[2], rate)
@@ -464,7 +484,9 @@ def _correlation(of_next: float, rate: float) -> float:
 
 
 @array_kernel
-def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Array) -> Array:
+def propagated_covariance(
+    P: Array, T: Array, Q: Array, walk: Array, correlation: tuple[float, float]
+) -> Array:
     """
     Return the covariance (n, n) after a transition; half of the walk acts before it.
 
@@ -480,7 +502,7 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
             side[j, WRENCH + i] += more * T[j, WRENCH + i]
     side[:, :STATE] = times_transition(T, t3.transpose(side), np.empty((STATE, STATE))) + Q
     out[LENGTH] += h * out[LENGTHENING]
-    fade = np.repeat(np.array(correlations(memory, h)), 3)
+    fade = np.repeat(np.array(correlation), 3)
     for i in range(n):  # both halves are rounded alike
         out[i, LENGTH] += h * out[i, LENGTHENING]
         a = fade[i - NOISE] if 0 <= i - NOISE < 6 else 1.0
@@ -513,7 +535,8 @@ def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool
 @kernel
 def propagated(
     model: ModelTuple, beginning: Moving, transition: Transition, samples: Samples,
-    is_recorded: bool, until_ns: int, max_step: float, drive: Array, cups: Array,
+    is_recorded: bool, until_ns: int, max_step: float, drive: Array, model_error: float,
+    cups: Array,
 ) -> tuple[State, State]:
     """
     Return tool and package at a later stamp, and carry transition and noise there in place.
@@ -530,8 +553,10 @@ def propagated(
         End.
     max_step : float
         Longest step of the nominal state, s.
-    drive : ndarray (12, 12)
+    drive : ndarray (3, 12, 12)
         Of `driving`.
+    model_error : float
+        Intensity of a displacement of the tool by the squared twist of the lip, s^3.
     cups : ndarray (cups, 54)
         Of a gripper, see `cups_of`.
 
@@ -553,7 +578,10 @@ def propagated(
                 A0 += A1
                 B0 += B1
                 losses0 += losses1
-                accumulate(A0, B0, h, 0.5 * squares * drive, T, Q,
+                _, _, _, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
+                more = 0.5 * h * model_error
+                accumulate(A0, B0, h, 0.5 * squares * drive[0] + more * (
+                    t3.dot(v, v) * drive[1] + t3.dot(w, w) * drive[2]), T, Q,
                            t3.scale(-1.0 / model[1][0], force), losses0, without_cup)
             A0, B0, losses0, A1, B1, losses1 = A1, B1, losses1, A0, B0, losses0
             is_reset, h, squares = False, 0.0, 0.0
@@ -589,30 +617,38 @@ def propagated(
 @array_kernel
 def predicted(
     model: ModelTuple, estimate: EstimateTuple, samples: Samples, is_recorded: bool, until_ns: int,
-    max_step: float, noise: tuple[Array, Array], signatures: Any, cups: Array,
-) -> tuple[EstimateTuple, Any]:
+    max_step: float, noise: Noise, signatures: Any, cups: Array,
+) -> tuple[EstimateTuple, Any, Array]:
     """
-    Return an estimate at a later stamp, and signatures of faults.
+    Return an estimate at a later stamp, signatures of faults, and the gain in covariance (12, 12).
 
-    The noise is what `driving` gives, and the walk of `propagated_covariance`.
+    The gain is that of the state by the noise of the tool and the model's error.
     """
     now_ns, tool, body, theta, P, memory = estimate
-    T, Q, theta = identity_transition(len(P)), np.zeros((STATE, STATE)), theta.copy()
+    drive, walk, ages_by_view = noise
+    T, Q, theta = identity_transition(), np.zeros((STATE, STATE)), theta.copy()
+    model_error = memory[SHARE] * MODEL_ERROR_TIME**3
+    age = (until_ns - now_ns) / NS_PER_S
+    if ages_by_view:
+        age *= STILL_AGING + t3.norm(body[2]) / VIEW_SPEED
+    correlation = correlations(memory, age)
     without_cup = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
     for i in range(STATE):
         without_cup[:, i, i] = 1.0
     tool, body = propagated(
         model, (now_ns, tool, body, theta), (T, Q, without_cup), samples, is_recorded, until_ns,
-        max_step, noise[0], cups)
-    P = propagated_covariance(P, T, Q, noise[1], memory)
-    carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], memory)
+        max_step, drive, model_error, cups)
+    P = propagated_covariance(P, T, Q, walk, correlation)
+    carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], correlation)
     if len(signatures) > 0:
-        signatures = propagated_signatures(signatures, T, memory, without_cup)
-    return (until_ns, tool, body, theta, P, memory), signatures
+        signatures = propagated_signatures(signatures, T, correlation, without_cup)
+    return (until_ns, tool, body, theta, P, memory), signatures, Q
 
 
 @array_kernel
-def propagated_signatures(E: Any, T: Array, memory: Array, without_cup: Array) -> Any:
+def propagated_signatures(
+    E: Any, T: Array, correlation: tuple[float, float], without_cup: Array
+) -> Any:
     """
     Return the signatures of faults (n + 7, columns) after a transition (13, m).
 
@@ -620,7 +656,7 @@ def propagated_signatures(E: Any, T: Array, memory: Array, without_cup: Array) -
     """
     n, last, out = len(E) - FALLEN, T[STATE], E.copy()
     times_transition(T.astype(np.float32), E[:n], out[:STATE])
-    carry_theta(out[STATE:n], last[SECONDS], memory)
+    carry_theta(out[STATE:n], last[SECONDS], correlation)
     fall_acceleration = np.zeros((6, FALLEN), np.float32)
     for i in range(3):
         fall_acceleration[i, 0], fall_acceleration[3 + i, 0] = last[FALL_SPEED + i], last[FALL + i]
@@ -689,4 +725,4 @@ def body_at_end(
     is_recorded = len(none) > 0  # for the constant False another one would be compiled
     return propagated(
         kernels.model_of(row, law), beginning, (none, none, np.zeros((0, 12, 13))), samples,
-        is_recorded, until_ns, max_step, none, np.zeros((0, 54)))[1]
+        is_recorded, until_ns, max_step, np.zeros((0, 0, 0)), 0.0, np.zeros((0, 54)))[1]

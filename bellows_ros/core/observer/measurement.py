@@ -15,13 +15,20 @@ from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import COM, NOISE, STATE, with_theta, wrench_bias
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.measurement_model import (
+    measurement_model,
+    mirrored,
+    pose_noise,
+    Sensor,
+)
 from bellows_ros.core.signals.screening import why_no_pose
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
-Marker = tuple[Vector, Quaternion, bool, float]
+Marker = tuple[Vector, Quaternion, bool, Sensor]
 """
-Position (m) and orientation of what is measured, in axes of B; whether it is measured from the
-lip and not from B; standard deviation (s) of the random part of the stamps' error.
+Position (m) and orientation of the measured frame, in axes of B; whether its position is measured
+from the lip and not from B; and the errors of its poses.
 """
 
 MeasuredPose = tuple[Vector, Quaternion, Array, Marker, float, float]
@@ -31,8 +38,14 @@ where it is without load, beside what is not known of centre of mass and camera,
 stamps make of a tool that moves; the largest squared Mahalanobis distance, 0 if nothing is seen.
 """
 
-WHITE_SHARE = 0.05
+WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 0.3
 """Part of the noise's variance that has no memory."""
+
+JITTER = 2e-3
+"""Standard deviation of the random part of a stamp's error, s: images stamped on arrival."""
+
+ANY_ROTATION = 1.0
+"""Variance of a rotation that is not used, rad^2."""
 
 OUTLIER_DISTANCE = 16.81
 """
@@ -46,6 +59,12 @@ MAX_VARIANCE = 1e12
 MEMORY_COUNT = 1000.0
 """The noise's memory is that of so many measurements."""
 
+ERROR_COUNT = 20.0
+"""Measurements that all err by the model after which its variance has followed."""
+
+SHARE_RANGE = 1e-4, 1.0
+"""Bounds of the model error's variance, relative to that of the lip's displacement."""
+
 
 class Measurement(NamedTuple):
     """A measured pose in the world, with its noise."""
@@ -55,12 +74,12 @@ class Measurement(NamedTuple):
     """m."""
     quaternion_xyzw: Quaternion
     noise: Array
-    """Covariance (6, 6) of position and rotation (m^2, rad^2) about axes of the world."""
+    """Covariance (6, 6) about axes of the world (m^2, rad^2); zero for that of the model."""
 
 
 class PoseSensor:
     """
-    The measured frame and its noise.
+    The measured frame and the errors of its poses.
 
     Parameters
     ----------
@@ -70,53 +89,63 @@ class PoseSensor:
     Attributes
     ----------
     marker : tuple
-        What the poses are of, see `Marker`.
+        The measured frame, see `Marker`.
+    has_own_world : bool
+        Whether the frame of the poses has a pose in the world of the tool.
 
     """
 
     def __init__(self, values: Values) -> None:
-        """Set the measured frame, and the noise for messages without covariance."""
-        self.noise = np.diag(np.repeat(np.square(values.measured.noise), 3))
-        of_lip = values.measured.frame == 'lip'
+        """Set the measured frame and the measurement model."""
         x, y, z, *rotation = values.measured.offset
-        self.marker: Marker = (
-            (x, y, z), t3.exp_quaternion((rotation[0], rotation[1], rotation[2])), of_lip,
-            float(values.measured.jitter))
         world = values.recording.package_world or '0 0 0 0 0 0 1'
         self.has_own_world = bool(values.recording.package_world)
-        x, y, z, qx, qy, qz, qw = map(float, world.split())
-        self._origin: Vector = x, y, z
+        a, b, c, qx, qy, qz, qw = map(float, world.split())
+        self._origin: Vector = a, b, c
         self._world: Quaternion = qx, qy, qz, qw
+        self.model = measurement_model(values)
+        sensor = self.model.moved(self._origin, self._world).sensor
+        self.marker: Marker = (
+            (x, y, z), t3.exp_quaternion((rotation[0], rotation[1], rotation[2])),
+            values.measured.frame == 'lip', sensor)
+        self._last: tuple[Any, ...] = ()
 
     def measurement(
         self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion,
         covariance: Array | None = None,
     ) -> Measurement | str:
         """
-        Return a measured pose, or why it cannot be used.
+        Return a measured pose, or the reason of its refusal.
 
-        Its covariance (6, 6) is about axes of the world, as in ROS; without one, and with one
-        that is all zero, measured.noise counts. What is measured in a world of its own is
-        brought into that of the tool.
+        Its covariance (6, 6) is about axes of the world, as in ROS; the measurement model counts
+        if it is missing or zero, and if that of a tag is constant. A pose in a world of its own is
+        transformed to the world of the tool.
         """
         reason = why_no_pose(position, quaternion_xyzw) or ('' if stamp_ns > 0 else 'zero_stamp')
         if reason:
             return reason
-        noise = self.noise
+        before, self._last = self._last, (position, quaternion_xyzw, covariance)
+        noise = np.zeros((6, 6))
         if covariance is not None and covariance.any():
             if not np.abs(covariance).max() <= MAX_VARIANCE:
                 return 'covariance'
             noise = 0.5 * (covariance + covariance.T)
             if not np.linalg.eigvalsh(noise)[0] > 0.0:
                 return 'covariance'
-        q = t3.normalised(quaternion_xyzw)
+        if before and before[:2] == self._last[:2]:
+            return 'repeated'
+        if self.model.kind == 'tag' and before and before[2] is not None and (
+                covariance is not None and (covariance == before[2]).all()):
+            noise = np.zeros((6, 6))
+        position, q = self.model.scaled(position), t3.normalised(quaternion_xyzw)
         if self.has_own_world:
             R = t3.rotation_matrix(self._world)
             position = t3.add(self._origin, t3.apply(R, position))
             q = t3.quaternion_product(self._world, q)
             rotation = np.kron(np.eye(2), np.reshape(R, (3, 3)))
             noise = rotation @ noise @ rotation.T
-        return Measurement(stamp_ns, position, q, noise)
+        return Measurement(
+            stamp_ns - round(NS_PER_S * self.model.latency), position, q, noise)
 
 
 @kernel
@@ -207,9 +236,9 @@ def cholesky(S: Array) -> tuple[Array, Array]:
 
 
 @kernel
-def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
-    """Return the derivative (6, n) of an innovation by the error."""
-    H, root = np.zeros((6, rows)), cholesky(noise)[0]
+def observation(body: State, noise: Array, of_lip: bool, white: float) -> Array:
+    """Return the derivative (6, n) of an innovation by the error, with the noise's white part."""
+    H, root = np.zeros((6, ekf.ROWS)), cholesky(noise)[0]
     R = t3.rotation_matrix(body[1])
     lever = t3.multiply(t3.transposed(R), t3.hat(body[0]))
     v = body[2] + body[3]
@@ -217,7 +246,7 @@ def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
         H[i, i] = H[i, ekf.MARKER + i] = 1.0
         H[i, ekf.LATENCY] = -v[i]
         for j in range(i + 1):
-            H[i, NOISE + j] = math.sqrt(1.0 - WHITE_SHARE) * root[i, j]
+            H[i, NOISE + j] = math.sqrt(1.0 - white) * root[i, j]
     for i in range(3):
         if of_lip:
             H[i, COM + i] = -1.0
@@ -259,10 +288,11 @@ def innovation_of(
     marker: Marker,
 ) -> Innovation:
     """Return an `Innovation`; noise is in B axes."""
-    n, of_lip, jitter = len(P), marker[2], marker[3]**2
+    n, of_lip, is_tag = len(P), marker[2], marker[3][0]
+    white, jitter = WHITE_SHARE_OF_TAG if is_tag else WHITE_SHARE, JITTER * JITTER
     shift, rotation = pose_error(body, position, q)
     y = np.array((shift[0], shift[1], shift[2], rotation[0], rotation[1], rotation[2]))
-    H = observation(body, noise, of_lip, n)
+    H = observation(body, noise, of_lip, white)
     for i in range(6):
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
@@ -270,7 +300,7 @@ def innovation_of(
     S = output_of(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
     for i in range(6):
         for j in range(6):
-            S[i, j] += WHITE_SHARE * noise[i, j] + jitter * H[i, ekf.LATENCY] * H[j, ekf.LATENCY]
+            S[i, j] += white * noise[i, j] + jitter * H[i, ekf.LATENCY] * H[j, ekf.LATENCY]
     _, W = cholesky(S)
     z = np.zeros(6)
     for i in range(6):
@@ -311,19 +341,29 @@ def posterior(
 
 @kernel
 def updated_memory(
-    memory: Array, theta: Array, seconds: float, z: Array, is_used: bool
+    memory: Array, theta: Array, seconds: float, innovation: Innovation, gain: Array, is_used: bool
 ) -> Array:
     """
-    Return the memory of the noise (see `correlations`) after another whitened innovation z.
+    Return the memory of the noise (see `correlations`) after another innovation.
 
-    Of one that is not used only the size of the noise is learned.
+    An innovation that is larger than expected changes the size of the noise, and that of the
+    model's error by its part of the covariance. A rejected innovation changes only these sizes.
     """
-    out, forgetting = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT
-    count = min(max(out[1] / 3.0, 1.0), MEMORY_COUNT)
+    out, forgetting, z, W = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT, innovation[0], innovation[2]
+    count, growth = min(max(out[1] / 3.0, 1.0), MEMORY_COUNT), 0.0
     out[0] += (seconds - out[0]) / count
+    WG = t3.product(W, np.ascontiguousarray(gain[:6, :6]), np.empty((6, 6)))
+    unweighted = max(innovation[3] / OUTLIER_DISTANCE, 1.0)
     for i in range(2):
-        mean_square = (z[3 * i] ** 2 + z[3 * i + 1] ** 2 + z[3 * i + 2] ** 2) / 3.0
-        out[11 + i] = max(out[11 + i] * (1.0 + (mean_square - 1.0) / count), 1.0)
+        excess = of_model = 0.0
+        for j in range(3 * i, 3 * i + 3):
+            excess += z[j] * z[j] / 3.0 - 1.0 / 3.0
+            for k in range(6):
+                of_model += unweighted * WG[j, k] * W[j, k] / 3.0
+        out[11 + i] = max(out[11 + i] * (1.0 + excess / count), 1.0)
+        growth += excess * min(of_model, 1.0) / ERROR_COUNT
+    least = min(out[ekf.SHARE], SHARE_RANGE[0])
+    out[ekf.SHARE] = min(max(out[ekf.SHARE] * math.exp(growth), least), SHARE_RANGE[1])
     if not is_used:
         return out
     out[1:5] *= forgetting
@@ -341,8 +381,8 @@ Part of each variance that an update leaves uncertain: above what rounding takes
 covariance stays positive definite, and a ten thousandth of it after a month.
 """
 
-USED, OUTSIDE, OUT_OF_REACH, FALLING = 0, 1, 2, 3
-"""Verdicts on a pose; what is `FALLING` is out of reach, too."""
+FLIPPED, USED, OUTSIDE, OUT_OF_REACH, FALLING = -1, 0, 1, 2, 3
+"""Verdicts on a pose; a `FLIPPED` one is used, a `FALLING` one is out of reach."""
 
 FALL_ALIGNMENT, FALL_FACTOR = 0.8, 2.0
 """
@@ -360,9 +400,40 @@ def _is_fall(away: Vector, gravity: Vector, reach: float, seconds: float) -> boo
         t3.dot(away, gravity) >= FALL_ALIGNMENT * g * t3.norm(away))
 
 
+@kernel
+def _solution(
+    solution: int, sensor: Sensor, position: Vector, q: Quaternion, noise: Array
+) -> tuple[Quaternion, Array]:
+    """Return rotation and noise of a pose, of a tag's second solution, or of a place alone."""
+    if solution == 1:
+        return mirrored(sensor[3], position, q), noise
+    if solution == 2:
+        noise = noise.copy()
+        for i in range(3, 6):
+            noise[i, i] += ANY_ROTATION
+    return q, noise
+
+
+@kernel
+def _enlarge(noise: Array, memory: Array) -> None:
+    """Multiply the covariance of the noise by the learned factors, in place."""
+    for i in range(6):
+        for j in range(6):
+            noise[i, j] *= math.sqrt(memory[11 + i // 3] * memory[11 + j // 3])
+
+
+@kernel
+def _velocity_at(body: State, position: Vector) -> Vector:
+    """Return the velocity (m/s, world) of a place (m, world) on a body."""
+    R = t3.rotation_matrix(body[1])
+    turning = t3.cross(t3.apply(R, body[3]), t3.subtract(position, body[0]))
+    return t3.add(t3.apply(R, body[2]), turning)
+
+
 @array_kernel
 def updated(
     model: ModelTuple, estimate: ekf.EstimateTuple, seconds: float, seen: MeasuredPose,
+    gain: Array,
 ) -> tuple[int, Innovation, State, Array, Array]:
     """
     Update an estimate with a measurement.
@@ -374,7 +445,9 @@ def updated(
     seconds : float
         Time since the estimate before, s.
     seen : tuple
-        What is measured.
+        The measured pose.
+    gain : ndarray (12, 12)
+        Covariance that the state has gained since the estimate before.
 
     Returns
     -------
@@ -383,37 +456,43 @@ def updated(
         one, `FALLING`.
     tuple
         `Innovation`.
-    State, ndarray (n - 12,), ndarray (13,)
+    State, ndarray (n - 12,), ndarray (14,)
         Body, theta and memory: corrected where it is used, as P is in place, else as they were,
         but for the size of the noise outside the gate.
 
     """
     _, tool, body, theta, P, memory = estimate
-    position, q, noise, marker, reach, gate = seen
+    seen_position, seen_q, seen_noise, marker, reach, gate = seen
     model = with_theta(model, theta)
-    com = model[1][1]
-    position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
+    com, sensor = model[1][1], marker[3]
     exposed = at_exposure(model, tool, body, theta)
-    for i in range(6):
-        for j in range(6):
-            noise[i, j] *= math.sqrt(memory[11 + i // 3] * memory[11 + j // 3])
-    innovation = innovation_of(exposed, theta, P, position, q, noise, marker)
-    spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
-    o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
+    if seen_noise[0, 0] == 0.0:
+        seen_noise = pose_noise(sensor, seen_position, _velocity_at(body, seen_position))
     verdict = USED
+    for solution in range(3 if sensor[0] else 1):
+        q, noise = _solution(solution, sensor, seen_position, seen_q, seen_noise)
+        position, q, noise = corrected_pose(seen_position, q, noise, marker, theta, com)
+        _enlarge(noise, memory)
+        innovation = innovation_of(exposed, theta, P, position, q, noise, marker)
+        if solution == 0:
+            spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
+            o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
+        if innovation[3] <= gate:
+            verdict = FLIPPED if solution > 0 else USED
+            break
+    if not innovation[3] <= gate:  # NaN is outside, too
+        verdict = OUTSIDE
     late = 3.0 * math.sqrt(P[ekf.LATENCY, ekf.LATENCY]) + abs(theta[ekf.LATENCY - STATE])
-    unknown = 0.0
-    for i in range(3):
-        unknown += P[COM + i, COM + i] + P[ekf.CAMERA + i, ekf.CAMERA + i]
+    unknown = np.trace(P[COM:COM + 3, COM:COM + 3]) + np.trace(
+        P[ekf.CAMERA:ekf.CAMERA + 3, ekf.CAMERA:ekf.CAMERA + 3])
     reach += 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
     away = o[0], o[1], o[2] + model[0][1]
     if t3.norm(away) > reach:
         away = t3.apply(t3.rotation_matrix(tool[1]), away)
         verdict = FALLING if _is_fall(away, model[2], reach, seconds) else OUT_OF_REACH
-    elif not innovation[3] <= gate:  # NaN is outside, too
-        verdict = OUTSIDE
-    else:
+    elif verdict <= USED:
         body, theta = posterior(body, theta, P, innovation)
     if verdict <= OUTSIDE:
-        memory = updated_memory(memory, theta, seconds, innovation[0], verdict == USED)
+        memory = updated_memory(
+            memory, theta, seconds, innovation, gain, verdict <= USED)
     return verdict, innovation, body, theta, memory

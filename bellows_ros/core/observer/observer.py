@@ -10,19 +10,27 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Matrix, Vector
-from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
+from bellows_ros.core.model.equilibrium import resting_on_tool, sag, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.correction import Correction, MOTION_ROWS, PACKAGE_ROWS, Track
+from bellows_ros.core.observer.correction import (
+    ANOTHER_PACKAGE,
+    CAMERA_ROWS,
+    Correction,
+    CUP_ROWS,
+    Known,
+    Track,
+)
 from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE, STATE
 from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
+from bellows_ros.core.observer.support import Support
 from bellows_ros.core.parameters.values import Values
 import numpy as np
 
@@ -50,10 +58,20 @@ REPEATED_NS = 5_000_000_000
 """What stays wrong raises an alarm so often (ns)."""
 
 VERDICTS = (
-    'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'covariance', 'frame_id', 'not_held',
-    'late', 'future_stamp', 'duplicate_stamp', 'out_of_reach', 'gate',
+    'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'covariance', 'repeated', 'frame_id',
+    'not_held', 'late', 'future_stamp', 'duplicate_stamp', 'out_of_reach', 'gate',
 )
-"""Why a measured pose is refused."""
+"""Reasons for rejecting a measured pose."""
+
+CLEAN_NS, MAX_GATED = 500_000_000, 2
+"""Time (ns) after an estimate without an alarm, a restart or more gated poses than this: then its
+camera, cup and package are kept."""
+
+OF_CUP = frozenset(('leak', 'wear'))
+"""Causes after which the cup is no longer the stated one."""
+
+MAX_DEVIATION = 3.0
+"""Standard deviations by which a cup may differ from the stated one without an alarm."""
 
 
 class Payload(NamedTuple):
@@ -91,8 +109,6 @@ class Observer:
     ----------
     values : mapping
         Parameters by name: measured.*, payload.*, package.*_std, cup.*_std, tool_noise.*.
-    alarms : sequence of Alarm
-        Those of an observer before.
 
     Attributes
     ----------
@@ -103,12 +119,15 @@ class Observer:
 
     """
 
-    def __init__(self, values: Values, alarms: Sequence[Alarm] = ()) -> None:
+    _correction: Correction
+    _known: Known
+
+    def __init__(self, values: Values) -> None:
         """Start without a package."""
-        self.sensor = PoseSensor(values)
-        self._values = values
-        self.counts = dict.fromkeys(('used', 'recovered', *VERDICTS), 0)
-        self._track = Track()
+        self._set_values(values)
+        self.counts = dict.fromkeys(('used', 'flipped', 'recovered', *VERDICTS), 0)
+        self.alarms: list[Alarm] = []
+        self._track, self._support = Track(), Support()
         self._estimates: list[Estimate] = []  # the oldest, and those after each measurement
         self._measurements: list[Measurement] = []
         self._pending: list[Measurement] = []  # newer than the tool
@@ -116,38 +135,58 @@ class Observer:
         self._delay_ns = 0  # of the newest measurement, when it came
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # when, if it holds, and its period
-        self.alarms = list(alarms)
         self._of_vacuum: list[Alarm] = []
+        self._lost_cups: tuple[int, ...] = ()
+
+    def _set_values(self, values: Values) -> None:
+        self._values, self.sensor = values, PoseSensor(values)
 
     def use_values(self, values: Values) -> None:
-        """Use other parameters from the next model on."""
-        self.sensor, self._values = PoseSensor(values), values
+        """Use other parameters from the next model on; the camera stays as it is known."""
+        self._set_values(values)
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
-        """Set a nominal model, its longest step (s), and how far (m) a lip can be."""
+        """Set a nominal model, its longest step (s), and the largest shift of a lip (m)."""
+        before, rows = getattr(self, '_correction', None), CAMERA_ROWS
+        self._keep()
+        self._first_alarm = len(self.alarms)
         self._correction = Correction(self._values, self.sensor.marker, model, max_step, reach)
-        self._estimates.clear()
-        self._lost_cups: tuple[int, ...] = ()
-        prior = self._correction.prior
-        self._initial = (
-            np.zeros(len(prior) - STATE), np.diag(prior**2), self._correction.first_memory)
-        self.forget()
+        if before is not None and before.nominal[0] == model[0]:
+            rows += CUP_ROWS
+        self._begin_with(rows if before else ())
+        gravity = model[2] if any(model[2]) else (0.0, 0.0, -1.0)
+        self._support.use(t3.scale(-1.0 / t3.norm(gravity), gravity), sag(model))
 
-    def forget(self, is_another: bool = True) -> None:
-        """Start again, with the same or another package; the camera is the same."""
-        if self._estimates and np.isfinite(self._estimates[-1].covariance).all():
-            last = self._estimates[-1]
-            theta, P = last.theta.copy(), last.covariance.copy()
-            rows = [row for row in MOTION_ROWS + is_another * PACKAGE_ROWS if row < len(P)]
-            P[rows], P[:, rows] = 0.0, 0.0
-            P[rows, rows] = np.square(self._correction.prior[rows])
-            theta[[row - STATE for row in rows if row >= STATE]] = 0.0
-            self._initial = theta, P, last.memory
-            self._lost_cups = () if is_another else last.lost_cups
+    def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
+        """Start again with another package; with the rows of the error that are kept."""
+        self._keep()
+        self._begin_with(kept)
+
+    def grip(self) -> None:
+        """Take up another package that lies on a support."""
+        self._support.grip()
+
+    def _keep(self) -> None:
+        """Keep the newest estimate if it is clean."""
+        if self._estimates and not self._gated and self._since_ns <= self._candidate.stamp_ns:
+            self._commit(self._estimates[-1])
+
+    def _begin_with(self, kept: tuple[int, ...]) -> None:
+        """Start without a motion, with the kept rows of what is known."""
+        correction = self._correction
+        prior, lost_cups = correction.prior, self._lost_cups if ekf.MASS in kept else ()
+        known = Known(np.zeros(len(prior) - STATE), np.diag(prior**2), correction.first_memory)
+        if kept:
+            block, places = np.ix_(kept, kept), np.subtract(kept, STATE)
+            known.theta[places] = self._known.theta[places]
+            known.covariance[block] = self._known.covariance[block]
+            known = known._replace(memory=self._known.memory)
+        self._known, self._lost_cups = known, lost_cups
         for each in (self._estimates, self._measurements, self._pending):
             each.clear()
         self._newest = None
-        self._predict_with(self._initial[0], self._lost_cups)
+        self._since_ns = self._gated = 0
+        self._predict_with(known.theta, self._lost_cups)
 
     def _predict_with(self, theta: Array, lost_cups: tuple[int, ...]) -> None:
         """Predict with estimated parameters, without the cups that are lost."""
@@ -180,7 +219,7 @@ class Observer:
 
     @property
     def payload(self) -> Payload | None:
-        """The estimated payload, if it is estimated."""
+        """The estimated payload, if there is one."""
         if not self._estimates or not self._values.payload.estimate:
             return None
         mass, com, inertia, _ = self.model[1]
@@ -193,8 +232,8 @@ class Observer:
 
     @property
     def calibration(self) -> Calibration | None:
-        """By how much the camera is off, if that is estimated."""
-        if not self._estimates or not self._values.measured.calibrate:
+        """The estimated errors of the camera, if there are any."""
+        if not self._estimates:
             return None
         last, latency = self._estimates[-1], ekf.LATENCY
         errors = last.theta[ekf.CAMERA - STATE:latency + 1 - STATE]
@@ -209,8 +248,9 @@ class Observer:
         self._track.begin(stamp_ns)
         self._measurements.clear()
         self._estimates = [
-            self._correction.start(stamp_ns, tool, body, self._initial, self._lost_cups)]
-        self.body = body
+            self._correction.start(stamp_ns, tool, body, self._known, self._lost_cups)]
+        self.body, self._candidate, self._since_ns = body, self._estimates[0], stamp_ns
+        self._support.follow(stamp_ns, tool[0])
 
     def follow(
         self, stamp_ns: int, start: State, end: State
@@ -229,6 +269,8 @@ class Observer:
         assert prediction is not None
         self.body = prediction[0]
         track.advance(stamp_ns)
+        if self._support.follow(stamp_ns, end[0]):
+            self._let_go()
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
             self._measurements.append(self._pending.pop(0))
@@ -301,24 +343,66 @@ class Observer:
             while again and again[0].stamp_ns < measurements[k].stamp_ns:
                 self._raise(again.pop(0))
             after, verdict, alarm = self._correction.updated(
-                estimates[k], self._track, measurements[k], k == first)
+                estimates[k], self._track, measurements[k], k == first,
+                self._support.carries(measurements[k].stamp_ns))
             if k == first:
                 self.counts[verdict] += 1
+            if verdict == 'recovered':
+                after = self._correction.rolled_back(after, self._known)
+            self._note_trouble(after.stamp_ns, verdict, alarm)
             self._raise(alarm)
             estimates.append(self._out_of_reach(after, measurements[k].stamp_ns)
                              if verdict == 'out_of_reach' else after)
         for alarm in again:
             self._raise(alarm)
+        self._lost_cups = estimates[-1].lost_cups
+        if estimates[-1].is_supported and not self._support.is_near:
+            self._let_go()
         self._newest = None
-        self._predict_with(estimates[-1].theta, estimates[-1].lost_cups)
+        self._predict_with(estimates[-1].theta, self._lost_cups)
         self.body = self._correction.body_at_end(estimates[-1], self._track)
+
+    # ------------------------------------------------------------- what is kept
+
+    def _let_go(self) -> None:
+        """Go on without the wrench of a support."""
+        self._estimates[-1] = self._correction.released(self._estimates[-1])
+        self._newest = None
+        self._predict_with(self._estimates[-1].theta, self._lost_cups)
+
+    def _note_trouble(self, stamp_ns: int, verdict: str, alarm: Alarm | None) -> None:
+        """Keep an estimate after a clean interval; begin another interval after trouble."""
+        estimate = self._estimates[-1]
+        self._gated += verdict == 'gate'
+        if alarm is not None or verdict == 'recovered' or self._gated > MAX_GATED:
+            self._since_ns, self._gated, self._candidate = stamp_ns, 0, estimate
+        elif stamp_ns - self._candidate.stamp_ns > CLEAN_NS and not estimate.is_supported:
+            if self._candidate.stamp_ns >= self._since_ns:
+                self._commit(self._candidate)
+            self._candidate, self._gated = estimate, 0
+
+    def _commit(self, estimate: Estimate) -> None:
+        """Keep camera, cup and package; name a cup that is not the stated one."""
+        correction = self._correction
+        self._known = Known(estimate.theta, estimate.covariance, estimate.memory)
+        if correction.alarms is None or any(
+                alarm.cause in OF_CUP for alarm in self.alarms[self._first_alarm:]):
+            return
+        rows = np.arange(ekf.STIFFNESS, ekf.STIFFNESS + 6)
+        size, std = estimate.theta[rows - STATE], np.sqrt(estimate.covariance[rows, rows])
+        excess = np.abs(size) - MAX_DEVIATION * (correction.prior[rows] + std)
+        if excess.max() > 0.0:
+            worst = int(excess.argmax())
+            factor = math.exp(size[worst])
+            self._raise(Alarm(estimate.stamp_ns, 'wear', abs(factor - 1.0),
+                              factor * float(std[worst]), 'payload', 1.0))
 
     # ---------------------------------------------------------- a lost package
 
     def _out_of_reach(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Note a pose out of reach; a package that was within reach is lost after some time."""
         alarms, evidence, away_ns = self._correction.alarms, estimate.evidence, estimate.away_ns
-        if alarms is None or away_ns < 0:
+        if alarms is None or away_ns < 0 or estimate.is_supported:
             return estimate
         if away_ns == 0:
             if evidence.from_start and evidence.onsets[0, 0] == 0:  # it has never been within

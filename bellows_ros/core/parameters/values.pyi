@@ -58,14 +58,17 @@ class PayloadGroup:
 
 class MeasuredGroup:
     type: str
+    model: str
     noise: tuple[float, ...]
-    memory: float
+    blur: tuple[float, ...]
+    camera: tuple[float, ...]
+    scale: float
     frame: str
     offset: tuple[float, ...]
-    offset_std: tuple[float, ...]
+    marker_std: tuple[float, ...]
+    camera_std: tuple[float, ...]
+    latency: float
     latency_std: float
-    jitter: float
-    calibrate: bool
 
 class ToolNoiseGroup:
     position: float

@@ -22,12 +22,19 @@ SETTINGS = {
     'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
     'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
     'tool_noise.position': 2e-5, 'tool_noise.rotation': 1e-4,
-    'measured.offset_std': [0.0, 0.0], 'measured.latency_std': 0.0, 'payload.estimate': False,
+    'measured.camera_std': [0.0, 0.0], 'measured.marker_std': [0.0, 0.0],
+    'measured.latency_std': 0.0, 'payload.estimate': False,
+    'cup.stiffness_std': (1e-9 * np.eye(6)).ravel().tolist(),
+    'cup.damping_std': (1e-9 * np.eye(6)).ravel().tolist(),
+    'package.mass_std': 1e-9, 'package.com_std': [1e-12] * 3,
+    'package.inertia_std': [1e-12] * 3 + [0.0] * 3,
 }
 
 
 def values(**more):
-    """Give all parameters."""
+    """Give all parameters; a payload that is estimated is not stated."""
+    if more.get('payload__estimate'):
+        more = {'package__mass_std': 0.0, 'package__com_std': [0.0] * 3, **more}
     return resolve({**SETTINGS, **{k.replace('__', '.'): v for k, v in more.items()}}, ())
 
 

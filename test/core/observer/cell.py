@@ -28,14 +28,20 @@ PERIOD_NS = 8_000_000
 WORKPLACE = np.array([0.6, 0.3, 0.4])  # m, in the camera's world
 TOOL_NOISE = np.repeat([2e-5, 1e-4], 3)
 DIAGONAL = np.eye(6).ravel()
-ORDINARY = {'measured__offset_std': [1e-3, 2e-3], 'measured__latency_std': 5e-3,
-            'payload__estimate': True}
+EXACTLY_KNOWN = 1e-9
+"""A standard deviation that is stated: 0 would stand for a default."""
+CALIBRATED = [0.7e-3, 1.4e-3]
+ORDINARY = {'measured__camera_std': CALIBRATED, 'measured__marker_std': CALIBRATED,
+            'measured__latency_std': 5e-3, 'payload__estimate': True}
 """As a node has it."""
-EXACT = {'measured__offset_std': [0.0, 0.0], 'measured__latency_std': 0.0}
+EXACT = {'measured__camera_std': [0.0, 0.0], 'measured__marker_std': [0.0, 0.0],
+         'measured__latency_std': 0.0}
 
 
 def stated(package, stiffness=0.0, damping=0.0, mass=0.0, com=0.0, inertia=0.0):
     """Give parameters that state relative standard deviations, and that of com (m)."""
+    stiffness, damping, mass, com, inertia = (
+        max(each, EXACTLY_KNOWN) for each in (stiffness, damping, mass, com, inertia))
     return {
         'cup__stiffness_std': (stiffness * CUP.stiffness.ravel() * DIAGONAL).tolist(),
         'cup__damping_std': (damping * CUP.damping.ravel() * DIAGONAL).tolist(),
@@ -134,6 +140,9 @@ class Cell:
         given = {**ORDINARY, **stated(self.nominal, **{
             name: value for name, value in wrong.items()
             if name not in (*OF_CAMERA, 'noise', 'offset', 'motion')}), **more}
+        if given['payload__estimate']:
+            given |= {f'package__{name}_std': 0.0 * np.array(given[f'package__{name}_std'])
+                      for name in ('mass', 'com') if name not in wrong}
         self.made = observer(**given) if lost is None else observer(
             HEAVY, gripper_of(CUP), **{**OF_GRIPPER, **given})
         self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))

@@ -1,7 +1,6 @@
 """Name what is wrong, and nothing where nothing is."""
 
 from collections import Counter
-import re
 
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import quaternion_product, ZERO
@@ -12,6 +11,7 @@ from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarms, AT_START, HYPOTHESES
 from bellows_ros.core.observer.correction import NO_CUPS
 from bellows_ros.core.observer.measurement import OUTSIDE, updated, USED
+from bellows_ros.report.sentences import alarm_sentence
 import numpy as np
 import pytest
 from scipy.special import logsumexp
@@ -57,10 +57,9 @@ def test_mass_that_is_off_may_be_wear_and_the_alarm_says_both():
         _, cell = first_of(seed, 'mass')
         alarm = cell.made.alarms[0]
         assert {alarm.cause, alarm.second} == {'wear', 'payload'}
-        for text in ('The mass is off by {} %', 'and {} % in rotation'):
-            found = re.search(text.format('([0-9.]+) ± ([0-9.]+)'), alarm.message)
-            assert float(found[1]) == pytest.approx(10.0, abs=3 * float(found[2]))
-        assert alarm.message.endswith(alarms.DECIDES[frozenset(('wear', 'payload'))])
+        for (size, std), *_ in (alarm.parts, alarm.second_parts):
+            assert size == pytest.approx(0.1, abs=3 * std)
+        assert alarm_sentence(alarm).endswith('Weigh the package to decide between them.')
 
 
 @pytest.mark.parametrize(('kind', 'size', 'usual'), [
@@ -71,16 +70,17 @@ def test_large_fault_has_its_size(kind, size, usual):
         cell = Cell(seed, 7.0, CONDITIONS['all, small'], kind, 3.0, size=size / usual)
         cell.run()
         alarm = cell.made.alarms[0]
-        assert (alarm.cause, alarm.size) == (kind, pytest.approx(size, abs=3 * alarm.size_std))
-        assert alarm.size_std < 0.3 * size
+        assert (alarm.cause, alarm.size) == (kind, pytest.approx(size, abs=3 * alarm.std))
+        assert alarm.std < 0.3 * size
 
 
 def test_fast_leak_is_no_moved_camera():
     """Wait with a camera of 0.5 mm until a leak of 25 mm/s is no shift any more."""
     for seed in range(300, 308):
         ((cause, after), *_), cell = first_of(
-            seed, 'leak', {'noise': 0.25}, size=5.0, measured__noise=[0.5e-3, 2.5e-3])
-        assert (cause, after < 0.4) == ('leak', True)
+            seed, 'leak', {'noise': 0.25}, size=5.0,
+            measured__noise=[0.5e-3, 0.5e-3, 2.5e-3, 2.5e-3])
+        assert (cause, after < 0.5) == ('leak', True)
         assert cell.made.alarms[0].size == pytest.approx(25e-3, rel=0.4)
 
 
@@ -91,7 +91,7 @@ def test_late_stamps_are_named_once(motion):
         cell = Cell(seed, 10.0, {'late': 0.05, 'motion': motion}, at=0.0)
         assert [cause for cause, _ in cell.run()] == ['latency']
         (alarm,) = cell.made.alarms
-        assert alarm.size == pytest.approx(0.05, abs=3 * alarm.size_std)
+        assert alarm.size == pytest.approx(0.05, abs=3 * alarm.std)
         assert cell.made.estimate.theta[ekf.LATENCY - ekf.STATE] == pytest.approx(0.05, abs=3e-3)
 
 
@@ -119,8 +119,9 @@ def test_lost_cup_of_a_gripper_is_named(lost):
     ((cause, seconds),), rms = run_with_errors(cell)
     assert (cause, 0.0 < seconds < 0.45) == (f'cup {lost}', True)
     (alarm,) = cell.made.alarms
-    assert f'Cup {lost} of cup.layout, at x {1e3 * LAYOUT[lost, 0]:.0f} mm' in alarm.message
-    assert (alarm.cup, alarm.size) == (lost, pytest.approx(1.0, abs=4 * alarm.size_std))
+    place = f'Cup {lost} of cup.layout, at x {1e3 * LAYOUT[lost, 0]:.0f} mm'
+    assert place in alarm_sentence(alarm)
+    assert (alarm.cup, alarm.size) == (lost, pytest.approx(1.0, abs=4 * alarm.std))
     assert rms[1] < 1.5 * rms[0] + 1e-4
     left = np.delete(LAYOUT, lost, axis=0)
     np.testing.assert_allclose(
@@ -190,9 +191,9 @@ def test_drop_is_always_noticed(kind, rate_hz, within):
 def _dense_transition(model, before, *track):
     """Give the transition (n + 7, n + 7) of the error with what falls."""
     P, memory = before[4:]
-    n, T = len(P), ekf.identity_transition(len(P))
+    n, T = len(P), ekf.identity_transition()
     ekf.propagated(
-        model, before[:4], (T, np.zeros((12, 12)), np.zeros((0, 12, 13))), *track, NO_CUPS)
+        model, before[:4], (T, np.zeros((12, 12)), np.zeros((0, 12, 13))), *track, 0.0, NO_CUPS)
     F, h = np.eye(n + 7), T[12, 0]
     F[:12, [*range(ekf.MARKER), *range(ekf.DAMPING, n)]] = T[:12]
     F[ekf.LENGTH, ekf.LENGTHENING] = h
@@ -260,11 +261,11 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
         if seen[5] > 0.0:
             model = model_of(row, law)
             F = _dense_transition(model, before, *track, noise[0])
-            after, _ = interpreted(
+            after, _, gain = interpreted(
                 model, before, *track, noise, np.zeros((0, 0), np.float32), NO_CUPS)
-            verdict, found, *_ = updated(model, after, (after[0] - before[0]) * 1e-9, seen)
+            verdict, found, *_ = updated(model, after, (after[0] - before[0]) * 1e-9, seen, gain)
             if verdict <= OUTSIDE:
-                given.append((F, found, verdict == USED, result[1][2][0]))
+                given.append((F, found, verdict <= USED, result[1][2][0]))
                 totals.append(result[3][0])
         return result
 
@@ -279,7 +280,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 
 def test_likeliest_onsets_keep_their_slots():
     """Put a new onset elsewhere than the likeliest ones, from whose slots an alarm has sizes."""
-    made = Alarms(1.0, 49, False, SINGLE)
+    made = Alarms(1.0, False, SINGLE)
     E, statistics, distances, onsets, *_ = made.start(1, ZERO, 0)
 
     def add(k, pinned):
@@ -326,8 +327,9 @@ def test_shift_of_a_camera_is_told_where_the_package_is():
     """Say hardly any where a camera turns by 1 degree about the package, far from the origin."""
     for seed, axis in ((0, 3), (1, 3), (0, 4), (4, 4)):
         cell = Cell(seed, 7.0, {}, 'camera', at=3.0, numbers=0.0175 * np.eye(6)[axis], **EXACTLY)
-        assert [cause for cause, _ in cell.run()] == ['camera']
-        assert cell.made.alarms[0].size < 3e-3
+        ((cause, _),), (alarm,) = cell.run(), cell.made.alarms
+        assert cause == 'camera' or (alarm.second == 'camera' and alarm.odds < 100.0)
+        assert alarm.size < 3e-3
 
 
 def test_camera_that_moved_is_not_learned_as_noise():
@@ -365,7 +367,7 @@ def test_late_and_shuffled_equals_in_order_with_an_alarm(kind):
         ends.append(cell.made)
     assert ends[0].alarms
     for one, other in zip(ends[0].alarms, ends[1].alarms, strict=True):
-        assert (one.stamp_ns, one.message) == (other.stamp_ns, other.message)
+        assert one[:3] == other[:3]
     one, other = (made.estimate for made in ends)
     np.testing.assert_allclose(one.theta, other.theta, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(np.concatenate(one.body), np.concatenate(other.body), rtol=1e-9)
@@ -375,7 +377,8 @@ def test_late_and_shuffled_equals_in_order_with_an_alarm(kind):
 def test_camera_is_calibrated():
     """Find shift and latency of a camera 20 mm off and 20 ms late, within 4 standard errors."""
     wrong = {'offset': (0.02, 0.0), 'late': 0.02}
-    cell = Cell(7, 10.0, wrong, measured__calibrate=True, payload__estimate=False)
+    cell = Cell(7, 10.0, wrong, measured__camera_std=[0.03, 0.05], measured__latency_std=0.05,
+                payload__estimate=False)
     assert cell.run() == []
     found = cell.made.calibration
     assert abs(found.latency - 0.02) < 4 * found.latency_std < 4e-3

@@ -10,7 +10,14 @@ from bellows_ros.core.model.equilibrium import (
 from bellows_ros.core.model.kernels import advance, model_row
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.correction import cups_of, first_memory, NO_CUPS
-from bellows_ros.core.observer.measurement import innovation_of, posterior, updated, WHITE_SHARE
+from bellows_ros.core.observer.measurement import (
+    innovation_of,
+    JITTER,
+    posterior,
+    updated,
+    WHITE_SHARE,
+)
+from bellows_ros.core.recording.measurement_model import MeasurementModel
 import numpy as np
 import pytest
 
@@ -22,8 +29,12 @@ SIZES = np.repeat(
     [0.003, 0.02, 0.05, 0.2, 0.05, 0.004, 0.3, 0.01, 0.002, 0.01, 0.1, 0.002, 0.02, 0.002, 0.02,
      0.005, 1.0, 0.1, 2e-5],
     [3, 3, 3, 3, 1, 3, 3, 3, 1, 1, 6, 3, 3, 3, 3, 1, 6, 6, 3])
-OF_MOTION = [*range(ekf.MARKER), *range(ekf.DAMPING, ekf.ALL_ROWS)]
-MEMORY, NO_LOSSES = first_memory(0.03 / np.log(2.0)), np.zeros((0, 12, 13))
+OF_MOTION = [*range(ekf.MARKER), *range(ekf.DAMPING, ekf.ROWS)]
+MEMORY, NO_LOSSES = first_memory(), np.zeros((0, 12, 13))
+MEMORY[3:5] = 0.5 * MEMORY[1:3]
+MEMORY[ekf.SHARE] = 0.0
+NO_DRIVE = np.zeros((3, 12, 12))
+BODY = MeasurementModel().sensor
 
 pytestmark = pytest.mark.xdist_group('kernels called from Python')  # compiled by one worker alone
 
@@ -34,23 +45,23 @@ def test_transition_is_that_by_differences(is_off):
     rng = np.random.default_rng(1)
     stamps, tool = tool_motion(rng, 0.3, period_ns=1_000_000)
     model, h = model_tuple(CUP, PACKAGE, 9.81), 1e-3
-    theta = rng.normal(size=ekf.ALL_ROWS - 12) * SIZES[12:] * 0.5 * is_off
+    theta = rng.normal(size=ekf.ROWS - 12) * SIZES[12:] * 0.5 * is_off
     theta[ekf.LENGTHENING - 12] = 0.0
     start, end = tool[250:252]
     body = moved_by(static_equilibrium(model, start), rng.normal(size=12) * 0.01)
     drive = ekf.driving(model, start, body, np.repeat([1e-4, 5e-4], 3))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end, end)]
-    T, Q = ekf.identity_transition(ekf.ALL_ROWS), np.zeros((12, 12))
+    T, Q = ekf.identity_transition(), np.zeros((12, 12))
     _, found = ekf.propagated(
         model, (stamps[250], start, body, theta), (T, Q, NO_LOSSES), (stamps[250:252], *rows, 2),
-        False, stamps[251], largest_step(model), drive, NO_CUPS)
+        False, stamps[251], largest_step(model), drive, 0.0, NO_CUPS)
     middle = later(body, theta, start, end, h)
     np.testing.assert_allclose(error_of(middle, found), 0.0, atol=2e-6)
-    F, memory, step = np.eye(ekf.ALL_ROWS), MEMORY, 1e-4
+    F, memory, step = np.eye(ekf.ROWS), MEMORY, 1e-4
     for row in OF_MOTION:
         ends = []
         for sign in (step, -step):
-            by = np.zeros(ekf.ALL_ROWS)
+            by = np.zeros(ekf.ROWS)
             by[row] = sign * SIZES[row]
             ends.append(later(moved_by(body, by[:12]), theta + by[12:], start, end, h))
         F[:12, row] = (error_of(middle, ends[0]) - error_of(middle, ends[1])) / (
@@ -63,13 +74,13 @@ def test_transition_is_that_by_differences(is_off):
     np.testing.assert_allclose(
         T[:12] * scale[:12, OF_MOTION], (F * scale)[:12, OF_MOTION], atol=5e-4)
     P, walk = np.diag(SIZES**2), np.arange(12.0) * 1e-4
-    half = np.zeros((ekf.ALL_ROWS, ekf.ALL_ROWS))
+    half = np.zeros((ekf.ROWS, ekf.ROWS))
     walks = [*range(ekf.WRENCH, ekf.WRENCH + 6), *range(ekf.CAMERA, ekf.CAMERA + 6)]
     half[walks, walks] = h / 2 * walk
-    half[:12, :12] = h * h / 2 * drive
+    half[:12, :12] = h * h / 2 * drive[0]
     dense = F @ (P + half) @ F.T + half
     dense[noise, noise] += 1.0 - kept**2
-    own = ekf.propagated_covariance(P, T, Q, walk, memory)
+    own = ekf.propagated_covariance(P, T, Q, walk, ekf.correlations(memory, h))
     np.testing.assert_allclose(
         own / np.outer(SIZES, SIZES), dense / np.outer(SIZES, SIZES), atol=1e-3)
 
@@ -78,16 +89,16 @@ def test_transition_is_that_by_differences(is_off):
 def test_transition_of_a_cup_that_is_much_stiffer_is_stable(row):
     """Let an error fade within 0.4 s, though steps are as long as the nominal cup allows."""
     stamps, tool = tool_motion(np.random.default_rng(1), 0.4, period_ns=8_000_000)
-    model, theta = model_tuple(CUP, PACKAGE, 9.81), np.zeros(ekf.ALL_ROWS - 12)
+    model, theta = model_tuple(CUP, PACKAGE, 9.81), np.zeros(ekf.ROWS - 12)
     theta[row - 12:row - 6] = 2.5
     body = static_equilibrium(ekf.with_theta(model, theta), tool[0])
     rows = [np.array([[*o, *q, *v, *w] for o, q, v, w in states])
             for states in ([tool[0], *tool[:-1]], tool, tool)]
-    T = ekf.identity_transition(ekf.ALL_ROWS)
+    T = ekf.identity_transition()
     ekf.propagated(
         model, (stamps[0], tool[0], body, theta), (T, np.zeros((12, 12)), NO_LOSSES),
-        (stamps, *rows, len(stamps)), False, stamps[-1], largest_step(model), np.zeros((12, 12)),
-        NO_CUPS)
+        (stamps, *rows, len(stamps)), False, stamps[-1], largest_step(model), NO_DRIVE,
+        0.0, NO_CUPS)
     assert np.abs(np.linalg.eigvals(T[:12, :12])).max() < 1.0
 
 
@@ -104,10 +115,10 @@ def test_transition_without_a_cup_is_that_of_the_others():
             for a, b in ((first - 1, last), (first, last + 1))]
     losses = np.tile(np.eye(12, 13), (4, 1, 1))
     _, found = ekf.propagated(
-        model, (stamps[first], tool[first], start, np.zeros(ekf.ALL_ROWS - 12)),
-        (ekf.identity_transition(ekf.ALL_ROWS), np.zeros((12, 12)), losses),
+        model, (stamps[first], tool[first], start, np.zeros(ekf.ROWS - 12)),
+        (ekf.identity_transition(), np.zeros((12, 12)), losses),
         (stamps[first:last + 1], *rows, rows[0].copy(), last + 1 - first), False, stamps[last],
-        largest_step(model), np.zeros((12, 12)), cups)
+        largest_step(model), NO_DRIVE, 0.0, cups)
     for lost in range(4):
         others = model_tuple(gripper_of(CUP, np.delete(LAYOUT, lost, axis=0)), HEAVY, 9.81)
         body = moved_by(start, e)
@@ -129,7 +140,7 @@ def test_innovation_is_what_it_says(of_lip):
     _, tool = tool_motion(rng, 0.3)
     model, noise = model_tuple(CUP, PACKAGE, 9.81), np.diag(NOISE_STD**2)
     body = moved_by(static_equilibrium(model, tool[60]), rng.normal(size=12) * 0.01)
-    none, P = np.zeros(ekf.ALL_ROWS - 12), np.diag(SIZES**2)
+    none, P = np.zeros(ekf.ROWS - 12), np.diag(SIZES**2)
     marker = ZERO, (0.0, 0.0, 0.0, 1.0), of_lip
 
     def pose(e):
@@ -146,20 +157,20 @@ def test_innovation_is_what_it_says(of_lip):
         turn = exp_quaternion(tuple(turn.tolist()))
         return tuple((seen[0] + shift).tolist()), quaternion_product(turn, seen[1])
 
-    def seen(e, jitter=0.0):
+    def seen(e):
         z, H, W, *_ = updated(
             model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03,
-            (*pose(e), noise, (*marker, jitter), 1.0, np.inf))[1]
+            (*pose(e), noise, (*marker, BODY), 1.0, np.inf), np.zeros((12, 12)))[1]
         root = np.linalg.inv(W)
         return root @ z, H, root
 
-    _, H, root = seen(np.zeros(ekf.ALL_ROWS))
-    roots = np.array([root, seen(np.zeros(ekf.ALL_ROWS), 0.003)[2]])
-    before, after = roots @ np.swapaxes(roots, 1, 2)
+    _, H, root = seen(np.zeros(ekf.ROWS))
     v = np.r_[body[2], body[3]]
-    np.testing.assert_allclose(after - before, 9e-6 * np.outer(v, v), atol=1e-12)
-    for row in range(ekf.ALL_ROWS):
-        e = np.zeros(ekf.ALL_ROWS)
+    own = WHITE_SHARE * noise + JITTER**2 * np.outer(v, v)
+    turned = root @ root.T - H @ P @ H.T
+    np.testing.assert_allclose(np.trace(turned), np.trace(own), rtol=0.1)
+    for row in range(ekf.ROWS):
+        e = np.zeros(ekf.ROWS)
         e[row] = 1e-4 * SIZES[row]
         slope = (seen(e)[0] - seen(-e)[0]) / 2e-4
         if of_lip and (0 <= row - ekf.NOISE < 6 or 3 <= row - ekf.MARKER < 6):
@@ -176,20 +187,20 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     model = model_tuple(CUP, PACKAGE, 9.81)
     tool = ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     body = own = static_equilibrium(model, tool)
-    theta, P, memory = np.zeros(ekf.ALL_ROWS - 12), np.diag(SIZES**2), MEMORY
-    T, Q = ekf.identity_transition(ekf.ALL_ROWS), np.zeros((12, 12))
+    theta, P = np.zeros(ekf.ROWS - 12), np.diag(SIZES**2)
+    T, Q = ekf.identity_transition(), np.zeros((12, 12))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (tool,) * 3]
     ekf.propagated(
         model, (0, tool, body, theta), (T, Q, NO_LOSSES), (np.array([0, 1_000_000]), *rows, 2),
-        False, 1_000_000, 1.0, np.zeros((12, 12)), NO_CUPS)
+        False, 1_000_000, 1.0, NO_DRIVE, 0.0, NO_CUPS)
     seen = [(noise, *with_noise(rng, body, NOISE_STD * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
     for k in range(updates):
-        P = ekf.propagated_covariance(P, T, Q, np.full(12, 1e-12), memory)
+        P = ekf.propagated_covariance(P, T, Q, np.full(12, 1e-12), ekf.correlations(MEMORY, 1e-3))
         scale, position, q = seen[37 * k % len(seen)]
         noise = np.diag(NOISE_STD**2) * scale
         found = innovation_of(
-            own, theta, P, position, q, noise, (ZERO, (0.0, 0.0, 0.0, 1.0), False, 0.0))
+            own, theta, P, position, q, noise, (ZERO, (0.0, 0.0, 0.0, 1.0), False, BODY))
         own, theta = posterior(own, theta, P, found)
     scale = np.sqrt(np.diag(P))
     assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > 0.0

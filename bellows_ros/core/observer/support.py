@@ -1,0 +1,101 @@
+"""Times in which a support may carry a package, by the motion of the tool."""
+
+from __future__ import annotations
+
+import math
+
+from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.tuples import Vector, ZERO
+
+LIFT = 8e-3
+"""Height above the sag of the cup by which a package has left its support, m."""
+
+ASIDE = 0.05
+"""Horizontal distance by which a package has left its support, m."""
+
+DESCENT = 0.03
+"""Straight way down after which a support may be near, m: none is known beforehand."""
+
+STRAIGHT = 0.3
+"""Largest horizontal part of a way down."""
+
+REMEMBERED_NS = 2_000_000_000
+"""Age of the oldest support that a late pose may meet, ns."""
+
+
+class Support:
+    """
+    Tell when a support may carry the package.
+
+    It does from the grip until the tool has lifted the package, near the height of the last grip,
+    and from a straight way down until the tool rises again.
+
+    """
+
+    def __init__(self) -> None:
+        """Start in the air."""
+        self.use((0.0, 0.0, 1.0), 0.0)
+        self._grip_height = -math.inf
+        self._may_reach = self._is_gripping = False
+        self._top: Vector | None = None
+        self._begin: Vector = ZERO
+        self._low = 0.0
+        self._times: list[tuple[int, int]] = []  # first and last stamp of each support
+
+    def use(self, up: Vector, sag: float) -> None:
+        """Use another direction against gravity (unit vector) and stretch of the cup (m)."""
+        self._up, self._lift = up, LIFT + sag
+
+    def grip(self) -> None:
+        """Let the next sample of the tool grip a package on its support."""
+        self._is_gripping, self._top = True, None
+        self._may_reach = False
+
+    @property
+    def is_near(self) -> bool:
+        """Whether a support may carry the package at the newest sample."""
+        return bool(self._times) and self._times[-1][1] == 0
+
+    def carries(self, stamp_ns: int) -> bool:
+        """Return whether a support may carry the package at a stamp."""
+        return any(first <= stamp_ns and (last == 0 or stamp_ns <= last)
+                   for first, last in self._times)
+
+    def _height(self, position: Vector) -> float:
+        return t3.dot(self._up, position)
+
+    def _aside(self, position: Vector, since: Vector) -> float:
+        way = t3.subtract(position, since)
+        return t3.norm(t3.add_scaled(way, -t3.dot(self._up, way), self._up))
+
+    def follow(self, stamp_ns: int, position: Vector) -> bool:
+        """Note a sample of the tool (m, world); return whether it has left a support."""
+        height = self._height(position)
+        if self.is_near:
+            self._low = min(self._low, height)
+            if height < self._low + self._lift and self._aside(position, self._begin) < ASIDE:
+                return False
+            self._times[-1] = self._times[-1][0], stamp_ns
+            self._top = position
+            return True
+        self._may_reach |= height > self._grip_height + 2.0 * self._lift
+        top = position if self._top is None else self._top
+        drop = self._height(top) - height
+        if drop <= 0.0 or self._aside(position, top) > STRAIGHT * drop + 1e-3:
+            top, drop = position, 0.0
+        self._top = top
+        is_low = self._may_reach and height < self._grip_height + self._lift
+        if not (self._is_gripping or is_low or drop > DESCENT):
+            return False
+        if self._is_gripping:
+            self._grip_height, self._may_reach = height, False
+        self._is_gripping, self._begin, self._low = False, position, height
+        self._times = [each for each in self._times if each[1] > stamp_ns - REMEMBERED_NS]
+        self._times.append((stamp_ns, 0))
+        return False
+
+    def release(self, stamp_ns: int) -> None:
+        """End the support at a stamp, as the package has been let go."""
+        if self.is_near:
+            self._times[-1] = self._times[-1][0], stamp_ns
+        self._top, self._is_gripping = None, False

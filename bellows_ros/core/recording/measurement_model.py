@@ -1,0 +1,189 @@
+"""
+Errors of the measured pose of a body or of a detected tag.
+
+The error of a detected tag depends on the direction in which it is measured: the depth and the
+rotation across the line of sight come from a small difference between its corners, the other
+directions from their mean. Motion during the exposure blurs the image; the errors of a blurred tag
+grow with the square of its speed across the line of sight. A flat tag has a second solution, its
+tilt mirrored at the line of sight, for which a detector may take it by mistake (a flip).
+
+The observer, its alarms, the fit and the verdict of `replay` weigh a measured pose by
+`MeasurementModel.covariance`. A fit over a whole recording passes all poses with their velocities
+from the prediction, and replaces the rotations that `MeasurementModel.second_solution` brings
+nearer to the prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
+from bellows_ros.core.parameters.values import Values
+import numpy as np
+
+Sizes = tuple[float, float, float, float]
+"""Of an error: lateral (m), depth (m), rotation across and along the line of sight (rad)."""
+
+Sensor = tuple[bool, Sizes, Sizes, Vector]
+"""A `MeasurementModel` for kernels: is_tag, at_rest, in_motion, camera."""
+
+BODY_AT_REST: Sizes = (2e-3, 2e-3, 1e-2, 1e-2)
+"""Default standard deviations of a tracked body, m and rad."""
+
+TAG_AT_REST: Sizes = (3e-4, 3e-3, 1.2e-2, 4e-3)
+"""Default standard deviations of a tag at rest, 1 m from the camera, m and rad."""
+
+TAG_IN_MOTION: Sizes = (1e-3, 4e-2, 2e-1, 6e-2)
+"""Default growth of a tag's errors with its squared speed, 1 m from the camera, s^2/m and rad."""
+
+NO_GROWTH: Sizes = (0.0, 0.0, 0.0, 0.0)
+"""Growth of a tracked body's errors with its speed."""
+
+LEAST_DISTANCE = 0.05
+"""Smallest distance of a tag from the camera, m: nearer ones are not in focus."""
+
+
+@kernel
+def sizes_of(sensor: Sensor, position: Vector, velocity: Vector) -> Sizes:
+    """
+    Return the standard deviations of a measured pose by its position and velocity.
+
+    A tag's lateral error and its rotations grow with the distance from the camera, its depth error
+    with the square of the distance: errors of its corners in the image are constant. The depth
+    error of a blurred tag grows with the distance.
+    """
+    is_tag, at_rest, in_motion, camera = sensor
+    if not is_tag:
+        return at_rest
+    sight = t3.subtract(position, camera)
+    distance = max(t3.norm(sight), LEAST_DISTANCE)
+    along = t3.dot(sight, velocity) / distance
+    v2 = max(t3.dot(velocity, velocity) - along * along, 0.0)
+    return (
+        math.hypot(distance * at_rest[0], in_motion[0] * v2),
+        math.hypot(distance * distance * at_rest[1], distance * in_motion[1] * v2),
+        math.hypot(distance * at_rest[2], in_motion[2] * v2),
+        math.hypot(distance * at_rest[3], in_motion[3] * v2))
+
+
+@kernel
+def pose_noise(sensor: Sensor, position: Vector, velocity: Vector) -> Array:
+    """Return the covariance (6, 6) of a measured pose (m^2, rad^2) about axes of the world."""
+    lateral, depth, across, along = sizes_of(sensor, position, velocity)
+    sight, out = t3.subtract(position, sensor[3]), np.zeros((6, 6))
+    square = max(t3.dot(sight, sight), LEAST_DISTANCE * LEAST_DISTANCE)
+    for i in range(3):
+        out[i, i], out[3 + i, 3 + i] = lateral * lateral, across * across
+        for j in range(3):
+            part = sight[i] * sight[j] / square
+            out[i, j] += (depth * depth - lateral * lateral) * part
+            out[3 + i, 3 + j] += (along * along - across * across) * part
+    return out
+
+
+@kernel
+def mirrored(camera: Vector, position: Vector, q: Quaternion) -> Quaternion:
+    """
+    Return the second solution of a flat tag's orientation.
+
+    R becomes S R D with the reflections S along the line of sight and D along the tag's normal, z.
+    Their product is a half turn about the line of sight times R times a half turn about z.
+    """
+    sight = t3.subtract(position, camera)
+    x, y, z = t3.scale(1.0 / max(t3.norm(sight), 1e-9), sight)
+    return t3.quaternion_product(t3.quaternion_product((x, y, z, 0.0), q), (0.0, 0.0, 1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class MeasurementModel:
+    """
+    The errors of measured poses, all in the frame of the poses.
+
+    Parameters
+    ----------
+    kind : {'body', 'tag'}
+        A tracked body errs alike in all directions, a tag as described above.
+    at_rest : tuple of 4 floats
+        Standard deviations at rest: lateral (m), depth (m), rotation across and along the line of
+        sight (rad); of a tag at a distance of 1 m.
+    in_motion : tuple of 4 floats
+        Growth of the standard deviations with the squared lateral speed (s^2/m, s^2 rad/m^2).
+    camera : tuple of 3 floats
+        Optical centre of the camera, m.
+    scale : float
+        Factor of the positions relative to the camera that corrects the size of the tag.
+    latency, latency_std : float
+        Lateness of the stamps and its standard deviation, s.
+
+    """
+
+    kind: str = 'body'
+    at_rest: Sizes = BODY_AT_REST
+    in_motion: Sizes = NO_GROWTH
+    camera: Vector = ZERO
+    scale: float = 1.0
+    latency: float = 0.0
+    latency_std: float = 5e-3
+
+    @property
+    def sensor(self) -> Sensor:
+        """The model for kernels."""
+        return self.kind == 'tag', self.at_rest, self.in_motion, self.camera
+
+    def moved(self, origin: Vector, rotation: Quaternion) -> MeasurementModel:
+        """Return the model in a frame in which the frame of the poses has a pose."""
+        camera = t3.add(origin, t3.apply(t3.rotation_matrix(rotation), self.camera))
+        return replace(self, camera=camera)
+
+    def scaled(self, position: Vector) -> Vector:
+        """Return a measured position (m) with the corrected size of the tag."""
+        sight = t3.subtract(position, self.camera)
+        return t3.add(self.camera, t3.scale(self.scale, sight))
+
+    def covariance(self, position: Array, velocity: Array) -> Array:
+        """
+        Return the covariances (N, 6, 6) of measured poses about axes of the frame (m^2, rad^2).
+
+        Parameters
+        ----------
+        position, velocity : ndarray (N, 3)
+            Of the tag or body in the frame of the poses, m and m/s; the predicted velocity.
+
+        """
+        return np.array([
+            pose_noise(self.sensor, tuple(o), tuple(v))
+            for o, v in zip(position.tolist(), velocity.tolist(), strict=True)])
+
+    def second_solution(self, position: Array, rotation: Array) -> Array:
+        """Return the second solutions (N, 3, 3) of the orientations (N, 3, 3) of a flat tag."""
+        q = lie.rotation_to_quaternion(rotation)
+        return lie.quaternion_to_rotation(np.array([
+            mirrored(self.camera, tuple(o), tuple(each))
+            for o, each in zip(position.tolist(), q.tolist(), strict=True)]))
+
+
+def measurement_model(values: Values) -> MeasurementModel:
+    """
+    Return the model of the parameters measured.*, in the frame of the measured poses.
+
+    A number of measured.noise or measured.blur that is 0 stands for the default of measured.model.
+    """
+    given, kind = values.measured, values.measured.model
+    at_rest, in_motion = (TAG_AT_REST, TAG_IN_MOTION) if kind == 'tag' else (
+        BODY_AT_REST, NO_GROWTH)
+    x, y, z = given.camera
+    return MeasurementModel(
+        kind, _chosen(given.noise, at_rest), _chosen(given.blur, in_motion), (x, y, z),
+        given.scale, given.latency, given.latency_std)
+
+
+def _chosen(given: Sequence[float], defaults: Sizes) -> Sizes:
+    """Return the given numbers, a default for each that is 0."""
+    a, b, c, d = (each or default for each, default in zip(given, defaults, strict=True))
+    return a, b, c, d
