@@ -120,12 +120,14 @@ def factor_columns(values: Values) -> toss_release.Factor:
 
 
 def beyond_masses(values: Values) -> float:
-    """Return by how much the package is beyond release.mass_range, as a logarithm; 0 inside."""
-    lightest, heaviest = values.release.mass_range
-    mass = float(values.package.mass)
-    if not lightest:
-        return 0.0
-    return max(0.0, math.log(lightest / mass), math.log(mass / heaviest))
+    """Return the `distance_of` the package from release.mass_range."""
+    return distance_of(float(values.package.mass), values.release.mass_range)
+
+
+def distance_of(mass: float, mass_range: tuple[float, ...]) -> float:
+    """Return the distance of a mass from a range (kg) as a logarithm; 0 inside, or without one."""
+    lightest, heaviest = mass_range
+    return max(0.0, math.log(lightest / mass), math.log(mass / heaviest)) if lightest else 0.0
 
 
 def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:

@@ -5,9 +5,10 @@ The poses from before each valve until the package has fallen are compared with 
 law: its free numbers are common to all drops; each has an instant of its own, and of the state
 before it an offset of the package on the lip where it hangs at rest, else the whole state. The
 sum of squares of positions, of velocities as a local polynomial has them, and of rotations is the
-smallest (Gauss-Newton, damped; the numbers of each drop are eliminated). Standard errors come
-from what each drop contributes to the gradient, so from the scatter between drops; they grow
-with what the drops of one mass have left in common, which scatter does not explain.
+smallest (Gauss-Newton, damped; the numbers of each drop are eliminated). Standard errors come from
+the scatter between drops, by the gradient of each, and from the model error across masses: the
+first are enlarged by a factor with which the drops of each mass, predicted by a fit to the others,
+deviate as much as stated.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,8 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.toss import release as tossing
-from bellows_ros.core.toss.landing import as_law
-from bellows_ros.core.toss.release import Law, NO_GRIP, NO_LAW, RELEASE_NAMES
+from bellows_ros.core.toss.landing import as_law, distance_of, EXTRAPOLATION
+from bellows_ros.core.toss.release import Law, LAW_STEP, NO_GRIP, NO_LAW, RELEASE_NAMES
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
@@ -69,6 +70,9 @@ than the noise, by chi^2 per pose."""
 
 LINEAR_TAU = 0.5
 """A fall of suction with this tau (s) is as good as linear over the time of a release."""
+
+MIN_MASSES = 3
+"""Fewest masses whose differences tell the model error of a law."""
 
 MAX_COMMON_RESIDUAL = 4.0
 """A law lacks something if its drops have so many times as much left in common, by mass, as
@@ -321,7 +325,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     if len(subset) < len(drops):
         best = _fitted(drops, np.array(best.law), best.free)
     if best.explains:
-        return _identifiable(drops, best, given, given_std)
+        return _calibrated(drops, _identifiable(drops, best, given, given_std))
     raise UnexplainedError(
         f'No law of release explains the drops: it leaves {1e3 * best.position:.2g} mm of their '
         f'positions (rms, chi2 per pose {best.chi2:.3g}), {1e3 * best.common:.2g} mm of it in all '
@@ -450,15 +454,13 @@ def _fitted(
         law, damping = trial, max(damping / 6.0, 1e-6)
         if cost - lower < 1e-5 * cost:
             break
-    H, gradients = _reduced(problem, law)
+    H, _ = _reduced(problem, law)
     inverse = np.linalg.pinv(H)
-    covariance = inverse @ (gradients.T @ gradients) @ inverse
     lack, common = _in_common(problem, law)
-    covariance *= max(lack, 1.0) * len(drops) / max(len(drops) - len(free), 1)
-    covariance += len(free) / len(drops) * cost / sum(
-        one.residuals(law, one.nuisance).size for one in problem) * inverse
     placed = SCALES[:, None] * np.eye(8)[:, chosen]
-    covariance = placed @ covariance @ placed.T
+    noise = len(free) / len(drops) * cost / sum(
+        one.residuals(law, one.nuisance).size for one in problem) * inverse
+    covariance = max(lack, 1.0) * _by_scatter(problem, law) + placed @ noise @ placed.T
     if fixed_std is not None:
         covariance += _of_fixed(problem, law, inverse, fixed_std)
     scatter = np.sqrt(np.maximum(
@@ -467,6 +469,62 @@ def _fitted(
     return ReleaseFit(
         as_law(law), free, covariance, scatter,
         tuple(one.explained(law) for one in problem), lack, common)
+
+
+def _by_scatter(problem: Sequence['_DropFit'], law: Array) -> Array:
+    """Return the covariance (8, 8) of the free numbers by the scatter between drops."""
+    H, gradients = _reduced(problem, law)
+    inverse = SCALES[:, None] * np.eye(8)[:, list(problem[0].free)] @ np.linalg.pinv(H)
+    moves, count = gradients @ inverse.T, len(problem)
+    return np.asarray(count / max(count - gradients.shape[1], 1) * moves.T @ moves)
+
+
+def _calibrated(drops: Sequence[Drop], fit: ReleaseFit) -> ReleaseFit:
+    """
+    Return a fit whose covariance explains the errors of masses that a fit has not seen.
+
+    Of the height and the velocity at the end of the drops of each mass, predicted by a fit to the
+    others, the mean square deviation is that stated. With fewer than `MIN_MASSES` others the
+    residual that drops have in common enlarges the covariance instead.
+    """
+    ratios = list[Array]()
+    for mass in sorted({drop.mass for drop in drops if drop.stands}):
+        own, others = ([drop for drop in drops if drop.stands and (drop.mass == mass) is is_own]
+                       for is_own in (True, False))
+        if len(ranges := {drop.mass for drop in others}) < MIN_MASSES:
+            continue
+        part = _fitted(others, np.array(fit.law), fit.free)
+        problem = [_DropFit(drop, fit.free) for drop in others]
+        by_scatter = _end_variance(own[0], part.law, _by_scatter(problem, np.array(part.law)))
+        of_drops = _end_variance(own[0], part.law, np.diag(part.scatter**2))
+        wider = 1.0 + EXTRAPOLATION * distance_of(mass, (min(ranges), max(ranges)))
+        squares = np.mean([_end_error(drop, part.law)**2 for drop in own], axis=0) / wider**2
+        ratios.append(np.maximum(squares - of_drops, 0.0) / by_scatter)
+    if not ratios:
+        return fit
+    factor = max(1.0, float(np.mean(ratios, axis=0).max()))
+    by_scatter = _by_scatter([_DropFit(drop, fit.free) for drop in drops], np.array(fit.law))
+    return fit._replace(
+        covariance=fit.covariance + (factor - max(fit.lack, 1.0)) * by_scatter)
+
+
+def _end_error(drop: Drop, law: Law) -> Array:
+    """Return measured less predicted height (m) and velocity (m/s) at the end of a drop."""
+    errors = drop.errors(drop.predicted(law)[1])
+    before = slice(0, max(1, int(np.searchsorted(drop.package.seconds, drop.valve))))
+    at, up = -1 - half_window(drop.package.seconds), np.array(drop.model[2])
+    shift = errors[:3, at] - errors[:3, before].mean(axis=1)
+    return np.array([up @ shift, up @ errors[3:6, at]]) / float(np.linalg.norm(up))
+
+
+def _end_variance(drop: Drop, law: Law, covariance: Array) -> Array:
+    """Return the variances (2,) of `_end_error` by a covariance (8, 8) of the law."""
+    sizes, axes = np.linalg.eigh(covariance)
+    factor = axes * np.sqrt(np.maximum(sizes, 0.0))
+    slopes = [(_end_error(drop, as_law(np.array(law) + LAW_STEP * column))
+               - _end_error(drop, as_law(np.array(law) - LAW_STEP * column))) / (2.0 * LAW_STEP)
+              for column in factor.T]
+    return np.asarray(np.sum(np.square(slopes), axis=0))
 
 
 def _reduced(problem: Sequence['_DropFit'], law: Array) -> tuple[Array, Array]:
