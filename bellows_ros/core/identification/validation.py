@@ -272,7 +272,7 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
         warnings += more
     warnings += [
         f'The tool is unknown for {(after - before) / NS_PER_S:.2f} s from '
-        f'{(before - int(poses.stamps_ns[0])) / NS_PER_S:.2f} s on. The simulation begins anew '
+        f'{(before - recording.start_ns) / NS_PER_S:.2f} s on. The simulation begins anew '
         'behind it, with the state that the poses there show.'
         for before, after in ((int(one.tool.stamps_ns[-1]), int(other.tool.stamps_ns[0]))
                               for one, other in pairwise(runs))]
