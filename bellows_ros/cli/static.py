@@ -52,7 +52,7 @@ def print_result(result: StaticResult, console: Console) -> None:
         console.table(
             _spring_rows(result.spring), right=True,
             title=f'Spring, with a cup length of {result.cup_length * 1e3:.2f} mm')
-        console.paragraph(result.spring.sentence, style='' if result.spring.passed else 'red')
+        console.paragraph(result.verdict, style='' if result.spring.passed else 'red')
     console.warn(*result.warnings)
 
 
@@ -105,7 +105,7 @@ def _print_length(result: StaticResult, console: Console) -> None:
         console.paragraph(f'No cup length: {result.no_length}')
         return
     console.line('Cup length', 'bold')
-    console.line(f'  l0 {length.text}')
+    console.line(f'  l0 {static.length_sentence(length)}')
     console.paragraph(
         f'  {"straight line" if len(length.coefficients) == 2 else "cubic"} through '
         f'{len(length.loads)} standstills.')

@@ -19,7 +19,7 @@ from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
-from bellows_ros.workflows.static import StaticResult
+from bellows_ros.workflows.static import length_sentence, StaticResult
 from bellows_ros.workflows.verdict import FitVerdict
 import numpy as np
 
@@ -166,7 +166,7 @@ class Identification(CommandResult):
     @property
     def findings(self) -> tuple[str, ...]:
         """Findings besides K and P, in sentences."""
-        spring, consistency = self.static and self.static.spring, self.consistency
+        static, consistency = self.static, self.consistency
         return (
             *(self.verdict.sentences if self.verdict else (NO_VERDICT,)),
             *(text for part in self.parts
@@ -174,7 +174,7 @@ class Identification(CommandResult):
             *self._clock_sentences(),
             *self._free_sentences(),
             *_standstill_sentences(self),
-            *((spring.sentence,) if spring else ()),
+            *((static.verdict,) if static and static.spring else ()),
             *(consistency.sentences if consistency and not consistency.differs else ()),
             *(self.selection.advice if self.selection else ()),
             *(text for each in self.validations for text in (
@@ -295,7 +295,7 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
     yield (f'{standstills.count} standstills are part of the fit (chi^2 per degree of freedom '
            f'{standstills.chi2:.2g}): {narrowed}.')
     if static.length:
-        yield f'Cup length by the loads alone: {static.length.text}.'
+        yield f'Cup length by the loads alone: {length_sentence(static.length)}.'
     if result.values.static.length:
         yield (f'Cup length with the fit: {1e3 * standstills.length:.3f} ± '
                f'{1e3 * standstills.length_std:.3f} mm.')

@@ -13,6 +13,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import File, parameter_files, results
+from bellows_ros.report.sentences import sentence
 from bellows_ros.version import __version__
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
@@ -41,8 +42,6 @@ class StaticResult(NamedTuple):
         The length that the cup is taken to have, m.
     spring : SpringCheck or None
         The spring in every pose; None where no stiffness is given.
-    instant : float
-        Stiffness that a step meets over the static one, by cup.relaxation.
 
     """
 
@@ -51,7 +50,6 @@ class StaticResult(NamedTuple):
     no_length: str
     cup_length: float
     spring: statics.SpringCheck | None = None
-    instant: float = 1.0
 
     @property
     def standstills(self) -> list[Standstill]:
@@ -64,47 +62,29 @@ class StaticResult(NamedTuple):
         creeps = np.array([still.creep for still in self.standstills if still.creep.any()])
         if not len(creeps):
             return ''
-        shift, angle = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(creeps, 2))
-        step = (f'; by cup.relaxation, that of a step is {self.instant:.2f} times it'
-                if self.instant > 1.0 else '')
-        return (
-            f'The rubber creeps in {len(creeps)} of {len(self.standstills)} standstills, by up to '
-            f'{1e3 * shift:.2f} mm and {math.degrees(angle):.2f} degrees. Each counts with the '
-            'pose in which it comes to rest, which the static stiffness gives. Right after a move '
-            f'the stiffness is at least {self.after_moves:.2f} times the static one{step}.')
+        shift, angle = (float(np.linalg.norm(part, axis=1).max()) for part in np.hsplit(creeps, 2))
+        return sentence('static', 'creep', count=len(creeps), all=len(self.standstills),
+                        position=shift, rotation=angle)
 
     @property
-    def after_moves(self) -> float:
-        """
-        How stiff the cup bends after a move, at least, over the static stiffness.
-
-        What still creeps in a standstill is missing from the bending since the one before.
-        """
-        ratios = [1.0]
-        for recording in self.recordings:
-            stills = standstills_in(recording)[0]
-            for before, still in zip(stills, stills[1:], strict=False):
-                bends = still.lip[3:] - before.lip[3:]
-                part = float(still.creep[3:] @ bends) / max(float(bends @ bends), 1e-12)
-                if 0.0 < part < 1.0:
-                    ratios.append(1.0 / (1.0 - part))
-        return max(ratios)
+    def verdict(self) -> str:
+        """A sentence on the spring; '' where it was not checked."""
+        return self.spring and sentence(
+            'static', 'holds' if self.spring.passed else 'off', failing=self.spring.failing,
+            count=len(self.spring.poses)) or ''
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        warnings = list(self.length.warnings) if self.length else []
+        warnings = list(length_warnings(self.length)) if self.length else []
         if self.length and abs(self.length.length - self.cup_length) > LENGTHS_AGREE_WITHIN:
-            warnings.append(
-                f'cup.length is {self.cup_length * 1e3:.2f} mm, but these recordings give '
-                f'{self.length.length * 1e3:.2f} mm. Set cup.length to that.')
+            warnings.append(sentence('static', 'other_length', given=self.cup_length,
+                                     found=self.length.length))
         for recording in self.recordings:
             settled, failed = standstills_in(recording)
             if failed:
-                warnings.append(
-                    f'{recording.name}: in {failed} of {failed + len(settled)} standstills of the '
-                    'tool the package was still swinging; they are left out. Hold each pose for '
-                    'longer.')
+                warnings.append(sentence('static', 'unsettled', bag=recording.name, failed=failed,
+                                         all=failed + len(settled)))
         return (*warnings, *(
             f'{each.name}: {text}' for each in self.recordings for text in each.report.warnings))
 
@@ -112,18 +92,17 @@ class StaticResult(NamedTuple):
         """Return the content of a JSON file, in SI units."""
         return results.with_units({
             'estimated_length': self.length and {
-                **self.length._asdict(), **results.attributes(self.length, 'warnings', 'text'),
+                **self.length._asdict(), 'warnings': length_warnings(self.length),
+                'text': length_sentence(self.length),
                 'units': {
                     'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
                 }},
             'no_estimate': self.no_length,
             'cup_length': self.cup_length,
-            'stiffness_after_moves': self.after_moves,
-            'stiffness_of_a_step': self.instant,
             'spring': self.spring and {
                 'passed': self.spring.passed,
-                'verdict': self.spring.sentence,
+                'verdict': self.verdict,
                 'poses': [
                     {'tilt': pose.standstill.tilt,
                      **results.attributes(pose, 'measured', 'predicted', 'verdict')}
@@ -135,6 +114,18 @@ class StaticResult(NamedTuple):
                 for recording in self.recordings
                 for settled, failed in [standstills_in(recording)]],
             'warnings': self.warnings})
+
+
+def length_sentence(length: statics.CupLength) -> str:
+    """Return a length with its standard error, or a statement that it has none."""
+    known = math.isfinite(length.length_std)
+    return sentence('static', 'length' if known else 'length_alone', length=length.length,
+                    std=length.length_std)
+
+
+def length_warnings(length: statics.CupLength) -> tuple[str, ...]:
+    """Return sentences on doubts about a length."""
+    return tuple(sentence('static', each.code, **each.numbers) for each in length.remarks)
 
 
 def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
@@ -170,7 +161,7 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
     if result.length is None:
         raise BellowsError(f'static.length is set, but: {result.no_length}')
     if not np.isfinite(result.length.length_std):
-        raise BellowsError(f'static.length is set, but: {result.length.warnings[0]}')
+        raise BellowsError(f'static.length is set, but: {length_warnings(result.length)[0]}')
     return result._replace(cup_length=result.length.length)
 
 
@@ -236,10 +227,9 @@ def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress
                 'its seven numbers: they are in the cup file of an identification with a motion.')
         at_rest = parameters.replaced({'topics.tool_twist': '', 'fit.time_offset': False})
         recordings.append(reading.load(bag, at_rest, with_digest=True))
-        for _, sentence in reading.duplicates((each.name, each.digest) for each in recordings):
-            raise BellowsError(sentence)
-    result = StaticResult(tuple(recordings), None, '', values.cup.length,
-                          instant=1.0 + sum(values.cup.relaxation))
+        for _, text in reading.duplicates((each.name, each.digest) for each in recordings):
+            raise BellowsError(text)
+    result = StaticResult(tuple(recordings), None, '', values.cup.length)
     try:
         return result._replace(length=statics.cup_length_of(
             result.standstills, values.gravity.magnitude))
@@ -262,5 +252,5 @@ def save_length(result: StaticResult, path: File) -> None:
     bags = ', '.join(recording.name for recording in result.recordings)
     header = [
         f'Cup length estimated by bellows_ros {__version__} from {bags}:',
-        f'{result.length.text}.']
+        f'{length_sentence(result.length)}.']
     parameter_files.write_parameters(path, {'cup.length': result.length.length}, header)

@@ -73,14 +73,12 @@ def test_mistakes_are_named(picked, truth, root):
         save_length(moving, 'nowhere.yaml')
 
 
-def test_a_step_meets_more_than_the_static_stiffness():
-    """What the creep after moves shows is a lower bound of it; nothing where nothing creeps."""
+def test_rubber_that_creeps_is_said_to():
+    """And nothing where nothing creeps."""
     cup = Cup(simulated.CUP.stiffness, simulated.CUP.damping, simulated.CUP.length, (0.1, 0.25))
     tilts = simulated.standstills([(0.3, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.3, 0.0)], hold=4.0)
     noise = {'tool': (2e-5, 5e-5), 'package': (1e-4, 5e-4)}
-    found = StaticResult(
-        (simulated.record(tilts, cup, **noise),), None, '', cup.length, instant=1.35)
-    assert 1.02 < found.after_moves < found.instant
-    assert '1.35' in found.creep and f'{found.after_moves:.2f}' in found.creep
+    found = StaticResult((simulated.record(tilts, cup, **noise),), None, '', cup.length)
+    assert 'The rubber creeps in' in found.creep and 'static stiffness' in found.creep
     still = StaticResult((simulated.record(tilts, **noise),), None, '', cup.length)
-    assert still.after_moves == 1.0 and not still.creep
+    assert not still.creep

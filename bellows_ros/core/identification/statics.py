@@ -29,6 +29,7 @@ from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import body_acceleration, State
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.model.structure import Structure, structure_named
+from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError, UnstableError
@@ -56,10 +57,6 @@ LINEARITY_TOLERANCE = 0.05
 
 MIN_STIFFNESS, MAX_STIFFNESS = 100.0, 1e6
 """Axial stiffness of cups, N/m."""
-
-PROPORTIONALITY_TOLERANCE, MASS_FACTOR = 0.2, (0.7, 1.4)
-"""Deflections are a multiple of those predicted if the residual is below this part of them; a
-wrong mass makes multiples outside this range."""
 
 MISFIT_P_VALUE = 0.01
 """p-value of the polynomial's residuals below which a misfit is reported."""
@@ -114,25 +111,19 @@ class CupLength(NamedTuple):
     pick_std: float
 
     @property
-    def text(self) -> str:
-        """The length with its standard error, or a statement that it is not identifiable."""
-        if np.isfinite(self.length_std):
-            return f'{1e3 * self.length:.3f} ± {1e3 * self.length_std:.3f} mm'
-        return f'{1e3 * self.length:.3f} mm, without a standard error'
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What the user should know, in sentences."""
+    def remarks(self) -> tuple[Remark, ...]:
+        """Doubts about the length, by their codes in the texts 'static'."""
         masses, count = len(set(_groups(self.loads).tolist())), self.degrees_of_freedom
         told, known = np.isfinite([self.pick_std, self.length_std])
-        return tuple(NOTES[name].format(
-            size=np.sqrt(self.chi2 / max(count, 1)), masses=masses, enough=CUBIC_DEGREE + 2,
-            mm=1e3 * self.length_std, load=self.loads.min()) for name, applies in (
-                ('wrong_mass' if told else 'scatter_or_wrong_mass',
-                 count and chdtrc(count, self.chi2) < MISFIT_P_VALUE),
-                ('two_masses', not known),
-                ('straight', known and masses < CUBIC_DEGREE + 2),
-                ('uncertain_length', MAX_LENGTH_STD < self.length_std < np.inf)) if applies)
+        numbers = {
+            'size': float(np.sqrt(self.chi2 / max(count, 1))), 'masses': masses,
+            'enough': CUBIC_DEGREE + 2, 'std': self.length_std, 'load': float(self.loads.min())}
+        return tuple(Remark(code, numbers) for code, applies in (
+            ('wrong_mass' if told else 'scatter_or_wrong_mass',
+             count and chdtrc(count, self.chi2) < MISFIT_P_VALUE),
+            ('two_masses', not known),
+            ('straight', known and masses < CUBIC_DEGREE + 2),
+            ('uncertain_length', MAX_LENGTH_STD < self.length_std < np.inf)) if applies)
 
 
 def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLength:
@@ -283,16 +274,20 @@ class SpringCheck(NamedTuple):
     ----------
     poses : tuple of PoseCheck
         Every standstill.
-    passed : bool
-        Whether none is off.
-    sentence : str
-        The verdict in words.
 
     """
 
     poses: tuple[PoseCheck, ...]
-    passed: bool
-    sentence: str
+
+    @property
+    def failing(self) -> int:
+        """Number of poses that are off."""
+        return sum(pose.verdict in ('off', 'no equilibrium') for pose in self.poses)
+
+    @property
+    def passed(self) -> bool:
+        """Whether no pose is off."""
+        return not self.failing
 
 
 def check_spring(cup: Cup, standstills: Sequence[Standstill], gravity: float) -> SpringCheck:
@@ -309,29 +304,7 @@ def check_spring(cup: Cup, standstills: Sequence[Standstill], gravity: float) ->
         m/s^2 along -z of the world.
 
     """
-    poses = tuple(_check(cup, still, gravity) for still in standstills)
-    failing = sum(pose.verdict in ('off', 'no equilibrium') for pose in poses)
-    text = f'The spring holds in all {len(poses)} poses.'
-    if failing:
-        text = f'The spring is off in {failing} of {len(poses)} poses. {_likely_cause(poses)}'
-    return SpringCheck(poses, not failing, text)
-
-
-def _likely_cause(poses: Sequence[PoseCheck]) -> str:
-    """Return the likeliest cause of a spring that is off."""
-    mass = poses[0].standstill.payload.mass
-    if all(pose.verdict == 'no equilibrium' for pose in poses):
-        return NOTES['no_pose'].format(mass=mass)
-    upright = [pose for pose in poses if pose.standstill.tilt <= UPRIGHT_TOLERANCE
-               and pose.verdict != 'no equilibrium']
-    measured, predicted = np.reshape(
-        [(pose.measured[2], pose.predicted[2]) for pose in upright], (-1, 2)).T
-    factor = float(measured @ predicted / max(predicted @ predicted, 1e-18))
-    residual = np.linalg.norm(measured - factor * predicted)
-    if residual < PROPORTIONALITY_TOLERANCE * np.linalg.norm(measured) and not (
-            MASS_FACTOR[0] < factor < MASS_FACTOR[1]):
-        return NOTES['stretched'].format(factor=factor, other=factor * mass, mass=mass)
-    return NOTES['off']
+    return SpringCheck(tuple(_check(cup, still, gravity) for still in standstills))
 
 
 def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:

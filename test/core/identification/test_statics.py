@@ -88,7 +88,7 @@ def test_a_motion_without_rest_has_no_standstill():
 def test_the_right_spring_holds_in_all_poses(tilted):
     found = standstills_of(tilted)[0]
     check = check_spring(simulated.CUP, found, G)
-    assert check.passed and check.sentence == 'The spring holds in all 5 poses.'
+    assert check.passed and check.failing == 0
     for pose in check.poses:
         assert pose.verdict in ('within noise', 'good')
         assert_allclose(pose.predicted[:3], pose.measured[:3], atol=5e-5)
@@ -104,7 +104,7 @@ def test_a_wrong_spring_is_off_where_it_is_loaded(tilted, axis, wrong):
     check = check_spring(Cup(K, simulated.CUP.damping, simulated.CUP.length), found, G)
     assert not check.passed
     assert [n for n, pose in enumerate(check.poses) if pose.verdict == 'off'] == wrong
-    assert f'off in {len(wrong)} of 5 poses' in check.sentence
+    assert check.failing == len(wrong)
 
 
 def test_a_cup_that_cannot_hold_a_pose_is_said_to_fall():
@@ -129,7 +129,7 @@ def test_length_stiffness_and_linear_range_of_a_known_polynomial():
     assert_allclose(found.coefficients, [l0, slope, 0.0, bend], rtol=1e-5, atol=1e-10)
     # The cubic term is 5 % of the linear one where load^2 = 0.05 slope / bend.
     assert_allclose(found.linear_load, np.sqrt(0.05 * slope / bend), rtol=2e-3)
-    assert found.warnings == ()
+    assert found.remarks == ()
 
 
 def test_picks_scatter_and_the_line_is_straight_as_masses_left_out_say():
@@ -139,7 +139,7 @@ def test_picks_scatter_and_the_line_is_straight_as_masses_left_out_say():
         upright(0.0478 + mass * G / 6760.0 + 1.7e-4 * rng.normal(), mass, error=1e-5)
         for mass in (0.16, 0.452, 0.714, 1.181, 2.187) for _ in range(10)]
     found = cup_length_of(still, G)
-    assert len(found.coefficients) == 2 and found.warnings == ()
+    assert len(found.coefficients) == 2 and found.remarks == ()
     assert_allclose(found.pick_std, 1.7e-4, rtol=0.25)
     assert_allclose(found.stiffness, 6760.0, rtol=0.06)
     assert abs(found.length - 0.0478) < 4.0 * found.length_std < 4e-4
@@ -176,8 +176,8 @@ def test_tilted_standstills_and_repeated_masses_do_not_count():
     two = cup_length_of([*standstills, upright(0.0501, 2.0)], G)
     assert_allclose(two.length, 0.0481, atol=1e-9)
     assert len(two.coefficients) == 2 and two.degrees_of_freedom == 0
-    assert np.isinf(two.length_std) and 'without a standard error' in two.text
-    assert 'Add a third mass' in two.warnings[0]
+    assert np.isinf(two.length_std)
+    assert two.remarks[0].code == 'two_masses'
 
 
 @pytest.mark.parametrize('count', [3, 4, 5])
@@ -189,22 +189,15 @@ def test_a_wrong_mass_is_noticed(count):
     found = cup_length_of(right, G)
     assert found.degrees_of_freedom == count - 2 and np.isfinite(found.length_std)
     assert abs(found.length - 0.0481) < 1e-7
-    assert not any('off the line' in warning for warning in found.warnings)
+    assert not any('wrong_mass' in remark.code for remark in found.remarks)
     given = masses * np.where(np.arange(count) == 1, 1.03, 1.0)
     wrong = cup_length_of(
         [upright(x, m, error=2e-6) for x, m in zip(lengths, given, strict=True)], G)
-    assert any('off the line' in warning for warning in wrong.warnings)
+    assert any('wrong_mass' in remark.code for remark in wrong.remarks)
     assert abs(wrong.length - 0.0481) < 3.0 * wrong.length_std
 
 
-def test_a_wrong_mass_is_named_as_the_cause():
-    """By the factor between the deflections; a length that does not depend on load is refused."""
-    cup = Cup(np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35]), np.eye(6), 0.046)
-    hangs = 0.046 + 1.8 * G / 9200.0
-    found = check_spring(cup, [upright(hangs, 5.4)], G)
-    assert not found.passed and 'package.mass is likely 1.8 kg instead of 5.4' in found.sentence
-    found = check_spring(cup, [upright(hangs, 1800.0)], G)
-    assert 'in another unit' in found.sentence
+def test_lengths_that_do_not_depend_on_the_load_are_refused():
     with pytest.raises(UndeterminedError, match='Check each mass'):
         cup_length_of([upright(0.0478, 1.8), upright(0.0479, 1800.0)], G)
 
