@@ -156,6 +156,10 @@ class Console:
         return f'\x1b[{STYLES[style]}m{text}\x1b[0m' if shown else text
 
 
+COMPILING = '; compiling, once on this machine'
+"""Suffix of a stage in which kernels are compiled."""
+
+
 class Progress:
     """One line with the current stage, a bar, and the time left."""
 
@@ -181,12 +185,22 @@ class Progress:
         shown = line if len(line) <= width else stage  # what is done matters more than the bar
         self._stream.write(CLEAR_LINE + printable(shown)[:width])
         self._stream.flush()
+        jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')
+        if jit:  # loaded by commands that compute
+            jit.announce = self._on_compiling
+
+    def _on_compiling(self) -> None:
+        """Show that a kernel is compiled during the current stage."""
+        stage = self._stage.partition(COMPILING)[0]
+        if stage:
+            self(f'{stage}{COMPILING}')
 
     def __exit__(self, *_: object) -> None:
         """Leave no trace on the terminal."""
         if self._shown and self._stage:
             self._stream.write(CLEAR_LINE)
             self._stream.flush()
+        self._stage = ''
 
 
 def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:

@@ -13,7 +13,10 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.cli.console import Console, NOT_USABLE, OK, Progress, run_guarded
+from bellows_ros.core.geometry.jit import compile_aside
 from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.live import warm_up
+from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals import residuals
@@ -86,6 +89,8 @@ def run(bags: Path, out: Path, console: Console) -> int:
             f"Output folder '{out}' cannot be created: {error.strerror}. Give another with --out."
         ) from None
     package, bag = parameter_files.read_parameters(bags / PACKAGE), bags / IDENTIFICATION
+    compiler = compile_aside(  # meanwhile: what predicts needs nothing of what identifies
+        warm_up, Cup.thesis(), package_of(resolve(package, PACKAGE_PARAMETERS)), 9.81, 'world')
     console.line(f'1. Identify the cup from {bag}', 'bold')
     with console.progress as progress:
         result = identify.identify(
@@ -93,6 +98,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
     identification.save(result, out / 'cup.yaml', out / 'fit.json')
     settings = resolve({**package, **result.parameters()}, PACKAGE_PARAMETERS)
     bag = bags / VALIDATION
+    compiler.wait()
     console.line(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)
     with console.progress as progress:

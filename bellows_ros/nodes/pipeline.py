@@ -29,11 +29,11 @@ from std_srvs.srv import Trigger
 
 from . import conversions
 from .conversions import quaternion_xyzw, reader, stamp_to_ns, TOOL_POSES, type_name, vector
-from .guarding import GuardedNode
+from .guarding import COMPILE_TIME, GuardedNode
 from .node_parameters import ManagedNode
 from .outputs import Outputs, Predicting, QUEUE, Topic, Tossing
 from .planning import Planning
-from ..core.geometry.jit import release_compiler
+from ..core.geometry.jit import compile_aside, COMPILED, release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import flight, LivePredictor, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import cup_of, model_tuple, package_of
@@ -72,6 +72,8 @@ class Pipeline(Predicting):
 
     Attributes
     ----------
+    compiler : subprocess.Popen or None
+        Compiles, on a machine where nothing is, what a camera needs.
     pose_in, twist_in : SensorInput
         The second is None where the poses are Odometry, which has the twists.
     compute : deque
@@ -87,7 +89,10 @@ class Pipeline(Predicting):
         self._ticked_ns = 0
         self._was_late = self._is_compiling = False
         self._arrival_at_last_tick: int | None = None
+        begun = time.process_time()
         self._compile_predictor(values)
+        is_new = COMPILED and time.process_time() - begun > COMPILE_TIME
+        self.compiler = compile_aside(compile_topics, values) if is_new else None
         self._compiled = {_kernels_of(values)}
         self.live = LivePredictor.from_parameters(node.values)
         self.outputs = Outputs(self)
@@ -295,6 +300,13 @@ class Pipeline(Predicting):
         self._applied = self.values
         self.outputs.use_values()
         self.planning.use_values()
+
+
+def compile_topics(values: Values) -> None:
+    """Compile what topics other than the tool's may need."""
+    cup = cup_of(values)
+    uncertainty.warm_up_uncertainty(cup.relaxation)
+    warm_up_observer(values, model_tuple(cup, package_of(values), gravity_of(values)))
 
 
 def _kernels_of(values: Values) -> tuple[int, bool]:
@@ -565,6 +577,8 @@ class Observing:
         """Compile; use measured poses from then on."""
         node = self._pipeline.node
         with node.noticed('Compiling the observer; measured poses are used from its end on.'):
+            if compiler := self._pipeline.compiler:
+                compiler.wait()
             self.warm_up(self._live.model)
         gc.freeze()  # as `spin` does: what a compiler leaves is never looked at again
         self.is_ready = True

@@ -155,6 +155,9 @@ class PredictorNode(ManagedNode):
         """Log the final counts, end the threads, and destroy what was made to be configured."""
         if self.pipeline:
             self.get_logger().info(health.summary(self.pipeline.live))
+            if self.pipeline.compiler:
+                self.pipeline.compiler.terminate()
+                self.pipeline.compiler.wait()
         self.pipeline, self.is_active = None, False
         for worker in self.workers:
             worker.close()

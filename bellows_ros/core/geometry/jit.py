@@ -14,6 +14,9 @@ import hashlib
 import mmap
 import os
 from pathlib import Path
+import pickle
+import subprocess
+import sys
 from types import CodeType, ModuleType
 from typing import Any, TypeVar, TypeVarTuple
 import warnings
@@ -26,6 +29,11 @@ except ImportError:
 
 COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 """Whether kernels are compiled."""
+
+
+def announce() -> None:
+    """Do nothing; replaced by a command, which shows that a kernel is going to be compiled."""
+
 
 OPTIONS = {'error_model': 'numpy', 'nogil': True, 'forceinline': True}
 """
@@ -88,6 +96,32 @@ def seldom_collected() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(*thresholds)
+
+
+ASIDE = """
+import ctypes, os, pickle, sys
+ctypes.CDLL(None).prctl(1, 15)
+os.nice(5)
+function, arguments = pickle.load(sys.stdin.buffer)
+function(*arguments)
+"""
+"""Program that runs a function at low priority; on Linux it ends with the thread that began it."""
+
+
+def compile_aside(function: Callable[..., object], *arguments: object) -> subprocess.Popen[bytes]:
+    """
+    Start a process that calls a function of a module, so that its machine code comes on disk.
+
+    A compiler in a thread would hold the interpreter for seconds. Where the process fails, the
+    kernels are compiled at their first call, as without it.
+    """
+    process = subprocess.Popen(
+        [sys.executable, '-P', '-c', ASIDE], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL, env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+    assert process.stdin
+    with suppress(BrokenPipeError), process.stdin as stdin:
+        stdin.write(pickle.dumps((function, arguments)))
+    return process
 
 
 def release_compiler() -> None:
@@ -199,6 +233,8 @@ class _TolerantCache:
             self._cache._cache_file._source_stamp = _source_digest(self._function)
             _bind_runtime()
             code = self._cache._load_overload(signature, context)
+            if code is None:
+                announce()
             if code is None or tuple(code.signature.args) == tuple(signature):
                 return code
             raise ValueError('the code is for other arguments')

@@ -242,3 +242,11 @@ def test_code_for_other_arguments_is_not_used(copy):
     out, err = ended(started(copy, TWO_KINDS))
     assert out == [[5, 7, 9], [4.5, 7.0, 9.0]]
     assert first == (out, '') and 'cannot be used (ValueError)' in err
+
+
+def test_work_aside_is_done_in_another_process(tmp_path, capfd):
+    """Call the function with its arguments; fail without a word, as its kernels come later."""
+    assert jit.compile_aside(os.mkdir, str(tmp_path / 'made')).wait(60) == 0
+    assert (tmp_path / 'made').is_dir()
+    assert jit.compile_aside(os.mkdir, str(tmp_path / 'made')).wait(60) != 0
+    assert capfd.readouterr() == ('', '')
