@@ -32,6 +32,8 @@ MAX_LATERAL_OFFSET, MAX_LATERAL_COM, MAX_REPEAT_FRACTION, MAX_TRAVEL = 5e-3, 1e-
 MAX_DROPOUT, MAX_DROPOUT_TIME = 2, 0.01
 # A step that a slow camera sees at least as often as the rest (%) in the motion is none.
 MOTION_PERCENTILE = 99.0
+# A step (m, rad) between slow poses that no error with a memory makes, as of a detector of tags.
+MIN_SLOW_STEP = (0.1, 0.5)
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
 STEP_JITTERS = 10.0
 # More steps than that are noise with tails and a memory: no package slips so often.
@@ -279,7 +281,7 @@ def lasting_steps(report: StreamReport) -> list[LastingStep]:
     poses, time = report.recorded, report.timing
     moved, typical = np.linalg.norm(increments_of(poses), axis=2), np.zeros(2)
     if time.rate_hz < LOW_RATE_HZ:  # then a body moves far between two poses
-        typical = np.percentile(moved, MOTION_PERCENTILE, axis=1)
+        typical = np.maximum(np.percentile(moved, MOTION_PERCENTILE, axis=1), MIN_SLOW_STEP)
 
     def exceeds_motion(step: LastingStep) -> bool:
         """Return whether a step is larger than what is frequent, and than jitter there makes."""

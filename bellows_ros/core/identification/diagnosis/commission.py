@@ -52,6 +52,9 @@ STILL_SPEED = np.array([0.01, 0.04])
 SPEED_STEP = 20_000_000
 """Half of the time between the poses of a speed, ns."""
 
+MAX_COMPARED = 1000
+"""Number of poses from which the offset of two clocks is estimated."""
+
 DIFFERENCES, DIFFERENCES_NORM = 4, np.sqrt(70.0)
 """Order of the differences of poses that motion contributes little to, and their norm."""
 
@@ -167,11 +170,15 @@ def _clock_offset(tool: Trajectory, package: Trajectory) -> float:
 
 
 def _rotation_residual(tool: Trajectory, package: Trajectory) -> float:
-    """Return the mean squared rotation (rad^2) of the package in the tool about its mean."""
-    hand, eye = alignment.slow_poses(tool, package)
+    """Return the median squared rotation (rad^2) of the package in the tool about its mean."""
+    first, last = resampling.common_span(tool, package)
+    eye = package.select((package.stamps_ns >= first) & (package.stamps_ns <= last))
+    eye = eye.select(slice(None, None, len(eye) // MAX_COMPARED + 1))
+    hand = resample(tool, eye.stamps_ns)
     R = alignment.rotation_of(hand.rotation, eye.rotation)
     relative = np.swapaxes(hand.rotation, 1, 2) @ R @ eye.rotation
-    return float(np.mean(lie.log_so3(lie.mean_rotation(relative).T @ relative) ** 2))
+    moved = lie.log_so3(lie.mean_rotation(relative).T @ relative)
+    return float(np.median(np.sum(moved**2, axis=1)))
 
 
 def _registered(
