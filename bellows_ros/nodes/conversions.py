@@ -89,3 +89,10 @@ def payload_message(frame_id: str, payload: Payload) -> bytes:
     upper_triangle = [payload.inertia[k] for k in (0, 1, 2, 4, 5, 8)]
     return pack(messages.INERTIA, (frame_id,), payload.stamp_ns, payload.mass, *payload.com,
                 *upper_triangle)
+
+
+def payload_std_message(frame_id: str, payload: Payload) -> bytes:
+    """Return the standard deviations of an estimated payload, those of products being 0."""
+    xx, yy, zz = payload.inertia_std.tolist()
+    return pack(messages.INERTIA, (frame_id,), payload.stamp_ns, payload.mass_std,
+                *payload.com_std.tolist(), xx, 0.0, 0.0, yy, 0.0, zz)

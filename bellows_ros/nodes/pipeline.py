@@ -561,6 +561,7 @@ class Observing:
         self._measured_in = SensorInput(
             node, message_type, 'package/measured', self._on_measured, self._on_publishers)
         self._estimated = Topic(InertiaStamped, 'package/estimated').advertise(node)
+        self._std = Topic(InertiaStamped, 'package/estimated_std').advertise(node)
 
     @property
     def _observer(self) -> Observer | None:
@@ -609,10 +610,12 @@ class Observing:
                 'recording.package_world to the pose of the first frame in the second, as '
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
-        payload = observer.payload
-        if payload and self._estimated.subscribed:
-            self._estimated.publish(
-                conversions.payload_message(self._pipeline.values.frames.lip, payload))
+        if payload := observer.payload:
+            frame_id = self._pipeline.values.frames.lip
+            for topic, make in ((self._std, conversions.payload_std_message),
+                                (self._estimated, conversions.payload_message)):
+                if topic.subscribed:
+                    topic.publish(make(frame_id, payload))
 
     def log_alarms(self) -> None:
         """Log the alarms since the last call."""

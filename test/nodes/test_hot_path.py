@@ -129,12 +129,13 @@ measured_out = partner.writes(PoseStamped, 'package/measured')
 sys.meta_path.pop(0)  # steering needs scipy.optimize, in its thread
 steer_out = partner.writes(MultiDOFJointTrajectory, 'tool_arm/steer')
 valve_out = partner.writes(Bool, 'vacuum/valve')
-plans, answers, landings, steered, paths, payloads, markers = answered = [
+plans, answers, landings, steered, paths, payloads, stds, markers = answered = [
     partner.hears(kind, topic) for kind, topic in (
         (MultiDOFJointTrajectory, 'package/plan'), (Odometry, 'package/predicted_at'),
         (PoseWithCovarianceStamped, 'package/landing'),
         (MultiDOFJointTrajectory, 'tool_arm/steered'), (Path, 'package/plan_path'),
-        (InertiaStamped, 'package/estimated'), (MarkerArray, 'package/landing_markers'))]
+        (InertiaStamped, 'package/estimated'), (InertiaStamped, 'package/estimated_std'),
+        (MarkerArray, 'package/landing_markers'))]
 partner.connect(predictor)
 pipeline = predictor.pipeline
 planning = pipeline.planning

@@ -42,11 +42,14 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
         'payload.estimate': True,
         'recording.package_world': ' '.join(map(str, WORLD)) if apart else ''})
     writer = partner.writes(TOOL_POSES[kind], 'package/measured')
-    payloads = partner.hears(InertiaStamped, 'package/estimated')
+    payloads, stds = (partner.hears(InertiaStamped, f'package/estimated{end}')
+                      for end in ('', '_std'))
     reports = partner.hears(DiagnosticArray, '/diagnostics')
     partner.connect()
     pipeline = partner.predictor.pipeline
-    partner.wait(lambda: pipeline.observing._estimated.subscribed and pipeline.observing.is_ready)
+    observing = pipeline.observing
+    partner.wait(lambda: observing._estimated.subscribed and observing._std.subscribed
+                 and observing.is_ready)
     live = pipeline.live
     start_ns, swing = time.time_ns(), swinging()
 
@@ -76,8 +79,9 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     assert max(abs(a - b) for a, b in zip(found[60:], true[60:], strict=True)) < 1e-4
     counts = live.package.observer.counts
     assert counts['used'] >= 13
-    partner.wait(lambda: len(payloads) > 10)
-    payload = payloads[-1]
+    partner.wait(lambda: len(payloads) > 10 and len(stds) == len(payloads))
+    payload, std = payloads[-1], stds[-1].inertia
+    assert 0.0 < std.m < 0.1 and 0.0 < std.com.x < 0.01 and std.ixx > std.ixy == 0.0
     assert payload.header.frame_id == 'cup_lip'
     assert abs(payload.inertia.m - PACKAGE['package.mass']) < 0.1
     assert abs(payload.inertia.com.x) < 1e-3 and abs(payload.inertia.com.z + 0.03) < 0.01
@@ -85,13 +89,14 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     used = counts['used']
     see(now_ns - 3_500_000, swing[-1], variance=0.0)  # not known: measured.noise counts
     partner.wait(lambda: counts['used'] == used + 1)
-    see(now_ns - 2_000_000, swing[-1], 'camera')
+    see(now_ns - 2_000_000, swing[-2], 'camera')
     see(now_ns + 5_000_000_000, swing[-1])
+    see(now_ns - 1_500_000, swing[-1])  # of a tracker that has lost the marker
     see(now_ns - 2_000_000, ((float('nan'), 0.0, 0.0), swing[-1][1]))
     see(now_ns - 3_000_000, swing[-1], variance=float('nan'))
     see(now_ns - 2_500_000, ((2.0, 0.0, 0.0), swing[-1][1]))
     expected = {'frame_id': 1 - apart, 'future_stamp': 1, 'nan': 1, 'out_of_reach': 1,
-                'covariance': int(kind != 'pose')}
+                'repeated': 1 + (kind == 'pose'), 'covariance': int(kind != 'pose')}
     partner.wait(lambda: expected.items() <= counts.items())
     partner.wait(lambda: any(
         'measured package' in line.name and 'refused' in line.message
