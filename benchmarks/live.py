@@ -16,7 +16,7 @@ import numpy as np
 
 from .timing import same_package, TIMEOUT
 
-RATES = {False: (125, 500), True: (125,)}
+RATES = {False: (125, 500, 1000), True: (125,)}
 SECONDS = {False: 7.0, True: 1.0}
 ROUNDS = {False: 3, True: 1}
 END_TIMEOUT = 10.0
@@ -24,11 +24,14 @@ END_TIMEOUT = 10.0
 BARE, RAW = 'bare', 'bare, bytes'
 """Nodes that send every pose back, spun as the commands of this package are."""
 
+WITHOUT_TWISTS = 'predictor without twists'
+
 PARAMETERS = (
     '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
     '-p', 'package.com:=[0.0, 0.0, -0.03]')
 NODES: Mapping[str, tuple[str, ...]] = {
     BARE: ('benchmarks.echo',), RAW: ('benchmarks.echo', '--raw'),
+    WITHOUT_TWISTS: ('bellows_ros.nodes.command', 'predictor', '--ros-args', *PARAMETERS),
     'predictor': ('bellows_ros.nodes.command', 'predictor', '--ros-args', *PARAMETERS)}
 
 
@@ -53,7 +56,8 @@ def measured(name: str, rate: int, seconds: float, folder: Path) -> dict[str, An
         'ROS_DOMAIN_ID': str(1 + os.getpid() % 100)}
     with process(NODES[name], environment, folder / f'{name}.log') as pid:
         probe = subprocess.run(
-            [sys.executable, '-P', '-m', 'benchmarks.probe', str(rate), str(seconds), str(pid)],
+            [sys.executable, '-P', '-m', 'benchmarks.probe', str(rate), str(seconds), str(pid),
+             *(['poses'] if name == WITHOUT_TWISTS else [])],
             env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False)
     if probe.returncode:
         log = (folder / f'{name}.log').read_text(errors='replace')[-400:]

@@ -1,8 +1,8 @@
 """
 Send tool poses and twists at a rate and take the time until each answer is here.
 
-`python -m benchmarks.probe RATE SECONDS PID` prints JSON: latencies in s, and the processor time
-and memory of the process that answers.
+`python -m benchmarks.probe RATE SECONDS PID [poses]` prints JSON: latencies in s, and the
+processor time and memory of the process that answers. With `poses` no twists are sent.
 """
 
 from collections.abc import Callable
@@ -35,13 +35,14 @@ WAY, TURNS = 0.02, 2.0 * math.pi
 class Probe(Node):
     """A sender of tool poses that remembers when each was sent and answered."""
 
-    def __init__(self, rate_hz: float, seconds: float) -> None:
+    def __init__(self, rate_hz: float, seconds: float, with_twists: bool = True) -> None:
         """Make the topics and all messages."""
         super().__init__('probe')
         self.sent: dict[int, int] = {}
         self.answered: dict[int, int] = {}
         self._pose_out = self.create_publisher(PoseStamped, 'tool_arm/pose', QUEUE)
-        self._twist_out = self.create_publisher(TwistStamped, 'tool_arm/twist', QUEUE)
+        self._twist_out = with_twists and self.create_publisher(
+            TwistStamped, 'tool_arm/twist', QUEUE)
         self.create_subscription(PoseStamped, 'package/pose', self._on_answer, QUEUE)
         self._period = 1.0 / rate_hz
         self._messages = [_messages(k * self._period) for k in range(round(seconds * rate_hz))]
@@ -56,8 +57,9 @@ class Probe(Node):
         both = self._spin_until(
             lambda: self._pose_out.get_subscription_count() > 0
             and self.count_publishers('package/pose') > 0, DISCOVERY)
-        return both and (self._spin_until(
-            lambda: self._twist_out.get_subscription_count() > 0, TWISTS_DISCOVERY) or True)
+        if twists := self._twist_out:
+            self._spin_until(lambda: twists.get_subscription_count() > 0, TWISTS_DISCOVERY)
+        return both
 
     def _spin_until(self, true: Callable[[], bool], seconds: float) -> bool:
         """Take answers until something is true, or not in that time."""
@@ -80,7 +82,8 @@ class Probe(Node):
             self._wait_until(start + k * self._period)
             self.sent[stamp_to_ns(pose.header.stamp)] = time.perf_counter_ns()
             self._pose_out.publish(pose)
-            self._twist_out.publish(twist)
+            if self._twist_out:
+                self._twist_out.publish(twist)
         self._spin_until(lambda: len(self.answered) == len(self.sent), LAST_ANSWER)
 
     def _wait_until(self, due: float) -> None:
@@ -110,9 +113,9 @@ def used(pid: int) -> dict[str, float]:
 
 def main() -> None:
     """Measure and print."""
-    rate, seconds, pid = sys.argv[1:]
+    rate, seconds, pid, *only = sys.argv[1:]
     rclpy.init()
-    probe = Probe(float(rate), float(seconds) + WARM_SECONDS)
+    probe = Probe(float(rate), float(seconds) + WARM_SECONDS, not only)
     if not probe.connected():
         sys.exit('no answer: the node that is measured was not found')
     gc.freeze()

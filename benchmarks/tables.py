@@ -37,7 +37,7 @@ def _times(subject: str, statistic: str = 'median') -> Make:
 def _node(section: Mapping[str, Any]) -> Table:
     """Return latencies by rate, and against those of the bare node."""
     rows: Table = [('node', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost',
-                    'p50, p99 to bare')]
+                    'p50, p99, CPU to bare')]
     bare = {run['rate_hz']: run for run in section['runs'] if run['node'] == BARE}
     for run in section['runs']:
         floor = bare[run['rate_hz']]
@@ -45,8 +45,8 @@ def _node(section: Mapping[str, Any]) -> Table:
             f'{run["node"]}, {run["rate_hz"]} Hz',
             *(_time(run[name]) for name in ('p50', 'p99', 'p99.9', 'processor_per_pose')),
             _memory(run['memory']), f'{run["lost"]} of {run["sent"]}',
-            '' if run is floor else ', '.join(
-                f'{run[name] / floor[name]:.2f}' for name in ('p50', 'p99'))))
+            '' if run is floor else ', '.join(f'{run[name] / floor[name]:.2f}' for name in (
+                'p50', 'p99', 'processor_per_pose'))))
     return rows
 
 
