@@ -448,7 +448,11 @@ def _draw_margins(panel: Any, margins: replay.Margins, colours: style.Theme) -> 
                                  (0.5, 'lets go', 'center')):
         panel.text(0.99, height, words, fontsize=7.5, va=place, ha='right',
                    transform=panel.get_yaxis_transform(), color=colours.quiet)
-    panel.set_ylim(0.0, max(MAX_SHOWN_FACTOR * margins.least, 1.5 * factor))
+    top = max(MAX_SHOWN_FACTOR * margins.least, 1.5 * factor)
+    panel.set_ylim(0.0, top)
+    if np.nanmax(margins.factors) > top:
+        panel.text(0.01, 0.98, f'above {top:.3g}: not shown', fontsize=7.5, va='top',
+                   transform=panel.transAxes, color=colours.quiet)
 
 
 def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:
@@ -603,7 +607,7 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
             np.ptp(panel.get_ylim()) * panel.bbox.width / panel.bbox.height
             for panel in (side, above)))
         side.set_xlim(np.mean(side.get_xlim()) + width * np.array([-0.5, 0.5]))
-        for panel in (side, above, close):
+        for panel in (side, above):
             panel.set_aspect('equal', adjustable='datalim')
         figure.legend(*above.get_legend_handles_labels(), loc='upper right',
                       bbox_to_anchor=(0.99, 0.985), ncols=3, fontsize=8.5)
@@ -629,7 +633,7 @@ def _draw_landing(above: Any, close: Any, result: toss.TossResult, colours: styl
         if result.aim is not None:
             panel.plot(*(scale * (result.aim.target - origin)), '+', color=colours.text,
                        markersize=12, label='target')
-    close.set_title('where the package lands', fontsize=10)
+    close.set_title('landing from above (scales differ)', fontsize=10)
     close.set_xlabel('x from the prediction (mm)')
     close.set_ylabel('y from the prediction (mm)')
 

@@ -1,19 +1,21 @@
 """Draw the rooms of the package, and which way imports go."""
 
+from collections.abc import Iterator
 from pathlib import Path
+import re
 from typing import Any
 
 from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
 
 IMAGES = Path(__file__).resolve().parents[1] / 'images'
 
-# Room: left, bottom, width, height, what is in it.
+# Room: left, bottom, width, height, content.
 ROOMS = {
-    'nodes': (0.3, 5.95, 2.5, 1.15, 'predictor, identifier;\nonly these know ROS'),
-    'demo': (3.1, 5.95, 1.5, 1.15, 'make demo'),
-    'cli': (4.9, 5.95, 4.7, 1.15, 'the command bellows'),
-    'report': (7.7, 4.3, 1.9, 1.15, 'pages on a fit'),
-    'plots': (4.9, 4.3, 2.4, 1.15, 'pictures; only this\nknows matplotlib'),
+    'demo': (0.3, 5.95, 1.5, 1.15, 'make demo'),
+    'cli': (2.2, 5.95, 4.5, 1.15, 'the command bellows'),
+    'nodes': (7.1, 5.95, 2.5, 1.15, 'predictor, identifier;\nonly these know ROS'),
+    'report': (7.1, 4.3, 2.5, 1.15, 'sentences, text, pages'),
+    'plots': (2.2, 4.3, 4.5, 1.15, 'pictures; only this knows matplotlib'),
     'workflows': (0.3, 2.95, 9.3, 0.85,
                   'identify, replay, simulate, info, plan, toss: files in, core, files out'),
     'files': (0.3, 1.55, 9.3, 0.85, 'bags, parameter files, results: read with suspicion, written '
@@ -21,10 +23,43 @@ ROOMS = {
     'core': (0.3, 0.25, 9.3, 0.85, 'model, integrator, filter, preparation, identification, live '
              'prediction: numbers only'),
 }
-# Arrows (x, y, x, y) from a room into one below, or beside.
-IMPORTS = ((1.5, 5.95, 1.5, 3.8), (3.85, 5.95, 3.85, 3.8), (6.1, 5.95, 6.1, 5.45),
-           (8.65, 5.95, 8.65, 5.45), (7.7, 4.87, 7.3, 4.87), (6.1, 4.3, 6.1, 3.8),
-           (8.65, 4.3, 8.65, 3.8), (4.95, 2.95, 4.95, 2.4), (4.95, 1.55, 4.95, 1.1))
+PACKAGE = Path(__file__).resolve().parents[2] / 'bellows_ros'
+
+
+def imports() -> dict[str, set[str]]:
+    """Return the rooms that each room imports, but for the sentences, which stand below."""
+    found: dict[str, set[str]] = {room: set() for room in ROOMS}
+    for room, targets in found.items():
+        for file in (PACKAGE / room).rglob('*.py'):
+            text = file.read_text()
+            for target in ROOMS:
+                if re.search(rf'from (?:bellows_ros|\.\.)\.?{target}(?!\.sentences)[. ]'
+                             rf'|from bellows_ros import [^\n]*\b{target}\b', text):
+                    targets.add(target)
+        targets.discard(room)
+    return found
+
+
+def arrows() -> Iterator[tuple[str, str]]:
+    """Yield the imports that do not follow from others, from room to room."""
+    direct = imports()
+
+    def reached(room: str) -> set[str]:
+        return direct[room].union(*map(reached, direct[room]))
+
+    for room, targets in direct.items():
+        for target in sorted(targets - set().union(*map(reached, targets))):
+            yield room, target
+
+
+def ends(room: str, target: str) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the beginning and the end of an arrow between the edges of two boxes."""
+    (x, y, w, h, _), (tx, ty, tw, th, _) = ROOMS[room], ROOMS[target]
+    if y == ty:
+        side = (x + w, tx) if tx > x else (x, tx + tw)
+        return (side[0], y + 0.5 * h), (side[1], ty + 0.5 * th)
+    middle = 0.5 * (max(x, tx) + min(x + w, tx + tw))
+    return (middle, y), (middle, ty + th)
 
 
 def draw(theme: Theme) -> Any:
@@ -45,8 +80,9 @@ def draw(theme: Theme) -> Any:
                       va='top')
             axes.text(left + 0.18, bottom + height - 0.52, words, fontsize=9.5, va='top',
                       color=theme.quiet, linespacing=1.3)
-        for x, y, to_x, to_y in IMPORTS:
-            axes.annotate('', xy=(to_x, to_y), xytext=(x, y),
+        for room, target in arrows():
+            start, end = ends(room, target)
+            axes.annotate('', xy=end, xytext=start,
                           arrowprops={'arrowstyle': '-|>', 'color': theme.text, 'linewidth': 1.3,
                                       'shrinkA': 1, 'shrinkB': 1})
     return figure

@@ -166,3 +166,43 @@ def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip():
     centres = rings[:, :-1].mean(axis=1)
     np.testing.assert_allclose(centres[[0, -1]], [np.zeros(3), lip], atol=1e-12)
     np.testing.assert_allclose((rings[-1] - lip) @ R[:, 2], 0.0, atol=1e-12)
+
+
+def luminance(colour):
+    """Return the relative luminance of a colour, as WCAG 2 defines it."""
+    parts = np.array([int(colour[i:i + 2], 16) / 255.0 for i in (1, 3, 5)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
+
+
+@pytest.mark.parametrize('theme', THEMES)
+def test_every_colour_of_content_has_a_contrast_of_3_to_1(theme):
+    """Meet WCAG 2 for graphics on the background of the theme, 4.5 to 1 for text."""
+    colours = THEMES[theme]
+    for name, least in (('measured', 3.0), ('predicted', 3.0), ('error', 3.0), ('text', 4.5),
+                        ('quiet', 4.5)):
+        low, high = sorted(map(luminance, (getattr(colours, name), colours.background)))
+        assert (high + 0.05) / (low + 0.05) >= least, name
+
+
+def test_a_steered_transport_shows_floor_trail_and_tilt(root, tmp_path):
+    """Draw both motions side by side, each with its present tilt as a number."""
+    from bellows_ros import read_parameters, steer
+    from bellows_ros.plots import animation
+
+    seen = []
+    texts = animation._draw
+
+    def watched(space, view, t, colours):
+        drawn = texts(space, view, t, colours)
+        seen.append((view.label, [each.get_text() for each in drawn if hasattr(each, 'get_text')]))
+        return drawn
+
+    report = steer(root / 'bags/transport.yaml', read_parameters(root / 'bags/tossing.yaml'),
+                   method='inverse')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(animation, '_draw', watched)
+        animation.write_steering(tmp_path / 'a.gif', report, 'note', 4.0)
+    tilts = {label: max(float(words.split()[1]) for name, (words,) in seen if name == label)
+             for label in dict(seen)}
+    assert tilts['as planned'] > 15.0 and tilts['steered (inverse)'] < 0.5
