@@ -55,6 +55,10 @@ bench-quick: $(VENV)/ready  ## whether something takes twice as long as it shoul
 test-long: $(VENV)/ready  ## run what is too much for the suite: repetitions, all short benchmarks
 	@$(BIN)/python -m pytest -m stress $(ARGS)
 
+.PHONY: mutants
+mutants: $(VENV)/ready  ## change 40 lines of core at random, and print the changes that no test notices
+	@$(BIN)/python -m test.mutants $(ARGS)
+
 .PHONY: stress
 stress: $(VENV)/ready  ## damage files, kill writers, fill disks, attack nodes for an hour, or ARGS='--minutes 5'
 	@$(BIN)/python -m test.stress $(ARGS)

@@ -229,3 +229,13 @@ def test_a_glitch_costs_the_same_along_each_axis(period_ns, noise):
                 quaternion_product(q, exp_quaternion(tuple(off[3:].tolist()))), stamp_ns))
         costs[axis] = [k for k, verdict in enumerate(verdicts) if verdict]
     assert costs == dict.fromkeys(range(6), [*range(19, 800, 20)])
+
+
+@pytest.mark.parametrize(('share', 'is_doubted'), [(0.12, False), (0.3, True), (0.8, True)])
+def test_doubt_begins_at_a_fifth_of_its_limit_after_a_refused_pose(share, is_doubted):
+    shift = share * 0.015  # in the tolerance of the doubt without refused poses
+    for jumps in (0, 1):
+        driver = Driver()
+        assert driver.send(jumps, position=(0.5, 0.0, 0.0)) == ['jump'] * jumps
+        assert driver.send(position=(shift, 0.0, 0.0)) == [GOOD]
+        assert bool(driver.screen.suspect) == (is_doubted and jumps == 1)

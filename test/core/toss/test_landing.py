@@ -118,3 +118,21 @@ def test_a_mass_beyond_the_drops_makes_the_law_of_release_less_certain():
     np.testing.assert_allclose(inside, np.diag(landing.release_factor(values)))
     np.testing.assert_allclose(far - inside, 2.0 * (near - inside), rtol=1e-9)
     assert (near[:2] > 1.15 * inside[:2]).all() and inside[4] == 0.5
+
+
+def test_the_second_order_of_the_law_is_exact_for_a_quadratic(case, monkeypatch):
+    """Compare with the moments of landings that are quadratic along the axes of the law."""
+    rng = np.random.default_rng(5)
+    factor = landing.release_factor(case.values)
+    sizes, axes = np.linalg.eigh(factor @ factor.T)
+    kept = sizes > 1e-12 * sizes[-1]
+    units = axes[:, kept] / np.sqrt(sizes[kept])  # z = units^T change is standard normal
+    a, b = rng.standard_normal((2, 6, units.shape[1]))
+    monkeypatch.setattr(landing, 'release_with', lambda release, by: by)
+    monkeypatch.setattr(landing, 'toss', lambda held, by, switched: units.T @ by)
+    monkeypatch.setattr(TossProblem, 'error', lambda self, z, nominal: a @ z + b @ z**2)
+    monkeypatch.setattr(TossProblem, 'error_with', lambda self, *models: np.zeros(6))
+    covariance = landing.contributions_to(case, None).covariance
+    sums = b.sum(axis=1)
+    np.testing.assert_allclose(covariance, a @ a.T + 2.0 * b @ b.T + np.outer(sums, sums),
+                               rtol=1e-6)
