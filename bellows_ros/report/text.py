@@ -142,6 +142,10 @@ def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
     if given:
         out.paragraph(sentence('report', 'two_errors'))
     print_relaxation(fit.relaxation, fit.relaxation_std, out)
+    if any(fit.stretch):
+        out.paragraph(sentence('report', 'stretch', **{
+            name: f'{with_error(value, std)} {unit}' for name, value, std, unit in zip(
+                'ab', fit.stretch, fit.stretch_std, ('N/m^2', 'N'), strict=True)}))
     for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]

@@ -1,7 +1,7 @@
 """An identified cup as sentences, as a cup file, as JSON."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 from typing import Any, TYPE_CHECKING
@@ -34,7 +34,7 @@ NORMAL_95 = 1.959963984540054
 CUP_PARAMETERS = ('cup.stiffness', 'cup.damping', 'cup.length')
 """Parameters that are always in the cup file."""
 
-CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.layout')
+CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.stretch', 'cup.layout')
 """Parameters in the cup file unless they have the default: K and P depend on them."""
 
 NO_FIT = 'K and P were not found, as the search did not converge: see the warnings.'
@@ -126,7 +126,9 @@ class Identification(CommandResult):
     @cached_property
     def envelope(self) -> validity_range.Envelope:
         """The validity range of the fit."""
-        moving = validity_range.joined_envelopes([part.envelope for part in self.parts])
+        moving = replace(
+            validity_range.joined_envelopes([part.envelope for part in self.parts]),
+            vacuum=[self.values.vacuum.holding] * 2)
         if self.static is None:
             return moving
         return with_standstills(moving, self.static.standstills, self.cup_length)
@@ -145,7 +147,8 @@ class Identification(CommandResult):
             'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
             'cup.damping': tuple(self.fit.damping.ravel().tolist()),
             'cup.length': self.cup_length,
-            'cup.relaxation': self.fit.relaxation})
+            'cup.relaxation': self.fit.relaxation,
+            'cup.stretch': self.fit.stretch})
 
     def parameters(self) -> dict[str, Any]:
         """
@@ -332,8 +335,8 @@ def fit_json(fit: Fit) -> dict[str, Any]:
     return {
         **results.attributes(
             fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
-            'relaxation', 'relaxation_std', 'samples_used', 'samples_rejected',
-            'condition_number', 'usable', 'weight', 'residual_rms',
+            'relaxation', 'relaxation_std', 'stretch', 'stretch_std', 'samples_used',
+            'samples_rejected', 'condition_number', 'usable', 'weight', 'residual_rms',
             'noise_rms', 'chi2', 'robust_chi2', 'converged'),
         'with_exactly_given': results.attributes(exact, 'stiffness_std', 'damping_std'),
         'intervals_95': {

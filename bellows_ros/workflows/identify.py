@@ -152,6 +152,9 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     yield (values.fit.relaxation == 'on' and values.fit.method == 'least_squares',
            'fit.relaxation: on needs fit.method: output_error: least squares does not estimate '
            'relaxation. Set it.')
+    yield (values.fit.stretch == 'on' and values.fit.method == 'least_squares',
+           'fit.stretch: on needs fit.method: output_error: least squares does not estimate '
+           'cup.stretch. Set it.')
     yield ({*free} - {'length', 'package_marker'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')
@@ -287,6 +290,9 @@ def _identify(
         _require_no_facts(whole_recordings(parts), effective, progress)
         raise
     fit = result.fit
+    if values.fit.structure == structure.AUTO:
+        values, effective = (each.replaced({'fit.structure': fit.structure})
+                             for each in (values, effective))
     if fit.freed and fit.converged:
         values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))
         found = {freed.name: np.array([freed.change]) for freed in fit.freed}

@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import grip, simulation
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
-from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
+from bellows_ros.core.model.validity_range import outside_loads, PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters import checks, table
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.plan_prediction import flip_sentence
@@ -154,6 +154,8 @@ class TossResult(CommandResult):
             warnings.append(
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
                 'the valve, whatever the load; release.tau has no effect.')
+        if outside := outside_loads(values):
+            warnings.append(f'Outside the validity range of the cup: {"; ".join(outside)}.')
         if landing.beyond_masses(values):
             lightest, heaviest = values.release.mass_range
             warnings.append(

@@ -318,7 +318,8 @@ def _judged(
         'inertia' in fit.nuisances) else 0.0
     length += float(fit.nuisances['length'][0, 0]) if 'length' in fit.nuisances else 0.0
     structure = given_structure(verdict.given)
-    cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation), structure.places)
+    cup = gripper_of(Cup(
+        fit.stiffness, fit.damping, length, fit.relaxation, stretch=fit.stretch), structure.places)
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, structure)
     return verdict._replace(
         simulated=tuple(
@@ -363,7 +364,8 @@ def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
     thetas[:, finite] = rng.multivariate_normal(
         fit.parameters[finite], fit.covariance[np.ix_(finite, finite)], DRAWS, method='eigh')
     matrices = (structure.matrices(theta) for theta in thetas)
-    return [gripper_of(Cup(K, P, cup.length, fit.relaxation), structure.places)
+    return [gripper_of(
+        Cup(K, P, cup.length, fit.relaxation, stretch=fit.stretch), structure.places)
             for K, P in matrices if min(np.linalg.eigvalsh(K)[0], np.linalg.eigvalsh(P)[0]) > 0.0]
 
 

@@ -279,7 +279,7 @@ def test_what_lets_go_and_what_is_not_known_is_said(bag):
     assert np.degrees(soft['peak_bending']) > 45.0 and 'may flip' in ' '.join(soft['warnings'])
     assert 'may flip' not in ' '.join(unknown['warnings'])
     seen = {'envelope.deflection_low': [-1e-3] * 6, 'envelope.deflection_high': [1e-3] * 6,
-            'envelope.rates': [0.1] * 6, 'envelope.mass': [1.8, 1.8]}
+            'envelope.rates': [0.1] * 6, 'cup.valid_mass': [1.8, 1.8]}
     outside = figures(bag, values=seen)['outside_validity']
     assert any('bending about' in phrase for phrase in outside)
 

@@ -9,14 +9,14 @@ from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.diagnosis.candidates import likeliest_setting, scores
 from bellows_ros.core.identification.diagnosis.ranking import rank
 from bellows_ros.core.identification.given import near_with_given, NOTHING, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
-from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
+from bellows_ros.core.identification.quantities import Free, KINDS, STRETCH_UNITS, weak_prior
 from bellows_ros.core.identification.result import (
     Fit,
     Freed,
@@ -38,13 +38,13 @@ from bellows_ros.core.identification.search import (
 )
 from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.model.structure import require_stretch, Structure
 from bellows_ros.core.recording.alignment import Alignment
 from bellows_ros.core.recording.recording import BodyNoise, Recording, TimeOffset
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import UndeterminedError
+from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
 Ends = tuple[tuple[Search, Minimum, Array], dict[Search, Minimum]]
@@ -53,6 +53,9 @@ Ends = tuple[tuple[Search, Minimum, Array], dict[Search, Minimum]]
 MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
 """Most noise in information that errors allow for, and in the error of what is identifiable, if
 that is above a part of its size: the noise may be of another number."""
+
+OF_SPRING = ('relaxation', 'stretch')
+"""Free quantities that are parameters of the cup."""
 
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Of the noise that tests this, and its sizes in that of the poses."""
@@ -89,6 +92,8 @@ def output_error(
     relaxation: str = 'off',
     given: Free = NOTHING,
     other_start: Cup | None = None,
+    richer: Structure | None = None,
+    stretch: str = 'off',
 ) -> Fit:
     """
     Fit K and P so that the model, moved as the tool was, meets the package's poses.
@@ -114,11 +119,15 @@ def output_error(
         Standard deviations of quantities that were given; see `with_given`.
     other_start : Cup, optional
         Where a search of quick poses begins again that leaves a misfit.
+    richer : Structure, optional
+        Structure that replaces the first one if its couplings are significant.
+    stretch : str
+        Whether the coefficients of stretch are free, as relaxation.
 
     Raises
     ------
     UndeterminedError
-        If relaxation is 'on' and none is significant.
+        If relaxation or stretch is 'on' and is not significant.
 
     """
     iterations: list[Iteration] = []
@@ -136,12 +145,77 @@ def output_error(
         unmoved = np.zeros((len(search.units),) * 2)
         return _fit(search, near, unmoved, iterations, named, (setting,))
     search.restore(near)
+    search, near = _extended(search, near, given, richer, stretch, record)
     (wide, minimum, from_given), ends = _from_slow_poses(
         search, near, given, relaxation, record) if are_slow else _from_quick_poses(
         search, near, given, relaxation, record, other_start or start)
     reasons = rank(ends, given)
     wide.restore(minimum)
     return _fit(wide, minimum, from_given, iterations, named, reasons)
+
+
+def _extended(
+    search: Search, near: Minimum, given: Free, richer: Structure | None, stretch: str,
+    report: Report,
+) -> tuple[Search, Minimum]:
+    """Return the search with couplings and with stretch, if these are significant."""
+    if richer is None and stretch == 'off':
+        return search, near
+    minimum = search.root_from(near, report)
+    if richer is not None and minimum.converged:
+        search, minimum = _tried(search, minimum, given, {}, richer, report)
+    if stretch != 'off' and minimum.converged:
+        search, minimum = _tried(
+            search, minimum, given, weak_prior(['stretch']), search.structure, report)
+    if stretch == 'on' and 'stretch' not in search.places:
+        raise UndeterminedError(NOTES['not_stretching'])
+    return (search, minimum) if minimum.converged else (search, near)
+
+
+def _tried(
+    search: Search, minimum: Minimum, given: Free, more: Free, structure: Structure,
+    report: Report,
+) -> tuple[Search, Minimum]:
+    """
+    Return the search with an extension of the spring if this is significant, else as it is.
+
+    The score allows for errors of the given quantities; the covariance is that of a jackknife, so
+    that motion which is left out confirms the extension.
+    """
+    def place(wide: Search) -> Places:
+        couplings = structure.couplings if structure is not search.structure else []
+        return np.asarray([*couplings, *(row for name in more for row in wide.places[name][0])])
+
+    uncertain = {name: std for name, std in given.items() if name not in search.places}
+    wide = search.with_free(minimum.theta, {**more, **uncertain}, structure)
+    start = wide.transferred(search, minimum.theta)
+    _, H, g = wide.system(start)
+    tested = place(wide)
+    rest = np.setdiff1d(np.arange(len(g)), tested)
+    by_rest = np.linalg.solve(H[np.ix_(rest, rest)], np.column_stack([H[np.ix_(rest, tested)],
+                                                                     g[rest]]))
+    slope = g[tested] - H[np.ix_(tested, rest)] @ by_rest[:, -1]
+    S = H[np.ix_(tested, tested)] - H[np.ix_(tested, rest)] @ by_rest[:, :-1]
+    if float(slope @ np.linalg.solve(S, slope)) > MIN_SQUARED_DISTANCE:
+        wide = search.with_free(minimum.theta, more, structure)
+        end = wide.minimum(report, wide.transferred(search, minimum.theta))
+        if end.converged and end.squares < minimum.squares:
+            x, tested = wide.units * end.theta, place(wide)
+            C = covariance_of(wide, end)[0][np.ix_(tested, tested)]
+            if float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE and (
+                    _is_passive(wide, end)):
+                return wide, end
+        search.restore(minimum)
+    return search, minimum
+
+
+def _is_passive(search: Search, minimum: Minimum) -> bool:
+    """Return whether the energy is positive definite in the usual range of stretch."""
+    try:
+        require_stretch(search.cup(minimum.theta).stiffness, search.stretch(minimum.theta))
+    except BellowsError:
+        return False
+    return True
 
 
 def _from_quick_poses(
@@ -347,11 +421,21 @@ def _fit(
         causes=reasons,
         nuisances={
             name: x[place] for name, place in search.places.items()
-            if name != 'relaxation' and (KINDS[name].each or name not in named)},
+            if name not in OF_SPRING and (KINDS[name].each or name not in named)},
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
         noise_in_motion=search.noise_in_motion(minimum),
+        stretch=search.stretch(minimum.theta),
+        stretch_std=_stretch_std(search, std),
     )
+
+
+def _stretch_std(search: Search, std: Array) -> tuple[float, float]:
+    """Return the standard errors of the coefficients of stretch; zeros without it."""
+    if 'stretch' not in search.places:
+        return 0.0, 0.0
+    a, b = (std[search.places['stretch'][0]] * STRETCH_UNITS).tolist()
+    return a, b
 
 
 def _condition(information: Array) -> float:

@@ -38,6 +38,9 @@ COLUMNS: Mapping[str, slice] = {
     'relaxation': slice(-2, None), 'slip': slice(jac.BY_COM.start, jac.BY_COM.start + 2)}
 """Derivatives of the model by quantities, among `jacobians.PARAMETER_COLUMNS`."""
 
+STRETCH_UNITS = np.array([1e3, 1.0])
+"""Units of the two coefficients of stretch in a search, N/m^2 and N."""
+
 
 Free = Mapping[str, Array]
 """Values by name, for one recording."""
@@ -121,6 +124,8 @@ def model_columns(
         return np.asarray(parameters[:, jac.BY_GRAVITY] @ (after - before) / 2e-4)
     if name in COLUMNS:
         return parameters[:, COLUMNS[name]]
+    if name == 'stretch':
+        return np.asarray(parameters[:, jac.BY_STRETCH] * STRETCH_UNITS)
     if name == 'mass':
         return np.asarray(payload.mass * parameters[:, jac.BY_MASS])
     if name == 'inertia':

@@ -20,7 +20,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import samples as sampling
 from bellows_ros.core.identification.samples import Equations, LipMotion, Moments, Samples
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.model.structure import given_structure, Structure
+from bellows_ros.core.model.structure import richest_structure, Structure
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import recording as measured
@@ -29,6 +29,7 @@ from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
+from scipy.linalg import block_diag
 
 MAX_STORED = 50_000
 """Samples of the longest recording whose motion of the lip is stored for reuse."""
@@ -113,13 +114,22 @@ class Statistics(NamedTuple):
     lip: LipMotion | None
     noise: Array | None
 
+    def of(self, structure: Structure) -> 'Statistics':
+        """Return the statistics in a simpler structure; of no other structure as they are."""
+        if structure == self.structure or not self.structure.contains(structure):
+            return self
+        T = block_diag(structure.within(self.structure), np.eye(1))
+        noise = None if self.noise is None else np.einsum(
+            'ipjq,pa,qb->iajb', self.noise, T, T, optimize=True)
+        return self._replace(structure=structure, r_factors=self.r_factors @ T, noise=noise)
+
     def rows(self) -> Iterator[Equations]:
         """Yield rows [L c], or others with the same inner products, cluster by cluster."""
         if self.lip is not None:
             yield from self.lip.equations(self.cup_length, self.structure)
         elif len(self.r_factors):
-            count, _, size, _ = self.r_factors.shape
-            rows = self.r_factors.transpose(0, 2, 1, 3).reshape(count * size, 6, size)
+            count, _, size, columns = self.r_factors.shape
+            rows = self.r_factors.transpose(0, 2, 1, 3).reshape(count * size, 6, columns)
             clusters = [slice(k * size, (k + 1) * size) for k in range(count)]
             yield rows, clusters
 
@@ -354,7 +364,7 @@ def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
     """
     Return a recording reduced with the structure and the cup length that parameters name.
 
-    One that is reduced already stays as it is.
+    A reduced recording is expressed in that structure if its own structure contains it.
 
     Raises
     ------
@@ -362,9 +372,10 @@ def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
         If it has no valid samples, or the package is not below the tool.
 
     """
+    structure = richest_structure(values)
     if isinstance(recording, ReducedRecording):
-        return recording
-    length, structure = values.cup.length, given_structure(values)
+        return recording._replace(statistics=recording.statistics.of(structure))
+    length = values.cup.length
     return recording.cached(
         ('reduced', length, structure), lambda: _reduced(recording, length, structure))
 

@@ -175,6 +175,9 @@ class Fit:
     noise_in_motion : mapping
         Standard deviations (6,) of the package's poses by number of the recording, m and rad, if
         they were estimated and are larger than at rest.
+    stretch, stretch_std : (float, float)
+        Coefficients a, b of the cup's stretch (N/m^2, N), and their standard errors; zeros without
+        stretch.
     bias : ndarray (2 n,) or None
         Error of the parameters from noise in the motions that least squares has taken out; None
         where the noise is not given.
@@ -212,6 +215,8 @@ class Fit:
     relaxation: tuple[float, float] = (0.0, 0.0)
     relaxation_std: tuple[float, float] = (0.0, 0.0)
     noise_in_motion: Mapping[int, Array] = field(default_factory=dict)
+    stretch: tuple[float, float] = (0.0, 0.0)
+    stretch_std: tuple[float, float] = (0.0, 0.0)
     causes: tuple[Any, ...] = ()
     from_given: Array | None = None
     nuisances: Mapping[str, Array] = field(default_factory=dict)

@@ -328,6 +328,13 @@ class Parametrization:
             r += (self.units * theta)[place]
         return r
 
+    def stretch(self, theta: Array) -> tuple[float, float]:
+        """Return the coefficients of stretch of the unknowns, N/m^2 and N."""
+        change = np.sum([(self.units * theta)[place] for place in self.places.get('stretch', ())],
+                        axis=0)
+        a, b = (self.start_cup.stretch + change * quantities.STRETCH_UNITS).tolist()
+        return a, b
+
     def estimate(self, minimum: Minimum, name: str) -> tuple[Array, Array]:
         """Return what is free by a name, SI units, with standard errors by its information."""
         place = self.places[name].ravel()
@@ -360,6 +367,8 @@ class Parametrization:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
         if 'relaxation' in free:
             cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
+        if 'stretch' in free:
+            cup = replace(cup, stretch=self.stretch(theta))
         payload = quantities.payload_of(measured.payload, free)
         return model_tuple(cup, payload, quantities.gravity_of(measured.gravity, free)), free
 
@@ -427,12 +436,12 @@ class Search(Parametrization):
     """Gauss-Newton steps of the unknowns."""
 
     def with_free(
-        self, theta: Array, more: Free
+        self, theta: Array, more: Free, structure: Structure | None = None
     ) -> 'Search':
-        """Return a search from some unknowns with more free quantities."""
+        """Return a search from some unknowns with more free quantities or another structure."""
         free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
                 for name, rows in self.places.items()}
-        return Search(self.segments, self.structure, self.cup(theta),
+        return Search(self.segments, structure or self.structure, self.cup(theta),
                       {**free, **more}, self.slip_ns)
 
     def minimum(

@@ -140,9 +140,15 @@ class Load:
         rotation = t3.rotation_between(prediction.tool[1], prediction.quaternion_xyzw)
         now = distance(
             self._envelope, (*shift, *rotation), (*linear, *angular),
-            self._values.package.mass)
+            self._values.package.mass, self._vacuum())
         if self._distance is None or now.value > self._distance.value:
             self._distance = now
+
+    def _vacuum(self) -> float:
+        """Return the pressure below ambient in the cup (Pa): measured, or vacuum.holding."""
+        if self.pressure is None:
+            return float(self._values.vacuum.holding)
+        return max(self._values.vacuum.ambient - self.pressure, 0.0)
 
     def reset(self) -> tuple[Safety | None, Distance | None, float]:
         """Return safety factor, distance and largest bending (rad) since the last call."""

@@ -375,6 +375,33 @@ def parameter_vector(values: Values) -> Array:
         [values.package.mass], values.package.com, values.package.inertia])
 
 
+BENDING_BY_MASS = (0.30, 0.03)
+"""Relative change of the bending stiffness per kg, of a cup without and with stretch, 1/kg."""
+
+STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
+"""Relative change of the diagonal of K per vacuum, of a bellows by finite elements, 1/Pa."""
+
+
+def stiffness_std(values: Values) -> Array:
+    """
+    Return the standard deviations (6, 6) of K for the mass and the vacuum of use.
+
+    The figures of bellows by finite elements are added in proportion to the distance from
+    cup.valid_mass and cup.valid_vacuum.
+    """
+    std = np.reshape(values.cup.stiffness_std, (6, 6))
+    K = np.diag(matrix(values.cup.stiffness))
+
+    def distance(value: float, name: str) -> float:
+        low, high = values.get(name, (0.0, 0.0))
+        return max(low - value, value - high, 0.0) if high > 0.0 and value > 0.0 else 0.0
+
+    by_mass = BENDING_BY_MASS[any(values.get('cup.stretch', ()))]
+    more = distance(values.get('vacuum.holding', 0.0), 'cup.valid_vacuum') * STIFFNESS_BY_VACUUM
+    more[3:5] += by_mass * distance(values.package.mass, 'cup.valid_mass')
+    return np.asarray(np.hypot(std, np.diag(K * more)))
+
+
 def parameter_std(values: Values) -> Array:
     """
     Return the standard deviations (52,) of the numbers.
@@ -387,6 +414,7 @@ def parameter_std(values: Values) -> Array:
     std = parameter_vector(Values({
         name.removesuffix('_std'): each for name, each in values.items()
         if name.endswith('_std')}))
+    std[:21] = stiffness_std(values)[UPPER]
     return np.concatenate([np.minimum(std[:42], limit), std[42:]])
 
 

@@ -187,6 +187,11 @@ class Structure:
         return len(self.entries)
 
     @property
+    def couplings(self) -> list[int]:
+        """Places of the couplings among the parameters (2 n,)."""
+        return [place for place, (i, j) in enumerate(2 * self.leads) if i != j]
+
+    @property
     def couples(self) -> bool:
         """Whether it couples directions, and so the weight of a fit the components."""
         return any(len(blocks[0]) > 1 for blocks in self.blocks)
@@ -300,7 +305,13 @@ OF_LAYOUT = Structure('layout', 'each cup of cup.layout axisymmetric',
                       STRUCTURES['axisymmetric'].groups)
 """Of one cup of a gripper; its places are those that are given."""
 
-STRUCTURE_NAMES = (*STRUCTURES, OF_LAYOUT.name)
+AUTO = 'auto'
+"""Value of fit.structure for the selection between the two of `AUTO_STRUCTURES`."""
+
+AUTO_STRUCTURES = STRUCTURES['axisymmetric'], STRUCTURES['axisymmetric_coupled']
+"""Candidates of the automatic selection, the simpler one first."""
+
+STRUCTURE_NAMES = (AUTO, *STRUCTURES, OF_LAYOUT.name)
 
 
 def structure_named(name: str) -> Structure:
@@ -308,7 +319,12 @@ def structure_named(name: str) -> Structure:
     if name not in STRUCTURE_NAMES:
         raise BellowsError(
             f"fit.structure is '{str(name)[:40]}'; expected one of {', '.join(STRUCTURE_NAMES)}.")
-    return STRUCTURES.get(name, OF_LAYOUT)
+    return AUTO_STRUCTURES[0] if name == AUTO else STRUCTURES.get(name, OF_LAYOUT)
+
+
+def richest_structure(values: Values) -> Structure:
+    """Return the richest structure that a fit may select: `given_structure` unless it is auto."""
+    return AUTO_STRUCTURES[1] if values.fit.structure == AUTO else given_structure(values)
 
 
 def given_structure(values: Values) -> Structure:

@@ -1,8 +1,7 @@
 """
-Validity range of a fit: ranges of deflection, rates, frequencies and mass; that of the law.
+Validity range of a fit: deflection, rates, frequencies, mass and vacuum; range of the law.
 
-A model that was fitted to small bending has not been tried at large bending, and so on: outside
-of the envelope a prediction is an extrapolation.
+Outside the ranges of its identification a prediction is an extrapolation.
 """
 
 from collections.abc import Sequence
@@ -37,16 +36,20 @@ MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
 MIN_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
 """Bands reach at least this high (Hz), and are exceeded by a frequency this many times higher."""
 
-MASS_MARGIN = 0.1
-"""Masses within this fraction of those in the fit are inside the validity range."""
+LOAD_MARGIN = 0.1
+"""Relative margin of mass and vacuum about their ranges in the fit."""
 
 DOWN, UP = (Context(prec=6, rounding=mode) for mode in (ROUND_FLOOR, ROUND_CEILING))
 ROUNDING_MODES = {
     'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
-    'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP)}
+    'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP), 'vacuum': (DOWN, UP)}
 """Outward, so that what is in a range stays in it."""
 
 FIELDS = tuple(ROUNDING_MODES)
+
+PARAMETERS = {**{name: f'envelope.{name}' for name in FIELDS[:4]},
+              'mass': 'cup.valid_mass', 'vacuum': 'cup.valid_vacuum'}
+"""Parameters of the ranges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,8 @@ class Envelope:
         Bands (low, high) in Hz with 95 % of the power of shift and of rotation.
     mass : ndarray (2,)
         Smallest and largest mass, kg.
+    vacuum : ndarray (2,)
+        Smallest and largest vacuum, Pa below ambient; zeros if unknown.
 
     """
 
@@ -73,22 +78,24 @@ class Envelope:
     rates: Array
     frequencies: Array
     mass: Array
+    vacuum: ArrayLike = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check and freeze."""
-        for name, shape in zip(FIELDS, ((6,), (6,), (6,), (2, 2), (2,)), strict=True):
+        for name, shape in zip(FIELDS, ((6,), (6,), (6,), (2, 2), (2,), (2,)), strict=True):
             array = frozen_array(getattr(self, name), shape, f"envelope's {name}")
             object.__setattr__(self, name, array)
         if not (
                 (self.deflection_low <= self.deflection_high).all()
                 and (np.diff(self.frequencies) >= 0.0).all() and np.diff(self.mass) >= 0.0
+                and np.diff(np.asarray(self.vacuum)) >= 0.0
                 and (self.rates >= 0.0).all()):
             raise BellowsError('Envelope: a range ends below its beginning.')
 
     def parameters(self) -> dict[str, tuple[float, ...]]:
         """Return the parameters of the cup file: six digits, rounded outward."""
         return {
-            f'envelope.{name}': tuple(
+            PARAMETERS[name]: tuple(
                 float(context.create_decimal(repr(x)))
                 for x, context in zip(getattr(self, name).ravel().tolist(), contexts, strict=True))
             for name, contexts in ROUNDING_MODES.items()}
@@ -97,14 +104,15 @@ class Envelope:
         """Return the content for the result of a fit."""
         shifts = ['m'] * 3 + ['rad'] * 3
         units = {'deflection_low': shifts, 'deflection_high': shifts,
-                 'rates': ['m/s'] * 3 + ['rad/s'] * 3, 'frequencies': 'Hz', 'mass': 'kg'}
+                 'rates': ['m/s'] * 3 + ['rad/s'] * 3, 'frequencies': 'Hz', 'mass': 'kg',
+                 'vacuum': 'Pa'}
         return {'directions': DIRECTIONS, 'units': units, **vars(self)}
 
 
 def joined_envelopes(parts: Sequence[Envelope]) -> Envelope:
     """Return the validity range of all recordings together: the widest of each."""
     low, high, rates, bands, mass = (
-        np.array([getattr(part, name) for part in parts]) for name in FIELDS)
+        np.array([getattr(part, name) for part in parts]) for name in FIELDS[:5])
     return Envelope(
         low.min(axis=0), high.max(axis=0), rates.max(axis=0),
         np.column_stack([bands[:, :, 0].min(axis=0), bands[:, :, 1].max(axis=0)]),
@@ -134,7 +142,9 @@ class Distance:
         return f'Outside the validity range: {"; ".join(self.outside)}.'
 
 
-def distance(valid: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float) -> Distance:
+def distance(
+    valid: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float, vacuum: float = 0.0
+) -> Distance:
     """
     Return the distance of a state from the validity range.
 
@@ -148,12 +158,14 @@ def distance(valid: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: flo
     deflection, rates : array_like (6,)
         Of the lip, as in `Envelope`.
     mass : float
-        Of the package, kg.
+        Mass of the package, kg.
+    vacuum : float
+        Pressure below ambient in the cup, Pa; 0 if unknown.
 
     """
     return _worst_first(
         _deflections(valid, np.asarray(deflection, dtype=float))
-        + _rates(valid, np.asarray(rates, dtype=float)) + _mass(valid, mass))
+        + _rates(valid, np.asarray(rates, dtype=float)) + _loads(valid, mass, vacuum))
 
 
 def _worst_first(distances: list[tuple[float, str]]) -> Distance:
@@ -167,15 +179,25 @@ def beyond(valid: Envelope, other: Envelope) -> tuple[str, ...]:
     ends = (_deflections(valid, end) for end in (other.deflection_low, other.deflection_high))
     return _worst_first([
         *map(max, *ends), *_rates(valid, other.rates), *_frequencies(valid, other.frequencies),
-        *max(_mass(valid, mass) for mass in other.mass.tolist())]).outside
+        *max(_loads(valid, mass, vacuum) for mass, vacuum in zip(
+            other.mass.tolist(), np.asarray(other.vacuum).tolist(), strict=True))]).outside
 
 
 def parameter_envelope(values: Values) -> Envelope | None:
     """Return the envelope in parameter values, or None if all are zero: unknown."""
-    ranges = {name: np.array(values.get(f'envelope.{name}', ())) for name in FIELDS}
-    if not any(part.any() for part in ranges.values()):
+    ranges = {name: np.array(values.get(PARAMETERS[name], ())) for name in FIELDS}
+    if not any(ranges[name].any() for name in FIELDS[:4]):
         return None
     return Envelope(**{**ranges, 'frequencies': ranges['frequencies'].reshape(2, 2)})
+
+
+def outside_loads(values: Values) -> tuple[str, ...]:
+    """Return a phrase for mass and vacuum of parameter values if outside their valid ranges."""
+    zero = np.zeros(6)
+    valid = Envelope(zero, zero, zero, np.zeros((2, 2)), np.array(values.cup.valid_mass),
+                     np.array(values.cup.valid_vacuum))
+    return tuple(phrase for size, phrase in _loads(
+        valid, values.package.mass, values.vacuum.holding) if size > 1.0)
 
 
 def _deflections(valid: Envelope, value: Array) -> list[tuple[float, str]]:
@@ -213,11 +235,15 @@ def _frequencies(valid: Envelope, bands: Array) -> list[tuple[float, str]]:
         if valid.frequencies.any()]
 
 
-def _mass(valid: Envelope, mass: float) -> list[tuple[float, str]]:
-    """Return distance and phrase for the mass; nothing if no mass is known."""
-    low, high = valid.mass.tolist()
-    if high <= 0.0:
-        return []
-    half = 0.5 * (high - low) + MASS_MARGIN * 0.5 * (high + low)
-    masses = f'{low:.4g}' if low == high else f'{low:.4g} to {high:.4g}'
-    return [(abs(mass - 0.5 * (low + high)) / half, f'the mass is {mass:.4g} kg, seen {masses}')]
+def _loads(valid: Envelope, mass: float, vacuum: float) -> list[tuple[float, str]]:
+    """Return distance and phrase for mass and vacuum; nothing for a range that is unknown."""
+    found = []
+    for name, value, range_, scale, unit in (
+            ('mass', mass, valid.mass, 1.0, 'kg'), ('vacuum', vacuum, valid.vacuum, 1e-3, 'kPa')):
+        low, high = np.asarray(range_).tolist()
+        if high > 0.0 and value > 0.0:
+            half = 0.5 * (high - low) + LOAD_MARGIN * 0.5 * (high + low)
+            seen = f'{scale * low:.4g}' + (f' to {scale * high:.4g}' if low < high else '')
+            found.append((abs(value - 0.5 * (low + high)) / half,
+                          f'the {name} is {scale * value:.4g} {unit}, seen {seen}'))
+    return found

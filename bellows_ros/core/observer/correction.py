@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
+from bellows_ros.core.model.cup_package import stiffness_std
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
@@ -144,9 +145,10 @@ def prior_std(values: Values, model: ModelTuple) -> Array:
     weight = mass * math.hypot(*gravity)
     C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
     relative = []
-    for name, unstated, matrix in zip(
-            ('stiffness', 'damping'), (UNSTATED_CUP, UNSTATED_DAMPING), blocks, strict=True):
-        stated = np.reshape(values[f'cup.{name}_std'], (6, 6))[UPPER]
+    for std_of, unstated, matrix in zip(
+            (stiffness_std(values), np.reshape(values.cup.damping_std, (6, 6))),
+            (UNSTATED_CUP, UNSTATED_DAMPING), blocks, strict=True):
+        stated = std_of[UPPER]
         share = np.sqrt(C @ np.square(stated)) / np.maximum(
             np.r_[matrix[0][::4], matrix[2][::4]], 1e-12)
         relative.append(np.minimum(share, 1.0) if stated.any() else np.full(6, unstated))

@@ -143,9 +143,11 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
     'release.correlation': {'default': _diagonal((1.0,) * 8)},
     'fit.structure': {
         'choices': structure.STRUCTURE_NAMES,
-        'description': 'Form of K and P: ' + '; '.join(
-            f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
-            for s in map(structure.structure_named, structure.STRUCTURE_NAMES)) + '.'}}
+        'description': 'Form of K and P: ' + '; '.join([
+            f'{structure.AUTO}: axisymmetric_coupled where the coupling is significant, else '
+            'axisymmetric',
+            *(f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
+              for s in map(structure.structure_named, structure.STRUCTURE_NAMES[1:]))]) + '.'}}
 """Entries that depend on the structures of K and P, by name; they complete the file."""
 
 

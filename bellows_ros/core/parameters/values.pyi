@@ -103,6 +103,7 @@ class GravityGroup:
 class FitGroup:
     method: str
     structure: str
+    stretch: str
     relaxation: str
     compare_recordings: bool
     compare_structures: bool
@@ -126,7 +127,6 @@ class EnvelopeGroup:
     deflection_high: tuple[float, ...]
     rates: tuple[float, ...]
     frequencies: tuple[float, ...]
-    mass: tuple[float, ...]
 
 class CupGroup:
     length: float
@@ -135,6 +135,8 @@ class CupGroup:
     relaxation: tuple[float, ...]
     relaxation_times: tuple[float, ...]
     stretch: tuple[float, ...]
+    valid_mass: tuple[float, ...]
+    valid_vacuum: tuple[float, ...]
     layout: tuple[float, ...]
     open: tuple[float, ...]
     name: str

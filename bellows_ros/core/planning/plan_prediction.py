@@ -136,7 +136,7 @@ class PlanPrediction(NamedTuple):
         valid = validity_range.parameter_envelope(values)
         return () if valid is None else validity_range.beyond(valid, validity_range.Envelope(
             self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
-            np.full(2, values.package.mass)))
+            np.full(2, values.package.mass), np.full(2, values.vacuum.holding)))
 
 
 class PlanSimulation:

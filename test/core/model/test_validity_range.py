@@ -6,8 +6,8 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.reduction import envelope
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model import validity_range
-from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.model.validity_range import Distance, Envelope
+from bellows_ros.core.model.cup_package import Package, parameter_std, stiffness_std
+from bellows_ros.core.model.validity_range import Distance, Envelope, outside_loads
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, with_standstills
@@ -157,3 +157,37 @@ def test_standstills_widen_deflections_and_nothing_else():
     assert_allclose(wide.deflection_low[2], -0.002, atol=1e-12)
     assert_allclose(wide.deflection_high, np.maximum(known.deflection_high, 0.0))
     assert_allclose(wide.rates, known.rates)
+
+
+def used(**more):
+    """Return parameter values of a cup that was identified with 1.8 kg and 20 kPa."""
+    return resolve({
+        'package.mass': 1.8, 'package.inertia': [1e-3] * 3 + [0.0] * 3, 'vacuum.holding': 20e3,
+        'package.com': [0.0, 0.0, -0.03], 'cup.valid_mass': [1.8, 1.8],
+        'cup.valid_vacuum': [20e3, 20e3], 'cup.stiffness_std': np.diag([9.0] * 6).ravel().tolist(),
+        **{name.replace('__', '.'): value for name, value in more.items()}})
+
+
+def test_other_masses_and_vacuums_are_named():
+    assert outside_loads(used()) == outside_loads(used(package__mass=1.9)) == ()
+    assert outside_loads(used(package__mass=2.5)) == ('the mass is 2.5 kg, seen 1.8',)
+    assert outside_loads(used(vacuum__holding=40e3)) == ('the vacuum is 40 kPa, seen 20',)
+    assert outside_loads(used(package__mass=2.5, cup__valid_mass=[0.0, 0.0])) == ()
+    assert outside_loads(used(package__mass=2.0, cup__valid_mass=[1.0, 2.5])) == ()
+
+
+def test_the_stiffness_of_other_loads_is_less_certain():
+    stiffness = np.diag(np.reshape(used().cup.stiffness, (6, 6)))
+    np.testing.assert_array_equal(stiffness_std(used()), np.diag([9.0] * 6))
+    # bending: 30 % of K per kg, or 3 % with stretch; nothing along and about other axes
+    for stretch, share in (([0.0, 0.0], 0.3), ([-1e4, -3.0], 0.03)):
+        std = np.diag(stiffness_std(used(package__mass=2.5, cup__stretch=stretch)))
+        np.testing.assert_allclose(
+            np.sqrt(std**2 - 81.0)[3:5], share * 0.7 * stiffness[3:5], rtol=1e-9)
+        np.testing.assert_array_equal(std[[0, 1, 2, 5]], 9.0)
+    std = np.diag(stiffness_std(used(vacuum__holding=10e3)))
+    np.testing.assert_allclose(np.sqrt(std**2 - 81.0)[[2, 4]], stiffness[[2, 4]] * [0.2, 0.23])
+    np.testing.assert_allclose(
+        parameter_std(used(package__mass=2.5))[:21],
+        np.minimum(stiffness_std(used(package__mass=2.5)), np.sqrt(
+            np.outer(stiffness, stiffness)))[np.triu_indices(6)])

@@ -79,7 +79,7 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
 
 @pytest.mark.parametrize('name, suggested', [
     ('package.mas', "'package.mass'"), ('mass', "'package.mass'"),
-    ('envelop.mass', "'envelope.mass'"), ('cups.soft.stifness', "'cups.soft.stiffness'"),
+    ('envelop.rates', "'envelope.rates'"), ('cups.soft.stifness', "'cups.soft.stiffness'"),
     ('package.xyzzy', 'package.mass, package.inertia, package.com'),
     ('package', 'package.mass, package.inertia, package.com'), ('zzzzzzzzzz', r'topics\.\*'),
     ('cups.soft.xyzzy', 'cups.soft.length, cups.soft.stiffness')])
