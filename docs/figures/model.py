@@ -1,4 +1,4 @@
-"""Draw the frames of the model, at rest and deflected, and how a cup resists bending."""
+"""Draw the frames of the model, its resistance to bending, and the law beside finite elements."""
 
 from pathlib import Path
 import sys
@@ -16,6 +16,24 @@ from sketch import draw_box, draw_cup, draw_frame, Frame  # noqa: E402
 IMAGES = Path(__file__).resolve().parents[1] / 'images'
 LENGTH, DEPTH = 0.0481, 0.040  # m
 PLATE = (-0.062, 0.062), (-0.040, 0.040)
+
+AXIAL = np.array([
+    [-8, 75.81], [-7, 65.16], [-6, 54.58], [-5, 44.18], [-4, 34.11], [-3, 24.51], [-2, 15.53],
+    [-1, 7.32], [0, 0.0], [1, -6.38], [2, -11.79], [3, -16.28], [4, -19.93], [5, -22.81],
+    [6, -25.02], [7, -26.65], [8, -27.78]])
+"""Axial shift of the lip, mm, and force on the package, N, by finite elements."""
+
+BENT = {
+    0.0: np.array([[0, 0, 0, 0], [-2.483, 0.158, 5, 0.090], [-4.876, 0.623, 10, 0.172],
+                   [-7.104, 1.373, 15, 0.239], [-9.110, 2.375, 20, 0.289]]),
+    1.8: np.array([[0, -2.244, 0, 0], [-2.262, -2.131, 5, 0.145], [-4.447, -1.791, 10, 0.279],
+                   [-6.479, -1.227, 15, 0.395], [-8.298, -0.454, 20, 0.488]])}
+"""By load (kg): shift in x and z, mm, bending, degrees, and moment, N m, by finite elements."""
+
+LAWS = {
+    'K alone': ((1980.6, 6923.6, 1.2497), 0.0, (0.0, 0.0)),
+    'coupling and stretch': ((1811.1, 6639.8, 0.99637), 6.8829, (-18286.0, -5.011))}
+"""Laws fitted to 80 poses of the finite elements: K x, z, rx, K[x,ry], and stretch; SI units."""
 
 
 def frames(theme: Theme) -> Any:
@@ -115,9 +133,49 @@ def _moment(angle: float) -> float:
     return -cup_wrench(cup.as_tuple, *at, still, still)[1][0]
 
 
+def stretch(theme: Theme) -> Any:
+    """Return the figure with force and moment of laws beside those of finite elements."""
+    with drawing(theme) as figures:
+        figure = figures.Figure(figsize=(7.6, 3.0), layout='constrained')
+        axial, bent = figure.subplots(1, 2)
+        axial.plot(*AXIAL.T, 'o', color=theme.measured, markersize=4.0, label='finite elements')
+        for (name, law), style in zip(LAWS.items(), ('--', '-'), strict=True):
+            shifts = np.linspace(-8.0, 8.0, 65)
+            axial.plot(shifts, [_wrench(law, 0.0, z, 0.0)[2] for z in shifts], style,
+                       color=theme.predicted, label=name)
+            for load, rows in BENT.items():
+                x, z, angle, moment = rows.T
+                fine = np.linspace(0.0, 20.0, 41)
+                moments = [-_wrench(law, *(np.interp(at, angle, way) for way in (x, z)), at)[4]
+                           for at in fine]
+                bent.plot(fine, moments, style, color=theme.predicted)
+                bent.plot(angle, moment, 'o', color=theme.measured, markersize=4.0)
+                bent.text(20.3, moment[-1], f'{load:g} kg', va='center', color=theme.quiet)
+        axial.set_xlabel('axial shift of the lip (mm)')
+        axial.set_ylabel('force (N)')
+        axial.legend(loc='upper right')
+        bent.set_xlabel('bending (degrees)')
+        bent.set_ylabel('moment (N m)')
+        bent.set_xlim(0.0, 24.0)
+    return figure
+
+
+def _wrench(law: Any, x: float, z: float, angle: float) -> Any:
+    """Return the wrench of a law for a shift (mm) and a bending (degrees) of the lip."""
+    (lateral, along, about), coupling, numbers = law
+    K = np.diag([lateral, lateral, along, about, about, 1.53])
+    K[0, 4] = K[4, 0] = coupling
+    K[1, 3] = K[3, 1] = -coupling
+    cup = Cup(K, np.zeros((6, 6)), 0.048, stretch=numbers)
+    R = exp_so3(np.array([0.0, np.deg2rad(angle), 0.0]))
+    still: Any = (0.0, 0.0, 0.0)
+    at: Any = (1e-3 * x, 0.0, 1e-3 * z - cup.length), tuple(R.ravel().tolist())
+    return np.hstack(cup_wrench(cup.as_tuple, *at, still, still))
+
+
 def main() -> None:
     """Write the pictures."""
-    for name, draw in (('frames', frames), ('bending', bending)):
+    for name, draw in (('frames', frames), ('bending', bending), ('stretch', stretch)):
         write_figure(IMAGES / f'{name}.svg', draw(THEMES['light']))
 
 

@@ -34,7 +34,7 @@ def test_our_reader_takes_it(name, root):
     else:
         ours = {p.name for p in parameters_for(name)}
         of_the_cup = ('cup.stiffness', 'cup.damping', 'cup.length', 'cup.relaxation',
-                      'cup.stretch', 'cup.layout', 'cup.open', 'envelope.')
+                      'cup.stretch', 'cup.valid_', 'cup.layout', 'cup.open', 'envelope.')
         # ROS has no empty list to show.
         of_many = ('package.files', 'static.bags', 'static.files', 'validation.bags',
                    'fit.free')
