@@ -47,7 +47,7 @@ ROUNDING_MODES = {
 
 FIELDS = tuple(ROUNDING_MODES)
 
-PARAMETERS = {**{name: f'envelope.{name}' for name in FIELDS[:4]},
+RANGE_PARAMETERS = {**{name: f'envelope.{name}' for name in FIELDS[:4]},
               'mass': 'cup.valid_mass', 'vacuum': 'cup.valid_vacuum'}
 """Parameters of the ranges."""
 
@@ -95,7 +95,7 @@ class Envelope:
     def parameters(self) -> dict[str, tuple[float, ...]]:
         """Return the parameters of the cup file: six digits, rounded outward."""
         return {
-            PARAMETERS[name]: tuple(
+            RANGE_PARAMETERS[name]: tuple(
                 float(context.create_decimal(repr(x)))
                 for x, context in zip(getattr(self, name).ravel().tolist(), contexts, strict=True))
             for name, contexts in ROUNDING_MODES.items()}
@@ -185,7 +185,7 @@ def beyond(valid: Envelope, other: Envelope) -> tuple[str, ...]:
 
 def parameter_envelope(values: Values) -> Envelope | None:
     """Return the envelope in parameter values, or None if all are zero: unknown."""
-    ranges = {name: np.array(values.get(PARAMETERS[name], ())) for name in FIELDS}
+    ranges = {name: np.array(values.get(RANGE_PARAMETERS[name], ())) for name in FIELDS}
     if not any(ranges[name].any() for name in FIELDS[:4]):
         return None
     return Envelope(**{**ranges, 'frequencies': ranges['frequencies'].reshape(2, 2)})
