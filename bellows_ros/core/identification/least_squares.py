@@ -7,6 +7,7 @@ on average; where it is given both are subtracted (compensated least squares).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
@@ -45,6 +46,9 @@ MIN_SIGNAL_SHARE = 0.1
 
 MAX_RESIDUAL_TO_NOISE, MAX_RESIDUAL_TO_WRENCH = 1.5, 0.1
 """Residuals are too large beyond this multiple of noise and this fraction of the wrench."""
+
+MIN_SQUARED_DISTANCE = 13.8
+"""Squared Mahalanobis distance of an extension of the spring from zero; false alarms 1 in 1000."""
 
 
 def whitening_of(covariance: Array) -> Array:
@@ -161,6 +165,24 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         bias=bias,
         notes=() if significant.any() else (NOTES['too_short'],),
         misfit=_misfit(residual_rms, noise_rms, whitening))
+
+
+def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
+    """
+    Return the fit of least squares, in the simpler structure unless couplings are significant.
+
+    The covariance is robust against residuals of whole clusters of samples: a coupling that it
+    confirms is confirmed by clusters that are left out.
+    """
+    couplings = parts[0].structure.couplings
+    if parts[0].structure != simpler:
+        with suppress(UndeterminedError):
+            fit = least_squares(parts)
+            x, C = fit.parameters[couplings], fit.covariance[np.ix_(couplings, couplings)]
+            if fit.usable and np.isfinite(C).all() and (
+                    float(x @ np.linalg.solve(C, x)) > MIN_SQUARED_DISTANCE):
+                return fit
+    return least_squares([part.of(simpler) for part in parts])
 
 
 def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None]:

@@ -18,7 +18,6 @@ from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.identification.statics import joined_with_standstills, Length
-from bellows_ros.core.identification.structure_selection import simplest_fit
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
 from bellows_ros.core.model.structure import AUTO, given_structure, richest_structure
 from bellows_ros.core.parameters.values import Values
@@ -169,8 +168,9 @@ def fitted(
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values.fit.method == 'least_squares':
-        return simplest_fit([reduced(recording, values).statistics for recording in recordings],
-                            given_structure(values))
+        return least_squares.simplest_fit(
+            [reduced(recording, values).statistics for recording in recordings],
+            given_structure(values))
     return by_output_error(whole_recordings(recordings), values, progress)
 
 

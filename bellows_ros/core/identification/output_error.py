@@ -16,6 +16,7 @@ from bellows_ros.core.identification.diagnosis.candidates import likeliest_setti
 from bellows_ros.core.identification.diagnosis.ranking import rank
 from bellows_ros.core.identification.given import near_with_given, NOTHING, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
+from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
 from bellows_ros.core.identification.quantities import Free, KINDS, STRETCH_UNITS, weak_prior
 from bellows_ros.core.identification.result import (
     Fit,
@@ -59,9 +60,6 @@ OF_SPRING = ('relaxation', 'stretch')
 
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Of the noise that tests this, and its sizes in that of the poses."""
-
-MIN_SQUARED_DISTANCE = 13.8
-"""Squared Mahalanobis distance of relaxation from zero; false-alarm rate 1 in 1000 cups."""
 
 MAX_REMAINING_SHARE = 0.2
 """Largest share of the chi² beyond noise that remains with relaxation."""

@@ -8,13 +8,12 @@ there what the bias of the fit spoils.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
-from bellows_ros.core.identification.result import Fit, NOTES
+from bellows_ros.core.identification.result import NOTES
 from bellows_ros.core.identification.samples import NOISE_SEED, Samples
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate, state_row, tool_rows
@@ -97,28 +96,6 @@ class StructureSelection(NamedTuple):
     samples: int
     advised: str
     advice: tuple[str, ...]
-
-
-MIN_SQUARED_DISTANCE = 13.8
-"""Squared Mahalanobis distance of the couplings from zero; false-alarm rate 1 in 1000 cups."""
-
-
-def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
-    """
-    Return the fit of least squares, in the simpler structure unless couplings are significant.
-
-    The covariance is robust against residuals of whole clusters of samples: a coupling that it
-    confirms is confirmed by clusters that are left out.
-    """
-    couplings = parts[0].structure.couplings
-    if parts[0].structure != simpler:
-        with suppress(UndeterminedError):
-            fit = least_squares(parts)
-            x, C = fit.parameters[couplings], fit.covariance[np.ix_(couplings, couplings)]
-            if fit.usable and np.isfinite(C).all() and (
-                    float(x @ np.linalg.solve(C, x)) > MIN_SQUARED_DISTANCE):
-                return fit
-    return least_squares([part.of(simpler) for part in parts])
 
 
 def select_structure(

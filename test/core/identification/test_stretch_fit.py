@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.identification import methods
+from bellows_ros.core.identification.least_squares import simplest_fit
 from bellows_ros.core.identification.reduction import reduced
-from bellows_ros.core.identification.structure_selection import simplest_fit
 from bellows_ros.core.model.cup_package import Cup, model_tuple, regressor
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import simulate, state_row
