@@ -47,8 +47,9 @@ ROUNDING_MODES = {
 
 FIELDS = tuple(ROUNDING_MODES)
 
-RANGE_PARAMETERS = {**{name: f'envelope.{name}' for name in FIELDS[:4]},
-              'mass': 'cup.valid_mass', 'vacuum': 'cup.valid_vacuum'}
+RANGE_PARAMETERS = {
+    **{name: f'envelope.{name}' for name in FIELDS[:4]}, 'mass': 'cup.valid_mass',
+    'vacuum': 'cup.valid_vacuum'}
 """Parameters of the ranges."""
 
 
