@@ -21,7 +21,6 @@ WITHOUT_EXAMPLE = {'BellowsError', 'Prediction'}  # what others raise and return
 def soon(monkeypatch):
     """Let the search for a motion end soon; how good it is, is tested with it."""
     monkeypatch.setattr(motion_design, 'STAGES', ((8, 60), (16, 20)))
-    monkeypatch.setattr(motion_design, 'STARTS', 1)
 
 
 @pytest.mark.usefixtures('soon')
@@ -130,13 +129,13 @@ def test_what_is_no_recording_is_refused(root, recordings):
 
 
 def test_rubber_is_identified_as_by_the_command(root):
-    """With its relaxation, whose parameters were left out once; K is 10 % larger without."""
+    """Find the relaxation of `bags/rubber_cup.yaml`; K is 10 % larger without."""
     settings = bellows_ros.read_parameters(root / 'bags/package.yaml')
     result = bellows_ros.identify(
         root / 'bags/rubber', bellows_ros.read_package(root / 'bags/package.yaml'), 0.046,
-        {**settings, 'topics.tool_twist': '', 'fit.method': 'least_squares'})
+        {**settings, 'topics.tool_twist': ''})
     assert_allclose(result.cup.stiffness[0, 0], 5400.0, rtol=0.02)
-    assert_allclose(result.cup.relaxation, (0.18, 0.13), atol=0.02)
+    assert_allclose(result.cup.relaxation, (0.15, 0.15), atol=4e-3)
 
 
 TOSSING = 'bags/tossing.yaml'

@@ -80,7 +80,7 @@ def test_numpy_waits_for_the_limit_of_its_threads(user_environment, root):
     (['--ros-args', '--params-file', 'nowhere.yaml'], "'nowhere.yaml'"),
     (['--ros-args', '--params-file', 'typo.yaml'], '/predicter'),
     (['--ros-args', *GIVEN, '-p', 'use_sim_time:=hello'], 'use_sim_time'),
-    (['a\x1b[31mb'], "'a?[31mb'"), (['package.yaml'], "'package.yaml'"),
+    (['a\x1b[31mb'], r"'a\x1b[31mb'"), (['package.yaml'], "'package.yaml'"),
 ])
 def test_what_the_user_can_put_right_ends_with_2(arguments, named, tmp_path, monkeypatch, capfd):
     """Print what is wrong and no traceback."""

@@ -231,15 +231,16 @@ def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
 
 def one_cup_of(values: Values) -> Cup:
     """Return the cup that parameter values describe, whatever cup.layout is."""
-    stiffness, stretch = structure.matrix(values.cup.stiffness), values.get('cup.stretch', ())
+    stiffness = structure.matrix(values.cup.stiffness)
+    a, b = values.get('cup.stretch', (0.0, 0.0))
     ends = [values.get(f'envelope.deflection_{end}', np.zeros(6))[2] for end in ('low', 'high')]
-    structure.require_stretch(stiffness, stretch, *(ends if any(ends) else ()))
+    structure.require_stretch(stiffness, (a, b), *(ends if any(ends) else ()))
     return Cup(
         stiffness, structure.matrix(values.cup.damping),
         length=values.cup.length,
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
         relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES),
-        stretch=tuple(stretch) or (0.0, 0.0))
+        stretch=(a, b))
 
 
 def varied(

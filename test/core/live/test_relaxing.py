@@ -73,13 +73,13 @@ def test_strains_relax_on_during_a_pause_of_the_poses():
 def test_relaxation_and_stretch_are_set_while_running():
     predictor, still = live(CUP), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     for k, cup in enumerate((CUP, RUBBER, RUBBER, STRETCHED, CUP)):
-        predictor.set_model(cup, PACKAGE)
+        predictor.package.set_model(cup, PACKAGE)
         (found,) = predictor.on_pose(1 + k * 4_000_000, 'world', *still)
         assert len(found.strains) == 2 * any(cup.relaxation)
         assert_allclose(found.position[2], -0.0779, atol=2e-3)
     observer = Observer(resolve(values()))
     predictor.package.observe(observer)
-    predictor.set_model(RUBBER, PACKAGE)
+    predictor.package.set_model(RUBBER, PACKAGE)
     for k in range(5, 30):
         (found,) = predictor.on_pose(1 + k * 4_000_000, 'world', *still)
         predictor.on_measured(

@@ -135,7 +135,7 @@ def test_a_package_that_hangs_from_a_tool_that_points_down_has_a_covariance():
 def test_a_covariance_that_is_not_known_says_so_and_comes_back():
     _, out = predict()
     upside_down = out[0].tool[0], (1.0, 0.0, 0.0, 0.0), *out[0].tool[2:]
-    top_heavy = Package(20.0, np.diag([0.02, 0.02, 0.02]), (0.0, 0.0, -0.3))
+    top_heavy = Package(20.0, np.diag([0.2, 0.2, 0.2]), (0.0, 0.0, -0.3))
     fallen = LivePredictor(THESIS, top_heavy, 9.81)
     uncertainty = Uncertainty(fallen.model, values(0.1 * THESIS.stiffness, position=1e-4))
     assert_allclose(uncertainty.root(out[0]._replace(tool=upside_down)), UNKNOWN_ROOT)
