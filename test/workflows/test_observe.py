@@ -13,6 +13,7 @@ from bellows_ros.core.recording.alignment import pose_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_streams
+from bellows_ros.files.messages import BOOL
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import observed, predicted_live, replay, tool_messages
@@ -213,3 +214,28 @@ def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
     write_bag(tmp_path / 'deaf', [*recorded, breaking(pressures, at_ns, bad=True)])
     with pytest.raises(BellowsError, match="vacuum.signal .*'pressure'.*vacuum/pressure"):
         replay(tmp_path / 'deaf', values, observe=CAMERA)
+
+
+def test_several_packages_of_one_recording_are_predicted_while_held(filmed, tmp_path):
+    """Attach and detach by vacuum/held as the node does, and rate the cup in the longest hold."""
+    bag, values = filmed
+    streams = read_streams(bag, SEEN)
+    stamps = streams['tool'].stamps_ns[::20]
+    seconds = 1e-9 * (stamps - stamps[0])
+    held = ((seconds > 1.0) & (seconds < 5.0)) | (seconds > 7.0)
+    switch = Encoded('/cell/vacuum/held', BOOL, stamps, [
+        serialized(BOOL, (bool(each),)) for each in held])
+    recorded = [switch]
+    for role, own in streams.items():  # lifted by 30 mm after each grip, and set down
+        t, position = 1e-9 * (own.stamps_ns - stamps[0]), own.position.copy()
+        for at, height in ((1.2, 0.03), (5.2, -0.03), (7.2, 0.03)):
+            s = np.clip((t - at) / 0.5, 0.0, 1.0)
+            position[:, 2] += height * s * s * (3.0 - 2.0 * s)
+        recorded.append(poses(role, own.stamps_ns, position, own.rotation))
+    write_bag(tmp_path / 'two', recorded)
+    found = replay(tmp_path / 'two', values.replaced({
+        'topics.tool_twist': '', 'vacuum.signal': 'bool'}), observe=CAMERA)
+    assert 'held 2 times' in found.warnings[0]
+    assert found.observed.counts['not_held'] > 50
+    at = 1e-9 * (found.live.stamps_ns - stamps[0])
+    assert not np.any((at > 5.2) & (at < 6.9)) and at.min() > 0.9 and at.max() > 8.0
