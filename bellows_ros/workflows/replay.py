@@ -23,6 +23,7 @@ from bellows_ros.core.model import simulation, validity_range
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.observer.alarms import Alarm
+from bellows_ros.core.observer.calibration import calibrated, ModelCalibration, WORK_FOLDS
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.observer.observer import Calibration, Observer, Payload
 from bellows_ros.core.parameters import checks
@@ -34,7 +35,7 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import bags, File, messages, results
-from bellows_ros.report.sentences import alarm_sentence
+from bellows_ros.report.sentences import alarm_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
@@ -123,6 +124,8 @@ class Observed(NamedTuple):
         Estimated errors of the camera.
     parameters : mapping
         Parameters that take this into account, with what stays uncertain.
+    model_calibration : ModelCalibration or None
+        Calibrated measurement model, if requested.
 
     """
 
@@ -133,6 +136,7 @@ class Observed(NamedTuple):
     payload: Payload | None
     calibration: Calibration | None
     parameters: Mapping[str, Any]
+    model_calibration: ModelCalibration | None
 
     @property
     def sentence(self) -> str:
@@ -153,6 +157,11 @@ class Observed(NamedTuple):
                 f'Estimated: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
                 f'{_with_std(payload.com, payload.com_std, 1e3)} mm from the lip (± is the '
                 'Cramér-Rao bound).')
+        if found := self.model_calibration:
+            sentences.append(sentence(
+                'alarms', 'calibrated', poses=found.poses, before=found.before.per_hour,
+                after=found.after.per_hour, before_most=found.before.at_most,
+                after_most=found.after.at_most))
         if self.calibration:
             numbers = iter(self.calibration)
             shift, turn, latency = map(
@@ -314,6 +323,7 @@ class Replay(CommandResult):
 
 def replay(
     bag: File, settings: Mapping[str, Any], progress: Progress = no_progress, observe: str = '',
+    calibrate: bool = False,
 ) -> Replay:
     """
     Predict a recording with a cup, freely from start to end, and compare.
@@ -332,6 +342,8 @@ def replay(
     observe : str
         Topic with measured poses of the package, which correct another live prediction; none when
         left out.
+    calibrate : bool
+        Whether to calibrate the measurement model on this recording of sound work.
 
     Raises
     ------
@@ -353,7 +365,7 @@ def replay(
     live = predicted_live(
         recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
     camera = observed(
-        bag, recording, sent, live, values, observe, signals) if sent else None
+        bag, recording, sent, live, values, observe, signals, calibrate) if sent else None
     progress('done', 1.0)
     warnings = (note,) * bool(note) + _final_warnings(free, camera)
     return replace(free, live=live, observed=camera, warnings=warnings)
@@ -506,6 +518,7 @@ def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum)
 def observed(
     bag: File, recording: Recording, messages: Messages, uncorrected: residuals.Comparison,
     values: Values, topic: str, signals: Sequence[Signal] = (),
+    calibrate: bool = False,
 ) -> Observed:
     """
     Predict a recording live with the poses of the package on a topic, and compare.
@@ -526,6 +539,8 @@ def observed(
         With poses of the package in the world of the recording.
     signals : sequence of Signal
         Vacuum and valve; without any the package is held from start to end.
+    calibrate : bool
+        Whether to calibrate the measurement model, see `calibrated`.
 
     Raises
     ------
@@ -549,11 +564,13 @@ def observed(
     measured = list(zip(stream.stamps_ns.tolist(), map(tuple, position), map(tuple, q),
                         covariances, strict=True))
 
-    def run(by: Observer) -> Trajectory:
+    def run(by: Observer, fold: int = -1) -> Trajectory:
         live = live_predictor(values, signals)
         live.package.observe(by)
         live.alarms = by.alarms
-        return predicted_trajectory(live, messages, measured=measured, signals=signals)
+        part = measured if fold < 0 else measured[
+            fold * len(measured) // WORK_FOLDS:(fold + 1) * len(measured) // WORK_FOLDS]
+        return predicted_trajectory(live, messages, measured=part, signals=signals)
 
     corrected = run(observer)
     package = recording.measured_package
@@ -566,6 +583,8 @@ def observed(
     if later := len(measured) - sum(counts.values()):
         counts['future_stamp'] = counts.get('future_stamp', 0) + later
     counts |= {reason: len(numbers) for reason, numbers in stream.refused.items()}
+    found = calibrated(
+        run, values, float(np.ptp(stream.stamps_ns)) / NS_PER_S) if calibrate else None
     return Observed(
         topic, {'prediction alone': prediction,
                 'camera alone': residuals.compare(camera, tool, package),
@@ -573,7 +592,8 @@ def observed(
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
         observer.payload, observer.calibration, {
-            **_calibrated(observer.calibration, pose, R_model_tool)})
+            **_calibrated(observer.calibration, pose, R_model_tool),
+            **(found.parameters if found else {})}, found)
 
 
 def _transformed_pose(pose: Array, R: Array, shift: Array | float = 0.0) -> Array:

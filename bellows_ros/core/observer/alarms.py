@@ -147,6 +147,9 @@ estimate is in its signatures, too: products of the two add up where there is li
 DISTURBED_COUNT = 3
 """Consecutive poses outside the gate from which a disturbance is named: outliers are rarer."""
 
+VIEW_NS = 3_000_000_000
+"""Time for which a camera that sees a tag must have moved, ns: work then shows other views."""
+
 MIN_LEAD, DECIDE_NS = 3.0, 800_000_000
 """
 A cause is named when its log-likelihood ratio leads that of the next by so much, which is 95 %, or
@@ -231,6 +234,8 @@ class Alarms:
         Whether the lip is measured: a package that slips moves, a marker on it is no longer there.
     places : ndarray (cups, 4)
         Of the cups of a gripper that hold, as of `places_of`.
+    of_tag : bool
+        Whether a tag is measured: its errors in one view look like a camera that has moved.
 
     Attributes
     ----------
@@ -239,9 +244,11 @@ class Alarms:
 
     """
 
-    def __init__(self, false_per_hour: float, of_lip: bool, places: Array) -> None:
+    def __init__(
+        self, false_per_hour: float, of_lip: bool, places: Array, of_tag: bool = False
+    ) -> None:
         """Set the threshold, and the signatures at the onset."""
-        self._places = places
+        self._places, self._of_tag = places, of_tag
         self._threshold = math.log(3600 * NS_PER_S / ONSET_NS / false_per_hour) + (
             MARGIN if len(places) == 1 else GRIPPER_MARGIN)
         self.steps: Array = np.zeros((ekf.ROWS + ekf.FALLEN, len(STEPS)))
@@ -285,10 +292,13 @@ class Alarms:
         """
         total, lead, best, second, runner_up, *_ = likeliest
         likely = HYPOTHESES[min(best[1], CUP)]
+        in_view = self._of_tag and likely.name == 'camera'
+        confirmed_ns = VIEW_NS if in_view else DECIDE_NS if (
+            lead < MIN_LEAD) else likely.confirmed_ns
         suspect_ns = stamp_ns - min(evidence.suspect_ns, default=stamp_ns)
         if min(total - self._threshold, lead) < 0.0 or (
                 len(evidence.suspect_ns) <= likely.confirmed) or (
-                    suspect_ns < (DECIDE_NS if lead < MIN_LEAD else likely.confirmed_ns)) or (
+                    suspect_ns < confirmed_ns) or (
                         stamp_ns < evidence.onsets[1, best[0]] + best[2] * likely.after_ns):
             return None
         holding = [k for k in range(len(self._places)) if k not in lost_cups]

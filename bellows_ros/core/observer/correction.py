@@ -294,7 +294,7 @@ class Correction:
         self._cups = cups_of(model, places)
         allowed = values.alarm.false_per_hour
         self.alarms = alarms.Alarms(
-            allowed, marker[2], places) if allowed > 0.0 else None
+            allowed, marker[2], places, marker[3][0]) if allowed > 0.0 else None
         self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
         self.first_memory = first_memory()
         noise = values.tool_noise.position, values.tool_noise.rotation

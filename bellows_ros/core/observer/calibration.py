@@ -1,0 +1,224 @@
+"""Calibration of the measurement model on sound work, and the false alarms to expect with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import hat
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer.filter import NOISE, STATE
+from bellows_ros.core.observer.measurement import cholesky, corrected_pose
+from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.measurement_model import NO_GROWTH, pose_noise, sizes_of
+from bellows_ros.errors import BellowsError
+import numpy as np
+from scipy.optimize import nnls
+from scipy.special import gammaincinv
+
+MIN_POSES = 100
+"""Measured poses required: standard deviations are then known to a tenth."""
+
+ITERATIONS = 4
+"""Iterations of expectation and maximisation: the sizes then change by less than 3 %."""
+
+INITIAL_FACTOR = 3.0
+"""Factor of the first standard deviations: poses outside the gate would not count."""
+
+RATE_FACTOR = 100.0
+"""Factor of the allowed rate in counting: false alarms at the allowed rate are too rare."""
+
+WORK_FOLDS = 2
+"""Parts of the poses for cross-validation."""
+
+Run = Callable[[Observer, int], object]
+"""Lets an observer process one fold of the measured poses, or all with fold -1."""
+
+
+class SoundWork(Observer):
+    """
+    An observer without alarms that keeps the noise of each used pose.
+
+    Attributes
+    ----------
+    noise : list of array (4,)
+        Expected squares: lateral and depth (m^2), across and along the line of sight (rad^2).
+    scales : list of array (2, 4)
+        Standard deviations that the model has with unit numbers, at rest and in motion.
+
+    """
+
+    def __init__(self, values: Values) -> None:
+        """Start without poses."""
+        super().__init__(values.replaced({'alarm.false_per_hour': 0.0}))
+        self.noise: list[Array] = []
+        self.scales: list[Array] = []
+
+    def _reprocess(self, first: int) -> None:
+        """Update with a new measurement, and keep its noise if it is used."""
+        used = self.counts['used']
+        super()._reprocess(first)
+        if self.counts['used'] > used and not self._estimates[first + 1].is_supported:
+            self._keep_noise(first)
+
+    def _keep_noise(self, first: int) -> None:
+        after, (_, position, q, noise) = self._estimates[first + 1], self._measurements[first]
+        body, marker = after.body, self.sensor.marker
+        R = np.reshape(t3.rotation_matrix(body[1]), (3, 3))
+        speed = R @ (np.array(body[2]) + np.cross(body[3], R.T @ np.subtract(position, body[0])))
+        velocity = (float(speed[0]), float(speed[1]), float(speed[2]))
+        if not noise.any():
+            noise = pose_noise(marker[3], position, velocity)
+        com = self.model[1][1]
+        root = cholesky(corrected_pose(position, q, noise, marker, after.theta, com)[2])[0]
+        rows = slice(NOISE, NOISE + 6)
+        n = after.theta[NOISE - STATE:NOISE - STATE + 6]
+        squares = root @ (np.outer(n, n) + after.covariance[rows, rows]) @ root.T
+        squares *= np.repeat(np.sqrt(after.memory[11:13]), 3)[:, None] * np.repeat(
+            np.sqrt(after.memory[11:13]), 3)
+        at_tag = np.kron(np.eye(2), R)
+        at_tag[:3, 3:] = hat(np.subtract(position, body[0])).T @ R
+        squares = at_tag @ squares @ at_tag.T
+        sight = np.subtract(position, marker[3][3])
+        sight /= max(float(np.linalg.norm(sight)), 1e-9)
+        along = [float(sight @ part @ sight) for part in (squares[:3, :3], squares[3:, 3:])]
+        total = np.trace(squares[:3, :3]), np.trace(squares[3:, 3:])
+        self.noise.append(np.array([
+            0.5 * (total[0] - along[0]), along[0], 0.5 * (total[1] - along[1]), along[1]]))
+        is_tag, _, _, camera = marker[3]
+        ones = (1.0, 1.0, 1.0, 1.0)
+        self.scales.append(np.array([
+            sizes_of((is_tag, ones, NO_GROWTH, camera), position, velocity),
+            sizes_of((is_tag, NO_GROWTH, ones, camera), position, velocity)]))
+
+    def sizes(self) -> dict[str, tuple[float, ...]]:
+        """Return measured.noise and measured.blur by non-negative least squares."""
+        noise, scales = np.array(self.noise), np.array(self.scales)
+        if self.sensor.model.kind == 'body':
+            lateral, depth, across, along = np.mean(noise, axis=0)
+            pooled = np.array([(2 * lateral + depth) / 3] * 2 + [(2 * across + along) / 3] * 2)
+            return {'measured.noise': tuple(np.sqrt(pooled).tolist())}
+        found = []
+        for axis in range(4):
+            A = np.square(scales[:, :, axis])
+            weight = 1.0 / np.maximum(noise[:, axis], np.median(noise[:, axis]))
+            found.append(nnls(A * weight[:, None], noise[:, axis] * weight)[0])
+        rest, motion = np.sqrt(np.maximum(np.transpose(found), 1e-12))
+        return {'measured.noise': tuple(rest.tolist()), 'measured.blur': tuple(motion.tolist())}
+
+    def camera(self) -> dict[str, Any]:
+        """Return the latency with its standard deviation."""
+        last, row = self._estimates[-1] if self._estimates else self._known, ekf.LATENCY
+        late = float(last.theta[row - STATE])
+        return {'measured.latency': self.sensor.model.latency + late,
+                'measured.latency_std': max(math.sqrt(last.covariance[row, row]), 1e-3)}
+
+
+@dataclass(frozen=True)
+class Rate:
+    """
+    False alarms to expect per hour.
+
+    Parameters
+    ----------
+    per_hour, at_most : float
+        Expected, and the end of the one-sided interval of 95 % (Garwood 1936).
+
+    """
+
+    per_hour: float
+    at_most: float
+
+
+@dataclass(frozen=True)
+class ModelCalibration:
+    """
+    A calibrated measurement model, and the false alarms with and without it.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Values of measured.*.
+    poses : int
+        Measured poses that were used.
+    before, after : Rate
+        With the given parameters, and with those of the other poses (cross-validation).
+
+    """
+
+    parameters: Mapping[str, Any]
+    poses: int
+    before: Rate
+    after: Rate
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the calibration lowers the false alarms, or keeps them at none."""
+        return self.after.per_hour < max(self.before.per_hour, 1e-9) or (
+            self.before.per_hour == self.after.per_hour == 0.0)
+
+
+def calibrated(run: Run, values: Values, seconds: float) -> ModelCalibration:
+    """
+    Fit the measurement model to sound work, and count false alarms by cross-validation.
+
+    Parameters
+    ----------
+    run : callable
+        Lets an observer process a part of the work.
+    values : Values
+        Parameters.
+    seconds : float
+        Length of the work.
+
+    Raises
+    ------
+    BellowsError
+        If alarms are turned off, or too few poses are used.
+
+    """
+    if values.alarm.false_per_hour == 0.0:
+        raise BellowsError(
+            'alarm.false_per_hour is 0: there are no alarms to calibrate. Set the acceptable '
+            'number of false alarms per hour.')
+    parameters, poses = _fitted(run, values, -1)
+    if poses < MIN_POSES:
+        raise BellowsError(
+            f'The recording has {poses} usable measured poses; a calibration takes at least '
+            f'{MIN_POSES}. Record sound work for longer.')
+    counts = np.zeros(2)
+    for fold in range(WORK_FOLDS):
+        others = _fitted(run, values, (fold + 1) % WORK_FOLDS)[0]
+        counts += [_count(run, given, fold) for given in (values, values.replaced(others))]
+    hours = RATE_FACTOR * seconds / 3600.0
+    before, after = (
+        Rate(count / hours, float(gammaincinv(count + 1.0, 0.95)) / hours)
+        for count in counts.tolist())
+    return ModelCalibration(parameters, poses, before, after)
+
+
+def _fitted(run: Run, values: Values, fold: int) -> tuple[dict[str, Any], int]:
+    """Return the numbers of the model from a part of the work, and its used poses."""
+    model = Observer(values).sensor.model
+    found: dict[str, Any] = {
+        'measured.noise': tuple(INITIAL_FACTOR * each for each in model.at_rest)}
+    work = SoundWork(values.replaced(found))
+    for _ in range(ITERATIONS):
+        work = SoundWork(values.replaced(found))
+        run(work, fold)
+        if len(work.noise) < MIN_POSES // (2 * WORK_FOLDS):
+            break
+        found = work.sizes()
+    return (found | work.camera() if work.noise else found), len(work.noise)
+
+
+def _count(run: Run, values: Values, fold: int) -> int:
+    observer = Observer(values.replaced({
+        'alarm.false_per_hour': RATE_FACTOR * values.alarm.false_per_hour}))
+    run(observer, fold)
+    return len(observer.alarms)

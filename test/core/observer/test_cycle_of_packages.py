@@ -1,0 +1,135 @@
+"""Contact with a support, and what must not outlive a package or a camera's mistake."""
+
+from bellows_ros.core.live.payload import prepared
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer.calibration import calibrated
+from bellows_ros.core.observer.correction import CAMERA_ROWS, KNOWN_ROWS
+from bellows_ros.core.observer.support import Support
+import numpy as np
+import pytest
+
+from .cases import CUP, PACKAGE, values
+from .cell import Cell, CONDITIONS, ORDINARY
+
+STATE = ekf.STATE
+
+
+def carried(heights, aside=0.0, grips=False):
+    """Tell at which samples of a motion a support may carry the package."""
+    support = Support()
+    support.use((0.0, 0.0, 1.0), 2e-3)
+    if grips:
+        support.grip()
+    near = []
+    for k, height in enumerate(heights):
+        support.follow(k + 1, (aside * k, 0.0, height))
+        near.append(support.is_near)
+    assert [support.carries(k + 1) for k in range(len(near))][-1] == near[-1]
+    return near
+
+
+def test_support_carries_from_the_grip_to_the_lift_and_from_the_way_down():
+    """Lift by 10 mm with a sag of 2 mm; go down by 40 mm; rise again."""
+    up, down = np.linspace(0.0, 0.1, 101), np.linspace(0.1, 0.06, 41)
+    near = carried([*up, *down, *down[::-1]], grips=True)
+    assert near[:10] == [True] * 10 and not any(near[12:101])
+    assert not any(near[101:130]) and all(near[134:142])
+    assert not near[-1]
+
+
+def test_sideways_motion_and_oscillation_need_no_support():
+    """Go down by as much as aside, and up and down by 20 mm."""
+    assert not any(carried(np.linspace(0.3, 0.1, 200), aside=1e-3))
+    assert not any(carried(0.3 + 0.01 * np.sin(np.arange(400) / 10.0)))
+
+
+class Later(Support):
+    """A support from a stamp (ns) on."""
+
+    is_near = False
+
+    def __init__(self, first_ns):
+        """Set its beginning."""
+        super().__init__()
+        self.first_ns = first_ns
+
+    def follow(self, stamp_ns, position):
+        """Begin when it is time."""
+        self.is_near = stamp_ns > self.first_ns
+        return False
+
+    def carries(self, stamp_ns):
+        """Compare with its beginning."""
+        return stamp_ns > self.first_ns
+
+
+def test_contact_teaches_nothing_about_cup_and_package():
+    """Keep camera, cup and package while a support carries, and raise no alarm."""
+    cell = Cell(3, 4.0, {'stiffness': 0.03}, 'slip', at=2.5, size=3.0)
+    made, kept = cell.made, []
+    made._support = Later(int(cell.stamps[250]))
+    assert cell.run(lambda k: kept.append(made._estimates[-1].theta[KNOWN_ROWS - STATE])) == []
+    assert made._estimates[-1].is_supported
+    np.testing.assert_array_equal(kept[300], kept[-1])
+    assert np.abs(kept[200] - kept[20]).max() > 0.0
+
+
+def frozen(cell, first, last, rng):
+    """Let the tracker freeze between two samples, with noise below its resolution."""
+    keys = [k for k in cell.seen if first <= k < last]
+    (_, (place, q)), = cell.seen[keys[0]]
+    for k in keys:
+        (stamp_ns, _), = cell.seen[k]
+        cell.seen[k] = [(stamp_ns, (tuple(np.add(place, 1e-6 * rng.normal(size=3))), q))]
+    for k in [k for k in cell.seen if k >= last]:
+        del cell.seen[k]
+
+
+def test_frozen_tracker_does_not_outlive_itself():
+    """Predict 3 s after it as without a camera, with the cup of the file after a reset."""
+    cell = Cell(5, 10.0, CONDITIONS['all, small'])
+    frozen(cell, 375, 875, np.random.default_rng(1))
+    errors = []
+    cell.run(lambda k: errors.append(
+        np.linalg.norm(np.subtract(cell.made.body[0], cell.body[k][0]))))
+    assert np.sqrt(np.mean(np.square(errors[-120:]))) < 2e-3
+    cell.made.forget(CAMERA_ROWS)
+    known = cell.made._known
+    rest = np.setdiff1d(KNOWN_ROWS, CAMERA_ROWS)
+    np.testing.assert_array_equal(known.theta[rest - STATE], 0.0)
+    np.testing.assert_allclose(
+        np.diag(known.covariance)[rest], cell.made._correction.prior[rest] ** 2)
+
+
+def test_camera_stays_known_over_packages_and_parameters():
+    """Keep its pose and latency with another package and with other values."""
+    cell = Cell(7, 10.0, {'late': 0.005, 'offset': (1e-3, 0.0)})
+    cell.run()
+    made, rows = cell.made, np.array(CAMERA_ROWS)
+    before = np.diag(made._estimates[-1].covariance)[rows]
+    made.use_values(values(**ORDINARY, package__mass=1.5))
+    made.set_model(*prepared(CUP, PACKAGE, 9.81)[:3])
+    made.forget()
+    assert (np.diag(made._known.covariance)[rows] <= before * (1.0 + 1e-9)).all()
+    assert np.abs(made._known.theta[rows - STATE]).max() > 0.0
+
+
+@pytest.mark.parametrize('kind', ['body', 'tag'])
+def test_calibration_finds_noise_that_is_larger_than_stated(kind):
+    """Find three times the default noise of a body, and pass fewer false alarms on."""
+    given = values(**ORDINARY, measured__model=kind)
+
+    def run(by, fold):
+        cell = Cell(40 + fold, 6.0, {'noise': 3.0})
+        by.set_model(*prepared(CUP, PACKAGE, 9.81)[:3])
+        cell.made = by
+        cell.run()
+
+    found = calibrated(run, given, 18.0)
+    assert found.poses > 100
+    if kind == 'body':
+        np.testing.assert_allclose(
+            found.parameters['measured.noise'], [6e-3, 6e-3, 3e-2, 3e-2], rtol=0.25)
+        assert found.after.per_hour <= found.before.per_hour
+    else:
+        assert set(found.parameters) >= {'measured.noise', 'measured.blur'}
