@@ -35,6 +35,7 @@ from ..errors import BellowsError
 from ..files import plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
 from ..report.health import Level, number, Status
+from ..report.sentences import flip_warning
 
 MAX_REQUEST_LEAD = 10.0
 """How far ahead (s) package/predict_at may ask."""
@@ -268,7 +269,7 @@ class Planning:
         message = ' '.join(filter(None, (
             safety_sentence(*safety, 0.0, values.safety.least) if outcome.grip else '',
             f'Outside the validity range: {"; ".join(outside)}.' if outside else '',
-            outcome.flips)))
+            flip_warning(outcome.bending))))
         released = outcome.grip is not None and safety[0] < 1.0
         level = Level.ERROR if released else Level.WARN if message else Level.OK
         return Status('plan', level, message or 'The plan is within all given limits.', {

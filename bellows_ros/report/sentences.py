@@ -18,6 +18,7 @@ from string import Formatter
 import tomllib
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING, TYPICAL_BENDING
 from bellows_ros.errors import shown
 
 if TYPE_CHECKING:
@@ -58,6 +59,13 @@ def sentence(room: str, code: str, **numbers: Any) -> str:
 
     """
     return _FORMATTER.vformat(texts(room)[code], (), numbers)
+
+
+def flip_warning(angle: float, code: str = 'flips', begin: float = 0.0) -> str:
+    """Return the warning on a cup that bends by an angle (rad), '' where that is allowed."""
+    return '' if angle <= PEAK_MOMENT_BENDING else sentence(
+        'planning', code, angle=angle, limit=PEAK_MOMENT_BENDING, typical=TYPICAL_BENDING,
+        begin=begin)
 
 
 def listed(items: Sequence[str]) -> str:

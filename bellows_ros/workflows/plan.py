@@ -30,6 +30,7 @@ from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
 from bellows_ros.files.messages import POSE, TWIST
 from bellows_ros.files.trajectory_files import read_tum
+from bellows_ros.report.sentences import flip_warning
 from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
@@ -218,7 +219,7 @@ class PlanReport(CommandResult):
         safety = NO_FACTOR if prediction.grip is None else safety_sentence(
             *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
         return (*source.notes, *checks.implausible(source.values), *filter(None, (
-            safety, prediction.flips,
+            safety, flip_warning(prediction.bending),
             '' if source.begins_at_rest else BEGINS_IN_MOTION,
             '' if prediction.ends_at_rest else ENDS_IN_MOTION,
             f'Outside the validity range: {"; ".join(self.outside)}.' if self.outside else '')))

@@ -18,7 +18,6 @@ from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.planning.plan_prediction import flip_sentence
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows
@@ -28,6 +27,7 @@ from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Th
 from bellows_ros.core.toss import landing, release
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bag_writer, File, messages
+from bellows_ros.report.sentences import flip_warning
 from bellows_ros.workflows.plan import bending, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
@@ -273,5 +273,5 @@ def _bending(truth: Truth) -> tuple[float, float, tuple[str, ...]]:
     worst = int(np.argmax(angle))
     beyond = seconds[angle > PEAK_MOMENT_BENDING]
     return float(angle[worst]), float(seconds[worst]), tuple(
-        flip_sentence(angle[worst], f', and by more than 45 from {begin:.3f} s on')
+        flip_warning(float(angle[worst]), 'flips_later', begin)
         for begin in beyond[:1])

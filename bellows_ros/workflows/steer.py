@@ -25,7 +25,7 @@ from bellows_ros.core.planning.steering import (
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, results, safe_yaml
-from bellows_ros.report.sentences import many
+from bellows_ros.report.sentences import sentence
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import extended, MotionSource, NO_FACTOR, plan_with_cup, Source
 import numpy as np
@@ -110,22 +110,17 @@ class SteerReport(CommandResult):
     @property
     def notes(self) -> tuple[str, ...]:
         """Return notes on the motion."""
+        steered, allowed = self.steered, max(ALLOWED_TIME, self.source.duration)
+        is_short = steered.residual <= SETTLED_ANGLE
+        shaping = '' if self.method == 'inverse' else 'shaped' if steered.modes else (
+            'unchanged' if is_short else 'unchanged_too_long')
         return (*self.source.notes, *implausible(self.source.values), *(
-            text for text, applies in (
-                ('The plan has jumps in its first four derivatives, so it was smoothed over '
-                 f'{1e3 * self.steered.smoothed:.0f} ms, in the same time. At bends the package '
-                 'cuts corners.', self.steered.smoothed > 0.0),
-                (f'Slowed down to {self.time_scale:.3f} times the duration, for the limit '
-                 f'{self.limit}.', self.time_scale > 1.0),
-                (f'{self.method} shapes {many(len(self.steered.modes), "mode")} and leaves a '
-                 f'swing of {math.degrees(self.steered.residual):.2g} degrees.',
-                 self.method != 'inverse' and self.steered.modes),
-                ('The motion is unchanged: it leaves a swing of '
-                 f'{math.degrees(self.steered.residual):.2g} degrees' + (
-                     ', and a shaper of its mode takes longer than '
-                     f'{max(ALLOWED_TIME, self.source.duration):.2g} s.'
-                     if self.steered.residual > SETTLED_ANGLE else '.'),
-                 self.method != 'inverse' and not self.steered.modes)) if applies))
+            sentence('planning', code, duration=steered.smoothed, scale=self.time_scale,
+                     limit=self.limit, method=self.method, modes=len(steered.modes),
+                     residual=steered.residual, allowed=allowed)
+            for code, applies in (
+                ('smoothed', steered.smoothed > 0.0), ('slowed', self.time_scale > 1.0),
+                (shaping, bool(shaping))) if applies))
 
     @property
     def advice(self) -> str:

@@ -10,16 +10,16 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import grip, simulation
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
-from bellows_ros.core.model.validity_range import outside_loads, PEAK_MOMENT_BENDING
+from bellows_ros.core.model.validity_range import outside_loads
 from bellows_ros.core.parameters import checks, table
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.planning.plan_prediction import flip_sentence
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
 from bellows_ros.core.toss.release import HeldMotion, law_of, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import bags, File, messages, results
+from bellows_ros.report.sentences import flip_warning
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
 import numpy as np
@@ -148,8 +148,7 @@ class TossResult(CommandResult):
         before = held.times <= self.toss.release_time
         angle = float(np.max(plan.bending(*(
             quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states)))))
-        if angle > PEAK_MOMENT_BENDING:
-            warnings.append(flip_sentence(angle, ' before it lets go'))
+        warnings += filter(None, [flip_warning(angle, 'flips_before_release')])
         if held.mode == 'delay' and not self.case.release.law[5]:
             warnings.append(
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '

@@ -18,7 +18,6 @@ from bellows_ros.core.model import kernels, simulation, validity_range
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -49,16 +48,6 @@ Watch = tuple[Extremes, float, Mask]
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Passed to the kernel if the grip is unknown; the loads are then not used."""
-
-
-def flip_sentence(angle: float, since: str = '') -> str:
-    """Return the warning on a cup that bends by an angle (rad) beyond that of the peak moment."""
-    return (
-        f'The cup bends by up to {math.degrees(angle):.0f} degrees{since}. Beyond '
-        f'{math.degrees(PEAK_MOMENT_BENDING):.0f} the modelled restoring moment falls and the '
-        'package may flip. Real cups bend some '
-        f'{math.degrees(validity_range.TYPICAL_BENDING):.0f} degrees; use smaller or slower '
-        'motions.')
 
 
 class PlanPrediction(NamedTuple):
@@ -115,10 +104,9 @@ class PlanPrediction(NamedTuple):
         return float(self.peaks[PEAKS.index('swing'), 0])
 
     @property
-    def flips(self) -> str:
-        """The warning on a cup that bends too far, or ''."""
-        angle = float(self.peaks[PEAKS.index('bending'), 0])
-        return flip_sentence(angle) if angle > PEAK_MOMENT_BENDING else ''
+    def bending(self) -> float:
+        """Largest bending of the cup, rad."""
+        return float(self.peaks[PEAKS.index('bending'), 0])
 
     def summary(self) -> dict[str, float]:
         """Return the figures of a summary, SI units; NaN for unknown ones."""
