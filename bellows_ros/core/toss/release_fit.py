@@ -34,55 +34,68 @@ from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
 MIN_DROPS = 3
-"""Fewest drops."""
+"""Minimum number of drops."""
 
-FREE_FALL_BELOW, MIN_FALL = 3.0, 0.012
-"""A package falls if its specific force stays below this (m/s^2) for at least this time (s)."""
+FREE_FALL_BELOW = 3.0
+"""Specific force below which a package falls, m/s^2."""
+MIN_FALL = 0.012
+"""Minimum duration of a fall, s."""
 
 IMPACT_ACCELERATION = 80.0
-"""Specific force (m/s^2) of a landing; that of a cup that opens is some 30."""
+"""Specific force of a landing, above the 30 m/s^2 of a cup that opens, m/s^2."""
 
-TIME_BEFORE_VALVE, TIME_AFTER_FALL = 0.15, 0.3
-"""Part of a drop used, before the valve and after the beginning of its fall, s."""
+TIME_BEFORE_VALVE = 0.15
+"""Duration before the valve that is part of a drop, s."""
+TIME_AFTER_FALL = 0.3
+"""Duration after the beginning of the fall that is part of a drop, s."""
 
-MAX_FALL_DELAY, MAX_START_DELAY = 1.0, 0.01
-"""Longest time (s) from the valve to the fall, and to the first pose."""
+MAX_FALL_DELAY = 1.0
+"""Longest time from the valve to the fall, s."""
+MAX_START_DELAY = 0.01
+"""Longest time from the valve to the first pose, s."""
 
-REST_TOLERANCE, RECOIL_FACTOR = (1e-3, 0.01), 3.0
-"""A body stands still while it stays this close (m, rad); the tool, which recoils as the package
-parts, within so many times that."""
+REST_TOLERANCE = (1e-3, 0.01)
+"""Largest displacement and rotation of a body at rest, m and rad."""
+RECOIL_FACTOR = 3.0
+"""Multiple of `REST_TOLERANCE` for a tool at rest, which recoils as the package parts."""
 
-WINDOW, ORDER = 1.0 / 60.0, 3
-"""Half the time (s) over which a polynomial gives velocities, and its order."""
+WINDOW = 1.0 / 60.0
+"""Half the duration of the polynomials that give velocities, s."""
+ORDER = 3
+"""Order of the polynomials that give velocities."""
 
-MIN_NOISE, VELOCITY_SCALE = (1e-4, 5e-4), 40.0
-"""Errors (m, rad) that count as one, at least, and of velocities over those of positions, 1/s."""
+MIN_NOISE = (1e-4, 5e-4)
+"""Smallest standard deviations of positions and rotations in the fit, m and rad."""
+VELOCITY_SCALE = 40.0
+"""Standard deviation of velocities over that of positions, 1/s."""
 
 PRIOR_SCATTER = {0: 2.5e-3, 2: 0.01}
-"""A priori scatter of the instant (s) and of the impulse (N s), by number of the law."""
+"""Prior standard deviation between drops of the delay (s) and of the impulse (N s), by index."""
 
-OFFSET_STD, STATE_STD = np.repeat([1e-3, 0.02], 3), np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
-"""A priori scatter of the package on the lip (m, rad), and of the state."""
+OFFSET_STD = np.repeat([1e-3, 0.02], 3)
+"""Prior standard deviations of the package's pose on the lip, m and rad."""
+STATE_STD = np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
+"""Prior standard deviations of the first state: pose and twist, m, rad, m/s and rad/s."""
 
-MAX_RMS, MAX_CHI2 = 1e-3, 2.0
-"""A law explains drops if it leaves less than this of their positions (m, rms), or no more
-than the noise, by chi^2 per pose."""
+MAX_RMS = 1e-3
+"""Largest RMS residual of the positions with which a law explains drops, m."""
+MAX_CHI2 = 2.0
+"""Largest chi^2 per pose with which a law explains drops within their noise."""
 
 LINEAR_TAU = 0.5
-"""A fall of suction with this tau (s) is as good as linear over the time of a release."""
+"""Time constant with which the suction falls linearly during a release, s."""
 
 MIN_MASSES = 3
-"""Fewest masses whose differences tell the model error of a law."""
+"""Minimum number of masses in the fits that calibrate the model error."""
 
 MAX_COMMON_RESIDUAL = 4.0
-"""A law lacks something if its drops have so many times as much left in common, by mass, as
-their scatter explains."""
+"""Largest ratio of the residual that drops of one mass have in common to their scatter."""
 
 MAX_SQUARES_RATIO = 0.8
-"""A further number is kept if it leaves less than this part of the squares."""
+"""Ratio of chi^2 below which a further number of the law is kept."""
 
 OPENING = (0, 3, 4, 5, 6, 7)
-"""The numbers of a cup that opens, without tau and an impulse."""
+"""Indices of the free numbers of a cup that opens: all but tau and impulse."""
 
 TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
 """The law of a cup that opens, for numbers that are neither given nor identifiable: about that of
@@ -92,12 +105,15 @@ MAX_RELATIVE_STD, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 
 """A number is identifiable if its standard error is less than this part of it, or of one that is
 small; one that is given without a standard deviation is exact to this part."""
 
-FIRST_DROPS, MAX_ITERATIONS, STATE_UPDATE_STEPS = 12, 20, 5
-"""Drops from which a law is chosen, about, most steps of a fit, and after how many of them the
-derivatives by the state of a drop, which hardly change, are renewed."""
+FIRST_DROPS = 12
+"""Approximate number of drops from which the kind of law is chosen."""
+MAX_ITERATIONS = 20
+"""Maximum number of Gauss-Newton steps of a fit."""
+STATE_UPDATE_STEPS = 5
+"""Number of steps after which the derivatives by the state of a drop are computed anew."""
 
 MAX_NUISANCE = 30.0
-"""Largest numbers of a drop, in their sizes."""
+"""Largest nuisance parameter of a drop, in prior standard deviations."""
 
 LAW_MIN = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
 LAW_MAX = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
@@ -182,7 +198,7 @@ class Drop:
 
 
 class Explained(NamedTuple):
-    """What a law leaves of a drop."""
+    """Residuals of a law in a drop."""
 
     mass: float
     """kg."""
@@ -249,7 +265,7 @@ class ReleaseFit(NamedTuple):
 
     @property
     def position(self) -> float:
-        """Root mean square of what is left of the positions, m."""
+        """Root mean square residual of the positions, m."""
         return math.sqrt(float(np.mean([drop.position**2 for drop in self.drops])))
 
     @property
@@ -364,7 +380,7 @@ def _identifiable(
 
 
 def _squares(fit: ReleaseFit) -> float:
-    """Return the mean square of what a fit leaves of positions and velocities, scaled."""
+    """Return the mean square residual of positions and scaled velocities, m^2."""
     return float(np.mean([
         drop.position**2 + (drop.velocity / VELOCITY_SCALE)**2 for drop in fit.drops]))
 
@@ -547,7 +563,7 @@ def _of_fixed(problem: Sequence['_DropFit'], law: Array, inverse: Any, fixed_std
 
 def _in_common(problem: Sequence['_DropFit'], law: Array) -> tuple[float, float]:
     """
-    Return what drops of one mass have left in common, over what scatter explains, and its rms (m).
+    Return the residual that drops of one mass have in common, over their scatter, and its RMS (m).
 
     Noise with memory, too, differs from drop to drop; what a law lacks does not. 1 and 0 where
     no two drops are of one mass.
@@ -649,11 +665,11 @@ class _DropFit:
         self.nuisance = self._trial
 
     def errors(self, law: Array) -> Array:
-        """Return what the law leaves, over the sizes (9, N)."""
+        """Return the residuals of the law over the sizes (9, N)."""
         return self.residuals(law, self.nuisance)[:-len(self.nuisance)].reshape(9, -1)
 
     def explained(self, law: Array) -> Explained:
-        """Return what the law leaves of the drop."""
+        """Return the residuals of the law in the drop."""
         drop = self.drop
         released, states = self._predicted(law, self.nuisance)
         errors = self.errors(law) * self.sizes
