@@ -26,11 +26,15 @@ from bellows_ros.workflows.plan import NO_FACTOR, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
-POINT_RATE, UR_RATE = 1000.0, 125.0
-"""Points per second in recordings and CSV, and in a URScript program, Hz."""
+POINT_RATE = 1000.0
+"""Rate of the points in recordings and CSV, Hz."""
+UR_RATE = 125.0
+"""Rate of the points in a URScript program, Hz."""
 
-MIN_DURATION, MAX_DURATION = motion_design.REST + 3.0 * motion_design.RAMP, 120.0
-"""Range of durations, s."""
+MIN_DURATION = motion_design.REST + 3.0 * motion_design.RAMP
+"""Shortest motion: a rest and three ramps, s."""
+MAX_DURATION = 120.0
+"""Longest motion and longest hold, s."""
 
 
 NO_HOLD = (

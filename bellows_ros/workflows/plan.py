@@ -41,8 +41,10 @@ MOTION_RATE = 500.0
 TIME_MARGIN = 1.001
 """Factor on time beyond that of a limit, as peaks are sought at points 1 ms apart."""
 
-TAIL_SHOWN, STANDSTILL_STEP = 1.5, 0.005
-"""Time (s) shown after the end, and the spacing of its points."""
+TAIL_SHOWN = 1.5
+"""Longest time after the end that a picture shows, s."""
+STANDSTILL_STEP = 0.005
+"""Spacing of the points after the end, s."""
 
 START_WINDOW, MIN_START_POSES = 0.2, 5
 """Time from which the twist at the start of a recording is fitted (s), and fewest poses."""

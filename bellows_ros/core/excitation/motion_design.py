@@ -45,38 +45,56 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 import scipy  # whose parts are loaded as they are used
 
-CHECK_RATE, JOINT_RATE = 1000.0, 250.0
-"""Rates (Hz) at which limits are checked, and at which joint positions are computed for that."""
+CHECK_RATE = 1000.0
+"""Rate at which limits are checked, Hz."""
+JOINT_RATE = 250.0
+"""Rate at which joint positions are computed, Hz."""
 
-TORSION, MAX_FREQUENCY = math.radians(30.0), 12.0
-"""Defaults for real cups (rad), beside their bending, and real arms (Hz)."""
+TORSION = math.radians(30.0)
+"""Default limit of the torsion of real cups, rad."""
+MAX_FREQUENCY = 12.0
+"""Default highest frequency of real arms, Hz."""
 
-REST, RAMP = 2.0, 1.0
-"""Durations (s): the initial rest, and each ramp of the amplitude."""
+REST = 2.0
+"""Duration of the initial rest, s."""
+RAMP = 1.0
+"""Duration of each ramp of the amplitude, s."""
 
 GUESS_FACTORS = (1.0, 0.7, 1.3)
-"""The true K relative to the guess: as guessed, and as much softer and stiffer as it may be."""
+"""Ratios of the true K to its guess for which the limits hold."""
 
 PRIOR = 1.0
-"""Prior information on each parameter, relative to its size: accurate to a factor of about 2."""
+"""Prior information on each parameter in units of its size: accurate to a factor of about 2."""
 
 STAGES = ((16, 1000), (64, 400), (64, 400))
 """Exponent of the norm that approximates the largest ratio to a limit, and most steps with it."""
 
-POINTS_PER_PERIOD, LBFGS_MEMORY, MIN_GAIN = 8, 20, 1e-6
+POINTS_PER_PERIOD = 8
+"""Number of samples per period of the highest frequency in the search."""
+LBFGS_MEMORY = 20
+"""Number of steps from which the search estimates the Hessian."""
+MIN_GAIN = 1e-6
+"""Relative gain of a step below which the search ends."""
 LOAD_EXPONENT = 1.4
 """Exponent of the correction for loads: part of a load does not shrink with the amplitude."""
 
 MARGIN = 1e-3
-"""Distance kept from a limit, as a fraction."""
+"""Relative distance kept from a limit."""
 
-HOLD, TILT_SHARE, SEPTIC_PEAKS = 7.0, 0.9, (2.1875, 7.5132, 52.5)
-"""A hold in which rubber relaxes (s), its part of the largest rotation, and the peaks of speed,
-acceleration and jerk of the septic step within one second."""
+HOLD = 7.0
+"""Default duration of the hold in which rubber relaxes, s."""
+TILT_SHARE = 0.9
+"""Tilt of the hold as a fraction of the largest rotation."""
+SEPTIC_PEAKS = (2.1875, 7.5132, 52.5)
+"""Peaks of speed, acceleration and jerk of the septic step, 1/s, 1/s^2 and 1/s^3."""
 
-TILT_FACTOR, MAX_TILT_TRIALS = 0.85, 20
+TILT_FACTOR = 0.85
+"""Factor by which a tilt that violates a limit shrinks."""
+MAX_TILT_TRIALS = 20
+"""Maximum number of tilts that are tried."""
 
 SAMPLES_AT_ONCE = 4096
+"""Number of samples of a motion computed at once, which bounds the memory."""
 
 DIFFERENCE = 1e-4
 """Step of numerical derivatives by parameters, in units of their scale."""

@@ -23,14 +23,16 @@ import numpy as np
 import scipy  # whose parts are loaded as they are used
 
 MARGIN = 0.25
-"""A cup with changed parameters may let go up to this much (s) after the nominal instant."""
+"""Longest delay of the release by changed parameters after the nominal instant, s."""
 
 EXTRAPOLATION = 2.0
-"""By so much of themselves the deviations of the law of release grow by e times the mass, so that
-real drops of a lighter or a heavier package are within two of them (docs/toss.md)."""
+"""Relative growth of the law's standard deviations per factor e of mass beyond its range, from
+real drops of lighter and heavier packages (docs/toss.md)."""
 
-SCAN, TOLERANCE = 4e-3, 1e-6
-"""Spacing (s) of the release times in the scan, and accuracy of the best one."""
+SCAN = 4e-3
+"""Spacing of the release times in the scan, s."""
+TOLERANCE = 1e-6
+"""Accuracy of the best release time, s."""
 
 CANDIDATES = 8
 """Number of the best times in the scan that are refined."""
