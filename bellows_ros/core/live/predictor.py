@@ -203,7 +203,10 @@ class LivePredictor:
         ('held', [])
 
         """
-        require_types(parameters=(parameters, Mapping))
+        if not isinstance(parameters, Mapping):
+            raise BellowsError(
+                f'parameters must be a mapping of names to values, got {parameters!r}. Read a '
+                'file with bellows_ros.read_parameters.')
         values = with_chosen_cup(resolve(parameters, PACKAGE_PARAMETERS))
         check_live(values)
         predictor = cls(

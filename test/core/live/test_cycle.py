@@ -152,6 +152,8 @@ def test_parameters_change_while_the_package_moves_on():
     assert np.linalg.norm(np.subtract(before.position, cell.live.latest.position)) < 1e-3
     assert cell.live.covariance(cell.live.latest.stamp_ns).shape == (12, 12)
     assert cell.live.covariance(cell.now_ns + 1) is None
+    with pytest.raises(BellowsError, match='read_parameters'):
+        LivePredictor.from_parameters('cell.yaml')
     for wrong, word in (({'package.mass': -1.0}, 'package.mass'),
                         ({'vacuum.signal': 'none'}, 'another LivePredictor'),
                         ({'package.masss': 1.0}, 'package.mass')):
