@@ -123,6 +123,6 @@ def _facts(topic: TopicInfo) -> Iterator[str]:
         yield f'{many(len(topic.gaps), "gap")}, the longest {longest * 1e3:.0f} ms'
     if topic.noise:
         position, rotation = (
-            ' '.join(f'{1e3 * x:.3f}' for x in topic.noise[name])
-            for name in ('position', 'rotation'))
-        yield f'noise of {position} mm, {rotation} mrad (x y z)'
+            ' '.join(f'{factor * x:.3f}' for x in topic.noise[name])
+            for name, factor in (('position', 1e3), ('rotation', math.degrees(1.0))))
+        yield f'noise of {position} mm, {rotation} deg (x y z)'

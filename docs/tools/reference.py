@@ -107,6 +107,9 @@ def topics() -> Iterator[str]:
         yield f"| `{topic['name']}` | {_cell(topic['type'])} | {_cell(topic['text'])} |"
     yield from (
         '',
+        'As a lifecycle node it also has the services `~/change_state`, `~/get_state`, '
+        '`~/get_available_states`, `~/get_available_transitions` and `~/get_transition_graph` '
+        '(`lifecycle_msgs`), and publishes `~/transition_event`.', '',
         '## QoS', '',
         'Inputs are best effort with a queue of 500, which matches reliable and best-effort '
         'drivers alike; outputs are reliable with a queue of 500. Each can be overridden in a '

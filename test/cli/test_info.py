@@ -22,9 +22,9 @@ def test_it_says_what_is_there(quietly, workshop):
 def test_it_says_the_noise_and_which_axis_is_up(bellows, root):
     """Print what the choice of a method and of recording.world asks for; truth from the motion."""
     done = bellows('info', root / 'bags' / 'identification')
-    found = re.search(r'/package/pose: noise of (.+) mm, (.+) mrad', done.stdout)
+    found = re.search(r'/package/pose: noise of (.+) mm, (.+) deg', done.stdout)
     assert found, done.stdout
-    for size, axes in zip((0.1, 0.5), found.groups(), strict=True):
+    for size, axes in zip((0.1, 0.0286), found.groups(), strict=True):
         assert [float(x) for x in axes.split()] == pytest.approx([size] * 3, rel=0.03)
     assert 'World    probably z up (recording.world: z_up).' in done.stdout
 

@@ -235,9 +235,9 @@ def require(values: Mapping[str, object], required: Iterable[str]) -> None:
                  for p in missing]
         names = ', '.join(p.name for p in missing)
         raise NotSetError(
-            f'Not set, and without a default: {names}. Set it, or give a parameter file that has '
-            "it, which 'bellows info BAG --write-params FILE' writes for a recording; for "
-            'example:\n\n/**:\n  ros__parameters:\n' + '\n'.join(lines))
+            f'Not set, and without a default: {names}. Set {"them" if missing[1:] else "it"}, or '
+            "give a parameter file, which 'bellows info BAG --write-params FILE' writes for a "
+            'recording; for example:\n\n/**:\n  ros__parameters:\n' + '\n'.join(lines))
 
 
 _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
