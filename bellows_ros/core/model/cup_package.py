@@ -399,7 +399,7 @@ def stiffness_std(values: Values) -> Array:
 
     by_mass = BENDING_BY_MASS[any(values.get('cup.stretch', ()))]
     more = distance(values.get('vacuum.holding', 0.0), 'cup.valid_vacuum') * STIFFNESS_BY_VACUUM
-    more[3:5] += by_mass * distance(values.package.mass, 'cup.valid_mass')
+    more[3:5] += by_mass * distance(values.get('package.mass', 0.0), 'cup.valid_mass')
     return np.asarray(np.hypot(std, np.diag(K * more)))
 
 
