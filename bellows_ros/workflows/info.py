@@ -18,7 +18,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.identification.causes import finding_sentence, IN_DEGREES
 from bellows_ros.core.identification.diagnosis.commission import Check, checks_of
-from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
+from bellows_ros.core.identification.diagnosis.facts import facts_of
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, conventions, preparation, recording
@@ -28,8 +28,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
-from bellows_ros.report.sentences import sentence
-from bellows_ros.workflows.recordings import remark_sentences, within_interval
+from bellows_ros.workflows.recordings import fact_sentence, remark_sentences, within_interval
 import numpy as np
 
 REST_FRACTION = 0.9
@@ -366,13 +365,6 @@ def _registration_settings(
     return rest_s, () if error else checks_of(
         tool, package, R, THESIS_LENGTH + ROUGH_COM, bool(separate),
         bool(settings.get('recording.align_at_rest')))
-
-
-def fact_sentence(fact: Fact, tool: PoseStream, package: PoseStream) -> str:
-    """Return the sentence of a fault of the poses, with their topics."""
-    names = {'tool': [tool.name], 'package': [package.name]}
-    topics = names.get(fact.body, [tool.name, package.name])
-    return sentence('facts', fact.code, topic="' and '".join(topics), **fact.numbers)
 
 
 def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:

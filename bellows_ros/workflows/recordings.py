@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.identification import causes
+from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.values import Values
@@ -18,7 +19,7 @@ from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
-from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import bag_folder, bags, File, parameter_files
 from bellows_ros.report.sentences import sentence
@@ -40,6 +41,14 @@ FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 
 ARRAYS = ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
 """The arrays of streams with an entry per message."""
+
+MIN_POSES = 20
+"""Number of poses of each body from which their faults are looked for."""
+
+FAULTS = frozenset((
+    'frozen_orientation', 'package_on_tool', 'package_at_rest', 'conjugated', 'inverse_rotation',
+    'inverted', 'rotation_frame', 'left_handed'))
+"""Faults of poses with which nothing is fitted."""
 
 NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 """Placeholder for the inertia (kg m^2) of a package at rest, which does not matter."""
@@ -175,8 +184,10 @@ def _prepared(
             wrong := conventions.convention_sentence(tool, package, name)):
         raise UnexplainedError(wrong)  # no world is found from such poses
     world = values.recording.package_world
-    if values.fit.time_offset or world == checks.ESTIMATE or (
-            'package_marker' in values.fit.free):
+    registers = bool(values.fit.time_offset or world == checks.ESTIMATE
+                     or 'package_marker' in values.fit.free)
+    _require_no_faults(tool, package, settings, registers)
+    if registers:
         payload, inertia = settings.payload, np.diag(settings.payload.inertia)
         if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
             raise UnexplainedError(causes.finding_sentence(
@@ -187,6 +198,25 @@ def _prepared(
     moved = frames.in_tool_world(
         package, frames.pose_of(world), tool.frame_id) if world else package
     return prepare(tool, moved, settings, twist)
+
+
+def _require_no_faults(
+    tool: PoseStream, package: PoseStream, settings: PrepareSettings, registers: bool
+) -> None:
+    """Refuse poses with a fault that no fit can correct, or that misleads a registration."""
+    if min(len(tool), len(package)) < MIN_POSES:
+        return
+    for fact in facts_of(tool, package, settings.R_world_recorded):
+        if fact.code in FAULTS or (
+                fact.code == 'tool_z' and registers and not settings.align_at_rest):
+            raise UnexplainedError(fact_sentence(fact, tool, package))
+
+
+def fact_sentence(fact: Fact, tool: PoseStream, package: PoseStream) -> str:
+    """Return the sentence of a fault of the poses, with their topics."""
+    names = {'tool': [tool.name], 'package': [package.name]}
+    topics = names.get(fact.body, [tool.name, package.name])
+    return sentence('facts', fact.code, topic="' and '".join(topics), **fact.numbers)
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
