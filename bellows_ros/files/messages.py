@@ -308,7 +308,7 @@ def with_text(data: bytes, text: str) -> bytes:
 
 
 def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
-    """Return the strings behind a stamp, and where they end; 0 where they are damaged."""
+    """Return the strings after a stamp, and the position of their end; 0 for damaged strings."""
     try:
         reader = Reader(message)
         reader.at = _STRINGS_AT - _STAMP_AT
@@ -318,7 +318,7 @@ def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
 
 
 def _doubles_at(end: int) -> int:
-    """Return where the doubles begin behind strings: aligned to 8, counted after the head."""
+    """Return the position of the doubles after strings: aligned to 8, counted from the body."""
     return end + (_STAMP_AT - end) % 8
 
 
@@ -375,7 +375,7 @@ Refused = dict[str, tuple[int, ...]]
 Frames = Sequence[tuple[str, ...]]
 
 MIN_QUATERNION_NORM = 1e-6
-"""A shorter quaternion is zero."""
+"""Largest norm of a quaternion that counts as zero."""
 
 # No robot is further away (m), or faster (m/s, rad/s), than this; a damaged message may say so.
 MAX_VALUE = 1e6

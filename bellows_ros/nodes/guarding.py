@@ -33,14 +33,14 @@ PACKAGE = Path(__file__).parents[1]
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY)
-"""Durability is for a vacuum switch that publishes only when it changes."""
+"""QoS that a parameter can override; durability for a vacuum switch that rarely publishes."""
 
 
 COMPILE_TIME = 1.0
-"""Work that takes longer compiles something, s."""
+"""Shortest time of work that compiles, s."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Late subscribers get the newest message, too."""
+"""QoS by which late subscribers get the newest message."""
 
 
 class GuardedNode(Node):
@@ -63,7 +63,7 @@ class GuardedNode(Node):
         super().__init__(*arguments, **options)
 
     def note_failure(self, error: Exception, place: str = '') -> None:
-        """Count an exception by its place, unless given that in the code; log it if new."""
+        """Count an exception by a place, by default its line of code; log the first there."""
         frames = traceback.extract_tb(error.__traceback__)
         ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
         innermost = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
@@ -139,7 +139,7 @@ class GuardedNode(Node):
 
 
 STOP_TIMEOUT = 0.25
-"""How long (s) to wait for the end of work that was stopped; a compiler does not hear of it."""
+"""Longest wait for the end of stopped work, s; a compiler cannot be stopped."""
 
 
 class Worker:
@@ -202,7 +202,7 @@ class Worker:
         self.cancel()
 
     def _work(self) -> None:
-        """Do what is asked for, in the order of first requests."""
+        """Work on requests in the order of their kinds' first requests."""
         while True:
             with self._changed:
                 self._running = None
@@ -217,10 +217,10 @@ class Worker:
 
 
 MAX_SPIN_WAIT = 0.1
-"""A request to end is noticed within this time (s)."""
+"""Longest call of the executor, and delay of a request to end, s."""
 
 COLLECTION_PERIOD = 1.0
-"""Time (s) between two runs of the garbage collector."""
+"""Period of the garbage collector, s."""
 
 
 def executor_for(node: Any) -> Any:

@@ -233,7 +233,7 @@ def _why_unknown(name: str, node: str) -> str:
 
 
 def _as_double(parameter: Parameter) -> Parameter:
-    """Return a parameter with integers, or nothing, as doubles if doubles are expected."""
+    """Return a parameter with its integers, or empty list, as doubles if doubles are expected."""
     if not (_is_ours(parameter) and table.lookup(parameter.name).kind.startswith('double')):
         return parameter
     kind, value = parameter.type_, parameter.value

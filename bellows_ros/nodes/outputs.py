@@ -37,16 +37,16 @@ from ..files import messages
 from ..files.messages import pack
 
 QUEUE = 500
-"""Length of each queue: at 1 kHz the longest gap across which the motion is followed."""
+"""Length of each queue, messages: the longest bridged gap, 0.5 s, at 1 kHz."""
 
 MAX_LATENESS_NS = 1_000_000_000
-"""Up to this far (ns) behind an extrapolated stamp one is late; farther, of another clock."""
+"""Largest lag of a late stamp behind an extrapolated one, ns; a larger lag is another clock's."""
 
 MAX_FACTOR = 1000.0
-"""Safety factors are capped here, as many plots cannot show infinity."""
+"""Largest published safety factor; many plots cannot show infinity."""
 
 NOMINAL_SUFFIX = '_nominal'
-"""Suffix of the lip's frame for where the lip is without load."""
+"""Suffix of the frame at the unloaded position of the lip."""
 
 
 class Predicting:
@@ -153,7 +153,7 @@ class Topic:
             self._node.note_failure(error, self.name)
 
     def _on_matched(self, matched: Any) -> None:
-        """Note whether somebody listens, and prepare the messages for the first time."""
+        """Note whether somebody listens; prepare the messages at the first subscriber."""
         self.subscribed = matched.current_count > 0
         prepare = self._prepare
         if not (self.subscribed and prepare):
@@ -292,7 +292,7 @@ class Outputs:
 
 NAMESPACE = 'bellows_ros'
 MARKER_PERIOD_NS = 40_000_000
-"""Time (ns) between two sets of markers."""
+"""Shortest period of markers, ns."""
 
 METRES_PER_NEWTON = 0.005
 CUP_WIDTH = 0.04
@@ -307,7 +307,7 @@ class Markers:
     """Markers that are filled in again for each picture."""
 
     def __init__(self, values: Values) -> None:
-        """Size the box."""
+        """Make the box, the cup and the arrow."""
         self._box = marker(0, Marker.CUBE, load.equivalent_box(values))
         self._cup = marker(1, Marker.LINE_LIST, (CUP_WIDTH, 0.0, 0.0))
         self._places: list[Vector] = [
@@ -371,7 +371,7 @@ def point(position: Sequence[float]) -> Point:
 
 
 VALVE_TIME_PERIOD_NS = 200_000_000
-"""Period (ns) of release/at."""
+"""Period of release/at, ns."""
 BLUE = (0.36, 0.29, 0.62, 0.9)
 
 

@@ -36,7 +36,7 @@ CUP_DEFAULTS = {
     'cup.stiffness': 'cup.stiffness K of (4.78)',
     'cup.damping': 'cup.damping P of (4.79)',
     'cup.length': 'cup.length l0 = 0.0481 m'}
-"""What describes a cup, and the value of the thesis where it is not set."""
+"""Parameters of a cup, with their default values in words."""
 
 
 class PredictorNode(ManagedNode):
@@ -111,7 +111,7 @@ class PredictorNode(ManagedNode):
         return super().on_configure(state)
 
     def configure(self) -> None:
-        """Make all that predicts."""
+        """Make the pipeline: model, inputs and outputs."""
         self.create_service(Trigger, '~/reset', self._on_reset)
         with self.noticed('Compiling the model: the first start on a machine takes 5 to 10 s.'):
             self.pipeline = Pipeline(self)
@@ -223,7 +223,7 @@ class PredictorNode(ManagedNode):
             log('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
 
     def _on_clock_jump(self, jump: Any) -> None:
-        """Start again from rest where simulated time was set."""
+        """Reset the prediction after a jump of simulated time."""
         if self.pipeline:
             self.pipeline.restart('clock_jump')
 
@@ -249,14 +249,14 @@ class PredictorNode(ManagedNode):
         check_live(with_chosen_cup(values))
 
     def on_values(self, names: list[str]) -> None:
-        """Go on with the new cup and package; the package keeps its motion."""
+        """Use the new cup and package; the state of motion is kept."""
         self.get_logger().info(f"Set while running: {', '.join(names)}.")
         if self.pipeline:
             self.pipeline.use_values()
 
 
 ERROR_LINES = ('prediction', 'load')
-"""Lines whose errors are logged as such; those of others are warnings."""
+"""Diagnostics lines whose errors are logged as errors, not as warnings."""
 
 LOG_DELAY, LOG_INTERVAL = 5.0, 30.0
 """Seconds that a fault must last before it is logged, and before it is logged again."""
@@ -339,7 +339,7 @@ class Diagnostics:
     def _log(
         self, line: health.Status, wrong: bool, after: float = 0.0, kind: object = None
     ) -> None:
-        """Log a line if its fault lasts for a time (s), but one of a level and kind not often."""
+        """Log a line whose fault lasts (s); faults of one level and kind only at intervals."""
         now, key = time.monotonic(), (line.name, (line.level, kind))
         if not wrong:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
