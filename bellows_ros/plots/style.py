@@ -309,7 +309,7 @@ def six_pairs(
             lower.axhline(0.0, color=colours.quiet, linewidth=0.6)
             reach = 1.15 * max(float(np.nanmax(np.abs(error.values[:, axis]))), 1e-3)
             lower.set_ylim(-reach, reach)
-            lower.set_ylabel(f'({units[axis]})', color=colours.error, fontsize=8.5)
+            lower.set_ylabel(f'error\n({units[axis]})', color=colours.error, fontsize=7.5)
             lower.yaxis.set_major_locator(
                 MaxNLocator(nbins=2, symmetric=True, steps=[1, 2, 3, 5, 10]))
             for panel in pair:
