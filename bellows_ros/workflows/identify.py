@@ -155,7 +155,7 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     yield (values.fit.stretch == 'on' and values.fit.method == 'least_squares',
            'fit.stretch: on needs fit.method: output_error: least squares does not estimate '
            'cup.stretch. Set it.')
-    yield ({*free} - {'length', 'package_marker'} and values.package.files,
+    yield ({*free} - {'length', 'package_marker', 'clock_rate', 'scale'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')
     yield ('length' in free and values.static.length,

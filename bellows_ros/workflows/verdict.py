@@ -41,6 +41,9 @@ DRAWS, SIGMAS = 5, 3.0
 LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_world'})
 """What recordings tell apart from K and P. Not mass and inertia, which scale with them."""
 
+CLOCK_RATE = 'rate of the clocks (ppm)'
+"""Name of an estimated quantity that is no parameter."""
+
 NOTABLE = 0.5
 """Standard deviations of what was given by which a fit changes it, at least, to say so."""
 
@@ -231,7 +234,8 @@ class FitVerdict(NamedTuple):
                 'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
                 'use a simpler fit.structure.')
         for name, (_, off, pull) in self.found.items():
-            if pull > MAX_PULL and name != 'package.inertia' and not (self.wrong or reasons):
+            if pull > MAX_PULL and name not in ('package.inertia', CLOCK_RATE) and not (
+                    self.wrong or reasons):
                 reasons.append(
                     f'{name} would be {off} off, {pull:.2g} times its standard deviation. Measure '
                     f'it again, set {name}_std if it is so uncertain, or try fit.structure: full.')
@@ -342,14 +346,17 @@ def _found(
     found = payload_of(package, free)
     parameters = {
         'com': ('package.com', found.com), 'length': ('cup.length', np.array([length])),
-        'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}
+        'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+        'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1)))}
     pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
              for name in parameters if name in free and name in std}
     if max(pulls.values(), default=0.0) <= NOTABLE:
         return {}
-    changes = {name: f'{100.0 * np.max(np.abs(np.expm1(free[name]))):.2g} %'
-               if name == 'inertia' else f'{1e3 * np.linalg.norm(free[name]):.2g} mm'
-               for name in pulls}
+    changes = {name: f'{1e3 * np.linalg.norm(free[name]):.2g} mm' for name in pulls}
+    if 'inertia' in pulls:
+        changes['inertia'] = f'{100.0 * np.max(np.abs(np.expm1(free["inertia"]))):.2g} %'
+    if 'clock_rate' in pulls:
+        changes['clock_rate'] = f'{1e6 * abs(free["clock_rate"][0]):.2g} ppm'
     return {parameters[name][0]: (parameters[name][1], changes[name], pulls[name])
             for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
 

@@ -308,10 +308,12 @@ def deviating(
     theta, std = best.search.estimate(best.minimum, name)
     is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # the cup's axis, as a length
     moved = moved_between((search, minimum), (best.search, best.minimum))
+    others_deviate = candidates.is_off(best.search, best.minimum, given_std)
     search.restore(minimum)
     return (_finding(best, theta, std)._replace(
         moved=moved, instead=ALIKE.get(name, '') if is_along and name in OF_LIP[:2] else '',
-        certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count),)
+        certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count and not (
+            others_deviate and best.search is not search)),)
 
 
 def _finding(best: FreedSearch, theta: Array, std: Array) -> Finding:
