@@ -10,7 +10,6 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
-from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 import numpy as np
 
@@ -99,11 +98,10 @@ def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
 
     Noisy positions in a derivative by their scale would bias that scale towards zero.
     """
-    tool = resample(tool, package.stamps_ns)
-    back = np.swapaxes(tool.rotation, 1, 2)
-    offset = lie.apply(back, package.position - tool.position).mean(axis=0)
-    return replace(package, position=tool.position + tool.rotation @ offset,
-                   rotation=tool.rotation)
+    nearest = np.minimum(np.searchsorted(tool.stamps_ns, package.stamps_ns), len(tool) - 1)
+    position, R = tool.position[nearest], tool.rotation[nearest]
+    offset = lie.apply(np.swapaxes(R, 1, 2), package.position - position).mean(axis=0)
+    return replace(package, position=position + R @ offset, rotation=R)
 
 
 def gravity_of(gravity: Array | float, free: Free) -> Array:

@@ -1,17 +1,15 @@
 """
-The search for K and P with which the model, moved as the tool was measured, meets all poses.
+Search for K and P with which the model, driven by the measured tool, meets all poses.
 
-Whatever else is uncertain is free at once, each number with what was known of it before as one
-more measurement. See `whitening` for what the differences are weighted by. The steps are those of
-Gauss and Newton, with derivatives along the likeliest path of the tool: so their mean is zero at
-the truth, which the slope of the squares along the measured path, or with their weights'
-likelihood, is not. K and P move along geodesics of the definite matrices, with a wide prior on the
-logarithm of their size, K about the start, P about that of ordinary rubber, which no number that
-the recordings determine feels.
+All other uncertain quantities are free, with their prior as one more measurement. `whitening` has
+the weights of the differences. The steps are Gauss-Newton steps, with derivatives along the
+likeliest path of the tool: their mean is zero at the truth, unlike the gradient of chi² along the
+measured path, or of the likelihood with its weights. K and P move along geodesics of the definite
+matrices, with a wide prior on the logarithm of their size, K about the start, P about ordinary
+rubber; the prior is negligible for entries that the recordings determine.
 
-A start that is far off approaches first, its damping hardly changed, and without couplings, which
-noise would move anywhere: with an unknown acceleration of the package the differences forget what
-lies further back than a moment.
+A remote start approaches first, with nearly constant damping and without couplings, which noise
+would move anywhere: with an unknown acceleration of the package the differences forget the past.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -74,10 +72,10 @@ MAX_QUICKENING = 30.0
 fast, and some three times that with ten times ordinary damping."""
 
 COARSE_FACTOR = 4.0
-"""Times that steps are longer while a start approaches: fast modes need no accuracy there."""
+"""Factor of the integrator's steps during the approach: fast modes need no accuracy there."""
 
 FORGETTING_RATE = 30.0
-"""What the unknown acceleration forgets per second while a start approaches; nothing then."""
+"""Rate at which an unknown acceleration makes the model forget during the approach, 1/s."""
 
 APPROACH_DAMPING, MAX_FINAL_DAMPING = 1e-2, 1e-2
 """Smallest damping of the approach, in which noise would carry away what is hardly determined, and
@@ -88,7 +86,7 @@ PRIOR_LOG_STD, APPROACH_LOG_STD = (2.0, 1.0), 0.3
 the approach."""
 
 LOSS_FACTOR = 0.25
-"""Of the ordinary cup that P is compared with. Without damping a fit to noise would ring."""
+"""Loss factor of ordinary rubber. Without damping a fit to noise would ring."""
 
 MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
@@ -118,10 +116,10 @@ MAX_DAMPING, MAX_STIFFENING = 10.0, 100.0
 """Times ordinary damping, and the stiffness of the start, that a cup hardly has."""
 
 DIVERGED = 1e3
-"""Standard deviations by which a pose counts as off to which a simulation diverges."""
+"""Difference of a pose from a diverging simulation, standard deviations."""
 
 CHANCE = 3.0
-"""Standard deviations by which noise at rest may be smaller by chance."""
+"""Deviation of an estimated variance of noise by chance, standard deviations."""
 
 WHITE_LAGS = (1, 2, 3)
 """Lags at which innovations are tested for correlation, poses."""
@@ -146,14 +144,14 @@ And the largest of the last step allowed: numbers that are barely identifiable k
 """
 
 SHORTER = 0.25
-"""Part of a step that is tried where the squares rise with the whole."""
+"""Fraction of a step that is tried if chi² rises with the whole step."""
 
 MAX_RISE = 1.2
 """Factor by which the sum of squares, in noise as it is estimated now, may rise in a step: their
 weights change, too."""
 
 MAX_SMALL_RISE = 1.02
-"""Factor of a rise after which the next step is shorter."""
+"""Factor of a rise of chi² after which the next step is shorter."""
 
 
 class WhitenedSegment(NamedTuple):

@@ -15,7 +15,7 @@ from operator import attrgetter
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification import quantities
-from bellows_ros.core.identification.causes import DISTINCT, Finding
+from bellows_ros.core.identification.causes import DISTINCT, Finding, MATERIAL
 from bellows_ros.core.identification.diagnosis import candidates
 from bellows_ros.core.identification.diagnosis.candidates import (
     freed,
@@ -76,6 +76,9 @@ ALIKE: Mapping[str, str] = {
     'com': 'length', 'length': 'com', 'package_marker': 'tool_marker',
     'tool_marker': 'package_marker', 'gravity': 'force'}
 """Candidates that one recording can hardly tell apart."""
+
+EVENTS = ('slip', 'length_drift', 'clock_rate')
+"""Causes that are named however little they change K."""
 
 REPORTED: Mapping[str, str] = {
     'mass': 'inertia', 'gravity': 'gravity.direction', 'tool_marker': 'package_marker'}
@@ -168,7 +171,7 @@ def _decided(
     is_expected = expected is not None and bool(
         np.all(np.abs(theta.reshape(-1, len(expected))) <= 3.0 * expected))
     left, after = best.left(minimum), best.minimum
-    is_material = best.name == 'slip' or moved > MIN_SHIFT or left < DISTINCT or (
+    is_material = best.name in EVENTS or moved > MIN_SHIFT or left < DISTINCT or (
         is_off and not candidates.is_off(best.search, after, given_std))
     certain = bool(
         after.converged and after.robust_chi2 < MAX_NOISE_CHI2
@@ -178,8 +181,9 @@ def _decided(
         and rivals.get(rival, 0.0) < max(
             DISTINCT * best.gain, best.gain - SIGNIFICANT**2 * after.colour))
     finding = _finding(best, theta, std)._replace(
-        left=left, moved=moved, certain=certain, instead=instead)
-    if certain:
+        left=left, moved=moved, certain=certain, instead=instead,
+        datum=best.name not in EVENTS[1:] or moved > MATERIAL)
+    if certain or search.fits(minimum):
         return (finding,)
     second = (Finding(REPORTED.get(rival, rival), '', certain=False),) if (
         rivals.get(rival, 0.0) > max(DISTINCT * best.gain, SIGNIFICANT**2)) else ()
@@ -311,7 +315,8 @@ def deviating(
     others_deviate = candidates.is_off(best.search, best.minimum, given_std)
     search.restore(minimum)
     return (_finding(best, theta, std)._replace(
-        moved=moved, instead=ALIKE.get(name, '') if is_along and name in OF_LIP[:2] else '',
+        moved=moved, datum=name not in EVENTS[1:] or moved > MATERIAL,
+        instead=ALIKE.get(name, '') if is_along and name in OF_LIP[:2] else '',
         certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count and not (
             others_deviate and best.search is not search)),)
 
