@@ -156,7 +156,7 @@ def test_a_world_that_lets_no_search_converge_is_named():
                    rotation=turn @ own.package.rotation)
     fit = output_error([replace(own, package=seen)], AXISYMMETRIC, TRUTH, given=USUAL)
     cause, = fit.causes
-    assert not fit.converged and cause.name == 'package_world' and cause.certain
+    assert fit.chi2 > 1.5 and cause.name == 'package_world' and cause.certain
     assert_allclose(cause.theta[3:], [0.0, -0.026, 0.0], atol=2e-3)
 
 
