@@ -108,7 +108,7 @@ def rank(ends: Mapping[Search, Minimum], given_std: Free) -> tuple[Finding, ...]
     search, minimum = next(iter(ends.items()))
     if candidates.is_explained(search, minimum, given_std):
         return ()
-    likely: tuple[Finding, ...] = ()
+    likely, unexplained = tuple[Finding, ...](), tuple[Finding, ...]()
     for search, minimum in ends.items():
         if likely and not search.is_plausible(minimum):
             break
@@ -120,7 +120,8 @@ def rank(ends: Mapping[Search, Minimum], given_std: Free) -> tuple[Finding, ...]
             likely = likely or found
         if search.fits(minimum):
             break
-    return likely
+        unexplained = unexplained or (unknown(search, minimum),)
+    return likely or unexplained
 
 
 def _causes(search: Search, minimum: Minimum, given_std: Free) -> tuple[Finding, ...]:
