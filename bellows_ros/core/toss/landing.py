@@ -123,7 +123,8 @@ def factor_columns(values: Values) -> toss_release.Factor:
 
 def beyond_masses(values: Values) -> float:
     """Return the `distance_of` the package from release.mass_range."""
-    return distance_of(float(values.package.mass), values.release.mass_range)
+    mass_range = values.release.mass_range
+    return distance_of(float(values.package.mass), mass_range) if mass_range[0] else 0.0
 
 
 def distance_of(mass: float, mass_range: tuple[float, ...]) -> float:
