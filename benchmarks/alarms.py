@@ -94,6 +94,8 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
         estimate, marker = cell.made.estimate, cell.made.sensor.marker
         body, theta, model = estimate.body, estimate.theta, cell.made.model
         com = model[1][1]
+        if not noise.any():
+            noise = sensor.pose_noise(marker[3], position, (0.0, 0.0, 0.0))
         position, q, noise = sensor.corrected_pose(position, q, noise, marker, theta, com)
         exposed = sensor.at_exposure(model, estimate.tool, body, theta)
         whitened, _, whitener, *_ = sensor.innovation_of(
