@@ -273,7 +273,7 @@ def warm_up_uncertainty(relaxation: tuple[float, float] = (0.0, 0.0)) -> None:
     model = model_tuple(replace(Cup.thesis(), relaxation=relaxation), package, 9.81)
     values = resolve({
         'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36,
-        'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0})
+        'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0, 'package.mass': 1.0})
     strains = equilibrium.adapted(model, ORIGIN, ORIGIN)[4:]
     Uncertainty(model, values).covariance(STILL._replace(strains=strains))
 
