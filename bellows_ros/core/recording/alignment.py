@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
+from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, MAX_GRID_SAMPLES, resample
 from bellows_ros.core.signals.trajectory import at_tip, frozen, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -342,16 +342,17 @@ def rotation_correlation(
     """
     Return lags (K,), s, of the tool's stamps behind the package's, and the rotations' correlation.
 
-    By their sizes, or in axes of the world, where it is one for both. Empty where a body
-    hardly rotates, or is recorded too shortly.
+    Sizes of rotations are compared, or rotations in axes of the world, if both bodies have one
+    world. The result is empty if a body hardly rotates, or its time span is too short or
+    implausibly long (damaged stamps).
     """
     rotations = []
     for body in (tool, package):
         count = int((body.stamps_ns[-1] - body.stamps_ns[0]) / NS_PER_S * ROTATION_RATE_HZ)
+        if not ROTATION_SAMPLES < count <= MAX_GRID_SAMPLES:
+            return np.empty(0), np.empty(0)
         stamps = body.stamps_ns[0] + np.rint(
             np.arange(count) * (NS_PER_S / ROTATION_RATE_HZ)).astype(np.int64)
-        if count <= ROTATION_SAMPLES:
-            return np.empty(0), np.empty(0)
         R = resample(body, stamps).rotation
         rotation = lie.log_so3(R[ROTATION_SAMPLES:] @ np.swapaxes(R[:-ROTATION_SAMPLES], 1, 2))
         rotation = rotation if one_world else np.linalg.norm(rotation, axis=1, keepdims=True)
