@@ -128,12 +128,13 @@ VALUES = (np.nan, np.inf, 0.0, 1e300, -1e7, 1e-320)
 
 def recordings(rng, folder):
     """Record strange stamps and values, and look into what is recorded as the commands do."""
-    values = dict(resolve({
+    plain = resolve({
         'topics.tool_pose': '/tool', 'topics.package_pose': '/box', 'cup.length': 0.05,
         'topics.tool_twist': '/twist', 'package.mass': 2.0, 'package.com': (0.0, 0.0, -0.03),
-        'package.inertia': (0.01, 0.01, 0.01, 0.0, 0.0, 0.0), 'recording.package_frame': 'com'}))
+        'package.inertia': (0.01, 0.01, 0.01, 0.0, 0.0, 0.0), 'recording.package_frame': 'com'})
     for number in range(ATTEMPTS):
-        values['recording.package_world'] = ('', '0 0 0 0 0 0 1')[rng.integers(2)]
+        values = plain.replaced({
+            'recording.package_world': ('', '0 0 0 0 0 0 1')[rng.integers(2)]})
         topics_ = [hostile(rng, *own) if rng.random() < 0.6 else as_messages(*own)
                    for own in motion(rng, int(rng.integers(3, 400)))]
         bag = folder / f'bag{number}'
