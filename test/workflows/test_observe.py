@@ -19,6 +19,7 @@ from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import observed, predicted_live, replay, tool_messages
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from ..files.recordings import encoded, header, POSE, POSE_COVARIANCE, serialized, TWIST
 
@@ -79,7 +80,7 @@ def test_both_are_better_than_either(filmed):
     alone, camera, both = (name.scores.rms for name in found.estimates.values())
     size = [np.linalg.norm(rms[:3]) for rms in (alone, camera, both)]
     turn = [np.linalg.norm(rms[3:]) for rms in (alone, camera, both)]
-    assert size[2] < 0.13 * min(size[:2])
+    assert size[2] < 0.1 * min(size[:2])
     assert turn[2] < 0.2 * min(turn[:2])
     assert found.counts['used'] > 300
     assert found.payload.com_std.max() < 1e-3
@@ -116,8 +117,9 @@ def test_calibration_leads_to_where_the_camera_is(filmed):
     world = pose_of(found['recording.package_world'])
     at = recording.measured_package.position
     error = at @ quaternion_to_rotation(world[3:]).T + world[:3] - at
-    assert np.linalg.norm(error, axis=1).max() < 2e-3
-    assert 0.0 < found['measured.camera_std'][0] < 0.03
+    std = found['measured.camera_std'][0]  # what noise of 2 mm and 10 mrad leaves in 13 s
+    assert np.linalg.norm(error, axis=1).max() < np.sqrt(chi2.ppf(0.95, 3)) * std
+    assert 0.0 < std < 2.5e-3
     assert found['measured.latency_std'] < 0.01
 
 

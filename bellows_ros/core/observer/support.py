@@ -28,7 +28,8 @@ class Support:
     Tell when a support may carry the package.
 
     It does from the grip until the tool has lifted the package, near the height of the last grip,
-    and from a straight way down until the tool rises again.
+    and from a straight way down until the tool rises again. Without a grip the package is held all
+    the time, and no support carries it.
 
     """
 
@@ -85,7 +86,8 @@ class Support:
             top, drop = position, 0.0
         self._top = top
         is_low = self._may_reach and height < self._grip_height + self._lift
-        if not (self._is_gripping or is_low or drop > DESCENT):
+        is_down = drop > DESCENT and self._grip_height > -math.inf
+        if not (self._is_gripping or is_low or is_down):
             return False
         if self._is_gripping:
             self._grip_height, self._may_reach = height, False

@@ -39,8 +39,15 @@ def test_support_carries_from_the_grip_to_the_lift_and_from_the_way_down():
 
 def test_sideways_motion_and_oscillation_need_no_support():
     """Go down by as much as aside, and up and down by 20 mm."""
-    assert not any(carried(np.linspace(0.3, 0.1, 200), aside=1e-3))
-    assert not any(carried(0.3 + 0.01 * np.sin(np.arange(400) / 10.0)))
+    aside = carried([0.0, *np.linspace(0.3, 0.1, 200)], aside=1e-3, grips=True)
+    assert aside[0] and not any(aside[1:])
+    up_and_down = carried([0.0, *0.3 + 0.01 * np.sin(np.arange(400) / 10.0)], grips=True)
+    assert up_and_down[0] and not any(up_and_down[1:])
+
+
+def test_package_that_is_held_all_the_time_needs_no_support():
+    """Go straight down by 0.2 m without a grip."""
+    assert not any(carried(np.linspace(0.3, 0.1, 200)))
 
 
 class Later(Support):
