@@ -124,14 +124,14 @@ class PoseSensor:
         reason = why_no_pose(position, quaternion_xyzw) or ('' if stamp_ns > 0 else 'zero_stamp')
         if reason:
             return reason
-        before, self._last = self._last, (position, quaternion_xyzw, covariance)
-        noise = np.zeros((6, 6))
+        before, noise = self._last, np.zeros((6, 6))
         if covariance is not None and covariance.any():
             if not np.abs(covariance).max() <= MAX_VARIANCE:
                 return 'covariance'
             noise = 0.5 * (covariance + covariance.T)
             if not np.linalg.eigvalsh(noise)[0] > 0.0:
                 return 'covariance'
+        self._last = position, quaternion_xyzw, covariance
         if before and before[:2] == self._last[:2]:
             return 'repeated'
         if self.model.kind == 'tag' and before and before[2] is not None and (
