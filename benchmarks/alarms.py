@@ -2,7 +2,8 @@
 Alarms of simulated cells, counted: false ones an hour, and how soon faults are named.
 
 `--hours` counts false alarms in each ordinary condition, and prints the mean normalised squared
-error of the state (12 where the covariance is right); `--faults` lets so many faults of each
+error of the state (12 where the covariance is right, less with the allowance for errors of the
+model, as the cells have none); `--faults` lets so many faults of each
 kind happen in one condition, and prints how many causes are right, and after how many seconds
 half and 90 % of them are named; beside it, after how many likelihood-ratio tests find them that
 know time and size of each fault, at the threshold for one false alarm an hour: one knows its
