@@ -290,16 +290,16 @@ class Alarms:
 
         The lost cups of a gripper have been found before.
         """
-        total, lead, best, second, runner_up, *_ = likeliest
+        _, lead, best, second, runner_up, *_ = likeliest
+        if not self.is_likely(likeliest):
+            return None
         likely = HYPOTHESES[min(best[1], CUP)]
         in_view = self._of_tag and likely.name == 'camera'
         confirmed_ns = VIEW_NS if in_view else DECIDE_NS if (
             lead < MIN_LEAD) else likely.confirmed_ns
         suspect_ns = stamp_ns - min(evidence.suspect_ns, default=stamp_ns)
-        if min(total - self._threshold, lead) < 0.0 or (
-                len(evidence.suspect_ns) <= likely.confirmed) or (
-                    suspect_ns < confirmed_ns) or (
-                        stamp_ns < evidence.onsets[1, best[0]] + best[2] * likely.after_ns):
+        if len(evidence.suspect_ns) <= likely.confirmed or suspect_ns < confirmed_ns or (
+                stamp_ns < evidence.onsets[1, best[0]] + best[2] * likely.after_ns):
             return None
         holding = [k for k in range(len(self._places)) if k not in lost_cups]
         cause, error, spread, parts = _fault(evidence, best)

@@ -428,14 +428,17 @@ class Correction:
         if self.alarms is None:
             return after, None
         is_back = before.gated_ns and not after.gated_ns  # confirms nothing before
-        evidence = evidence._replace(suspect_ns=self.alarms.suspect_ns(
-            () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0]))
+        suspect_ns = self.alarms.suspect_ns(
+            () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0])
+        if suspect_ns != evidence.suspect_ns:
+            evidence = evidence._replace(suspect_ns=suspect_ns)
         fault = self.alarms.detected(evidence, stamp_ns, likeliest, after.lost_cups)
         if fault is None:
             gated = len(after.gated_ns) if (
                 evidence.onsets[0, 0] >= 2 * alarms.MIN_NOISE_COUNT) else 0
             alarm = self.alarms.disturbance(stamp_ns, gated, likeliest)
-            after = after._replace(evidence=evidence)
+            if evidence is not after.evidence:
+                after = after._replace(evidence=evidence)
             return after if alarm is None else self._disturbed(after), alarm
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
         body, theta = changed_by(after.body, after.theta, fault.error)
