@@ -394,9 +394,9 @@ class Correction:
         name = ('flipped' if verdict == FLIPPED else 'used') if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS
             and not self._may_be_fault(after, likeliest)) else 'gate'
-        after = after._replace(
-            gated_ns=gated, away_ns=before.away_ns if gated else 0,
-            late_ns=measurement.stamp_ns - stamp_ns, is_supported=is_supported)
+        after = Estimate(
+            *after[:8], gated, before.away_ns if gated else 0, after.falls, is_supported,
+            measurement.stamp_ns - stamp_ns)
         if is_supported:
             after.theta[KNOWN_ROWS - STATE] = before.theta[KNOWN_ROWS - STATE]
             after.covariance[KNOWN] = before.covariance[KNOWN]

@@ -143,6 +143,8 @@ class MeasurementModel:
 
     def scaled(self, position: Vector) -> Vector:
         """Return a measured position (m) with the corrected size of the tag."""
+        if self.scale == 1.0:
+            return position
         sight = t3.subtract(position, self.camera)
         return t3.add(self.camera, t3.scale(self.scale, sight))
 
