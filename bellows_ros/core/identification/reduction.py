@@ -364,7 +364,8 @@ def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
     """
     Return a recording reduced with the structure and the cup length that parameters name.
 
-    A reduced recording is expressed in that structure if its own structure contains it.
+    A reduced recording, or one that was reduced before, is expressed in that structure if its own
+    structure contains it.
 
     Raises
     ------
@@ -376,8 +377,12 @@ def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
     if isinstance(recording, ReducedRecording):
         return recording._replace(statistics=recording.statistics.of(structure))
     length = values.cup.length
-    return recording.cached(
-        ('reduced', length, structure), lambda: _reduced(recording, length, structure))
+    made: dict[Structure, ReducedRecording] = recording.cached(('reduced', length), dict)
+    for richer, known in made.items():
+        if richer.contains(structure):
+            return known._replace(statistics=known.statistics.of(structure))
+    made[structure] = _reduced(recording, length, structure)
+    return made[structure]
 
 
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
