@@ -42,7 +42,7 @@ def test_a_marker_stays_where_the_fit_has_it_with_a_longer_cup(settings):
     ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'mass.* package.files'),
     ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']},
      'length.* static.length'),
-    ({'fit.free': ['weight']}, "time_offset, com,.* 'weight'"),
+    ({'fit.free': ['weight']}, "time_offset, clock_rate, com,.* 'weight'"),
     ({'fit.free': ['mass', 'inertia']}, 'mass, inertia'),
 ])
 def test_what_cannot_be_free_is_refused(settings, change, named):

@@ -59,12 +59,14 @@ def test_an_inertia_that_was_corrected_makes_the_mass_doubtful(heavier, said):
     assert said in ' '.join(found.sentences) and bool(found.sentences) == bool(said)
 
 
-@pytest.mark.parametrize(('left', 'chi2', 'refused'), [
-    (0.13, 1.0, True), (0.42, 1.0, False), (0.42, 2.0, True)])
-def test_another_structure_refuses_a_cup_that_it_leaves_much_of(left, chi2, refused):
-    found = cause('structure', [], left)._replace(datum=False)
-    likely = cause('com', [0.0, 0.0, 0.02], certain=False)
-    assert bool(judged(found, likely, chi2=chi2).refusals) == refused
+@pytest.mark.parametrize(('along', 'left', 'chi2', 'refused'), [
+    (0.02, 0.3, 1.0, True), (4e-3, 0.3, 1.0, False), (0.02, 0.8, 1.0, False),
+    (0.02, 0.3, None, False)])
+def test_an_unknown_cause_refuses_only_with_what_is_likely_and_far_off(along, left, chi2, refused):
+    unknown = cause('unknown', [0.0, 8.0, 0.0, 5.0], certain=False)._replace(datum=False)
+    assert not judged(unknown, chi2=chi2).refusals
+    likely = cause('com', [0.0, 0.0, along], left, certain=False)
+    assert bool(judged(unknown, likely, chi2=chi2).refusals) == refused
 
 
 @pytest.mark.parametrize(('along', 'left', 'chi2', 'refused'), [
@@ -82,7 +84,7 @@ def test_a_fit_that_leaves_more_than_noise_is_refused_whatever_its_structure(
         monkeypatch, method, off, chi2, refused):
     """Whether its search converged or not: chi^2 was 29.5 with K thirteen times off."""
     noise = np.repeat([1e-4, 5e-4], 3)
-    monkeypatch.setattr(verdict, '_simulated', lambda cup, own, others: Simulated(
+    monkeypatch.setattr(verdict, '_simulated', lambda cup, own, *others: Simulated(
         own.name, off * noise, noise, 100.0 * noise, ()))
     laboratory = Laboratory(4, seconds=4.0)
     values = parameters(laboratory).replaced({'fit.structure': 'full'})

@@ -94,13 +94,23 @@ def test_of_two_faults_without_a_fit_and_with_one_both_are_named():
 
 
 @pytest.mark.parametrize(('fault', 'seed'), [
-    ('friction', 100), ('soft spring', 401), ('structure', 4), ('drift', 313)])
+    ('friction', 100), ('soft spring', 402), ('structure', 4), ('drift', 313)])
 def test_a_cup_unlike_the_model_is_an_unknown_cause(fault, seed):
     """Describe the residual, and claim nothing."""
     found = diagnosed(faulty(fault, seed))
     assert found[0].name == 'unknown' and not any(finding.certain for finding in found)
     start, end, low, high = found[0].theta
     assert 0.0 <= start < end <= 10.1 and 0.0 <= low <= high
+
+
+@pytest.mark.parametrize('seed', [401, 403, 404])
+def test_a_soft_spring_that_is_not_noticed_leaves_a_stiffness_within_its_errors(seed):
+    """Accept no cup silently whose K is off by more than chance."""
+    laboratory = faulty('soft spring', seed)
+    fitted, verdict = judged(laboratory)
+    assert not verdict.refusals and not verdict.cause
+    off = np.diag(fitted.stiffness) - laboratory.K
+    assert np.all(np.abs(off) < 5.0 * np.diag(fitted.stiffness_std))
 
 
 @pytest.mark.parametrize(('seed', 'rate_hz'), [(502, 240.0), (703, 480.0)])
