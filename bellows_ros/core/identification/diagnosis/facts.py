@@ -358,9 +358,16 @@ def _of_frames(
         yield Fact('left_handed')
     elif proper < min(MAX_RESIDUAL_RATIO * before, MAX_RESIDUAL):
         angle = float(np.linalg.norm(lie.log_so3(turned @ A.T)))
-        if angle > MIN_FRAME_ANGLE:
+        of_rotations, of_positions = (_rotation_residual(bodies, X) for X in (A, turned))
+        if angle > MIN_FRAME_ANGLE and of_rotations < MAX_RESIDUAL_RATIO * of_positions:
             yield Fact('rotation_frame', _wrongly_turned(*bodies, A) if one_frame else '',
                        {'angle': angle})
+
+
+def _rotation_residual(bodies: Bodies, X: Array) -> float:
+    """Return the RMS difference (rad) of both rotations if X maps the package's axes."""
+    a, b = (lie.log_so3(body.rotation @ body.rotation[len(body) // 2].T) for body in bodies)
+    return float(np.sqrt(np.mean(np.sum((a - lie.apply(X, b))**2, axis=1))))
 
 
 def _best_axes(

@@ -6,7 +6,11 @@ import time
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import PoseStream
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.recordings import load
+from benchmarks.offline import make_recording
 import numpy as np
 import pytest
 
@@ -192,3 +196,10 @@ def test_a_few_milliseconds_of_processor_time_are_enough():
     for _ in range(5):
         facts_of(*both)
     assert time.process_time() - began < 2.0
+
+
+def test_a_cup_that_swings_widely_is_in_one_frame(tmp_path):
+    """The swing rotates the estimated relation of both rotations by 30 degrees, no frame."""
+    make_recording(tmp_path / 'bag', 60.0)
+    values = resolve({**read_parameters(f'{tmp_path}/bag.yaml'), 'recording.package_frame': 'com'})
+    assert len(load(tmp_path / 'bag', values).measured_package.stamps_ns) > 20_000
