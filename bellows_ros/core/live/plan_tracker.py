@@ -74,7 +74,7 @@ class PlanProgress(NamedTuple):
 
 
 @kernel
-def pose_distance(row: Any, o: Vector, q: Quaternion) -> float:
+def pose_deviation(row: Any, o: Vector, q: Quaternion) -> float:
     """Return the distance (m) of a tool from a point of a plan, rotation at `ROTATION_LEVER`."""
     x, y, z = row[0] - o[0], row[1] - o[1], row[2] - o[2]
     same = abs(row[3] * q[0] + row[4] * q[1] + row[5] * q[2] + row[6] * q[3])
@@ -106,7 +106,7 @@ def departure(rows: Any, seconds: Any) -> float:
     """Return the time (s) of the first point that poses distinguish from the plan's first."""
     o, q = row_state(rows[0])[:2]
     for k in range(len(rows)):
-        if pose_distance(rows[k], o, q) ** 2 > GATE * POSE_STD * POSE_STD:
+        if pose_deviation(rows[k], o, q) ** 2 > GATE * POSE_STD * POSE_STD:
             return seconds[k]  # type: ignore[no-any-return]
     return seconds[len(rows) - 1]  # type: ignore[no-any-return]
 
@@ -340,7 +340,7 @@ class PlanTracker:
             wait = max(0.0, self._wait(now.stamp_ns))
         progress = min(max(progress + deviations * math.sqrt(max(variance, 0.0)), 0.0), self._end)
         nearest = np.concatenate(point_at(*self._inputs, progress))
-        join = min(MAX_JOIN_TIME, pose_distance(nearest, *now.tool[:2]) / JOIN_SPEED)
+        join = min(MAX_JOIN_TIME, pose_deviation(nearest, *now.tool[:2]) / JOIN_SPEED)
         start = progress + max(join, 1e-4 if wait == 0.0 else 0.0)
         first = min(int(np.searchsorted(seconds, start)), last)
         gap = max(seconds[last] - seconds[first], 1e-9) / max(1, last - first)

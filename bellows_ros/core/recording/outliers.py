@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.geometry.pose_distance import pose_distances
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 import numpy as np
 from scipy.ndimage import find_objects, label, median_filter
@@ -126,7 +127,7 @@ class _Jumps(NamedTuple):
 
     @property
     def strength(self) -> Array:
-        return np.asarray(np.max(np.linalg.norm(self.size, axis=2) / self.threshold, axis=0))
+        return pose_distances(self.size, self.threshold)
 
 
 def increments_of(poses: Trajectory | PoseStream) -> Array:

@@ -74,10 +74,6 @@ MIN_SPREAD_RATIO = 0.05
 MAX_UP = -0.5
 """Vertical component of the tool's z axis (median) below which it points out of the arm."""
 
-MAX_TICK_PART, TICK_TOLERANCE, TICKS = 0.1, 0.02, 2000
-"""Resolution of stamps in periods that shifts no pose noticeably, tolerance in ticks, and number
-of steps that are examined."""
-
 
 Bodies = tuple[Trajectory, Trajectory]
 
