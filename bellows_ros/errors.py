@@ -6,6 +6,9 @@ import sys
 import sysconfig
 from typing import Any
 
+CRASHED = 70
+"""Exit code after a defect of this package, EX_SOFTWARE of sysexits.h."""
+
 
 class BellowsError(Exception):
     """

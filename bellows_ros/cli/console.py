@@ -22,14 +22,13 @@ import traceback
 from types import FrameType
 from typing import Any, TextIO
 
-from bellows_ros.errors import BellowsError, NotSetError, shown
+from bellows_ros.errors import BellowsError, CRASHED, NotSetError, shown
 from bellows_ros.version import __version__
 
 # Exit codes.
 OK = 0
 NOT_USABLE = 1
 USER_ERROR = 2
-CRASHED = 70
 PIPE_CLOSED = 141
 
 STDOUT = '-'

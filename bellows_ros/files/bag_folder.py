@@ -183,7 +183,8 @@ def _inside(folder: Path, name: str) -> Path:
     if not path.is_file() or path.resolve().parent != folder.resolve():
         raise BellowsError(
             f"Recording '{folder}' lacks '{name[:200]}', which {METADATA} names; files outside "
-            'the folder are not read. Copy the whole folder.')
+            'the folder are not read. Copy the whole folder, or give the path of a storage file '
+            'that was renamed.')
     return path
 
 

@@ -16,13 +16,14 @@ import signal
 import sys
 import textwrap
 import tomllib
+import traceback
 from types import FrameType
 from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
 from bellows_ros.version import __version__
 
-from ..errors import BellowsError, install, NotSetError, shown
+from ..errors import BellowsError, CRASHED, install, NotSetError, shown
 
 NO_ROS = (
     "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
@@ -84,7 +85,7 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     Returns
     -------
     int
-        The exit code: 0, or 2 for an error that the user can correct.
+        The exit code: 0, 2 for an error that the user can correct, 70 for a defect.
 
     """
     arguments = list(sys.argv[1:] if args is None else args)
@@ -112,6 +113,11 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
             causes.append('Give the file with --ros-args --params-file FILE.')
         print(*(f'{name}: {cause}' for cause in causes), sep='\n', file=sys.stderr)
         return error.exit_code
+    except Exception:  # noqa: BLE001 (all others are defects, whose code is not 1, "no")
+        traceback.print_exc()
+        print(f'{name}: This is a defect of bellows_ros {__version__}: please report it, with the '
+              'parameters and the lines above.', file=sys.stderr)
+        return CRASHED
     return 0
 
 

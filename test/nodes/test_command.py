@@ -92,6 +92,14 @@ def test_what_the_user_can_put_right_ends_with_2(arguments, named, tmp_path, mon
     assert named in printed and 'Traceback' not in printed
 
 
+def test_a_defect_ends_with_70_and_asks_for_a_report(capfd):
+    """Print the traceback; 1 means no."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    assert run_node('predictor', ['--ros-args', *GIVEN], 'operator:index') == 70
+    printed = capfd.readouterr().err
+    assert 'Traceback' in printed and 'predictor: This is a defect of bellows_ros' in printed
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_process_predicts_and_ends_in_order(number, run_predictor, ros):
     """Answer a pose over DDS; on Ctrl-C or SIGTERM say what came and went and end with 0."""
