@@ -16,7 +16,7 @@ from bellows_ros.core.identification import samples as sampling
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import Fit, IN_NULL_SPACE, MAX_RELATIVE_ERROR, NOTES
 from bellows_ros.core.identification.samples import Equations, joined
-from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.model.structure import has_coupling, Structure
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
@@ -186,7 +186,7 @@ def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
         with suppress(UndeterminedError):
             fit = least_squares(parts)
             x, C = fit.parameters[couplings], fit.covariance[np.ix_(couplings, couplings)]
-            if fit.usable and np.isfinite(C).all() and (
+            if fit.usable and np.isfinite(C).all() and has_coupling(fit.stiffness) and (
                     float(x @ np.linalg.solve(C, x)) > MIN_CLUSTER_DISTANCE):
                 return fit
     return least_squares([part.of(simpler) for part in parts])

@@ -39,7 +39,7 @@ from bellows_ros.core.identification.search import (
 )
 from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.model.structure import require_stretch, Structure
+from bellows_ros.core.model.structure import has_coupling, require_stretch, Structure
 from bellows_ros.core.recording.alignment import Alignment
 from bellows_ros.core.recording.recording import BodyNoise, Recording, TimeOffset
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
@@ -200,8 +200,10 @@ def _tried(
         if end.converged and end.squares < minimum.squares:
             x, tested = wide.units * end.theta, place(wide)
             C = covariance_of(wide, end)[0][np.ix_(tested, tested)]
-            if float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE and (
-                    _is_passive(wide, end)):
+            is_material = structure is search.structure or has_coupling(
+                wide.cup(end.theta).stiffness)
+            if is_material and _is_passive(wide, end) and (
+                    float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE):
                 return wide, end
         search.restore(minimum)
     return search, minimum

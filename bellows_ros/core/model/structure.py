@@ -432,6 +432,16 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
             'identify it again.')
 
 
+MIN_CENTRE_SHIFT = 1e-4
+"""Smallest shift of the centre of stiffness that a measured cup length does not contain, m."""
+
+
+def has_coupling(stiffness: Array) -> bool:
+    """Return whether the centre of stiffness, by K[x, ry], is off the middle of the cup."""
+    couplings = np.abs([stiffness[0, 4], stiffness[1, 3]])
+    return bool(np.any(couplings > MIN_CENTRE_SHIFT * stiffness[[0, 1], [0, 1]]))
+
+
 STRETCH_RANGE = 5e-3
 """Axial range about the nominal length for the check of a cup without a validity range, m."""
 

@@ -94,12 +94,13 @@ class Envelope:
             raise BellowsError('Envelope: a range ends below its beginning.')
 
     def parameters(self) -> dict[str, tuple[float, ...]]:
-        """Return the parameters of the cup file: six digits, rounded outward."""
+        """Return the parameters of the cup file: six digits, rounded outward; a known vacuum."""
         return {
             RANGE_PARAMETERS[name]: tuple(
                 float(context.create_decimal(repr(x)))
                 for x, context in zip(getattr(self, name).ravel().tolist(), contexts, strict=True))
-            for name, contexts in ROUNDING_MODES.items()}
+            for name, contexts in ROUNDING_MODES.items()
+            if name != 'vacuum' or np.any(self.vacuum)}
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for the result of a fit."""

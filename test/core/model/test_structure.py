@@ -1,6 +1,11 @@
 """Structures of K and P: what is free, what is tied, and what follows from it."""
 
-from bellows_ros.core.model.structure import common_structure, structure_named, STRUCTURES
+from bellows_ros.core.model.structure import (
+    common_structure,
+    has_coupling,
+    structure_named,
+    STRUCTURES,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -81,3 +86,11 @@ def test_structures_contain_each_other_as_matrices_do():
 def test_an_unknown_structure_is_refused():
     with pytest.raises(BellowsError, match="'round'.* axisymmetric, axisymmetric_coupled"):
         structure_named('round')
+
+
+@pytest.mark.parametrize(('shift', 'expected'), [(0.0, False), (5e-5, False), (4.6e-3, True)])
+def test_a_centre_of_stiffness_in_the_middle_is_no_coupling(shift, expected):
+    """A shift below the uncertainty of a cup's length is none; 4.6 mm is one of a real bellows."""
+    K = np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35])
+    K[0, 4] = K[4, 0] = 5400.0 * shift
+    assert has_coupling(K) == expected
