@@ -413,11 +413,15 @@ class Steering(Answers):
             raise BellowsError(
                 f'It takes {plan.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
                 'Split the motion, or use bellows steer.')
-        tool = steer(self._pipeline.live.model, plan, self._pipeline.values.steer.method,
-                     of_package).tool
+        method = self._pipeline.values.steer.method
+        found = steer(self._pipeline.live.model, plan, method, of_package)
         if self.worker.stop[0]:
             raise BellowsError('The steering was stopped before its end.')
-        return tool
+        if found.method != method:
+            self._node.get_logger().warning(
+                f'A motion is steered by {found.method} instead of {method}, and leaves a swing '
+                f'of {math.degrees(found.residual):.2g} degrees.', throttle_duration_sec=1.0)
+        return found.tool
 
     def _steer_tool(self, data: bytes) -> None:
         """Publish a motion of the tool or the package, steered."""

@@ -112,11 +112,11 @@ class SteerReport(CommandResult):
         """Return notes on the motion."""
         steered, allowed = self.steered, max(ALLOWED_TIME, self.source.duration)
         is_short = steered.residual <= SETTLED_ANGLE
-        shaping = '' if self.method == 'inverse' else 'shaped' if steered.modes else (
-            'unchanged' if is_short else 'unchanged_too_long')
+        shaping = {'inverse': '', self.method: 'shaped', 'zv': 'shaped_less'}.get(
+            steered.method, 'unchanged' if is_short else 'unchanged_too_long')
         return (*self.source.notes, *implausible(self.source.values), *(
             sentence('planning', code, duration=steered.smoothed, scale=self.time_scale,
-                     limit=self.limit, method=self.method, modes=len(steered.modes),
+                     limit=self.limit, method=steered.method, modes=len(steered.modes),
                      residual=steered.residual, allowed=allowed)
             for code, applies in (
                 ('smoothed', steered.smoothed > 0.0), ('slowed', self.time_scale > 1.0),
@@ -145,7 +145,7 @@ class SteerReport(CommandResult):
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
         return results.with_units({
-            'method': self.method, **self.motions[self.method].summary(),
+            'method': self.method, 'used': self.steered.method, **self.motions[self.method].summary(),
             'beside': {name: motion.summary() for name, motion in self.motions.items()
                        if name != self.method},
             'time_scale': self.time_scale, 'limit': self.limit,

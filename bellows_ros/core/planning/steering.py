@@ -426,26 +426,29 @@ def to_shape(modes: Sequence[SwingMode]) -> list[SwingMode]:
 
 def best_shaper(
     model: ModelTuple, tool: Trajectory, method: str, residual: planning.PlanPrediction,
-) -> tuple[Trajectory, list[SwingMode], float]:
+) -> tuple[Trajectory, list[SwingMode], float, str]:
     """
-    Return a shaped motion, the modes that it shapes, and the swing (rad) that it leaves.
+    Return a shaped motion, its shaped modes, its residual swing (rad), and its method.
 
     Shapers of none, one and more of the modes are simulated, the shortest first, up to
-    `ALLOWED_TIME`: the first that leaves less than `MIN_RESIDUAL_SWING` is taken, otherwise the
-    one that leaves least.
+    `ALLOWED_TIME`: the first that leaves less than `MIN_RESIDUAL_SWING` is taken. If no ZVD shaper
+    does, ZV shapers are simulated, too; if none of these does, the motion that leaves least is
+    taken, possibly the unchanged one (method 'none').
     """
     swinging = to_shape(residual_modes(model, residual))
     allowed = max(ALLOWED_TIME, float(tool.seconds[-1]))
-    best, shaped_modes, least = tool, swinging[:0], residual.residual_swing
-    for count in range(1, len(swinging) + 1):
-        delays, sizes = impulses(swinging[:count], method)
-        if least <= MIN_RESIDUAL_SWING or delays.max() > allowed:
-            break
-        motion = shaped(tool, delays, sizes)
-        swing = planning.PlanSimulation(model, None, motion, tail=TAIL).predict().residual_swing
-        if swing < least:
-            best, shaped_modes, least = motion, swinging[:count], swing
-    return best, shaped_modes, least
+    best = tool, swinging[:0], residual.residual_swing, 'none'
+    for kind in ('zvd', 'zv') if method == 'zvd' else ('zv',):
+        for count in range(1, len(swinging) + 1):
+            delays, sizes = impulses(swinging[:count], kind)
+            if best[2] <= MIN_RESIDUAL_SWING or delays.max() > allowed:
+                break
+            motion = shaped(tool, delays, sizes)
+            swing = planning.PlanSimulation(
+                model, None, motion, tail=TAIL).predict().residual_swing
+            if swing < best[2]:
+                best = motion, swinging[:count], swing, kind
+    return best
 
 
 def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
@@ -475,6 +478,8 @@ class Steered(NamedTuple):
     """Modes of the package that are shaped."""
     residual: float
     """Swing of the package after the motion according to the model, rad; 0 for the inverse."""
+    method: str
+    """'inverse', 'zv', 'zvd', or 'none' for an unchanged motion."""
 
 
 def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = False) -> Steered:
@@ -509,11 +514,11 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
         row = simulation.tool_rows(plan)[0]
         first = None if of_package else simulation.state_row(*np.split(row, [3, 7]))
         package = plan if of_package else hanging(model, plan)
-        return Steered(*inverse(model, package, first), [], 0.0)
+        return Steered(*inverse(model, package, first), [], 0.0, method)
     tool = tool_above(model, plan) if of_package else plan
     prediction = planning.PlanSimulation(model, None, tool, tail=TAIL).predict()
-    tool, modes, residual = best_shaper(model, tool, method, prediction)
-    return Steered(tool, hanging(model, tool), 0.0, modes, residual)
+    tool, *shaping = best_shaper(model, tool, method, prediction)
+    return Steered(tool, hanging(model, tool), 0.0, *shaping)
 
 
 def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
