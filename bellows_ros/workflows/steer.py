@@ -145,7 +145,8 @@ class SteerReport(CommandResult):
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
         return results.with_units({
-            'method': self.method, 'used': self.steered.method, **self.motions[self.method].summary(),
+            'method': self.method, 'used': self.steered.method,
+            **self.motions[self.method].summary(),
             'beside': {name: motion.summary() for name, motion in self.motions.items()
                        if name != self.method},
             'time_scale': self.time_scale, 'limit': self.limit,

@@ -517,8 +517,8 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
         return Steered(*inverse(model, package, first), [], 0.0, method)
     tool = tool_above(model, plan) if of_package else plan
     prediction = planning.PlanSimulation(model, None, tool, tail=TAIL).predict()
-    tool, *shaping = best_shaper(model, tool, method, prediction)
-    return Steered(tool, hanging(model, tool), 0.0, *shaping)
+    tool, modes, residual, used = best_shaper(model, tool, method, prediction)
+    return Steered(tool, hanging(model, tool), 0.0, modes, residual, used)
 
 
 def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
