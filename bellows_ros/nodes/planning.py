@@ -22,7 +22,7 @@ from .outputs import Predicting, Topic
 from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
 from ..core.live.plan_tracker import DEVIATED, DONE, MAX_WAIT, PlanTracker, thin_out, WAITING
-from ..core.live.uncertainty import STILL, UNKNOWN_ROOT
+from ..core.live.uncertainty import STILL, Uncertainty
 from ..core.model.grip import grip_of, safety_sentence
 from ..core.model.simulation import ToolRows
 from ..core.planning.arm import Arm, read_arm
@@ -175,6 +175,8 @@ class Planning:
         assert self._live.flight is not None  # set with the values
         with suppress(BellowsError):  # of a package that has landed
             self._live.flight.later(model, STILL, 0.1)
+        self._live.flight.root_later(
+            model, STILL, 0.1, Uncertainty(model, self._pipeline.values))
         gc.freeze()  # the collector need not look through what numba has made
 
     def rest(self, now: Prediction, deviations: float = 0.0) -> ToolRows | None:
@@ -301,6 +303,7 @@ class Planning:
                     f'above 0 and up to {MAX_REQUEST_LEAD:g} s.')
             assert live.flight is not None  # set with the values
             body = live.flight.later(live.model, now, duration)
+            root = live.flight.root_later(live.model, now, duration, self._pipeline.uncertainty)
         except BellowsError as error:
             self._node.get_logger().warning(
                 f'A request on package/predict_at was refused. {error}', throttle_duration_sec=1.0)
@@ -308,7 +311,7 @@ class Planning:
         if self._at.subscribed:
             self._at.publish(odometry(
                 live.frame_id, self._pipeline.values.frames.package,
-                Prediction(stamp_ns, *body[:4], ZERO, ZERO), UNKNOWN_ROOT))
+                Prediction(stamp_ns, *body[:4], ZERO, ZERO), root))
 
 
 def _standstill() -> ToolRows:

@@ -7,10 +7,12 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import scale, ZERO
 from bellows_ros.core.live.payload import MAX_SUBSTEPS
-from bellows_ros.core.live.uncertainty import Prediction
-from bellows_ros.core.model.equilibrium import adapted, largest_step
+from bellows_ros.core.live.plan_tracker import point_at
+from bellows_ros.core.live.uncertainty import Prediction, Uncertainty, UNKNOWN_ROOT
+from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error
 from bellows_ros.core.model.grip import Grip, grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
@@ -37,6 +39,8 @@ MAX_TOSS_STEPS = 2_000_000
 COVARIANCE_PERIOD = 10
 """The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
+ROOT_STEP = 0.01
+"""Step of the covariance of a later state, s."""
 
 _longest_step = lru_cache(maxsize=1)(largest_step)
 
@@ -220,6 +224,42 @@ class Flight:
                 'The package has landed by then, and its later motion is unknown; expected a '
                 f'stamp up to {max(0.0, landed):.3f} s after the newest pose of the tool.')
         return flight(model[1], model[2], body, seconds - released, COARSE_ROTATION_PER_STEP)
+
+    def root_later(
+        self, model: ModelTuple, now: Prediction, seconds: float, uncertainty: Uncertainty
+    ) -> Array:
+        """
+        Return a factor (12, n) of the covariance of `later`, in body axes.
+
+        The uncertainties of cup, start and tool follow the predicted motion; the last column is
+        the deviation of the package by one standard deviation of the progress on the plan. Without
+        a plan the acceleration of the tool is unknown. `UNKNOWN_ROOT` once the valve is switched.
+        """
+        if self.state or now.flies:
+            return UNKNOWN_ROOT
+        times = np.linspace(0.0, seconds, 1 + math.ceil(seconds / ROOT_STEP))
+        switching = model, self.grip or release.NO_GRIP, release.NO_FLIGHT, math.inf
+        body = adapted(model, now.tool, now.body)
+        tools, states = np.empty((2, 2, len(times), 13))
+        for deviations in (1, 0):
+            plan = self._future(now, deviations)
+            tool = at_constant_velocity(now, plan, seconds + ROOT_STEP)  # in motion at the end
+            inputs = as_inputs(tool.rows, tool.seconds)
+            tools[deviations] = [np.concatenate(point_at(*inputs, t)) for t in times]
+            tools[deviations, 0] = np.concatenate(now.tool)
+            release.write_toss(
+                switching, body, tools[deviations], times, _longest_step(model),
+                states[deviations])
+        future = []
+        for t, row, state in zip(times.tolist(), tools[0], states[0], strict=True):
+            o, q, v, w, *strains = adapted(model, row_state(row), row_state(state))
+            future.append(Prediction(
+                now.stamp_ns + round(t * NS_PER_S), o, q, v, w, ZERO, ZERO, row_state(row),
+                plan is None, now.unsettled, strains=tuple(strains)))
+        shift, rotation = pose_error(row_state(states[0, -1]), *row_state(states[1, -1])[:2])
+        return np.column_stack([
+            uncertainty.later(now, future[1:]),
+            np.concatenate([shift, rotation, states[1, -1, 7:] - states[0, -1, 7:]])])
 
     def _toss(
         self, model: ModelTuple, now: Prediction, tool: ToolRows | None, switched: float,

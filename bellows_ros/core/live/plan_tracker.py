@@ -330,14 +330,17 @@ class PlanTracker:
 
         A plan that has not begun and has no time to begin, begins now. The tool joins it at
         `JOIN_SPEED`, and drives it as fast as last; its points are thinned to a spacing (s). The
-        progress is changed by so many of its standard deviations.
+        progress, and the rate of a plan that is driven, are changed by so many of their standard
+        deviations.
         """
-        stored_ns, progress, rate, variance, *_ = self.progress
+        stored_ns, progress, rate, variance, _, rate_variance = self.progress
         seconds, last, wait = self.plan.seconds, len(self.plan) - 1, 0.0
         if self.state != WAITING:  # the last pose and this one need not be the same
             progress += rate * max(0, now.stamp_ns - stored_ns) / NS_PER_S
         elif self._wait(now.stamp_ns) < math.inf:
             wait = max(0.0, self._wait(now.stamp_ns))
+        if self.state == DRIVEN:
+            rate = max(rate + deviations * math.sqrt(max(rate_variance, 0.0)), PAUSE_RATE)
         progress = min(max(progress + deviations * math.sqrt(max(variance, 0.0)), 0.0), self._end)
         nearest = np.concatenate(point_at(*self._inputs, progress))
         join = min(MAX_JOIN_TIME, pose_deviation(nearest, *now.tool[:2]) / JOIN_SPEED)

@@ -22,7 +22,8 @@ are thrown about later as no arm moves, the prediction is wrong by an amount tha
 the package's modes. Until then it settles (`Settling`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cache, partial
 import math
@@ -179,6 +180,23 @@ class Uncertainty:
         if observed is None:
             self._sensitivity, self._tried_ns = None, stamp_ns
         return UNKNOWN_ROOT
+
+    def later(self, now: Prediction, future: Sequence[Prediction]) -> Array:
+        """Return `root` at the end of a predicted motion; the sensitivities here stay."""
+        ahead = copy(self)
+        observed = None if ahead.root(now) is UNKNOWN_ROOT or not now.covariance else (
+            now.covariance())
+        try:
+            for prediction in future:
+                ahead._sensitivity_at(prediction)
+            root = ahead._root(future[-1])
+            if observed is not None:
+                seconds = (future[-1].stamp_ns - now.stamp_ns) / NS_PER_S
+                root = np.hstack([root, expm(ahead._A * seconds)[:12, :12] @ np.linalg.cholesky(
+                    observed)])
+        except (BellowsError, ArithmeticError, ValueError):
+            return UNKNOWN_ROOT
+        return root if np.isfinite(root).all() else UNKNOWN_ROOT
 
     def _root(self, prediction: Prediction) -> Array:
         """Return the factor of all parts, whether its numbers are finite or not."""

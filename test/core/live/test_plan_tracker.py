@@ -123,6 +123,26 @@ def test_stated_variance_of_the_progress_covers_its_errors():
     assert np.mean(np.abs(ratios) < 2.0) > 0.9
 
 
+def test_stated_deviation_of_the_future_covers_its_error():
+    """0.3 s ahead of a noisy tool at an unknown rate: by progress and by rate."""
+    ratios = []
+    for speed in (0.6, 0.8, 1.0, 1.2):
+        tracker = PlanTracker(plan_points('move', 100), 0)
+        at = time_on_plan('late', speed, 0.8)[0]
+        for t, truth, _ in follow_driven(tracker, 250, speed, 'late', 3e-5):
+            if tracker.state == 'driven' and 0.1 < truth < 0.75 - 0.3 * speed:
+                now = driven(0.0)._replace(stamp_ns=T0 + round(t * 1e9), tool=point_at(
+                    tracker.plan.rows, tracker.plan.seconds, truth))
+                nominal, late = (
+                    at_constant_velocity(now, tracker.rest(now, deviations=d), 0.3)
+                    for d in (0.0, 1.0))
+                o, o_late = (np.array(point_at(tool.rows, tool.seconds, 0.3)[0])
+                             for tool in (nominal, late))
+                actual = MOVE.at(np.array([float(at(t + 0.3)[0])]))[0][0]
+                ratios.append(np.linalg.norm(o - actual) / np.linalg.norm(o_late - o))
+    assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
 def test_the_future_is_the_plan_and_then_standing():
     ahead, now = PlanTracker(MOVE.plan(250), T0), driven(0.4)
     ahead.follow(now)
