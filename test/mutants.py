@@ -1,7 +1,8 @@
 """
 Mutations of core: 40 one-line changes at random, and those that no mirrored test notices.
 
-`python -m test.mutants --seed 7 --count 40`, or `make mutants`. A mutation changes a sign, halves
+`python -m test.mutants --seed 7 --count 40 geometry toss`, or `make mutants`: lines of all rooms,
+or of the named ones. A mutation changes a sign, halves
 or doubles a number, or moves an index, in a copy of the package; the tests of the module's room
 run until one fails. Survivors are printed with their line; the exit code is 1 if there are any.
 """
@@ -56,10 +57,10 @@ def is_text(path, node, parents):
     return False
 
 
-def drawn(count, seed):
+def drawn(count, seed, rooms):
     """Return mutations at random: file, line number, the line before and after."""
     found = []
-    for path in sorted((ROOT / CORE).rglob('*.py')):
+    for path in sorted(path for room in rooms for path in (ROOT / CORE / room).rglob('*.py')):
         source = path.read_text()
         lines, tree = source.splitlines(), ast.parse(source)
         parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
@@ -102,6 +103,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--count', type=int, default=40)
     parser.add_argument('--seed', type=int, default=random.SystemRandom().randrange(10**6))
+    parser.add_argument('rooms', nargs='*', default=['.'], help='rooms of core, all without')
     asked = parser.parse_args(arguments)
     print(f'seed {asked.seed}', flush=True)
     environment = {**os.environ, 'PYTHONDONTWRITEBYTECODE': '1', 'PYTHONPATH': ''}
@@ -109,7 +111,8 @@ def main(arguments=None):
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / 'copy'
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns('.git', '.venv', '.mypy_cache'))
-        for number, (path, line, before, after) in enumerate(drawn(asked.count, asked.seed), 1):
+        mutants = drawn(asked.count, asked.seed, asked.rooms)
+        for number, (path, line, before, after) in enumerate(mutants, 1):
             survived = survives(copy, path, line, after, environment)
             print(f'{number:3} {"SURVIVED" if survived else "noticed "} {path}:{line}', flush=True)
             if survived:

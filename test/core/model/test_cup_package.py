@@ -1,60 +1,14 @@
-"""Spring and damper against the plain 6x6 formulas and against mathematics."""
+"""Inertias of packages: of a box, of no body, and rounded."""
 
 from contextlib import nullcontext
 
-from bellows_ros.core.geometry.lie import exp_se3
-from bellows_ros.core.model.cup_package import box_inertia, Package, regressor
-from bellows_ros.core.model.kernels import cup_wrench
-from bellows_ros.core.model.structure import check_inertia, STRUCTURES
+from bellows_ros.core.model.cup_package import box_inertia, Package
+from bellows_ros.core.model.structure import check_inertia
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-
-from .. import oracle
-from ..cases import random_cup, random_pose
-
-
-@pytest.fixture(params=range(2))
-def rng(request):
-    return np.random.default_rng(request.param)
-
-
-def lip_pose(rng, cup, angle=0.5):
-    """Return a pose of the lip near nominal."""
-    T = random_pose(rng, angle, 0.02)
-    T[2, 3] -= cup.length
-    return T
-
-
-def wrench_at_lip(cup, T, v):
-    """Return the wrench (6,) of the kernel for pose and twist of the lip in the tool."""
-    parts = (T[:3, 3], T[:3, :3].ravel(), v[:3], v[3:])
-    return np.concatenate(cup_wrench(cup.as_tuple, *(tuple(part.tolist()) for part in parts)))
-
-
-def test_spring_wrench_is_the_gradient_of_the_potential(rng):
-    cup, h = random_cup(rng, damping=False), 1e-6
-    T = lip_pose(rng, cup)
-    before, after = ([
-        oracle.potential(cup, oracle.spring_frames(cup.length, T @ exp_se3(side * d)))
-        for d in np.eye(6)] for side in (-h, h))
-    slope = np.subtract(after, before) / (2 * h)
-    wrench = wrench_at_lip(cup, T, np.zeros(6))
-    # central differences of an energy of some 10 J: 1e-16 * 10 / 1e-6
-    assert_allclose(wrench, -slope, atol=5e-8 * np.abs(slope).max())
-
-
-def test_regressor_times_parameters_is_the_wrench(rng):
-    cup = random_cup(rng)
-    T = np.array([lip_pose(rng, cup) for _ in range(7)])
-    v = rng.standard_normal((7, 6))
-    full = STRUCTURES['full']
-    L = regressor(cup.length, full.basis, T[:, :3, 3], T[:, :3, :3], v)
-    x, expected = full.parameters(cup.stiffness, cup.damping), oracle.wrench_at_lip(cup, T, v)
-    assert L.shape == (7, 6, 42)
-    assert_allclose(L @ x, expected, rtol=1e-11, atol=1e-9)
 
 
 def test_a_box_is_its_two_halves():

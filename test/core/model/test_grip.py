@@ -1,4 +1,4 @@
-"""The safety factor of the grip against a linear programme, neighbours' formulas, mathematics."""
+"""The safety factor of the grip against the pressure on the ring, friction, and Coulomb."""
 
 import math
 
@@ -8,7 +8,6 @@ from bellows_ros.core.parameters.values import Values
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from scipy.optimize import linprog
 
 SUCTION, RADIUS, FRICTION = 60.0, 0.025, 0.5
 GRIP = (SUCTION, RADIUS, FRICTION)
@@ -25,22 +24,6 @@ def ring(points, turn=0.0):
     """Return the (x, y) of points on the lip."""
     angle = turn + 2 * np.pi * np.arange(points) / points
     return RADIUS * np.cos(angle), RADIUS * np.sin(angle)
-
-
-def largest_scale(columns, f, m):
-    """
-    Return the largest s for which pressing forces p >= 0 on the ring balance s (f, m).
-
-    The package feels the vacuum's V upwards and the lip's p downwards: V - sum p = s f_z, and
-    their moments about x and y are s (m_x, m_y).
-    """
-    x, y = columns
-    A = np.vstack([
-        np.append(np.ones(len(x)), f[2]), np.append(-y, -m[0]), np.append(x, -m[1])])
-    out = linprog(np.append(np.zeros(len(x)), -1.0), A_eq=A, b_eq=[SUCTION, 0, 0],
-                  bounds=[(0, None)] * len(x) + [(0, 1e6)])
-    assert out.success, out.message
-    return out.x[-1]
 
 
 @pytest.mark.parametrize('seed', CASES)
@@ -70,23 +53,13 @@ def test_at_the_slip_factor_friction_is_used_up(seed):
     assert_allclose(q, FRICTION * normal, rtol=1e-12)
 
 
-@pytest.mark.parametrize('seed', CASES)
-def test_six_points_of_pham_lose_contact_between_peel_and_tip(seed):
-    """Their six points press or not, each for itself: a rigid hexagon inside the circle."""
-    f, m = wrench(seed)
-    hexagon = largest_scale(ring(6), f, m)
-    assert min(safety_factors(GRIP, f, m)[0], 1e6) <= hexagon * (1 + 1e-9)
-    load = f[2] + math.hypot(m[0], m[1]) / RADIUS  # a rigid ring tips where m_t / r = N
-    assert hexagon <= (min(SUCTION / load, 1e6) if load > 0.0 else 1e6) * (1 + 1e-9)
-
-
 @pytest.mark.parametrize(('peeled', 'above'), [(0.0, 0.111), (0.5, 0.333)])
 def test_slip_is_above_a_ring_with_coulomb_friction_by_what_is_said(peeled, above):
     angle = np.arange(0.0, 2.0 * np.pi, 0.01)
     pressure, x, y = 1.0 + peeled * np.cos(angle), np.cos(angle), np.sin(angle)
     most = 0.0
-    for radius in np.linspace(0.02, 3.0, 80):  # of the instant centre of the slip, in radii
-        for turn in np.arange(0.0, 2.0 * np.pi, 0.1):
+    for radius in np.linspace(0.02, 3.0, 40):  # of the instant centre of the slip, in radii
+        for turn in np.arange(0.0, 2.0 * np.pi, 0.2):
             vx, vy = -(y - radius * np.sin(turn)), x - radius * np.cos(turn)
             part = pressure / np.hypot(vx, vy)
             f = [np.mean(part * vx), np.mean(part * vy), 0.0]

@@ -23,31 +23,21 @@ def angle_between(Ra, Rb):
     return np.linalg.norm(log_so3(np.swapaxes(Ra, -1, -2) @ Rb), axis=-1)
 
 
-def thesis_energies():
-    """Return the energies (3, N) of the thesis' validation case (3.45)-(3.49), undamped."""
+def test_energy_is_that_of_the_thesis_and_constant_without_damping():
+    """Simulate the validation case (3.45)-(3.49)."""
     cup = Cup(cases.K_THESIS, np.zeros((6, 6)), 0.0482)
     package = Package(2.0, box_inertia(2.0, 0.2, 0.2, 0.2), (0.0, 0.0, -0.1))
     tool = cases.still_tool(cases.orthonormal(cases.T_WORLD_TOOL), 2 * 10**9, 2000)
     T = cases.orthonormal(cases.T_WORLD_PACKAGE)
     body = simulate(cup, package, tool, state_of(T[:3, 3], T[:3, :3]), substeps=1)
     gravity = np.array([0.0, 0.0, -GRAVITY])
-    return np.array([
+    energies = np.array([
         oracle.energies(cup, package, gravity, *each) for each in zip(
             lie.transform(tool.rotation, tool.position),
-            lie.transform(body.rotation, body.position), body.twist, strict=True)]).T
-
-
-def test_start_energies_of_the_thesis():
-    kinetic, elastic, gravity = thesis_energies()[:, 0]
+            lie.transform(body.rotation, body.position), body.twist, strict=True)])
     # the poses are printed with four digits
-    assert_allclose(kinetic, 0.0, atol=1e-15)
-    assert_allclose(elastic, 2.0425, rtol=5e-4)
-    assert_allclose(gravity, 0.5906, rtol=5e-4)
-
-
-def test_energy_is_constant_without_damping():
-    total = thesis_energies().sum(axis=0)
-    assert np.abs(total - total[0]).max() < 1e-6
+    assert_allclose(energies[0], [0.0, 2.0425, 0.5906], rtol=5e-4, atol=1e-15)
+    assert np.ptp(energies.sum(axis=1)) < 1e-6
 
 
 def pair(h):
@@ -63,10 +53,9 @@ def random_strains(rng, size=0.01):
 NONE, RUBBER, STRETCH = (0.0, 0.0), (0.3, 0.2), (-2e4, -5.0)
 
 
-@pytest.fixture(scope='module', params=[
-    (NONE, NONE), (RUBBER, NONE), (NONE, STRETCH), (RUBBER, STRETCH)])
+@pytest.fixture(scope='module', params=[(NONE, NONE), (RUBBER, STRETCH)])
 def shaken(request):
-    """Return a model, a tool motion, a start, and the solution of DOP853 (0.5 s at 1 ms)."""
+    """Return a model, a tool motion, a start, and the solution of DOP853 (0.24 s at 1 ms)."""
     rng = np.random.default_rng(7)
     cup, package, motion = random_cup(rng), random_package(rng), ShakenTool(rng)
     relaxation, stretch = request.param
@@ -74,7 +63,7 @@ def shaken(request):
     cup = replace(cup, relaxation=relaxation, stretch=stretch)
     T = np.eye(4)
     T[:3, 3] = package.com - np.array([0.0, 0.0, cup.length])
-    times = np.arange(0, 501) * 1e-3
+    times = np.arange(0, 241) * 1e-3
     gravity = np.array([0.0, 0.0, -GRAVITY])
     solution = oracle.solve(cup, package, gravity, motion.at, T, np.zeros(6), times, z.ravel())
     start = state_of(T[:3, 3], T[:3, :3])
@@ -84,7 +73,7 @@ def shaken(request):
 
 def test_agrees_with_dop853_on_the_plain_equations(shaken):
     cup, package, motion, start, (position, rotation, twist) = shaken
-    body = simulate(cup, package, motion.trajectory(0.5, 2000), start, substeps=2)
+    body = simulate(cup, package, motion.trajectory(0.24, 2000), start, substeps=2)
     body = body.select(slice(None, None, 2))
     assert np.abs(body.position - position).max() < 1e-9
     assert angle_between(body.rotation, rotation).max() < 1e-8
@@ -95,7 +84,7 @@ def test_observed_order_is_four(shaken):
     cup, package, motion, start, (position, rotation, _) = shaken
     errors = []
     for rate in (125, 250, 500):
-        body = simulate(cup, package, motion.trajectory(0.5, rate), start, substeps=1)
+        body = simulate(cup, package, motion.trajectory(0.24, rate), start, substeps=1)
         truth = slice(None, None, 1000 // rate)
         error = np.abs(body.position - position[truth]).max()
         errors.append([error, angle_between(body.rotation, rotation[truth]).max()])
@@ -121,17 +110,16 @@ def repeat(model, body, tool, later, h, count):
     return body
 
 
-def test_rotation_stays_orthonormal_after_a_million_steps():
+def test_rotation_stays_orthonormal_after_many_steps():
     rng = np.random.default_rng(3)
     model = model_tuple(random_cup(rng), random_package(rng), GRAVITY)
     tool = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.1, 0.4, 3.0)
     turned = tool_at(tool_segment(tool, tool, 1e-3), 0.5)  # a tool that goes on turning
     body = (0.0, 0.0, -0.1), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.5, -0.2, 1.0)
-    count = 1_000_000 if jit.COMPILED else 20_000  # 250 times slower interpreted
+    count = 200_000 if jit.COMPILED else 10_000  # 250 times slower interpreted
     body = repeat(model, body, tool, turned, 1e-3, count)
     R = quaternion_to_rotation(np.array(body[1]))
-    length = np.linalg.norm(body[1])
-    assert abs(length - 1.0) < 1e-14
+    assert abs(np.linalg.norm(body[1]) - 1.0) < 1e-14
     assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert np.all(np.isfinite(np.concatenate(body)))
 

@@ -1,4 +1,4 @@
-"""Rubber that relaxes, against a second implementation, its limits, and the laws of energy."""
+"""Rubber that relaxes, against a second implementation, and its limits."""
 
 from dataclasses import replace
 
@@ -7,10 +7,8 @@ from bellows_ros.core.geometry.tuples import unit
 from bellows_ros.core.model import equilibrium, jacobians
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import lip_strain, lip_wrench, spring_wrench, with_strains
-from bellows_ros.core.model.simulation import simulate, simulate_rows, state_row
+from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.errors import BellowsError
-from hypothesis import given, settings
-from hypothesis import strategies as st
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -39,41 +37,11 @@ def test_both_ports_agree():
     assert_allclose(np.hstack([f, m]), -adjoint(H).T @ np.hstack([g, n]), rtol=1e-11)
 
 
-def energy(cup, package, tool, row):
-    """Return all energy, in J, of cup and package in a row of 25 numbers, the tool at rest."""
-    body = with_strains(
-        state_row(row[:3], row[3:7], row[7:13]), (pair(row[13:19]), pair(row[19:])))
-    model = model_tuple(cup, package, 9.81)
-    h = np.hstack(lip_strain(model, tool, body))
-    elastic = h @ cup.stiffness @ h
-    for r, z in zip(cup.relaxation, (row[13:19], row[19:]), strict=True):
-        elastic += r * (h - z) @ cup.stiffness @ (h - z)
-    v, w = row[7:10], row[10:13]
-    return elastic / 8.0 + 0.5 * (package.mass * v @ v + w @ package.inertia @ w) + (
-        package.mass * 9.81 * row[2])
-
-
-@settings(max_examples=25, deadline=None, derandomize=True)
-@given(st.integers(0, 2**32 - 1), st.floats(0.01, 3.0), st.floats(0.01, 3.0))
-def test_energy_with_its_branches_never_grows(seed, r1, r2):
-    rng = np.random.default_rng(seed)
-    cup, package = replace(random_cup(rng), relaxation=(r1, r2)), random_package(rng)
-    model = model_tuple(cup, package, 9.81)
-    T = random_pose(rng, 0.3, 0.01)
-    T[:3, 3] += package.com - np.array([0.0, 0.0, cup.length])
-    start = with_strains(state_of(T[:3, 3], T[:3, :3], 0.2 * rng.standard_normal(6)), tuple(
-        map(pair, random_strains(rng))))
-    tool = np.tile(np.hstack(STILL), (301, 1))
-    rows = simulate_rows(model, start, tool, np.full(300, 1e-3), np.ones(300, dtype=np.int64))
-    total = np.array([energy(cup, package, STILL, row) for row in rows])
-    assert np.all(np.diff(total) <= 1e-9)
-
-
-def test_no_strength_is_no_relaxation_bit_for_bit():
-    rng = np.random.default_rng(7)
-    plain = random_cup(rng)
-    none = replace(plain, relaxation=(0.0, 0.0), relaxation_times=(0.01, 0.02))
-    assert none.as_tuple == plain.as_tuple
+@pytest.mark.parametrize('none', [
+    {'relaxation': (0.0, 0.0), 'relaxation_times': (0.01, 0.02)}, {'stretch': (0.0, -0.0)}])
+def test_no_strength_and_no_stretch_are_none_bit_for_bit(none):
+    plain = random_cup(np.random.default_rng(7))
+    assert replace(plain, **none).as_tuple == plain.as_tuple
 
 
 def test_a_step_meets_the_whole_stiffness_and_rest_the_static_one():
@@ -107,11 +75,10 @@ def derivatives_case(seed, relaxes, stretch=(0.0, 0.0)):
     return case, rows, z, accelerate
 
 
-@pytest.mark.parametrize('seed', range(2))
 @pytest.mark.parametrize('stretch', [(0.0, 0.0), (-2e4, -5.0)])
 @pytest.mark.parametrize('relaxes', [False, True])
-def test_accelerations_follow_states_and_parameters(relaxes, stretch, seed):
-    case, rows, _, accelerate = derivatives_case(seed, relaxes, stretch)
+def test_accelerations_follow_states_and_parameters(relaxes, stretch):
+    case, rows, _, accelerate = derivatives_case(1, relaxes, stretch)
     for name, state, derivatives in (('body', case.body, jacobians.body_jacobians),
                                      ('tool', case.tool, jacobians.tool_jacobians)):
         pose, twist = derivatives(*rows)
@@ -127,9 +94,8 @@ def test_accelerations_follow_states_and_parameters(relaxes, stretch, seed):
         near(out[:, column], expected[:, column], 1e-11)
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_accelerations_follow_strengths_and_strains(seed):
-    _, rows, z, accelerate = derivatives_case(seed, True)
+def test_accelerations_follow_strengths_and_strains():
+    _, rows, z, accelerate = derivatives_case(0, True)
     out = np.zeros((6, 2))
     jacobians.relaxation_jacobian(*rows, out, 0)
     near(out, complex_step.derivative(lambda r: accelerate(r=r), R), 1e-12)
@@ -169,16 +135,11 @@ def test_modes_are_those_of_the_complex_stiffness():
 
 
 @pytest.mark.parametrize(('arguments', 'word'), [
-    ({'stiffness': np.eye(5)}, 'stiffness'),
-    ({'damping': np.full((6, 6), np.nan)}, 'damping'),
-    ({'stiffness': np.triu(np.ones((6, 6)))}, 'symmetric'),
-    ({'length': 0.0}, 'length'),
-    ({'relaxation': (-0.1, 0.2)}, 'cup.relaxation'),
-    ({'relaxation': (0.1,)}, 'cup.relaxation'),
-    ({'relaxation': (0.1, np.nan)}, 'cup.relaxation'),
-    ({'relaxation_times': (0.8, 0.06)}, 'cup.relaxation_times'),
-    ({'relaxation_times': (0.0, 0.06)}, 'cup.relaxation_times'),
-])
+    ({'stiffness': np.eye(5)}, 'stiffness'), ({'damping': np.full((6, 6), np.nan)}, 'damping'),
+    ({'stiffness': np.triu(np.ones((6, 6)))}, 'symmetric'), ({'length': 0.0}, 'length'),
+    *(({'relaxation': wrong}, 'cup.relaxation') for wrong in ((-0.1, 0.2), (0.1,), (0.1, np.nan))),
+    *(({'relaxation_times': x}, 'cup.relaxation_times') for x in ((0.8, 0.06), (0.0, 0.06))),
+    *(({'stretch': wrong}, 'cup.stretch') for wrong in ((np.nan, 0.0), (1.0,), ('a', 'b')))])
 def test_a_cup_names_what_is_wrong(arguments, word):
     with pytest.raises(BellowsError, match=word):
         replace(Cup.thesis(), **arguments)
