@@ -102,9 +102,9 @@ def test_covariance_of_a_later_state_is_that_of_its_own_time():
     uncertainty = Uncertainty(live.model, said)
     for prediction in base[:at]:
         uncertainty.root(prediction)
-    planned, steady = (Flight(said, lambda now, deviations: rows if plan else None).root_later(
+    planned, steady = (Flight(said, lambda now, deviations, rows=known: rows).root_later(
         live.model, base[at], (later - at) * PERIOD * 1e-9, uncertainty)
-        for plan in (True, False))
+        for known in (rows, None))
     for prediction in base[at:later]:
         uncertainty.root(prediction)
     expected, planned, steady = (
