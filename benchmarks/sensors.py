@@ -19,8 +19,8 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import poses_of, weak_prior
-from bellows_ros.core.identification.search import Search
 from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
@@ -154,10 +154,9 @@ def bound_of(
     cup: Cup, structure: Structure, true: MeasuredSegment, free: Mapping[str, Array]
 ) -> Array:
     """Return the Cramer-Rao bound (n,) of the parameters and of all else that is free."""
-    search = Search([Segment(true)], structure, cup, free)
-    jacobian = search.system(search.start)[0][0].jacobian
-    information = jacobian.T @ jacobian + np.diag(search.weights)
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))) * search.units)
+    problem = Problem((Segment.of(true),), structure, cup, free)
+    J = problem.whitened(problem.start, problem.segments[0], problem.segments[0].first).jacobian
+    return np.sqrt(np.diag(np.linalg.inv(J.T @ J + np.diag(problem.weights)))) * problem.units
 
 
 def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:

@@ -59,15 +59,15 @@ def compile_plans(relaxation=(0.0, 0.0)):
 
 def _compile_search(relaxation=(0.0, 0.0)):
     """Compile what output error needs."""
-    from bellows_ros.core.identification.search import Search
+    from bellows_ros.core.identification.problem import Problem
     from bellows_ros.core.identification.segments import Segment
     from bellows_ros.core.model.structure import STRUCTURES
 
     from .core.identification.test_output_error import measured
 
-    search = Search([Segment(measured(9, duration=3.0))], STRUCTURES['axisymmetric'],
-                    _cup(relaxation), {})
-    search.system(search.start, 0.0)
+    problem = Problem((Segment.of(measured(9, duration=3.0)),), STRUCTURES['axisymmetric'],
+                      _cup(relaxation), {})
+    problem.whitened(problem.start, problem.segments[0], problem.segments[0].first)
 
 
 def compile_observer(relaxation=(0.0, 0.0)):

@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.result import covariance_of
-from bellows_ros.core.identification.search import Search
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
@@ -297,9 +297,10 @@ def motion_information(
     of_tool, of_package = (BodyNoise(np.repeat(std, 3)) for std in (
         density * np.array(tracking.tool), tracking.package))
     measured = MeasuredSegment(tool, body, package, gravity, of_tool, of_package)
-    search = Search([Segment(measured)], structure, cup, {})
-    (part,), _, _ = search.system(search.start)
-    return np.asarray(part.jacobian.T @ part.jacobian / np.outer(search.units, search.units))
+    segment = Segment.of(measured)
+    problem = Problem((segment,), structure, cup, {})
+    J = problem.whitened(problem.start, segment, segment.first).jacobian / problem.units
+    return J.T @ J
 
 
 def standard_errors(information: Array) -> Array:

@@ -16,11 +16,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.diagnosis.candidates import is_explained, SIGNIFICANT
 from bellows_ros.core.identification.quantities import Free
-from bellows_ros.core.identification.search import (
-    Minimum,
-    Report,
-    Search,
-)
+from bellows_ros.core.identification.search import minimise, Report, Solution, system_of
 from bellows_ros.core.model.cup_package import package_of
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.parameters.values import Values
@@ -65,75 +61,75 @@ def stated(given: Free) -> list[str]:
             if name in PACKAGE_STD and np.any(std != PACKAGE_STD[name])]
 
 
-def with_given(
-    search: Search, minimum: Minimum, given: Free, report: Report
-) -> tuple[Search, Minimum, Array]:
+def with_given(found: Solution, given: Free, report: Report) -> tuple[Solution, Array]:
     """
     Return the minimum near one with what was given free, by its standard deviations.
 
-    With its search, and what the rest adds to the covariance (m, m) of the unknowns, SI units.
-    Where that leaves a cause to look for, the minimum from the start with all that was given free,
-    if it leaves less and nothing is off by more than `SIGNIFICANT` times its standard deviation,
-    or the search near it ended at no plausible cup (`Search.is_plausible`).
+    With what the rest adds to the covariance (m, m) of the unknowns, SI units. Where that leaves a
+    cause to look for, the minimum from the start with all that was given free, if it leaves less
+    and nothing is off by more than `SIGNIFICANT` times its standard deviation, or the search near
+    it ended at no plausible cup (`Solution.is_plausible`).
     """
-    more = {name: std for name, std in given.items() if name not in search.places}
-    size = len(search.units)
-    near = near_with_given(search, minimum, more, report)
-    if not more or is_explained(*near[:2], given):
+    problem = found.problem
+    more = {name: std for name, std in given.items() if name not in problem.places}
+    size = len(problem.units)
+    near = near_with_given(found, more, report)
+    if not more or is_explained(near[0], given):
         return near
-    for segment in search.segments:
-        segment.reset()
-    wide = search.with_free(search.start, more)
-    again = wide.minimum(report)
+    wide = problem.freed(problem.start, more)
+    again = minimise(wide, report=report)
     off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
-    if again.converged and (not near[0].is_plausible(near[1]) or np.all(off < SIGNIFICANT)
-                            and again.squares <= near[1].squares):
-        return wide, again, np.zeros((len(wide.units),) * 2)
-    search.restore(near[1])
+    if again.converged and (not near[0].is_plausible or np.all(off < SIGNIFICANT)
+                            and again.squares <= near[0].squares):
+        return again, unmoved(again)
     return near
 
 
-def near_with_given(
-    search: Search, minimum: Minimum, more: Free, report: Report
-) -> tuple[Search, Minimum, Array]:
+def unmoved(found: Solution) -> Array:
+    """Return no covariance (m, m) by what was given."""
+    return np.zeros((len(found.theta),) * 2)
+
+
+def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Solution, Array]:
     """
     Return the minimum near one with that part of `more` free which the recordings know better.
 
-    The rest stays as it was given. With search and covariance as `with_given`.
+    The rest stays as it was given. With a covariance as `with_given`.
     """
-    wide = search.with_free(
-        minimum.theta, {name: std for name, std in more.items() if name not in search.places})
+    problem = found.problem
+    wide = problem.freed(
+        found.theta, {name: std for name, std in more.items() if name not in problem.places})
     size = len(wide.units) - sum(wide.places[name].size for name in more)
-    start, unmoved = wide.transferred(search, minimum.theta), np.zeros((len(search.units),) * 2)
-    if not search.is_plausible(minimum):
-        return search, minimum, unmoved
-    std = wide.weights[size:] ** -0.5
-    parts, H, g = wide.system(start)
+    if not found.is_plausible:
+        return found, unmoved(found)
+    start, std = found.near(wide), wide.weights[size:] ** -0.5
+    parts, H, g = system_of(wide, start)
     if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
-        return search, minimum._replace(converged=False), unmoved
-    known = np.sum([part.information(len(H)) for part in parts], axis=0)  # without a prior
+        return replace(found, converged=False), unmoved(found)
+    known = H - wide.prior(start.theta, 0.0)[0]
     S = known[size:, size:] - known[size:, :size] @ np.linalg.lstsq(
         known[:size, :size], known[:size, size:], rcond=None)[0]
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # what was given has 1
     free = int(np.count_nonzero(values > 1.0))
     fixed = vectors[:, :len(std) - free] / std[:, None]
-    wide.fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
-    again = wide.minimum(report, start, (
-        parts, H + wide.fixing, g + wide.fixing @ (wide.start - start)))
+    fixing = np.zeros_like(H)
+    fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
+    again = minimise(replace(wide, fixing=fixing), start, report, (
+        parts, H + fixing, g + fixing @ (wide.start - start.theta)))
     if again.converged:
-        search, minimum, H = wide, again, again.information - wide.fixing
+        found, H = again, again.information - fixing
     else:
-        search.accept(minimum.parts)
-        if len(wide.units) == len(search.units):
-            return search, minimum, unmoved
+        if len(wide.units) == len(problem.units):
+            return found, unmoved(found)
         free = 0
     by = np.eye(len(H))
     by[size:, size:] = std[:, None] * vectors[:, ::-1]  # the best known first
     H, first = by.T @ H @ by, size + free
-    moved = np.zeros((len(search.units), len(H) - first))
+    units = found.problem.units
+    moved = np.zeros((len(units), len(H) - first))
     moved[:size] = -np.linalg.solve(H[:first, :first], H[:first, first:])[:size]
-    moved *= search.units[:, None]
-    return search, minimum, moved @ moved.T
+    moved *= units[:, None]
+    return found, moved @ moved.T
 
 
 def as_found(recording: Recording, found: Free, number: int) -> Recording:

@@ -5,18 +5,32 @@ Also two clocks, two worlds and a marker anywhere on the package, from one recor
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.diagnosis.candidates import likeliest_setting, scores
+from bellows_ros.core.identification.diagnosis.candidates import (
+    fall_of,
+    likeliest_setting,
+    scores,
+)
 from bellows_ros.core.identification.diagnosis.ranking import rank
-from bellows_ros.core.identification.given import near_with_given, NOTHING, with_given
+from bellows_ros.core.identification.given import (
+    near_with_given,
+    NOTHING,
+    unmoved,
+    with_given,
+)
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
+from bellows_ros.core.identification.problem import (
+    DEFAULT_RATIO,
+    Problem,
+    RATIO_STD,
+    WhitenedSegment,
+)
 from bellows_ros.core.identification.quantities import Free, KINDS, STRETCH_UNITS, weak_prior
 from bellows_ros.core.identification.result import (
     Fit,
@@ -27,15 +41,17 @@ from bellows_ros.core.identification.result import (
     with_unidentifiable,
 )
 from bellows_ros.core.identification.search import (
-    DEFAULT_RATIO,
+    accepted,
+    approach,
+    Iterate,
     MAX_DAMPING,
     MAX_NOISE_CHI2,
-    Minimum,
+    minimise,
     MISFIT_CHI2,
-    RATIO_STD,
     Report,
-    Search,
-    WhitenedSegment,
+    root,
+    Solution,
+    system_of,
 )
 from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
@@ -48,7 +64,7 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
-Ends = tuple[tuple[Search, Minimum, Array], dict[Search, Minimum]]
+Ends = tuple[tuple[Solution, Array], list[Solution]]
 """Where a search ends, as of `with_given`, and the ends at which causes are looked for."""
 
 MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
@@ -135,91 +151,80 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
-    search = Search([Segment(part) for part in measured], structure, start, free)
-    are_slow = any(segment.is_slow for segment in search.segments)
-    near = search.approach(record, with_couplings=are_slow)
+    problem = Problem(tuple(map(Segment.of, measured)), structure, start, free)
+    are_slow = any(segment.is_slow for segment in problem.segments)
+    near = approach(problem, record, with_couplings=are_slow)
     if near.squares > MISFIT_CHI2 * near.residual_count and (
-            setting := likeliest_setting(search, other_start or start)):
-        unmoved = np.zeros((len(search.units),) * 2)
-        return _fit(search, near, unmoved, iterations, named, (setting,))
-    search.restore(near)
-    search, near = _extended(search, near, given, richer, stretch, record)
-    (wide, minimum, from_given), ends = _from_slow_poses(
-        search, near, given, relaxation, record) if are_slow else _from_quick_poses(
-        search, near, given, relaxation, record, other_start or start)
-    reasons = rank(ends, given)
-    wide.restore(minimum)
-    return _fit(wide, minimum, from_given, iterations, named, reasons)
+            setting := likeliest_setting(problem, other_start or start)):
+        return _fit(near, unmoved(near), iterations, named, (setting,))
+    near = _extended(near, given, richer, stretch, record)
+    (found, from_given), ends = _from_slow_poses(
+        near, given, relaxation, record) if are_slow else _from_quick_poses(
+        near, given, relaxation, record, other_start or start)
+    return _fit(found, from_given, iterations, named, rank(ends, given))
 
 
 def _extended(
-    search: Search, near: Minimum, given: Free, richer: Structure | None, stretch: str,
-    report: Report,
-) -> tuple[Search, Minimum]:
+    near: Solution, given: Free, richer: Structure | None, stretch: str, report: Report
+) -> Solution:
     """Return the search with couplings and with stretch, if these are significant."""
     if richer is None and stretch == 'off':
-        return search, near
-    minimum = search.root_from(near, report)
-    if richer is not None and minimum.converged:
-        search, minimum = _tried(search, minimum, given, {}, richer, report)
-    if stretch != 'off' and minimum.converged:
-        search, minimum = _tried(
-            search, minimum, given, weak_prior(['stretch']), search.structure, report)
-    if stretch == 'on' and 'stretch' not in search.places:
+        return near
+    found = root(near, report)
+    if richer is not None and found.converged:
+        found = _tried(found, given, {}, richer, report)
+    if stretch != 'off' and found.converged:
+        found = _tried(found, given, weak_prior(['stretch']), found.problem.structure, report)
+    if stretch == 'on' and 'stretch' not in found.problem.places:
         raise UndeterminedError(NOTES['not_stretching'])
-    return (search, minimum) if minimum.converged else (search, near)
+    return found if found.converged else near
 
 
 def _tried(
-    search: Search, minimum: Minimum, given: Free, more: Free, structure: Structure,
-    report: Report,
-) -> tuple[Search, Minimum]:
+    found: Solution, given: Free, more: Free, structure: Structure, report: Report
+) -> Solution:
     """
-    Return the search with an extension of the spring if this is significant, else as it is.
+    Return the solution with an extension of the spring if this is significant, else as it is.
 
     The score allows for errors of the given quantities; the covariance is that of a jackknife, so
     that motion which is left out confirms the extension.
     """
-    def place(wide: Search) -> Places:
-        couplings = structure.couplings if structure is not search.structure else []
+    problem = found.problem
+
+    def place(wide: Problem) -> Places:
+        couplings = structure.couplings if structure is not problem.structure else []
         return np.asarray([*couplings, *(row for name in more for row in wide.places[name][0])])
 
-    uncertain = {name: std for name, std in given.items() if name not in search.places}
-    wide = search.with_free(minimum.theta, {**more, **uncertain}, structure)
-    start = wide.transferred(search, minimum.theta)
-    _, H, g = wide.system(start)
+    uncertain = {name: std for name, std in given.items() if name not in problem.places}
+    wide = problem.freed(found.theta, {**more, **uncertain}, structure)
+    _, H, g = system_of(wide, found.near(wide))
     tested = place(wide)
     rest = np.setdiff1d(np.arange(len(g)), tested)
-    by_rest = np.linalg.solve(H[np.ix_(rest, rest)], np.column_stack([H[np.ix_(rest, tested)],
-                                                                     g[rest]]))
-    slope = g[tested] - H[np.ix_(tested, rest)] @ by_rest[:, -1]
-    S = H[np.ix_(tested, tested)] - H[np.ix_(tested, rest)] @ by_rest[:, :-1]
-    if float(slope @ np.linalg.solve(S, slope)) > MIN_SQUARED_DISTANCE:
-        wide = search.with_free(minimum.theta, more, structure)
-        end = wide.minimum(report, wide.transferred(search, minimum.theta))
-        if end.converged and end.squares < minimum.squares:
-            x, tested = wide.units * end.theta, place(wide)
-            C = covariance_of(wide, end)[0][np.ix_(tested, tested)]
-            is_material = structure is search.structure or has_coupling(
-                wide.cup(end.theta).stiffness)
-            if is_material and _is_passive(wide, end) and (
-                    float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE):
-                return wide, end
-        search.restore(minimum)
-    return search, minimum
+    if fall_of(H, g, rest, tested) <= MIN_SQUARED_DISTANCE:
+        return found
+    wide = problem.freed(found.theta, more, structure)
+    end = minimise(wide, found.near(wide), report)
+    if end.converged and end.squares < found.squares:
+        x, tested = wide.units * end.theta, place(wide)
+        C = covariance_of(end)[0][np.ix_(tested, tested)]
+        is_material = structure is problem.structure or has_coupling(end.cup.stiffness)
+        if is_material and _is_passive(end) and (
+                float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE):
+            return end
+    return found
 
 
-def _is_passive(search: Search, minimum: Minimum) -> bool:
+def _is_passive(found: Solution) -> bool:
     """Return whether the energy is positive definite in the usual range of stretch."""
     try:
-        require_stretch(search.cup(minimum.theta).stiffness, search.stretch(minimum.theta))
+        require_stretch(found.cup.stiffness, found.problem.stretch(found.theta))
     except BellowsError:
         return False
     return True
 
 
 def _from_quick_poses(
-    search: Search, start: Minimum, given: Free, relaxation: str, report: Report, other_start: Cup
+    near: Solution, given: Free, relaxation: str, report: Report, other_start: Cup
 ) -> Ends:
     """
     Return where a search ends whose recordings may know what was given better than the user.
@@ -228,127 +233,99 @@ def _from_quick_poses(
     from another cup, as least squares, which the start is from, take what was given for exact;
     then free from the start, as it may be far off.
     """
-    more = {name: std for name, std in given.items() if name not in search.places}
-    base, minimum = search, start
-    if start.squares < MISFIT_CHI2 * start.residual_count:
-        minimum = search.root_from(start, report)
-    for held, cup in ((more, other_start), ((), search.start_cup)):
-        if search.is_plausible(minimum):
+    base = problem = near.problem
+    more = {name: std for name, std in given.items() if name not in base.places}
+    found = near
+    if near.squares < MISFIT_CHI2 * near.residual_count:
+        found = root(near, report)
+    for held, cup in ((more, other_start), ((), base.first_cup)):
+        if found.is_plausible:
             break
-        search = search.with_free(search.unknowns(cup), {
-            name: std for name, std in more.items() if name not in search.places})
-        for segment in search.segments:
-            segment.reset()
-        start = search.approach(report, held)
-        minimum = search.root_from(start, report)
-    if not minimum.converged:  # it may have run far away
-        minimum = start
-        search.restore(minimum)
-    else:
-        search, minimum = _with_relaxation(search, minimum, relaxation, report)
-    end = near_with_given(search, minimum, more, report)
-    ends = _open_ends(search, minimum, end)
-    if search is not base and not _explains(end[1]):  # what was given hides the cause
-        for segment in base.segments:
-            segment.reset()
-        ends = {base: base.minimum(report)}
+        problem = problem.freed(problem.unknowns(cup), more)
+        near = approach(problem, report, held)
+        found = root(near, report)
+    # where it does not converge, it may have run far away
+    found = _with_relaxation(found, relaxation, report) if found.converged else near
+    end = near_with_given(found, more, report)
+    ends = _open_ends(found, end[0])
+    if problem is not base and not _explains(end[0]):  # what was given hides the cause
+        ends = [minimise(base)]
     return end, ends
 
 
-def _from_slow_poses(
-    search: Search, start: Minimum, given: Free, relaxation: str, report: Report
-) -> Ends:
+def _from_slow_poses(near: Solution, given: Free, relaxation: str, report: Report) -> Ends:
     """Return where a search ends that estimates the noise of poses, too."""
-    minimum = search.root_from(start, report)
-    end, is_open = (search, minimum, np.zeros((len(search.units),) * 2)), True
-    if given and relaxation != 'on' and not search.is_plausible(minimum):
-        end = with_given(search, minimum, given, report)
-        is_open = not end[1].converged or (
-            end[1].squares > MAX_NOISE_CHI2 * end[1].residual_count)
+    stiff = found = root(near, report)
+    end, is_open = (found, unmoved(found)), True
+    if given and relaxation != 'on' and not found.is_plausible:
+        end = with_given(found, given, report)
+        is_open = not end[0].converged or (
+            end[0].squares > MAX_NOISE_CHI2 * end[0].residual_count)
     if is_open:  # rubber may be why
-        stiff = search
-        search, minimum = _with_relaxation(search, minimum, relaxation, report)
-        if end[0] is stiff or search is not stiff:
-            end = with_given(search, minimum, given, report)
-    return end, _open_ends(search, minimum, end)
+        found = _with_relaxation(found, relaxation, report)
+        if end[0] is stiff or found is not stiff:
+            end = with_given(found, given, report)
+    return end, _open_ends(found, end[0])
 
 
-def _open_ends(
-    search: Search, minimum: Minimum, end: tuple[Search, Minimum, Array]
-) -> dict[Search, Minimum]:
+def _open_ends(found: Solution, end: Solution) -> list[Solution]:
     """Return where causes are looked for: first the end with what was given, if it explains."""
-    return {**({end[0]: end[1]} if _explains(end[1]) else {}), search: minimum}
+    return [end, found] if _explains(end) and end.problem is not found.problem else [found]
 
 
-def _explains(minimum: Minimum) -> bool:
+def _explains(found: Solution) -> bool:
     """Return whether a minimum leaves no misfit."""
-    return minimum.robust_chi2 < MISFIT_CHI2
+    return found.robust_chi2 < MISFIT_CHI2
 
 
-def _with_relaxation(
-    search: Search, minimum: Minimum, relaxation: str, report: Report
-) -> tuple[Search, Minimum]:
-    """Return the search with strengths of relaxation where they are significant, else without."""
+def _with_relaxation(found: Solution, relaxation: str, report: Report) -> Solution:
+    """Return the solution with strengths of relaxation where they explain most, else as it is."""
     if relaxation == 'off':
-        return search, minimum
-    search, minimum = _relaxed(search, minimum, report)
-    if relaxation == 'on' and 'relaxation' not in search.places:
-        raise UndeterminedError(NOTES['not_relaxing'])
-    return search, minimum
-
-
-def _relaxed(
-    search: Search, minimum: Minimum, report: Report
-) -> tuple[Search, Minimum]:
-    """Return the search with strengths of relaxation if they explain most, else as it is."""
-    (score,) = scores(search, minimum, ['relaxation']).values()
+        return found
+    (score,) = scores(found, ['relaxation']).values()
     if score > MIN_SQUARED_DISTANCE:
-        wide = search.with_free(minimum.theta, weak_prior(['relaxation']))
-        relaxed = wide.minimum(report, wide.transferred(search, minimum.theta))
+        wide = found.problem.freed(found.theta, weak_prior(['relaxation']))
+        relaxed = minimise(wide, found.near(wide), report)
         noise = MAX_NOISE_CHI2 * relaxed.residual_count
-        limit = max(MAX_REMAINING_SHARE * (minimum.squares - noise), 0.0)
-        if relaxed.converged and relaxed.squares - noise <= limit and _relaxes(wide, relaxed):
-            return wide, relaxed
-        search.accept(minimum.parts)
-    return search, minimum
+        limit = max(MAX_REMAINING_SHARE * (found.squares - noise), 0.0)
+        if relaxed.converged and relaxed.squares - noise <= limit:
+            r, covariance = _strengths(relaxed, covariance_of(relaxed)[0])
+            if r @ np.linalg.solve(covariance, r) > MIN_SQUARED_DISTANCE:
+                return relaxed
+    if relaxation == 'on':
+        raise UndeterminedError(NOTES['not_relaxing'])
+    return found
 
 
-def _relaxes(search: Search, minimum: Minimum) -> bool:
-    """Return whether strengths of relaxation are significant."""
-    r, covariance = _strengths(search, minimum, covariance_of(search, minimum)[0])
-    return bool(r @ np.linalg.solve(covariance, r) > MIN_SQUARED_DISTANCE)
-
-
-def _strengths(search: Search, minimum: Minimum, covariance: Array) -> tuple[Array, Array]:
+def _strengths(found: Solution, covariance: Array) -> tuple[Array, Array]:
     """Return the strengths of relaxation (2,) with their covariance, zeros without it."""
-    if 'relaxation' not in search.places:
+    if 'relaxation' not in found.problem.places:
         return np.zeros(2), np.zeros((2, 2))
-    (place,) = search.places['relaxation']
-    return search.strengths(minimum.theta), covariance[np.ix_(place, place)]
+    (place,) = found.problem.places['relaxation']
+    return found.problem.strengths(found.theta), covariance[np.ix_(place, place)]
 
 
-def covariance_of(
-    search: Search, minimum: Minimum, noise: Array | None = None
-) -> tuple[Array, Array]:
+def covariance_of(found: Solution, noise: Array | None = None) -> tuple[Array, Array]:
     """
     Return the covariance (m, m) of the unknowns, SI units, and what noise (m,) is of their errors.
 
     By the jackknife. Information that is noise (m, m) in the derivatives steers no step.
     """
-    directions = np.linalg.inv(np.linalg.cholesky(minimum.information)).T
+    directions = np.linalg.inv(np.linalg.cholesky(found.information)).T
     shares = np.zeros(len(directions))
     if noise is not None:
         shares, turn = np.linalg.eigh(directions.T @ noise @ directions)
         directions = directions @ turn
-    covariance = np.asarray(np.linalg.inv(minimum.information), dtype=np.float64)
+    covariance = np.asarray(np.linalg.inv(found.information), dtype=np.float64)
     scatter = _relative_variances(np.array([
         gradient @ directions[part.places]
-        for segment, part in zip(search.segments, minimum.parts, strict=True)
+        for segment, part in zip(found.problem.segments, found.parts, strict=True)
         for gradient in _gradients_without(
             covariance[np.ix_(part.places, part.places)], part, segment.period)]))
     wide = directions / (1.0 - np.clip(shares, 0.0, MAX_NOISE_SHARE))
     covariance = (wide * np.maximum(scatter, 1.0)) @ wide.T
-    return (np.asarray(covariance * np.outer(search.units, search.units)),
+    units = found.problem.units
+    return (np.asarray(covariance * np.outer(units, units)),
             1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1)))
 
 
@@ -379,62 +356,63 @@ def _relative_variances(influences: Array) -> Array:
 
 
 def _fit(
-    search: Search, minimum: Minimum, from_given: Array, iterations: list[Iteration],
-    named: Sequence[str], reasons: tuple[Finding, ...],
+    found: Solution, from_given: Array, iterations: list[Iteration], named: Sequence[str],
+    reasons: tuple[Finding, ...],
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
-    size, x = search.count, search.units * minimum.theta
-    covariance, identifiable, notes = _identifiable(search, minimum, from_given, named)
-    strengths, of_strengths = _strengths(search, minimum, covariance)
+    problem = found.problem
+    size, x = problem.count, problem.units * found.theta
+    covariance, identifiable, notes = _identifiable(found, from_given, named)
+    strengths, of_strengths = _strengths(found, covariance)
     (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
     ratio = np.array([-DEFAULT_RATIO, 1.0])
     if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
         notes.append(NOTES['r2_assumed'])
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
-    residuals = minimum.residuals
-    total = sum(len(segment.measured.package) for segment in search.segments)
-    offsets = np.ravel(search.places['time_offset']) if 'time_offset' in named else slice(0)
+    residuals = found.residuals
+    total = sum(len(segment.measured.package) for segment in problem.segments)
+    offsets = np.ravel(problem.places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(
         method='output_error',
-        structure=search.structure.name,
+        structure=problem.structure.name,
         parameters=x[:size],
         covariance=with_unidentifiable(covariance[:size, :size], ~identifiable[:size]),
         from_given=from_given[:size, :size],
         samples_used=len(residuals),
         samples_rejected=total - len(residuals),
-        condition_number=_condition(minimum.information[:size, :size]),
-        weight=np.diag(search.segments[0].std ** -2),
+        condition_number=_condition(found.information[:size, :size]),
+        weight=np.diag(found.tracks[0].std ** -2),
         residual_rms=np.sqrt(np.mean(residuals**2, axis=0)),
-        notes=tuple(notes) if minimum.converged else (NOTES['not_converged'],),
-        misfit=NOTES['too_large_chi2'].format(chi2=minimum.robust_chi2) if (
-            minimum.robust_chi2 > MAX_CHI2) else '',
-        chi2=minimum.squares / max(minimum.residual_count - len(x), 1),
-        robust_chi2=minimum.robust_chi2 * max(search.learned(minimum), 1.0),
-        converged=minimum.converged,
+        notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
+        misfit=NOTES['too_large_chi2'].format(chi2=found.robust_chi2) if (
+            found.robust_chi2 > MAX_CHI2) else '',
+        chi2=found.squares / max(found.residual_count - len(x), 1),
+        robust_chi2=found.robust_chi2 * max(found.learned, 1.0),
+        converged=found.converged,
         iterations=tuple(iterations),
         delays=tuple(x[offsets].tolist()),
         delays_std=tuple(std[offsets].tolist()),
         freed=tuple(
             Freed(name, tuple(x[place].tolist()), tuple(std[place].tolist()))
-            for name, (place, *_) in search.places.items()
+            for name, (place, *_) in problem.places.items()
             if name in named and not KINDS[name].each),
         causes=reasons,
         nuisances={
-            name: x[place] for name, place in search.places.items()
+            name: x[place] for name, place in problem.places.items()
             if name not in OF_SPRING and (KINDS[name].each or name not in named)},
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
-        noise_in_motion=search.noise_in_motion(minimum),
-        stretch=search.stretch(minimum.theta),
-        stretch_std=_stretch_std(search, std),
+        noise_in_motion=found.noise_in_motion,
+        stretch=problem.stretch(found.theta),
+        stretch_std=_stretch_std(problem, std),
     )
 
 
-def _stretch_std(search: Search, std: Array) -> tuple[float, float]:
+def _stretch_std(problem: Problem, std: Array) -> tuple[float, float]:
     """Return the standard errors of the coefficients of stretch; zeros without it."""
-    if 'stretch' not in search.places:
+    if 'stretch' not in problem.places:
         return 0.0, 0.0
-    a, b = (std[search.places['stretch'][0]] * STRETCH_UNITS).tolist()
+    a, b = (std[problem.places['stretch'][0]] * STRETCH_UNITS).tolist()
     return a, b
 
 
@@ -446,50 +424,52 @@ def _condition(information: Array) -> float:
 
 
 def _identifiable(
-    search: Search, minimum: Minimum, from_given: Array, named: Sequence[str]
+    found: Solution, from_given: Array, named: Sequence[str]
 ) -> tuple[Array, Mask, list[str]]:
     """Return the covariance (m, m), SI units, what is identifiable, and notes on the rest."""
-    size = search.count
+    problem, size = found.problem, found.problem.count
     covariance, shares = covariance_of(
-        search, minimum, noise_information(search, minimum) if minimum.converged else None)
-    cup, std = search.cup(minimum.theta), np.sqrt(np.diag(covariance))
+        found, noise_information(found) if found.converged else None)
+    std = np.sqrt(np.diag(covariance))
     largest = np.full(len(std), np.inf)
-    largest[:size] = MAX_RELATIVE_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
+    largest[:size] = MAX_RELATIVE_ERROR * problem.structure.sizes(
+        found.cup.stiffness, found.cup.damping)
     for name in named:
-        largest[search.places[name]] = KINDS[name].max_std
+        largest[problem.places[name]] = KINDS[name].max_std
     errors = std / (largest / MAX_RELATIVE_ERROR)
-    ordinary = _ordinary_damping(search, minimum)
+    ordinary = _ordinary_damping(found)
     is_noise = (shares > MAX_ERROR_SHARE) & (errors > MAX_NOISY_ERROR)
-    is_overdamped = (minimum.theta > MAX_DAMPING * ordinary) & (errors > MAX_NOISY_ERROR)
-    identifiable = (std <= largest) & ~is_noise & ~is_overdamped & minimum.converged
-    if minimum.converged:
-        is_low = ~identifiable & (minimum.theta < ordinary) & np.isfinite(ordinary)
-        growth = np.maximum(_damped_std(search, minimum, ordinary, is_low) / std, 1.0)
+    is_overdamped = (found.theta > MAX_DAMPING * ordinary) & (errors > MAX_NOISY_ERROR)
+    identifiable = (std <= largest) & ~is_noise & ~is_overdamped & found.converged
+    if found.converged:
+        is_low = ~identifiable & (found.theta < ordinary) & np.isfinite(ordinary)
+        growth = np.maximum(_damped_std(found, ordinary, is_low) / std, 1.0)
         covariance = covariance * np.outer(growth, growth)
         std, errors = std * growth, errors * growth
         identifiable &= std <= largest
-    notes = list(_unidentifiable(search, errors, shares, is_overdamped, identifiable[:size]))
+    notes = list(_unidentifiable(problem, errors, shares, is_overdamped, identifiable[:size]))
     total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
     vague = identifiable[:size] & (total > 1.0)
     notes += [NOTES['vague'].format(
         label=label, total=100.0 * MAX_RELATIVE_ERROR * both, alone=100.0 * error,
-        how=remedy_for(label.split()[1], search.structure))
+        how=remedy_for(label.split()[1], problem.structure))
         for label, both, error, is_vague in zip(
-            search.structure.labels, total, errors, vague, strict=False) if is_vague]
+            problem.structure.labels, total, errors, vague, strict=False) if is_vague]
     identifiable[:size] &= ~vague
     return covariance, identifiable, notes
 
 
-def _ordinary_damping(search: Search, minimum: Minimum) -> Array:
+def _ordinary_damping(found: Solution) -> Array:
     """Return the unknowns (m,) with ordinary damping of each axis, inf for all other numbers."""
-    count, leads, K = search.count, search.structure.leads, search.cup(minimum.theta).stiffness
-    ordinary = search.structure.parameters(K, search.ordinary_damping(K)) / search.units[:count]
+    problem, K = found.problem, found.cup.stiffness
+    count, leads = problem.count, problem.structure.leads
+    ordinary = problem.structure.parameters(K, problem.ordinary_damping(K)) / problem.units[:count]
     is_axis = [False] * len(leads) + [row == column for row, column in leads]
-    return np.pad(np.where(is_axis, ordinary, np.inf), (0, len(minimum.theta) - count),
+    return np.pad(np.where(is_axis, ordinary, np.inf), (0, len(found.theta) - count),
                   constant_values=np.inf)
 
 
-def _damped_std(search: Search, minimum: Minimum, ordinary: Array, is_low: Mask) -> Array:
+def _damped_std(found: Solution, ordinary: Array, is_low: Mask) -> Array:
     """
     Return the standard errors (m,), SI units, if unknown damping were ordinary at least.
 
@@ -497,39 +477,42 @@ def _damped_std(search: Search, minimum: Minimum, ordinary: Array, is_low: Mask)
     """
     if not is_low.any():
         return np.zeros(len(is_low))
-    theta = np.where(is_low, ordinary, minimum.theta)
-    parts, information, _ = search.system(theta)
-    damped = minimum._replace(theta=theta, parts=parts, information=information)
-    return np.sqrt(np.diag(covariance_of(search, damped)[0]))
+    theta = np.where(is_low, ordinary, found.theta)
+    parts, information, _ = system_of(found.problem, found.iterate._replace(theta=theta))
+    damped = replace(found, theta=theta, parts=parts, information=information)
+    return np.sqrt(np.diag(covariance_of(damped)[0]))
 
 
-def noise_information(search: Search, minimum: Minimum) -> Array:
+def noise_information(found: Solution) -> Array:
     """
     Return the information (m, m) on the unknowns that is of noise, not of motion.
 
     Noise in the path shakes the simulated package, too. With some more of it, once with either
     sign, information of motion stays, and that of noise grows with the noise squared.
     """
-    noisy, size, differences = copy(search), NOISE_FACTOR, list[Array]()
+    size, differences = NOISE_FACTOR, list[Array]()
     while len(differences) < 2:
-        noisy.segments, draw = [], np.random.default_rng(SEED)
-        for segment in search.segments:
+        segments, draw = list[Segment](), np.random.default_rng(SEED)
+        for segment, track in zip(found.problem.segments, found.tracks, strict=True):
             measured = segment.measured
-            noise = BodyNoise(segment.std, measured.package_noise.correlation), measured.tool_noise
+            noise = BodyNoise(track.std, measured.package_noise.correlation), measured.tool_noise
             package, tool = (
                 _with_noise(body, body_noise, size * (-1.0) ** len(differences), draw)
                 for body, body_noise in zip((measured.package, measured.tool), noise, strict=True))
-            noisy.segments.append(Segment(
+            segments.append(Segment.of(
                 replace(measured, tool=tool, package=package), segment.half_window))
-            noisy.segments[-1].start, noisy.segments[-1].std = segment.start, segment.std
-        parts, H, g = noisy.system(minimum.theta)
+        noisy = replace(found.problem, segments=tuple(segments))
+        tracks = tuple(segment.first._replace(start=track.start, std=track.std)
+                       for segment, track in zip(segments, found.tracks, strict=True))
+        for _ in range(2):  # about the measured path, then about the likeliest
+            parts, H, g = system_of(noisy, Iterate(found.theta, tracks))
+            if not np.all(np.isfinite(g)):
+                break
+            tracks = accepted(segments, tracks, parts)
         if np.all(np.isfinite(g)):
-            noisy.accept(parts)
-            H, g = noisy.system(minimum.theta)[1:]
-        if np.all(np.isfinite(g)):
-            differences.append((H - minimum.information) / size**2)
+            differences.append((H - found.information) / size**2)
         elif size < MIN_NOISE_FACTOR:
-            return minimum.information
+            return found.information
         else:  # so much noise turns the package over
             size, differences = 0.5 * size, []
     return np.asarray(np.mean(differences, axis=0))
@@ -545,12 +528,12 @@ def _with_noise(
 
 
 def _unidentifiable(
-    search: Search, errors: Array, shares: Array, is_overdamped: Mask, identifiable: Mask
+    problem: Problem, errors: Array, shares: Array, is_overdamped: Mask, identifiable: Mask
 ) -> Iterator[str]:
     """Yield a sentence about each number that is not identifiable, with what would make it so."""
     size = len(identifiable)
     for label, error, share, is_too_large, is_identifiable in zip(
-            search.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
+            problem.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
             is_overdamped[:size].tolist(), identifiable.tolist(), strict=True):
         if is_identifiable:
             continue
@@ -561,9 +544,9 @@ def _unidentifiable(
         if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
             words = 'noise_moves_it'
         yield NOTES[words].format(
-            label=label, share=share, how=remedy_for(label.split()[1], search.structure),
+            label=label, share=share, how=remedy_for(label.split()[1], problem.structure),
             error=100.0 * error, noise=100.0 * less, times=less**-2, factor=MAX_DAMPING,
-            one_cup=', or one of one cup alone' if search.structure.places else '')
+            one_cup=', or one of one cup alone' if problem.structure.places else '')
 
 
 class Registered(NamedTuple):
@@ -607,16 +590,16 @@ def registered(
 
     """
     measured = measured_segments(recording)
-    search = Search(list(map(Segment, measured)), structure, start, weak_prior(names))
-    minimum = search.minimum()
+    found = minimise(
+        Problem(tuple(map(Segment.of, measured)), structure, start, weak_prior(names)))
     middle, alignment = np.asarray(measured[0].middle)[:3], recording.alignment
-    if not minimum.converged and list(names) == ['time_offset']:
+    if not found.converged and list(names) == ['time_offset']:
         return Registered(None, np.zeros(6), middle, alignment, None)
-    if not minimum.converged:
+    if not found.converged:
         raise UndeterminedError(
             f'{", ".join(names)} cannot be found: the search did not converge. Check package.mass '
             'and package.com, and tilt and turn the tool more.')
-    estimates = {name: search.estimate(minimum, name) for name in search.places}
+    estimates = {name: found.estimate(name) for name in found.problem.places}
     if 'package_marker' in estimates:
         alignment = _with_marker_moved(alignment, *np.split(estimates['package_marker'][0], 2))
     offset = None

@@ -1,11 +1,12 @@
 """
 The parts of recordings that a fit by simulation goes through.
 
-Each has the tool's poses at a uniform rate, those of the package at any stamps, and the likeliest
-path of the tool so far. Quick poses are taken as means over a few of them.
+Each has the tool's poses at a uniform rate and those of the package at any stamps; its track has
+the likeliest path of the tool so far. Quick poses are taken as means over a few of them.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 import math
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.kernels import State
 from bellows_ros.core.recording.recording import (
     BodyNoise,
     LOW_RATE_HZ,
@@ -160,50 +162,119 @@ class Nodes(NamedTuple):
     delays: Array
 
 
-class Segment:
-    """A part of a recording with the likeliest path of the tool and the package's first state."""
+class Track(NamedTuple):
+    """
+    The likeliest motion in a segment so far.
 
-    def __init__(self, measured: MeasuredSegment, half_window: int = 0) -> None:
+    Parameters
+    ----------
+    path : Trajectory
+        Smooth path of the tool.
+    deviation : ndarray (S, 6)
+        From the tool's samples to the path, m and rad.
+    start : State
+        First state of the package.
+    std : ndarray (6,)
+        Noise of the package's poses, m and rad.
+
+    """
+
+    path: Trajectory
+    deviation: Array
+    start: State
+    std: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """
+    A part of a recording, prepared for a fit.
+
+    Parameters
+    ----------
+    measured : MeasuredSegment
+        With means of quick poses.
+    tool : Trajectory
+        Its poses of the tool, with gaps bridged.
+    half_window : int
+        Of the filter of the tool's path, samples.
+
+    """
+
+    measured: MeasuredSegment
+    tool: Trajectory
+    half_window: int
+
+    @classmethod
+    def of(cls, measured: MeasuredSegment, half_window: int = 0) -> 'Segment':
+        """Return a part of a recording prepared, with the best half window where none is given."""
         first_ns = int(measured.tool.stamps_ns[0])  # means of equal rates share their stamps
         tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
         package, package_noise = _means(measured.package, measured.package_noise, first_ns)
-        self.measured = measured = replace(
-            measured, tool=tool, tool_noise=tool_noise, package=package,
-            package_noise=package_noise)
-        self.tool = bridged(measured.tool)
-        self.half_window = half_window or _half_window_of(
-            self.tool, measured.tool_noise.correlation)
-        self.inner = slice(self.half_window, len(self.tool) - self.half_window)
-        self.period = float(np.median(np.diff(measured.package.stamps_ns))) / NS_PER_S
-        self.is_slow = self.period * LOW_RATE_HZ > 1.0  # its noise is estimated with K and P
-        valid = measured.tool.valid[:, None]
-        self.variance = np.where(valid, measured.tool_noise.std, BRIDGED_STD)[self.inner] ** 2
-        self.package = measured.package.select(measured.package.valid)
-        self.com_axes = np.array(measured.moves_with_com, dtype=float)
-        self.middle = quantities.middle_of(
-            self.package) if measured.middle is None else measured.middle
-        self.expected_start = simulation.state_row(
-            self.package.position[0], lie.rotation_to_quaternion(self.package.rotation[:1])[0])
-        self.reset()
+        smooth = bridged(tool)
+        return cls(
+            replace(measured, tool=tool, tool_noise=tool_noise, package=package,
+                    package_noise=package_noise),
+            smooth, half_window or _half_window_of(smooth, tool_noise.correlation))
 
-    def reset(self) -> None:
-        """Set the tool's path, the package's first state and its noise as they were measured."""
-        self.std, self.start = self.measured.package_noise.std, self.expected_start
-        self.set_path(np.zeros((len(self.variance), 6)))
+    @cached_property
+    def inner(self) -> slice:
+        """The samples of the tool inside the windows at both ends."""
+        return slice(self.half_window, len(self.tool) - self.half_window)
 
-    def set_path(self, change: Array) -> None:
-        """Smooth the path through the tool's samples after changes (S, 6) in body axes."""
+    @cached_property
+    def period(self) -> float:
+        """Median time between poses of the package, s."""
+        return float(np.median(np.diff(self.measured.package.stamps_ns))) / NS_PER_S
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether the noise of the package's poses is estimated together with K and P."""
+        return self.period * LOW_RATE_HZ > 1.0
+
+    @cached_property
+    def variance(self) -> Array:
+        """Variances (S, 6) of the inner samples of the tool, m^2 and rad^2."""
+        valid = self.measured.tool.valid[:, None]
+        return np.where(valid, self.measured.tool_noise.std, BRIDGED_STD)[self.inner] ** 2
+
+    @cached_property
+    def package(self) -> Trajectory:
+        """The valid poses of the package."""
+        return self.measured.package.select(self.measured.package.valid)
+
+    @cached_property
+    def middle(self) -> Array:
+        """See `quantities.middle_of`."""
+        own = self.measured.middle
+        return quantities.middle_of(self.package) if own is None else own
+
+    @cached_property
+    def expected_start(self) -> State:
+        """First pose of the package, at rest."""
+        first = self.package.select(slice(1))
+        return simulation.state_row(
+            first.position[0], lie.rotation_to_quaternion(first.rotation)[0])
+
+    @cached_property
+    def first(self) -> Track:
+        """The motion as measured."""
+        return self.track(np.zeros((len(self.variance), 6)), self.expected_start,
+                          self.measured.package_noise.std)
+
+    def track(self, change: Array, start: State, std: Array) -> Track:
+        """Return the motion after changes (S, 6) of the tool's samples, in body axes."""
         tool, shift = self.tool, np.zeros((len(self.tool), 6))
         shift[self.inner] = change
-        self.path = savgol(Trajectory(
+        path = savgol(Trajectory(
             tool.stamps_ns, tool.position + lie.apply(tool.rotation, shift[:, :3]),
             tool.rotation @ lie.exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
-        self.deviation = relative_coordinates(self.path, tool.select(self.inner))
+        return Track(path, relative_coordinates(path, tool.select(self.inner)), start, std)
 
     def nodes(self, delay: float, rate: float = 0.0) -> Nodes:
         """Return the nodes for the delay (s) and the relative rate of the tool's clock."""
         since = self.package.stamps_ns - round(self.middle[3] * NS_PER_S)
-        grid, poses = self.path.stamps_ns, self.package.stamps_ns + np.rint(
+        grid, poses = self.tool.stamps_ns[self.inner], self.package.stamps_ns + np.rint(
             delay * NS_PER_S + rate * since).astype(np.int64)
         after = np.clip(np.searchsorted(grid, poses), 1, len(grid) - 1)
         nearest = np.where(2 * poses < grid[after - 1] + grid[after], grid[after - 1], grid[after])
@@ -223,13 +294,13 @@ class Segment:
         return Nodes(nodes, np.append(0, np.searchsorted(nodes, middles)), place, sampled, used,
                      (poses - stamps)[used] / NS_PER_S)
 
-    def tool_noise(self, nodes: Nodes, marker: Array) -> whitening.ToolNoise:
-        """Return the noise of the tool's samples at the nodes, their frame moved (6,), m, rad."""
+    def tool_noise(self, deviation: Array, nodes: Nodes) -> whitening.ToolNoise:
+        """Return the noise of the tool's samples at the nodes, from its deviation (S, 6)."""
         correlation, count = self.measured.tool_noise.correlation, len(nodes.stamps)
         noise = whitening.ToolNoise(
             np.zeros((count, 6)), np.zeros((count, 6)), np.ones(count))
         noise.innovations[nodes.samples] = _innovations(
-            self.deviation[nodes.sampled] + marker, correlation)
+            deviation[nodes.sampled], correlation)
         noise.variances[nodes.samples] = self.variance[nodes.sampled] * (1.0 - correlation**2)
         noise.variances[nodes.samples[0]] /= 1.0 - correlation**2
         noise.correlations[nodes.samples] = correlation

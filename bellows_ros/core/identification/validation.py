@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.problem import Problem
+from bellows_ros.core.identification.search import accepted
 from bellows_ros.core.identification.segments import measured_segments, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -194,14 +195,15 @@ class Validation(residuals.Comparison):
         stamps = longest.package.stamps_ns
         edge = max(len(stamps) - MAX_INNOVATIONS, 0) // 2
         middle = stamps[[edge, len(stamps) - 1 - edge]]
-        segment = Segment(replace(longest, tool=longest.tool.between(*middle),
-                                  package=longest.package.between(*middle)))
-        search = Search([segment], STRUCTURES['full'], self.cup, {})
-        (part,), _, _ = search.system(search.start)
-        search.accept([part])  # the path of the tool comes near to the likeliest
-        (part,), _, _ = search.system(search.start)
+        segment = Segment.of(replace(longest, tool=longest.tool.between(*middle),
+                                     package=longest.package.between(*middle)))
+        problem = Problem((segment,), STRUCTURES['full'], self.cup, {})
+        track = segment.first
+        for _ in range(2):  # the path of the tool comes near to the likeliest
+            part = problem.whitened(problem.start, segment, track)
+            (track,) = accepted([segment], [track], [part])
         white = part.innovations.reshape(-1, 6)
-        scaled = white * segment.std
+        scaled = white * track.std
         return OneStep(float(np.mean(white**2)), residuals.portmanteau(white),
                        residuals.spectrum(scaled, 1.0 / segment.period))
 

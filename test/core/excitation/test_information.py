@@ -2,7 +2,8 @@
 
 from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation.motion_design import Tracking
-from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.problem import Problem
+from bellows_ros.core.identification.search import as_measured, minimise
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
@@ -58,9 +59,9 @@ def estimates(mover, duration, draws):
         measured = MeasuredSegment(
             noisy(rng, tool, TRACKING.tool), noisy(rng, body, TRACKING.package), PACKAGE, 9.81,
             *(BodyNoise(np.repeat(noise, 3)) for noise in (TRACKING.tool, TRACKING.package)))
-        search = Search([Segment(measured)], STRUCTURE, cup, {})
-        found = search.minimum(near=search.start)
-        yield (search.units * (found.theta - search.start)) / usual
+        problem = Problem((Segment.of(measured),), STRUCTURE, cup, {})
+        found = minimise(problem, as_measured(problem))
+        yield (problem.units * (found.theta - problem.start)) / usual
 
 
 @pytest.mark.parametrize('draws, within', [

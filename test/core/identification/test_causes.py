@@ -15,7 +15,7 @@ from bellows_ros.core.identification.causes import (
     misread,
 )
 from bellows_ros.core.identification.methods import fit
-from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
@@ -198,8 +198,8 @@ def test_a_replay_names_clocks_that_are_apart():
 
 
 def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypatch):
-    simulations, system = [], Search.system
-    monkeypatch.setattr(Search, 'system', lambda *own: simulations.append(1) or system(*own))
+    simulations, prior = [], Problem.prior  # one for all recordings
+    monkeypatch.setattr(Problem, 'prior', lambda *own: simulations.append(1) or prior(*own))
     found, verdict = judged(faulty('yaw', 300, seconds=3.0))
     assert found.chi2 > 3.0 and 0 < len(simulations) <= 154
     assert verdict.refusals and verdict.diagnosis.findings[0].name == 'yaw'

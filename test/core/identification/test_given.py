@@ -8,8 +8,7 @@ from bellows_ros.core.identification.diagnosis import candidates
 from bellows_ros.core.identification.diagnosis.ranking import deviating
 from bellows_ros.core.identification.given import given_std, PACKAGE_STD, stated
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.search import Search
-from bellows_ros.core.identification.segments import Segment
+from bellows_ros.core.identification.search import minimise
 from bellows_ros.core.model.cup_package import varied
 from bellows_ros.core.model.simulation import row_state, simulate, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
@@ -23,7 +22,16 @@ from numpy.testing import assert_allclose
 import pytest
 
 from .recordings import GRAVITY, PLATE, Shake
-from .test_output_error import AXISYMMETRIC, CAMERA, CAPTURE, measured, NUMBERS, scaled, TRUTH
+from .test_output_error import (
+    AXISYMMETRIC,
+    CAMERA,
+    CAPTURE,
+    measured,
+    NUMBERS,
+    posed,
+    scaled,
+    TRUTH,
+)
 from ..motions import with_errors
 
 QUIET = {'package_noise': (1e-4, 5e-4), 'package_hz': 60.0}
@@ -212,8 +220,7 @@ def test_what_is_a_little_off_is_no_cause_where_chance_leaves_something(monkeypa
 def test_what_would_be_off_by_many_standard_deviations_is_named(off, named):
     """With all that was given free, the fit explains the poses."""
     longer = replace(TRUTH, length=TRUTH.length + off)
-    search = Search([Segment(measured(6, duration=8.0))], AXISYMMETRIC, longer, USUAL)
-    found = deviating(search, search.minimum(), USUAL)
+    found = deviating(minimise(posed(measured(6, duration=8.0), longer, USUAL)), USUAL)
     assert [own.name for own in found] == named
     assert all(abs(own.theta[0] + off) < 4.0 * own.std[0] for own in found)
 

@@ -4,12 +4,19 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification import output_error as module
+from bellows_ros.core.identification import problem as module_of_problem
 from bellows_ros.core.identification import quantities
-from bellows_ros.core.identification import search as module_of_search
 from bellows_ros.core.identification.diagnosis.ranking import rank
 from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
-from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.search import (
+    accepted,
+    approach,
+    as_measured,
+    minimise,
+    system_of,
+)
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
@@ -57,6 +64,11 @@ def scaled(factor):
     return Cup(factor * TRUTH.stiffness, factor * TRUTH.damping, TRUTH.length)
 
 
+def posed(own, cup=TRUTH, free=None, **more):
+    """Return the problem of one recording."""
+    return Problem((Segment.of(own),), AXISYMMETRIC, cup, free or {}, **more)
+
+
 def z_of(fit):
     """Return the errors (8,) in standard errors, 0 where it is not identifiable."""
     return (fit.parameters - NUMBERS) / np.sqrt(np.diag(fit.covariance))
@@ -66,73 +78,72 @@ def test_a_step_to_a_cup_shorter_than_nothing_is_rejected():
     """Of poses 6 cm above the true ones, which a free length would explain."""
     own = measured(3, duration=6.0, package_hz=60.0)
     higher = replace(own.package, position=own.package.position + [0.0, 0.0, 0.06])
-    search = Search([Segment(replace(own, package=higher))], AXISYMMETRIC, TRUTH,
-                    weak_prior(['length']))
-    length = (search.units * search.minimum().theta)[-1]
+    problem = posed(replace(own, package=higher), free=weak_prior(['length']))
+    length = (problem.units * minimise(problem).theta)[-1]
     assert -TRUTH.length < length < -0.02
 
 
 @pytest.mark.parametrize('damping', [1e5, 1e8])
 def test_a_cup_with_which_a_package_would_need_endless_steps_is_no_cup(damping):
     """As a wrong recording leads to: its simulation would take minutes."""
-    segment = Segment(measured(3, duration=2.0))
     damped = replace(TRUTH, damping=TRUTH.damping * (damping / TRUTH.damping[2, 2]))
     with pytest.raises(BellowsError, match='package.mass'):
-        Search([segment], AXISYMMETRIC, damped, {}).minimum()
+        minimise(posed(measured(3, duration=2.0), damped))
 
 
 def test_a_search_turns_back_from_a_cup_far_quicker_than_that_of_its_start():
     """As a misfit leads to, with ten times as many integration steps."""
-    search = Search([Segment(measured(3, duration=2.0))], AXISYMMETRIC, TRUTH, {})
-    ten, hundred = (search.unknowns(replace(TRUTH, damping=factor * TRUTH.damping))
-                    for factor in (10.0, 100.0))
-    assert np.isfinite(search.system(ten)[2]).all()
+    problem = posed(measured(3, duration=2.0))
+    ten, hundred = (as_measured(problem)._replace(
+        theta=problem.unknowns(replace(TRUTH, damping=factor * TRUTH.damping)))
+        for factor in (10.0, 100.0))
+    assert np.isfinite(system_of(problem, ten)[2]).all()
     with pytest.raises(BellowsError, match='integration steps'):
-        search.system(hundred)
+        system_of(problem, hundred)
 
 
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
-    segment = Segment(measured(3, duration=2.0))
-    search = Search([segment], AXISYMMETRIC, TRUTH, {})
-    (part,), _, _ = search.system(search.start)
-    path, first = segment.path, segment.start
-    search.accept([part._replace(tool_change=np.nan * part.tool_change)])
-    search.accept([part._replace(start=tuple(np.inf * np.array(own) for own in part.start))])
-    assert segment.path is path and segment.start is first
-    search.accept([part])
-    assert segment.path is not path and segment.start is part.start
+    problem = posed(measured(3, duration=2.0))
+    start = as_measured(problem)
+    (part,), _, _ = system_of(problem, start)
+    for wrong in (part._replace(tool_change=np.nan * part.tool_change),
+                  part._replace(start=tuple(np.inf * np.array(own) for own in part.start))):
+        assert accepted(problem.segments, start.tracks, [wrong]) == start.tracks
+    (track,) = accepted(problem.segments, start.tracks, [part])
+    assert track.path is not start.tracks[0].path and track.start is part.start
 
 
 def test_a_simulation_that_diverges_explains_nothing():
     """As of a package on top of a soft cup: it seemed to leave less than any other setting."""
     upside_down = replace(measured(3, duration=2.0), gravity=-GRAVITY)
-    near = Search([Segment(upside_down)], AXISYMMETRIC, scaled(0.01), {}).approach()
+    near = approach(posed(upside_down, scaled(0.01)))
     assert 1e4 < near.squares / near.residual_count < np.inf
 
 
 def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):
     """As of poses in a wrong world with exchanged topics: it ended as a quaternion of nan."""
-    search = Search([Segment(measured(3, duration=2.0))], AXISYMMETRIC, TRUTH, {})
-    found = search.minimum()
+    found = minimise(posed(measured(3, duration=2.0)))
 
     def diverging(model, first, tool, *steps):
         return np.full((len(tool), 13), np.nan)
 
-    monkeypatch.setattr(module_of_search.simulation, 'simulate_rows', diverging)
-    assert rank({search: found}, {}) == ()
+    monkeypatch.setattr(module_of_problem.simulation, 'simulate_rows', diverging)
+    assert rank([found], {}) == ()
 
 
-def settled(search, steps=2):
-    """Return the parts after steps: about the measured path, then about the likeliest."""
+def settled(problem, steps=2, theta=None):
+    """Return part and track after steps: about the measured path, then about the likeliest."""
+    segment, = problem.segments
+    track = segment.first
     for _ in range(steps):
-        parts, _, _ = search.system(search.start)
-        search.accept(parts)
-    return parts
+        part = problem.whitened(problem.start if theta is None else theta, segment, track)
+        (track,) = accepted([segment], [track], [part])
+    return part, track
 
 
-def require_white(parts):
+def require_white(part):
     """Check that differences are white and of unit variance."""
-    white = parts[0].innovations.reshape(-1, 6)[20:]
+    white = part.innovations.reshape(-1, 6)[20:]
     within = 4.5 / np.sqrt(len(white))
     assert_allclose(np.mean(white**2, axis=0), 1.0, atol=1.5 * within)
     for lag in (1, 2, 5, 20):
@@ -143,8 +154,7 @@ def require_white(parts):
     (CAPTURE, CAPTURE), ((1e-7, 1e-6), CAPTURE)])
 def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, package_noise):
     own = measured(3, tool_noise, package_noise, package_hz=250.0)
-    search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {})
-    require_white(settled(search))
+    require_white(settled(posed(own))[0])
 
 
 @pytest.mark.parametrize('of_smooth_poses', [False, True])
@@ -155,16 +165,18 @@ def test_every_derivative_is_that_of_the_differences(monkeypatch, of_smooth_pose
     cup = replace(TRUTH, relaxation=(0.2, 0.15))
     own = measured(4, package_noise=(1e-4, 5e-4), tool_hz=125.0, duration=4.0, silent=True,
                    cup=cup)
-    search = Search([Segment(own)], AXISYMMETRIC, cup, {
-        name: np.full(kind.size, kind.prior_std) for name, kind in KINDS.items()}, 2_000_000_000)
-    slopes = settled(search, 3)[0].jacobian  # with the first state
-    for number in range(len(search.units)):
+    problem = posed(own, cup, {
+        name: np.full(kind.size, kind.prior_std) for name, kind in KINDS.items()},
+        slip_ns=2_000_000_000)
+    part, track = settled(problem, 3)
+    slopes = part.jacobian  # with the first state
+    for number in range(len(problem.units)):
         size = np.abs(slopes[:, number]).max()
-        step = 0.3 / size * (np.arange(len(search.units)) == number)
-        ahead, behind = (search.whitened(search.start + side * step, search.segments[0], 0.0)
-                         for side in (1.0, -1.0))
+        step = 0.3 / size * (np.arange(len(problem.units)) == number)
+        ahead, behind = (problem.whitened(
+            problem.start + side * step, problem.segments[0], track) for side in (1.0, -1.0))
         slope = (behind.innovations - ahead.innovations) * size / 0.6
-        if of_smooth_poses and number in search.places['scale']:
+        if of_smooth_poses and number in problem.places['scale']:
             ratio = slope @ slopes[:, number] / np.sum(slopes[:, number] ** 2)
             assert_allclose(ratio, 1.0, atol=0.03)
             continue
@@ -199,8 +211,7 @@ def with_memory(own, kept, std, rng):
 def test_noise_with_memory_is_whitened():
     own = measured(3, silent=True, package_hz=250.0)
     own = with_memory(own, 0.9, CAPTURE, np.random.default_rng(3))
-    search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {})
-    require_white(search.system(search.start)[0])
+    require_white(settled(posed(own), 1)[0])
 
 
 def test_noise_of_the_path_is_no_information():
@@ -209,9 +220,8 @@ def test_noise_of_the_path_is_no_information():
     own = with_memory(still, 0.9, CAPTURE, np.random.default_rng(3))
     information = []
     for tool, package in ((own.tool, own.package), (still.tool, still.package)):
-        search = Search(
-            [Segment(replace(own, tool=tool, package=package))], AXISYMMETRIC, TRUTH, {})
-        information.append(np.sum(settled(search)[0].jacobian**2, axis=0))
+        part, _ = settled(posed(replace(own, tool=tool, package=package)))
+        information.append(np.sum(part.jacobian**2, axis=0))
     more = np.delete(information[0] / information[1], 5)  # P z is not identifiable
     assert_allclose(more, 1.0, atol=0.06)
 
@@ -221,9 +231,9 @@ def test_the_path_is_smoothed_as_long_as_no_motion_is_lost(hz, seconds):
     tool = Shake(3, lowest=hz - 0.5, highest=hz).trajectory(10.0, 250.0)
     own = replace(measured(3), tool=tool)
     own = with_memory(own, 0.9, (3e-4, 1.2e-3), np.random.default_rng(3))
-    assert Segment(own).half_window == round(250.0 * seconds)
+    assert Segment.of(own).half_window == round(250.0 * seconds)
     white = replace(own, tool_noise=BodyNoise(own.tool_noise.std, 0.3))
-    assert Segment(white).half_window == round(250.0 / 12)
+    assert Segment.of(white).half_window == round(250.0 / 12)
 
 
 @pytest.mark.parametrize('correlation', [0.0, 0.6])
@@ -234,7 +244,7 @@ def test_means_of_the_tool_are_where_it_is_and_as_noisy_as_said(correlation):
     seen = Trajectory(true.stamps_ns, true.position + e[:, :3], true.rotation @ exp_so3(e[:, 3:]))
     noise = BodyNoise(np.repeat(CAPTURE, 3), correlation)
     for tool, most in ((true, 2e-7), (seen, np.inf)):
-        own = Segment(replace(measured(5), tool=tool, tool_noise=noise))
+        own = Segment.of(replace(measured(5), tool=tool, tool_noise=noise))
         off = relative_coordinates(
             true.select(np.isin(true.stamps_ns, own.tool.stamps_ns)), own.tool)
         assert len(own.tool) < 0.2 * len(true) and np.abs(off).max() < most
@@ -257,13 +267,12 @@ def test_differences_are_the_same_about_any_path_near_the_measured_one(rates, hz
     """As noise of the tool acts as its path does, also where a stiff cup settles in a sample."""
     stiff = replace(TRUTH, stiffness=np.diag([8e3, 8e3, 1e4, 7.0, 7.0, 1.0]),
                     damping=np.diag([1e3, 1e3, 1e3, 0.5, 0.5, 0.5]))
-    segment = Segment(measured(3, CAPTURE, CAPTURE, *rates, duration=4.0, cup=stiff))
-    search = Search([segment], AXISYMMETRIC, stiff, {})
+    problem = posed(measured(3, CAPTURE, CAPTURE, *rates, duration=4.0, cup=stiff), stiff)
+    (segment,) = problem.segments
     moved = np.zeros((len(segment.variance), 6))
-    before = search.system(search.start)[0][0]
     moved[:, 0] = 3e-4 * np.sin(2.0 * np.pi * hz * np.arange(len(moved)) / rates[0])
-    segment.set_path(moved)
-    after = search.system(search.start)[0][0]
+    before, after = (problem.whitened(problem.start, segment, segment.track(
+        change, segment.first.start, segment.first.std)) for change in (0.0 * moved, moved))
     assert np.sqrt(np.mean((after.innovations - before.innovations) ** 2)) < 0.03
 
 
@@ -275,11 +284,10 @@ def test_noise_of_the_first_state_does_not_ring_in_the_derivatives(stiffness, da
     cup = Cup(stiffness * TRUTH.stiffness, damping * TRUTH.damping, TRUTH.length)
 
     def spread(silent):
-        own = Segment(measured(0, package_noise=noise, silent=silent, cup=cup))
-        search = Search([own], AXISYMMETRIC, cup, {'package_world': np.full(6, 0.2)})
-        for _ in range(2):
-            parts, H, _ = search.system(search.start)
-            search.accept(parts)
+        problem = posed(measured(0, package_noise=noise, silent=silent, cup=cup), cup,
+                        {'package_world': np.full(6, 0.2)})
+        _, track = settled(problem, 1)
+        H = system_of(problem, as_measured(problem)._replace(tracks=(track,)))[1]
         return np.sqrt(np.diag(np.linalg.inv(H)))[:8]
 
     assert_allclose(spread(False), spread(True), rtol=0.1)
@@ -288,18 +296,16 @@ def test_noise_of_the_first_state_does_not_ring_in_the_derivatives(stiffness, da
 def test_poses_at_the_stamps_of_the_tool_stay_there_as_the_clock_moves():
     """Have differences that go on smoothly through equal stamps, and are exact beside them."""
     own = measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 4.0)
-    search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {'time_offset': np.array([1e-3])})
-    (own_place,), = search.places['time_offset']
-    by = np.eye(len(search.units))[own_place] / search.units[own_place]
-    late, early = (search.whitened(search.start + seconds * by, search.segments[0], 0.0)
+    problem = posed(own, free={'time_offset': np.array([1e-3])})
+    (segment,), ((own_place,),) = problem.segments, problem.places['time_offset']
+    by = np.eye(len(problem.units))[own_place] / problem.units[own_place]
+    late, early = (problem.whitened(problem.start + seconds * by, segment, segment.first)
                    for seconds in (2e-6, -2e-6))
     assert_allclose(late.innovations, early.innovations, atol=0.03)
     exact = measured(3, package_hz=250.0, duration=4.0, late_ns=-100_000, silent=True)
     for seconds, largest in ((-1e-4, 2e-6), (0.0, np.inf)):
-        search = Search([Segment(exact)], AXISYMMETRIC, TRUTH, {'time_offset': np.array([1e-3])})
-        for _ in range(4):
-            part = search.whitened(search.start + seconds * by, search.segments[0], 0.0)
-            search.accept([part])
+        problem = posed(exact, free={'time_offset': np.array([1e-3])})
+        part, _ = settled(problem, 4, problem.start + seconds * by)
         off = np.abs(part.residuals)[20:, :3].max()
         assert off < largest
     assert off > 2e-5
@@ -307,9 +313,8 @@ def test_poses_at_the_stamps_of_the_tool_stay_there_as_the_clock_moves():
 
 def test_a_cup_far_too_stiff_for_the_rate_is_followed():
     """Take modes of ten radians a sample as they are: they made the covariance infinite."""
-    search = Search([Segment(measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 3.0))], AXISYMMETRIC,
-                    scaled(300.0), {})
-    parts, H, g = search.system(search.start)
+    problem = posed(measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 3.0), scaled(300.0))
+    parts, H, g = system_of(problem, as_measured(problem))
     assert np.isfinite(H).all() and np.isfinite(g).all()
     assert 1.0 < np.mean(parts[0].innovations ** 2) < 1e4
 
@@ -369,12 +374,11 @@ def test_noise_of_slow_poses_with_a_memory_is_learned(has_tails):
     new = rng.standard_t(3, size) if has_tails else rng.standard_normal(size)
     noise = np.repeat(CAMERA, 3) * correlated(new, kept)
     seen, stated = with_errors(own.package, noise), np.repeat(CAMERA, 3) * [1, 0.5, 1, 1, 1, 4]
-    search = Search([Segment(replace(own, package=seen, package_noise=BodyNoise(stated, kept)))],
-                    AXISYMMETRIC, scaled(2.0), {})
-    minimum = search.minimum()
-    assert minimum.converged
+    found = minimise(posed(
+        replace(own, package=seen, package_noise=BodyNoise(stated, kept)), scaled(2.0)))
+    assert found.converged
     if not has_tails:  # else its median is that of a smaller one
-        assert_allclose(minimum.noise[0], np.std(noise, axis=0), rtol=0.2)
+        assert_allclose(found.tracks[0].std, np.std(noise, axis=0), rtol=0.2)
 
 
 def test_rubber_that_relaxes_is_found_with_its_static_stiffness():

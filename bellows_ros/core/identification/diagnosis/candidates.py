@@ -10,17 +10,23 @@ tried by a search.
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from copy import copy
 from dataclasses import replace
 from operator import itemgetter
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.causes import DISTINCT, Finding
+from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import Free, of_fixed_frame
-from bellows_ros.core.identification.search import deviance, Minimum, Search
+from bellows_ros.core.identification.search import (
+    approach,
+    deviance,
+    minimise,
+    Solution,
+    system_of,
+)
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, gravity_vector
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
@@ -63,135 +69,127 @@ SQUARED_UNITS = [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]
 """Squares of the units in which shifts (m) and rotations (rad) of poses are compared."""
 
 
-def is_explained(search: Search, minimum: Minimum, given: Free) -> bool:
+def is_explained(found: Solution, given: Free) -> bool:
     """Return whether a minimum leaves no cause to look for, with what was given free."""
-    names = [name for name in candidates_of(search) if not (  # a little off, it is as one of both
-        name in MARKERS and search.places.keys() & set(MARKERS))]
-    return search.fits(minimum) and not is_off(search, minimum, given) and (
-        max(scores(search, minimum, names).values()) < SIGNIFICANT**2)
+    names = [name for name in candidates_of(found.problem) if not (
+        # a little off, it is as one of both
+        name in MARKERS and found.problem.places.keys() & set(MARKERS))]
+    return found.fits and not is_off(found, given) and (
+        max(scores(found, names).values()) < SIGNIFICANT**2)
 
 
-def candidates_of(search: Search, without: Sequence[str] = ()) -> list[str]:
+def candidates_of(problem: Problem, without: Sequence[str] = ()) -> list[str]:
     """Return the candidates that are not free; with a marker free anywhere, no other marker."""
-    taken = {*search.places, *without}
-    for name in search.places.keys() & set(MARKERS):
+    taken = {*problem.places, *without}
+    for name in problem.places.keys() & set(MARKERS):
         kind = quantities.KINDS[name]
-        if np.all(search.weights[search.places[name]] * (kind.prior_std / kind.unit) ** 2 < 2.0):
+        if np.all(problem.weights[problem.places[name]] * (kind.prior_std / kind.unit) ** 2 < 2.0):
             taken.update(MARKERS)
     return [name for name in CANDIDATES if name not in taken]
 
 
-def is_off(search: Search, minimum: Minimum, given: Free) -> bool:
+def is_off(found: Solution, given: Free) -> bool:
     """Return whether something given is off by more than is allowed."""
-    return max(pulls(search, minimum, given).values(), default=0.0) > 1.0
+    return max(pulls(found, given).values(), default=0.0) > 1.0
 
 
-def pulls(search: Search, minimum: Minimum, given: Free) -> dict[str, float]:
+def pulls(found: Solution, given: Free) -> dict[str, float]:
     """
     Return by how much what was given is off, by name, in what is allowed: `MAX_PULL`.
 
     Of mass and inertia only the ratio is known.
     """
-    found = dict[str, float]()
-    covariance = np.linalg.inv(minimum.information - search.fixing)
+    problem, sizes = found.problem, dict[str, float]()
+    covariance = np.linalg.inv(found.information - problem.fixing)
 
     def pull(by: Array) -> float:
         """Return that of a sum of the unknowns."""
-        prior = float(np.sum(by**2 / np.where(by != 0.0, search.weights, 1.0)))
+        prior = float(np.sum(by**2 / np.where(by != 0.0, problem.weights, 1.0)))
         known = max(1.0 - float(by @ covariance @ by) / prior, MIN_KNOWN)
-        return abs(float(by @ minimum.theta)) / float(np.sqrt(prior * known))
+        return abs(float(by @ found.theta)) / float(np.sqrt(prior * known))
 
-    for name in search.places.keys() & given.keys() - {'mass', 'inertia'}:
-        found[name] = max(map(pull, np.eye(len(search.units))[search.places[name].ravel()]))
-    if {'mass', 'inertia'} <= search.places.keys() & given.keys():
-        ratio = np.zeros(len(search.units))
+    for name in problem.places.keys() & given.keys() - {'mass', 'inertia'}:
+        sizes[name] = max(map(pull, np.eye(len(found.theta))[problem.places[name].ravel()]))
+    if {'mass', 'inertia'} <= problem.places.keys() & given.keys():
+        ratio = np.zeros(len(found.theta))
         for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
-            place = search.places[name].ravel()
-            ratio[place] = part * search.units[place]
-        found['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(ratio)
-    return {name: size / MAX_PULL for name, size in found.items()}
+            place = problem.places[name].ravel()
+            ratio[place] = part * problem.units[place]
+        sizes['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(ratio)
+    return {name: size / MAX_PULL for name, size in sizes.items()}
 
 
-class FreedSearch(NamedTuple):
-    """A search with one free quantity more, its end, and the fall of chi²."""
+class Freed(NamedTuple):
+    """A solution with one free quantity more, and the fall of chi²."""
 
     name: str
-    search: Search
-    minimum: Minimum
+    found: Solution
     gain: float
 
-    def left(self, before: Minimum) -> float:
+    def left(self, before: Solution) -> float:
         """Return the ratio of the residuals (RMS; 1 mm counts as 10 mrad) to those before."""
-        now, then = (np.sum(np.median(minimum.residuals**2, axis=0) / SQUARED_UNITS)
-                     for minimum in (self.minimum, before))
+        now, then = (np.sum(np.median(found.residuals**2, axis=0) / SQUARED_UNITS)
+                     for found in (self.found, before))
         return float(np.sqrt(now / then))
 
 
-def freed(
-    search: Search, minimum: Minimum, name: str, from_start: bool = False
-) -> FreedSearch:
-    """Return the search from a minimum or its start with one quantity more, and its gain."""
-    search.restore(minimum)
-    theta = search.start if from_start else minimum.theta
-    wide = search.with_free(theta, quantities.weak_prior([name]))
-    if from_start:
-        for segment in search.segments:
-            segment.reset()
-    again = wide.minimum(near=None if from_start else wide.transferred(search, theta))
-    gain = gain_of((search, minimum), (wide, again), name == 'slip')
-    return FreedSearch(name, wide, again, gain)
+def freed(before: Solution, name: str, from_start: bool = False) -> Freed:
+    """Return the solution near one, or from its start, with one quantity more, and its gain."""
+    wide = before.problem.freed(
+        before.problem.start if from_start else before.theta, quantities.weak_prior([name]))
+    found = minimise(wide, None if from_start else before.near(wide))
+    return Freed(name, found, gain_of(before, found, name == 'slip'))
 
 
-def gain_of(
-    before: tuple[Search, Minimum], after: tuple[Search, Minimum], of_poses: bool = False
-) -> float:
+def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
     """
-    Return by how much squares fall, with those of what was given, from one end to another.
+    Return by how much squares fall, with those of what was given, from one solution to another.
 
     For slow poses, whose noise is estimated, deviances are compared. For a slip, those of the
     poses alone: soon after the beginning it is a centre of mass elsewhere, whose squares it would
     share.
     """
-    is_slow = any(segment.is_slow for segment in before[0].segments)
+    is_slow = any(segment.is_slow for segment in before.problem.segments)
 
-    def left(search: Search, minimum: Minimum) -> float:
+    def left(found: Solution) -> float:
         """Return the squares or the deviance, and the squares of what was given."""
-        given = 0.0 if of_poses else float(search.weights @ minimum.theta**2)
+        given = 0.0 if of_poses else float(found.problem.weights @ found.theta**2)
         if not is_slow:
-            return minimum.squares + given
-        return deviance(minimum.parts) * after[1].residual_count / minimum.residual_count + given
+            return found.squares + given
+        return deviance(found.parts) * after.residual_count / found.residual_count + given
 
-    return left(*before) - left(*after)
+    return left(before) - left(after)
 
 
-def scores(search: Search, minimum: Minimum, names: Sequence[str]) -> dict[str, float]:
+def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
     """Return by how much the squares would fall with each quantity free."""
-    wide = search.with_free(minimum.theta, quantities.weak_prior(names))
-    _, H, g = wide.system(wide.transferred(search, minimum.theta))
-    base = np.arange(len(search.units))
-    gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
-    decreases = dict[str, float]()
-    for name in names:
-        place = wide.places[name].ravel()
-        S = H[np.ix_(place, place)] - H[np.ix_(place, base)] @ gain[:, place]
-        slope = g[place] - H[np.ix_(place, base)] @ gain[:, -1]
-        decreases[name] = float(slope @ np.linalg.solve(S, slope))
-    return decreases
+    wide = found.problem.freed(found.theta, quantities.weak_prior(names))
+    _, H, g = system_of(wide, found.near(wide))
+    base = np.arange(len(found.theta))
+    return {name: fall_of(H, g, base, wide.places[name].ravel()) for name in names}
 
 
-def with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:
-    """Return a search with the likeliest moment of a slip, and by how much the squares fall."""
-    tried = dict[int, tuple[Search, float]]()
+def fall_of(H: Array, g: Array, base: Places, place: Places) -> float:
+    """Return by how much squares fall if unknowns at places are free beside those of a base."""
+    by_base = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([
+        H[np.ix_(base, place)], g[base]]))
+    slope = g[place] - H[np.ix_(place, base)] @ by_base[:, -1]
+    S = H[np.ix_(place, place)] - H[np.ix_(place, base)] @ by_base[:, :-1]
+    return float(slope @ np.linalg.solve(S, slope))
+
+
+def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
+    """Return a solution with the likeliest moment of a slip, and by how much the squares fall."""
+    tried = dict[int, tuple[Solution, float]]()
 
     def fall(slip_ns: int) -> float:
         if slip_ns not in tried:
-            with_slip = copy(search)
-            with_slip.slip_ns = slip_ns
+            with_slip = replace(found, problem=replace(found.problem, slip_ns=slip_ns))
             tried[slip_ns] = with_slip, float(np.nan_to_num(
-                scores(with_slip, minimum, ['slip'])['slip'], posinf=0.0))
+                scores(with_slip, ['slip'])['slip'], posinf=0.0))
         return tried[slip_ns][1]
 
-    ends = [segment.path.stamps_ns[[0, -1]].tolist() for segment in search.segments]
+    ends = [track.path.stamps_ns[[0, -1]].tolist() for track in found.tracks]
     period = max(round(SLIP_PERIOD * NS_PER_S),
                  sum(last - first for first, last in ends) // MAX_SLIPS)
     moments = [stamp for first, last in ends for stamp in range(first + period, last, period)]
@@ -201,25 +199,22 @@ def with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float
         period //= 2
         moments = [stamp for stamp in (best - period, best, best + period) if any(
             first + margin <= stamp <= last - margin for first, last in ends)]
-    return tried[best] if tried else (search, 0.0)
+    return tried[best] if tried else (found, 0.0)
 
 
-def deviance_of_unknown_force(search: Search, minimum: Minimum) -> float:
+def deviance_of_unknown_force(found: Solution) -> float:
     """Return the smallest deviance with an unknown force on the package, K and P unchanged."""
     deviances = [np.inf]
     for rate in UNKNOWN_FORCES:
-        try:
-            value = deviance(search.system(minimum.theta, rate)[0])
-        except BellowsError:
-            continue
-        deviances.append(value if np.isfinite(value) else np.inf)
-    return float(min(deviances))
+        with suppress(BellowsError):
+            deviances.append(deviance(system_of(found.problem, found.iterate, rate)[0]))
+    return float(np.nanmin(deviances))
 
 
-def moved_between(*ends: tuple[Search, Minimum]) -> float:
-    """Return the largest part by which the diagonal of K moves from one minimum to another."""
-    first, second = (np.diag(search.cup(minimum.theta).stiffness) for search, minimum in ends)
-    return float(np.max(np.abs(second / first - 1.0)))
+def moved_between(first: Solution, second: Solution) -> float:
+    """Return the largest part by which the diagonal of K moves from one solution to another."""
+    return float(np.max(np.abs(
+        np.diag(second.cup.stiffness) / np.diag(first.cup.stiffness) - 1.0)))
 
 
 ROTATIONS = (90, 180, -90)
@@ -258,7 +253,7 @@ def _worlds(world: str) -> Iterator[tuple[str, Array]]:
             yield f'gravity {down.astype(int).tolist()}', levelling(down)
 
 
-def likeliest_setting(search: Search, cup: Cup) -> Finding | None:
+def likeliest_setting(problem: Problem, cup: Cup) -> Finding | None:
     """
     Return the other setting with which recordings fit to the noise, None without one.
 
@@ -267,23 +262,21 @@ def likeliest_setting(search: Search, cup: Cup) -> Finding | None:
 
     Parameters
     ----------
-    search : Search
+    problem : Problem
         Of recordings as they were given.
     cup : Cup
         Where the searches begin.
 
     """
-    given = [segment.measured for segment in search.segments]
-    ends = list[tuple[float, Finding, Search]]()
+    given = [segment.measured for segment in problem.segments]
+    ends = list[tuple[float, Finding, Problem]]()
     for finding, measured in [(Finding('', ''), given), *settings_of(given)]:
-        other = search.with_free(search.unknowns(cup), {})
-        other.segments = [Segment(each) for each in measured]
+        other = replace(problem.freed(problem.unknowns(cup), {}),
+                        segments=tuple(map(Segment.of, measured)))
         with suppress(BellowsError):  # no cup explains that
-            ends.append((other.approach(with_couplings=False).squares, finding, other))
+            ends.append((approach(other, with_couplings=False).squares, finding, other))
     least, likeliest, other = min(ends, key=itemgetter(0))
-    for segment in other.segments:
-        segment.reset()
-    if not likeliest.name or not other.fits(other.minimum()):
+    if not likeliest.name or not minimise(other).fits:
         return None
     (before, *_), *_ = ends
     instead = [finding.value for squares, finding, *_ in ends if finding is not likeliest and (

@@ -1,0 +1,504 @@
+"""
+The unknowns of a fit by simulation: what they make of cup, package, poses and their differences.
+
+All uncertain quantities are free beside K and P, with their prior as one more measurement. K and P
+move along geodesics of the definite matrices, with a wide prior on the logarithm of their size, K
+about the start, P about ordinary rubber; the prior is negligible for entries that the recordings
+determine.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+import math
+from typing import NamedTuple
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array, Places, Stamps
+from bellows_ros.core.identification import quantities, whitening
+from bellows_ros.core.identification.quantities import Free, KINDS
+from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
+from bellows_ros.core.identification.segments import MIN_POSE_STD, Nodes, Segment, Track
+from bellows_ros.core.model import simulation
+from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
+from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
+from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
+from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.structure import Structure, STRUCTURES
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.savgol import first_order
+from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.errors import BellowsError, UnstableError
+import numpy as np
+from numpy.typing import ArrayLike
+
+INITIAL_STD = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
+"""
+Standard deviation of the package's first state about its first pose, at rest, and of internal
+strains; SI units.
+"""
+
+REST_SIGMAS = 3.0
+"""Standard deviations of a pose beyond which a package swings at first."""
+
+MIN_STRENGTH, TYPICAL_STRENGTH = 1e-6, 0.05
+"""Strengths of relaxation: the smallest one in a search for them, and that of soft rubber."""
+
+DEFAULT_RATIO = 1.05
+"""Ratio r2 / r1 of rubber with a constant loss factor."""
+
+RATIO_STD = 0.4
+"""Standard deviation of the ratio r2 / r1 among rubbers."""
+
+MAX_INTEGRATION_STEP = 0.005
+"""Longest step of the integrator (s)."""
+
+MIN_INTEGRATION_STEP = 5e-6
+"""
+Shortest step of the integrator (s).
+
+A cup that needs shorter ones, for modes faster than 20,000/s, is no cup: the search turns back.
+"""
+
+MAX_QUICKENING = 30.0
+"""Times as fast as with the start that modes may become: 100 times as stiff, they are 10 times as
+fast, and some three times that with ten times ordinary damping."""
+
+COARSE_FACTOR = 4.0
+"""Factor of the integrator's steps during the approach: fast modes need no accuracy there."""
+
+PRIOR_LOG_STD, APPROACH_LOG_STD = (2.0, 1.0), 0.3
+"""Standard deviation of the logarithm of the size of K, about the start, and of P; that of P in
+the approach."""
+
+LOSS_FACTOR = 0.25
+"""Loss factor of ordinary rubber. Without damping a fit to noise would ring."""
+
+MAX_LOG_STEP = 1.0
+"""Largest change of the logarithm of K or P in a step."""
+
+WHITE_LAGS = (1, 2, 3)
+"""Lags at which innovations are tested for correlation, poses."""
+
+WHITE_SIGMAS = 4.0
+"""Largest correlation of white innovations, standard deviations; false-alarm rate 1 in 900."""
+
+MAX_WHITE_CORRELATION = 0.1
+"""Largest correlation of innovations that count as white."""
+
+MAX_CLIPPED = 3.0
+"""Size at which innovations are clipped in the test for whiteness, standard deviations."""
+
+
+class WhitenedSegment(NamedTuple):
+    """
+    The whitened differences of a segment.
+
+    Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the segment, the places (q,)
+    of these among all m unknowns, the variance (N, 6) of each
+    difference and that (6,) of the innovation of a pose's noise, and the likeliest changes of the
+    tool's path and first state of the package.
+    """
+
+    innovations: Array
+    jacobian: Array
+    places: Places
+    variance: Array
+    new_variance: Array
+    tool_change: Array
+    start: State
+
+    @property
+    def residuals(self) -> Array:
+        """The differences (N, 6) themselves, m and rad."""
+        return np.asarray(self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
+
+    @property
+    def is_white(self) -> bool:
+        """Whether neighbouring innovations are uncorrelated."""
+        e = np.clip(self.innovations.reshape(-1, 6), -MAX_CLIPPED, MAX_CLIPPED)
+        correlation = [np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
+                       for lag in WHITE_LAGS if lag < len(e)]
+        limit = max(MAX_WHITE_CORRELATION, WHITE_SIGMAS / np.sqrt(len(e)))
+        return bool(np.max(np.abs(correlation), initial=0.0) < limit)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """
+    Recordings of one cup, and what is unknown.
+
+    The unknowns theta are those of the structure in units of their size, then the quantities of
+    `KINDS` that are free, one after the other, in theirs.
+
+    Parameters
+    ----------
+    segments : tuple of Segment
+        Of the recordings.
+    structure : Structure
+        Of K and P.
+    guess : Cup
+        First guess, with the length.
+    free : mapping
+        Standard deviation, SI units, of what else is free, by names of `KINDS`.
+    slip_ns : int
+        Stamp at which the package slips, if that is free.
+    fixing : ndarray (m, m), optional
+        More information on the start.
+
+    """
+
+    segments: tuple[Segment, ...]
+    structure: Structure
+    guess: Cup
+    free: Free
+    slip_ns: int = 0
+    fixing: Array | float = 0.0
+
+    def freed(self, theta: Array, more: Free, structure: Structure | None = None) -> 'Problem':
+        """Return the problem from the cup of unknowns, with more that is free."""
+        return replace(self, structure=structure or self.structure, guess=self.cup(theta),
+                       free={**self.free, **more}, fixing=0.0)
+
+    @cached_property
+    def first_cup(self) -> Cup:
+        """The first guess, its matrices definite, with internal strains if relaxation is free."""
+        cup = self.guess
+        if 'relaxation' in self.free:
+            cup = replace(cup, relaxation=_not_below(cup.relaxation))
+        if min(np.linalg.eigvalsh(M)[0] for M in (cup.stiffness, cup.damping)) <= 0.0:
+            cup = replace(cup, stiffness=np.diag(np.diag(cup.stiffness)),
+                          damping=np.diag(np.diag(cup.damping)))
+        return cup
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns of the cup."""
+        return 2 * self.structure.size
+
+    @cached_property
+    def places(self) -> Mapping[str, Places]:
+        """Places of free quantities among the unknowns: a row for each recording, or for all."""
+        recordings = 1 + max(segment.measured.recording for segment in self.segments)
+        shapes = {name: (recordings if KINDS[name].each else 1, KINDS[name].size)
+                  for name in self.free}
+        ends = np.cumsum([self.count, *map(math.prod, shapes.values())])
+        return {name: first + np.arange(math.prod(shape)).reshape(shape)
+                for first, (name, shape) in zip(ends, shapes.items(), strict=False)}
+
+    def _of_all(self, of_cup: Array, of_free: Callable[[str], ArrayLike]) -> Array:
+        """Return numbers (m,) of the cup's unknowns and of what is free, by its name."""
+        numbers = np.pad(of_cup, (0, sum(place.size for place in self.places.values())))
+        for name, place in self.places.items():
+            numbers[place] = of_free(name)
+        return numbers
+
+    @cached_property
+    def units(self) -> Array:
+        """Units (m,) of the unknowns."""
+        sizes = self.structure.sizes(self.first_cup.stiffness, self.first_cup.damping)
+        return self._of_all(sizes, lambda name: KINDS[name].unit)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Information (m,) of the priors of what is free."""
+        return self._of_all(np.zeros(self.count), lambda name: (
+            np.asarray(self.free[name]) / KINDS[name].unit) ** -2)
+
+    @cached_property
+    def max_std(self) -> Array:
+        """Largest standard errors (m,) of what is identifiable."""
+        return self._of_all(np.full(self.count, MAX_RELATIVE_ERROR), lambda name: (
+            KINDS[name].max_std / KINDS[name].unit))
+
+    @cached_property
+    def start(self) -> Array:
+        """Unknowns (m,) of the first guess."""
+        return self._of_all(self.structure.parameters(
+            self.first_cup.stiffness, self.first_cup.damping) / self.units[:self.count],
+            lambda name: 0.0)
+
+    @cached_property
+    def shortest_step(self) -> float:
+        """Shortest step of the integrator, s."""
+        return max(MIN_INTEGRATION_STEP, min(
+            largest_step(self.model(self.start, segment)[0]) for segment in self.segments
+        ) / MAX_QUICKENING)
+
+    @cached_property
+    def uncoupled(self) -> Array:
+        """Directions (m, d) without couplings."""
+        directions = np.eye(len(self.start))
+        if self.count <= 2 * STRUCTURES['diagonal'].size:
+            return directions
+        diagonal = [self.structure.parameters(*pair) / self.units[:self.count]
+                    for unit in STRUCTURES['diagonal'].basis
+                    for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]
+        more = len(directions) - self.count
+        return np.vstack([
+            np.pad(diagonal, ((0, 0), (0, more))), directions[self.count:]]).T
+
+    def cup(self, theta: Array) -> Cup:
+        """Return the cup of the unknowns, one of those of a gripper."""
+        K, P = self._matrices(theta)
+        return replace(self.first_cup, stiffness=K, damping=P)
+
+    def unknowns(self, cup: Cup) -> Array:
+        """Return the unknowns of a cup, and nothing else changed."""
+        theta = self.start.copy()
+        theta[:self.count] = self.structure.parameters(
+            cup.stiffness, cup.damping) / self.units[:self.count]
+        return theta
+
+    def strengths(self, theta: Array) -> Array:
+        """Return the strengths of relaxation (2,) of the unknowns."""
+        r = np.array(self.first_cup.relaxation)
+        for place in self.places.get('relaxation', ()):
+            r += (self.units * theta)[place]
+        return r
+
+    def stretch(self, theta: Array) -> tuple[float, float]:
+        """Return the coefficients of stretch of the unknowns, N/m^2 and N."""
+        change = np.sum([(self.units * theta)[place] for place in self.places.get('stretch', ())],
+                        axis=0)
+        a, b = (self.first_cup.stretch + change * quantities.STRETCH_UNITS).tolist()
+        return a, b
+
+    def places_of(self, segment: Segment) -> dict[str, Places]:
+        """Return where a segment's free quantities are, by name."""
+        return {name: rows[segment.measured.recording if KINDS[name].each else 0]
+                for name, rows in self.places.items()}
+
+    def index_of(self, segment: Segment) -> Places:
+        """Return the places (q,) of a segment's unknowns, of the cup and its free quantities."""
+        return np.sort(np.concatenate([
+            np.arange(self.count), *self.places_of(segment).values()]).astype(np.int64))
+
+    def transferred(self, other: 'Problem', theta: Array) -> Array:
+        """Return the unknowns at those of another problem with the same cup."""
+        moved = self.start.copy()
+        for name in self.places.keys() & other.places:
+            moved[self.places[name]] = theta[other.places[name]]
+        return moved
+
+    def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
+        """Return the model of a segment, and what is free in it, SI units."""
+        values = self.units * theta
+        free = {name: values[places] for name, places in self.places_of(segment).items()}
+        cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
+        if 'length' in free:
+            cup = replace(cup, length=cup.length + float(free['length'][0]))
+        if 'relaxation' in free:
+            cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
+        if 'stretch' in free:
+            cup = replace(cup, stretch=self.stretch(theta))
+        payload = quantities.payload_of(measured.payload, free)
+        return model_tuple(cup, payload, quantities.gravity_of(measured.gravity, free)), free
+
+    def moved(self, theta: Array, step: Array) -> Array:
+        """Return unknowns after a step, K and P along a geodesic."""
+        moved, ends = theta + step, []
+        for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
+            root, inverse = symmetric_roots(M)
+            values, vectors = np.linalg.eigh(inverse @ change @ inverse)
+            half = root @ vectors * np.exp(0.5 * np.clip(values, -MAX_LOG_STEP, MAX_LOG_STEP))
+            ends.append(half @ half.T)
+        moved[:self.count] = self.structure.parameters(*ends) / self.units[:self.count]
+        for place in self.places.get('relaxation', ()):
+            moved[place] = np.maximum(
+                moved[place], -np.array(self.first_cup.relaxation) / self.units[place])
+        return moved
+
+    def _matrices(self, theta: Array) -> tuple[Array, Array]:
+        """Return K and P of unknowns, SI units."""
+        return self.structure.matrices((self.units * theta)[:self.count])
+
+    def ordinary_damping(self, stiffness: Array) -> Array:
+        """Return the damping (6, 6) with which each mode of the package has one loss factor."""
+        payload = self.segments[0].measured.payload
+        to_com, inertia = np.eye(6), np.zeros((6, 6))
+        to_com[:3, 3:] = -lie.hat(payload.com)
+        inertia[:3, :3], inertia[3:, 3:] = payload.mass * np.eye(3), payload.inertia
+        root, inverse = symmetric_roots(to_com.T @ inertia @ to_com)
+        P = LOSS_FACTOR * root @ symmetric_roots(inverse @ stiffness @ inverse)[0] @ root
+        return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
+
+    def largest_damping(self, theta: Array) -> float:
+        """Return the most that a cup damps in some direction, in ordinary damping."""
+        K, P = self._matrices(theta)
+        inverse = symmetric_roots(self.ordinary_damping(K))[1]
+        return float(np.linalg.eigvalsh(inverse @ P @ inverse)[-1])
+
+    def prior(self, theta: Array, forgetting: float) -> tuple[Array, Array]:
+        """Return information (m, m) and slope (m,) of the prior."""
+        H = np.diag(self.weights) + self.fixing
+        g = H @ (self.start - theta)
+        size = self.count // 2
+        K, P = self._matrices(theta)
+        means = self._matrices(self.start)[0], self.ordinary_damping(K)
+        stds = PRIOR_LOG_STD[0], APPROACH_LOG_STD if forgetting else PRIOR_LOG_STD[1]
+        for first, M, mean, std in zip((0, size), (K, P), means, stds, strict=True):
+            index = slice(first, first + size)
+            unit = np.array(self.structure.basis) * self.units[index, None, None]
+            root, inverse = symmetric_roots(M)
+            slopes = inverse @ unit @ inverse
+            values, vectors = np.linalg.eigh(inverse @ mean @ inverse)
+            difference = (vectors * np.log(values)) @ vectors.T
+            H[index, index] += np.einsum('aij,bji->ab', slopes, slopes) / std**2
+            g[index] = np.einsum('aij,ji->a', slopes, difference) / std**2
+        for place in self.places.get('relaxation', ()):  # rubbers differ in the ratio of r2 to r1
+            r = self.strengths(theta)
+            std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
+            slope = np.array([-DEFAULT_RATIO, 1.0]) * self.units[place] / std
+            H[np.ix_(place, place)] += np.outer(slope, slope)
+            g[place] -= slope * (r[1] - DEFAULT_RATIO * r[0]) / std
+        return H, g
+
+    def whitened(
+        self, theta: Array, segment: Segment, track: Track, forgetting: float = 0.0
+    ) -> WhitenedSegment:
+        """Return a segment's whitened differences about a track."""
+        model, free = self.model(theta, segment)
+        nodes = segment.nodes(*(
+            float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate')))
+        lengths = np.diff(nodes.stamps) / NS_PER_S
+        step = self._integration_step(model, COARSE_FACTOR if forgetting else 1.0)
+        path = whitening.Path(simulation.tool_rows(resample(track.path, nodes.stamps)),
+                              lengths, substeps_of(lengths, step))
+        expected, start = (
+            adapted(model, simulation.row_state(path.rows[0]), body)
+            for body in (segment.expected_start, track.start))
+        start = _start_near_rest(model, path.rows[0], start, track.std)
+        index = self.index_of(segment)
+        places = {name: np.searchsorted(index, place)
+                  for name, place in self.places_of(segment).items()}
+        mean = _difference(start, expected)
+        poses = _poses(segment, track, nodes, free, lengths, places, self.units[index])
+        marker = free.get('tool_marker', np.zeros(6))
+        tool_noise = segment.tool_noise(track.deviation + marker, nodes)
+        initial_std = INITIAL_STD[:len(mean)]
+        unknowns = self._unknowns(
+            segment, free, places, index, *self._changes(theta, segment, nodes.stamps, index))
+        is_correlated = segment.measured.package_noise.correlation > 0.0
+        std = [initial_std, np.zeros(6), track.std][:3 if is_correlated else 2]
+        result = whitening.whiten(
+            whitening.relaxing(model), whitening.with_inner(start), mean, np.concatenate(std),
+            path, tool_noise, poses, unknowns,
+            forgetting**4 * segment.period * track.std**2)
+        innovations, slopes, *_, gains = result
+        smoothed, slope = whitening.smooth(
+            result, nodes.place, tool_noise.variances, len(mean) + 6)
+        change = np.zeros_like(track.deviation)
+        change[nodes.sampled] = smoothed[nodes.samples]
+        correction = mean - initial_std**2 * slope[:len(mean)]
+        with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
+            variance = gains[:, :, -1] ** -2
+        return WhitenedSegment(
+            innovations.ravel(), slopes.reshape(innovations.size, -1), index, variance,
+            (1.0 - segment.measured.package_noise.correlation**2) * track.std**2,
+            first_order(change, segment.measured.tool_noise.correlation) + marker,
+            whitening.shifted(start, correction))
+
+    def _integration_step(self, model: ModelTuple, factor: float) -> float:
+        """Return the longest step (s) of the integrator, or refuse a cup that is too fast."""
+        longest = min(factor * largest_step(model), MAX_INTEGRATION_STEP)
+        if longest < self.shortest_step:
+            raise BellowsError(
+                f'With this cup the simulation needs integration steps of {longest:.2g} s; at '
+                f'least {self.shortest_step:.2g} s is expected. Check the units of package.mass, '
+                'package.inertia, cup.stiffness and cup.damping.')
+        return longest
+
+    def _unknowns(
+        self, segment: Segment, free: Free, places: Mapping[str, Places], index: Places,
+        scales: Array, extra: Array,
+    ) -> whitening.Unknowns:
+        """Return the effect of a segment's unknowns on its model."""
+        payload = quantities.payload_of(segment.measured.payload, free)
+        columns = np.zeros((whitening.PARAMETER_COUNT, len(index) + 1))
+        columns[:BY_DAMPING.stop, :self.count] = self.structure.upper
+        for name, place in places.items():
+            columns[:, place] = quantities.model_columns(
+                name, payload, segment.measured.gravity, free, len(columns))
+        columns[:, :-1] *= self.units[index]
+        used = np.flatnonzero(np.any(columns[:PARAMETER_COLUMNS], axis=1))[-1]
+        last = BY_DAMPING.stop if used < BY_DAMPING.stop else PARAMETER_COLUMNS
+        return whitening.Unknowns(
+            last, columns, scales, extra, np.array([
+                int(place) for name in ('time_offset', 'clock_rate')
+                for place in places.get(name, ())], dtype=np.int64),
+            int(places.get('tool_marker', (-1,))[0]))
+
+    def _changes(
+        self, theta: Array, segment: Segment, stamps: Stamps, index: Places
+    ) -> tuple[Array, Array]:
+        """Return factors (M, q) of columns at the nodes, and values (q,) of `CHANGING`."""
+        if self.places.keys().isdisjoint(quantities.CHANGING):
+            return np.empty((len(stamps), 0)), np.empty(0)
+        first, *_, last = np.concatenate([
+            other.first.path.stamps_ns[[0, -1]] for other in self.segments
+            if other.measured.recording == segment.measured.recording])
+        profiles = {
+            'length_drift': (stamps - first) / (last - first) - 0.5,
+            'slip': (stamps >= self.slip_ns) & (self.slip_ns >= first)}
+        scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
+        for name, places in self.places_of(segment).items():
+            if name in profiles:
+                scales[:, places], extra[places] = profiles[name][:, None], theta[places]
+        return scales[:, index], extra[index]
+
+
+def _poses(
+    segment: Segment, track: Track, nodes: Nodes, free: Free, lengths: Array,
+    places: Mapping[str, Places], units: Array,
+) -> whitening.Poses:
+    """Return the package's poses at the nodes, corrected by the free quantities."""
+    noise, poses = segment.measured.package_noise, segment.package.select(nodes.used)
+    context = np.array(segment.measured.moves_with_com, float), segment.middle
+    package = quantities.poses_of(poses, free, *context)
+    by_unknowns = np.zeros((len(poses), 6, len(units)))
+    for name, place in places.items():
+        known = quantities.carried(poses, track.path) if name == 'scale' else poses
+        by_unknowns[:, :, place] = -quantities.pose_changes(name, known, *context)
+    rows = np.column_stack(
+        [package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays])
+    return whitening.Poses(
+        nodes.place, rows, by_unknowns * units,
+        (MIN_POSE_STD if noise.correlation > 0.0 else track.std) ** 2, track.std**2,
+        noise.correlation ** (lengths / segment.period))
+
+
+def _not_below(strengths: ArrayLike) -> tuple[float, float]:
+    """Return strengths of relaxation with which internal strains are followed."""
+    r = np.maximum(strengths, MIN_STRENGTH)
+    return float(r[0]), float(r[1])
+
+
+def symmetric_roots(M: Array) -> tuple[Array, Array]:
+    """Return the symmetric root of a definite matrix, and its inverse."""
+    values, vectors = np.linalg.eigh(M)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    return (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
+
+
+def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -> State:
+    """
+    Return a first state that hangs at rest where its pose is within the noise of the poses.
+
+    Noise in it would ring, and that the derivatives would take for motion. Its twist tells nothing
+    of that: of a slow camera's poses it is known worse than ordinary swings are large.
+    """
+    try:
+        rest = simulation.rest(model, tool)
+    except UnstableError:
+        return start
+    difference = _difference(rest, start)
+    size = np.max(np.abs(difference[:6]) / std) / REST_SIGMAS
+    return whitening.shifted(rest, (1.0 - max(size, 1.0) ** -2) * difference)
+
+
+def _difference(body: State, other: State) -> Array:
+    """Return what separates a state from another (12,), with internal strains (24,)."""
+    return np.concatenate([*pose_error(body, other[0], other[1]), *(
+        np.ravel(np.array(end) - np.array(begin))
+        for begin, end in zip(body[2:], other[2:], strict=True))])
