@@ -19,9 +19,8 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
-from bellows_ros.core.identification.given import given_std
 from bellows_ros.core.identification.methods import fit
-from bellows_ros.core.identification.quantities import weak_prior
+from bellows_ros.core.identification.quantities import given_std, weak_prior
 from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate

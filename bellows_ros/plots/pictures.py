@@ -11,7 +11,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.identification.given import as_found
+from bellows_ros.core.identification.quantities import as_found
 from bellows_ros.core.identification.result import WRENCH_UNITS
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.core.model.grip import MODES

@@ -14,7 +14,7 @@ import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.identification import causes, methods
-from bellows_ros.core.identification.given import as_found
+from bellows_ros.core.identification.quantities import as_found
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of

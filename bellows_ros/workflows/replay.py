@@ -13,7 +13,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import reduction, result
 from bellows_ros.core.identification.causes import corrected, finding_sentence
-from bellows_ros.core.identification.given import given_std
+from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.cycle import holds, Signal

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes, methods
-from bellows_ros.core.identification.given import as_found, given_std
-from bellows_ros.core.identification.quantities import Free, payload_of
+from bellows_ros.core.identification.quantities import as_found, Free, given_std, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.identification.validation import validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package

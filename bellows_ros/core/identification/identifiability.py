@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.least_squares import noise_bias, Solution, weighted
+from bellows_ros.core.identification.least_squares import LinearSolution, noise_bias, weighted
 from bellows_ros.core.identification.reduction import Movement, PassBand, ReducedRecording
 from bellows_ros.core.identification.result import NOTE_TEXTS, NOTES, with_unidentifiable
 from bellows_ros.core.identification.samples import joined
@@ -267,7 +267,9 @@ def excitation_of(
          *fast))
 
 
-def _noise_effects(noise: Array, whitening: Array, solution: Solution) -> tuple[Array, Array]:
+def _noise_effects(
+    noise: Array, whitening: Array, solution: LinearSolution
+) -> tuple[Array, Array]:
     """
     Return the share of noise (6, q, 6, q) in the information on each parameter, and its bias.
 

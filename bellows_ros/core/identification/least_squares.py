@@ -75,7 +75,7 @@ def r_factor(parts: Iterable[Array], columns: int) -> Array:
     return R
 
 
-class Solution(NamedTuple):
+class LinearSolution(NamedTuple):
     """
     The least-squares solution of p parameters.
 
@@ -90,7 +90,7 @@ class Solution(NamedTuple):
     condition_number: float
 
 
-def solution(R: Array, structure: Structure) -> Solution:
+def solution(R: Array, structure: Structure) -> LinearSolution:
     """
     Solve the equations of an R factor (q, q) of rows [A b] as far as they go (4.74).
 
@@ -104,7 +104,7 @@ def solution(R: Array, structure: Structure) -> Solution:
     U, singular, Vt = np.linalg.svd(R[:-1, :-1] / unit)
     determined = singular > singular[0] / MAX_CONDITION
     inverse = (Vt[determined].T / singular[determined]) @ U[:, determined].T / unit[:, None]
-    return Solution(
+    return LinearSolution(
         inverse @ R[:-1, -1],
         inverse,
         ~np.any(np.abs(Vt[~determined]) > IN_NULL_SPACE, axis=0),
@@ -192,7 +192,7 @@ def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
     return least_squares([part.of(simpler) for part in parts])
 
 
-def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None]:
+def weighted(parts: Sequence[Statistics]) -> tuple[Array, LinearSolution, Array | None]:
     """
     Return the whitening (6, 6), the solution as it is with noise, and what this adds to products.
 

@@ -9,10 +9,9 @@ from typing import NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares, reduction
-from bellows_ros.core.identification.given import given_std
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.quantities import weak_prior
+from bellows_ros.core.identification.quantities import given_std, weak_prior
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import samples_of

@@ -1,6 +1,12 @@
 """
 Output error: K and P by simulation, with their uncertainty and what would explain the rest.
 
+Near the minimum, given quantities are estimated jointly with K and P; with quick poses from the
+start of the search. Directions that the recordings determine better than their standard deviations
+are estimated. The others keep their given values, and their effect on K and P is an error of its
+own: mass, inertia, K and P larger by one factor give the same motion, so that no recording
+determines the size of K better than the mass.
+
 Also two clocks, two worlds and a marker anywhere on the package, from one recording.
 """
 
@@ -13,16 +19,12 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.diagnosis.candidates import (
     fall_of,
+    is_explained,
     likeliest_setting,
     scores,
+    SIGNIFICANT,
 )
 from bellows_ros.core.identification.diagnosis.ranking import rank
-from bellows_ros.core.identification.given import (
-    near_with_given,
-    NOTHING,
-    unmoved,
-    with_given,
-)
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
 from bellows_ros.core.identification.problem import (
@@ -31,7 +33,13 @@ from bellows_ros.core.identification.problem import (
     RATIO_STD,
     WhitenedSegment,
 )
-from bellows_ros.core.identification.quantities import Free, KINDS, STRETCH_UNITS, weak_prior
+from bellows_ros.core.identification.quantities import (
+    Free,
+    KINDS,
+    NOTHING,
+    STRETCH_UNITS,
+    weak_prior,
+)
 from bellows_ros.core.identification.result import (
     Fit,
     Freed,
@@ -76,6 +84,9 @@ OF_SPRING = ('relaxation', 'stretch')
 
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Of the noise that tests this, and its sizes in that of the poses."""
+
+FIXED_INFORMATION = 1e8
+"""Information that fixes directions of what was given that the recordings do not know."""
 
 MAX_REMAINING_SHARE = 0.2
 """Largest share of the chi² beyond noise that remains with relaxation."""
@@ -268,6 +279,77 @@ def _from_slow_poses(near: Solution, given: Free, relaxation: str, report: Repor
     return end, _open_ends(found, end[0])
 
 
+def with_given(found: Solution, given: Free, report: Report) -> tuple[Solution, Array]:
+    """
+    Return the minimum near one with what was given free, by its standard deviations.
+
+    With what the rest adds to the covariance (m, m) of the unknowns, SI units. Where that leaves a
+    cause to look for, the minimum from the start with all that was given free, if it leaves less
+    and nothing is off by more than `SIGNIFICANT` times its standard deviation, or the search near
+    it ended at no plausible cup (`Solution.is_plausible`).
+    """
+    problem = found.problem
+    more = {name: std for name, std in given.items() if name not in problem.places}
+    size = len(problem.units)
+    near = near_with_given(found, more, report)
+    if not more or is_explained(near[0], given):
+        return near
+    wide = problem.freed(problem.start, more)
+    again = minimise(wide, report=report)
+    off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
+    if again.converged and (not near[0].is_plausible or np.all(off < SIGNIFICANT)
+                            and again.squares <= near[0].squares):
+        return again, unmoved(again)
+    return near
+
+
+def unmoved(found: Solution) -> Array:
+    """Return no covariance (m, m) by what was given."""
+    return np.zeros((len(found.theta),) * 2)
+
+
+def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Solution, Array]:
+    """
+    Return the minimum near one with that part of `more` free which the recordings know better.
+
+    The rest stays as it was given. With a covariance as `with_given`.
+    """
+    problem = found.problem
+    wide = problem.freed(
+        found.theta, {name: std for name, std in more.items() if name not in problem.places})
+    size = len(wide.units) - sum(wide.places[name].size for name in more)
+    if not found.is_plausible:
+        return found, unmoved(found)
+    start, std = found.near(wide), wide.weights[size:] ** -0.5
+    parts, H, g = system_of(wide, start)
+    if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
+        return replace(found, converged=False), unmoved(found)
+    known = H - wide.prior(start.theta, 0.0)[0]
+    S = known[size:, size:] - known[size:, :size] @ np.linalg.lstsq(
+        known[:size, :size], known[:size, size:], rcond=None)[0]
+    values, vectors = np.linalg.eigh(std[:, None] * S * std)  # what was given has 1
+    free = int(np.count_nonzero(values > 1.0))
+    fixed = vectors[:, :len(std) - free] / std[:, None]
+    fixing = np.zeros_like(H)
+    fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
+    again = minimise(replace(wide, fixing=fixing), start, report, (
+        parts, H + fixing, g + fixing @ (wide.start - start.theta)))
+    if again.converged:
+        found, H = again, again.information - fixing
+    else:
+        if len(wide.units) == len(problem.units):
+            return found, unmoved(found)
+        free = 0
+    by = np.eye(len(H))
+    by[size:, size:] = std[:, None] * vectors[:, ::-1]  # the best known first
+    H, first = by.T @ H @ by, size + free
+    units = found.problem.units
+    moved = np.zeros((len(units), len(H) - first))
+    moved[:size] = -np.linalg.solve(H[:first, :first], H[:first, first:])[:size]
+    moved *= units[:, None]
+    return found, moved @ moved.T
+
+
 def _open_ends(found: Solution, end: Solution) -> list[Solution]:
     """Return where causes are looked for: first the end with what was given, if it explains."""
     return [end, found] if _explains(end) and end.problem is not found.problem else [found]
@@ -381,7 +463,7 @@ def _fit(
         samples_used=len(residuals),
         samples_rejected=total - len(residuals),
         condition_number=_condition(found.information[:size, :size]),
-        weight=np.diag(found.tracks[0].std ** -2),
+        weight=np.diag(found.courses[0].std ** -2),
         residual_rms=np.sqrt(np.mean(residuals**2, axis=0)),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
         misfit=NOTES['too_large_chi2'].format(chi2=found.robust_chi2) if (
@@ -493,22 +575,22 @@ def noise_information(found: Solution) -> Array:
     size, differences = NOISE_FACTOR, list[Array]()
     while len(differences) < 2:
         segments, draw = list[Segment](), np.random.default_rng(SEED)
-        for segment, track in zip(found.problem.segments, found.tracks, strict=True):
+        for segment, course in zip(found.problem.segments, found.courses, strict=True):
             measured = segment.measured
-            noise = BodyNoise(track.std, measured.package_noise.correlation), measured.tool_noise
+            noise = BodyNoise(course.std, measured.package_noise.correlation), measured.tool_noise
             package, tool = (
                 _with_noise(body, body_noise, size * (-1.0) ** len(differences), draw)
                 for body, body_noise in zip((measured.package, measured.tool), noise, strict=True))
             segments.append(Segment.of(
                 replace(measured, tool=tool, package=package), segment.half_window))
         noisy = replace(found.problem, segments=tuple(segments))
-        tracks = tuple(segment.first._replace(start=track.start, std=track.std)
-                       for segment, track in zip(segments, found.tracks, strict=True))
+        courses = tuple(segment.first._replace(start=course.start, std=course.std)
+                        for segment, course in zip(segments, found.courses, strict=True))
         for _ in range(2):  # about the measured path, then about the likeliest
-            parts, H, g = system_of(noisy, Iterate(found.theta, tracks))
+            parts, H, g = system_of(noisy, Iterate(found.theta, courses))
             if not np.all(np.isfinite(g)):
                 break
-            tracks = accepted(segments, tracks, parts)
+            courses = accepted(segments, courses, parts)
         if np.all(np.isfinite(g)):
             differences.append((H - found.information) / size**2)
         elif size < MIN_NOISE_FACTOR:

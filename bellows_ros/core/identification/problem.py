@@ -18,7 +18,7 @@ from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
-from bellows_ros.core.identification.segments import MIN_POSE_STD, Nodes, Segment, Track
+from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, Nodes, Segment
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
@@ -355,47 +355,47 @@ class Problem:
         return H, g
 
     def whitened(
-        self, theta: Array, segment: Segment, track: Track, forgetting: float = 0.0
+        self, theta: Array, segment: Segment, course: Course, forgetting: float = 0.0
     ) -> WhitenedSegment:
-        """Return a segment's whitened differences about a track."""
+        """Return a segment's whitened differences about a course."""
         model, free = self.model(theta, segment)
         nodes = segment.nodes(*(
             float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate')))
         lengths = np.diff(nodes.stamps) / NS_PER_S
         step = self._integration_step(model, COARSE_FACTOR if forgetting else 1.0)
-        path = whitening.Path(simulation.tool_rows(resample(track.path, nodes.stamps)),
+        path = whitening.Path(simulation.tool_rows(resample(course.path, nodes.stamps)),
                               lengths, substeps_of(lengths, step))
         expected, start = (
             adapted(model, simulation.row_state(path.rows[0]), body)
-            for body in (segment.expected_start, track.start))
-        start = _start_near_rest(model, path.rows[0], start, track.std)
+            for body in (segment.expected_start, course.start))
+        start = _start_near_rest(model, path.rows[0], start, course.std)
         index = self.index_of(segment)
         places = {name: np.searchsorted(index, place)
                   for name, place in self.places_of(segment).items()}
         mean = _difference(start, expected)
-        poses = _poses(segment, track, nodes, free, lengths, places, self.units[index])
+        poses = _poses(segment, course, nodes, free, lengths, places, self.units[index])
         marker = free.get('tool_marker', np.zeros(6))
-        tool_noise = segment.tool_noise(track.deviation + marker, nodes)
+        tool_noise = segment.tool_noise(course.deviation + marker, nodes)
         initial_std = INITIAL_STD[:len(mean)]
         unknowns = self._unknowns(
             segment, free, places, index, *self._changes(theta, segment, nodes.stamps, index))
         is_correlated = segment.measured.package_noise.correlation > 0.0
-        std = [initial_std, np.zeros(6), track.std][:3 if is_correlated else 2]
+        std = [initial_std, np.zeros(6), course.std][:3 if is_correlated else 2]
         result = whitening.whiten(
             whitening.relaxing(model), whitening.with_inner(start), mean, np.concatenate(std),
             path, tool_noise, poses, unknowns,
-            forgetting**4 * segment.period * track.std**2)
+            forgetting**4 * segment.period * course.std**2)
         innovations, slopes, *_, gains = result
         smoothed, slope = whitening.smooth(
             result, nodes.place, tool_noise.variances, len(mean) + 6)
-        change = np.zeros_like(track.deviation)
+        change = np.zeros_like(course.deviation)
         change[nodes.sampled] = smoothed[nodes.samples]
         correction = mean - initial_std**2 * slope[:len(mean)]
         with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
             variance = gains[:, :, -1] ** -2
         return WhitenedSegment(
             innovations.ravel(), slopes.reshape(innovations.size, -1), index, variance,
-            (1.0 - segment.measured.package_noise.correlation**2) * track.std**2,
+            (1.0 - segment.measured.package_noise.correlation**2) * course.std**2,
             first_order(change, segment.measured.tool_noise.correlation) + marker,
             whitening.shifted(start, correction))
 
@@ -449,7 +449,7 @@ class Problem:
 
 
 def _poses(
-    segment: Segment, track: Track, nodes: Nodes, free: Free, lengths: Array,
+    segment: Segment, course: Course, nodes: Nodes, free: Free, lengths: Array,
     places: Mapping[str, Places], units: Array,
 ) -> whitening.Poses:
     """Return the package's poses at the nodes, corrected by the free quantities."""
@@ -458,13 +458,13 @@ def _poses(
     package = quantities.poses_of(poses, free, *context)
     by_unknowns = np.zeros((len(poses), 6, len(units)))
     for name, place in places.items():
-        known = quantities.carried(poses, track.path) if name == 'scale' else poses
+        known = quantities.carried(poses, course.path) if name == 'scale' else poses
         by_unknowns[:, :, place] = -quantities.pose_changes(name, known, *context)
     rows = np.column_stack(
         [package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays])
     return whitening.Poses(
         nodes.place, rows, by_unknowns * units,
-        (MIN_POSE_STD if noise.correlation > 0.0 else track.std) ** 2, track.std**2,
+        (MIN_POSE_STD if noise.correlation > 0.0 else course.std) ** 2, course.std**2,
         noise.correlation ** (lengths / segment.period))
 
 

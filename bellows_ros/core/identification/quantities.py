@@ -1,15 +1,23 @@
-"""Quantities that were given and may be free beside K and P: what they do to model and poses."""
+"""
+Quantities that were given and may be free beside K and P: what they do to model and poses.
+
+Each of them is a measurement with a standard deviation.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 import tomllib
+from types import MappingProxyType
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import jacobians as jac
-from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
+from bellows_ros.core.model.cup_package import gravity_vector, Package, package_of, varied
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 import numpy as np
 
@@ -43,6 +51,17 @@ STRETCH_UNITS = np.array([1e3, 1.0])
 
 Free = Mapping[str, Array]
 """Values by name, for one recording."""
+
+NOTHING: Free = MappingProxyType({})
+
+CLOCK_RATE_STD = 5e-5
+"""Standard deviation of the rates of two quartz clocks (50 ppm)."""
+
+MIN_STD = 1e-9
+"""Smallest standard deviation, SI units."""
+
+PACKAGE_STD: Mapping[str, float] = {'mass': 0.01, 'inertia': 0.05, 'com': 2e-3}
+"""Standard deviations of a package where none is stated: parts of mass and inertia, and m."""
 
 
 def weak_prior(names: Iterable[str]) -> dict[str, Array]:
@@ -160,3 +179,61 @@ def pose_changes(
         change[:, :3, :3] = change[:, 3:, 3:] = inverse
         change[:, :3, 3:] = -inverse @ lie.hat(package.position - middle[:3])
     return change
+
+
+def given_std(values: Values) -> dict[str, Array]:
+    """Return the standard deviations of what was given, by names of `KINDS`, SI units."""
+    marker = np.repeat(values.recording.marker_std, 3)
+    stds = {'length': np.array([values.cup.length_std]), 'package_marker': marker,
+            'time_offset': np.array([values.recording.clock_std]),
+            'clock_rate': np.array([CLOCK_RATE_STD if values.recording.clock_std else 0.0])}
+    if values.recording.package_world:
+        stds['package_world'] = marker
+    if all(name in values for name in PACKAGE_PARAMETERS):
+        payload = package_of(values)
+        stated = {
+            'mass': np.array([values.package.mass_std / payload.mass]),
+            'com': np.array(values.package.com_std),
+            'inertia': np.array(values.package.inertia_std[:3]) / np.diag(payload.inertia)}
+        stds |= {name: std if np.any(std) else np.full(len(std), PACKAGE_STD[name])
+                 for name, std in stated.items()}
+    return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}
+
+
+def stated(given: Free) -> list[str]:
+    """Return the names of what is as uncertain as a user stated."""
+    return [name for name, std in given.items()
+            if name in PACKAGE_STD and np.any(std != PACKAGE_STD[name])]
+
+
+def as_found(recording: Recording, found: Free, number: int) -> Recording:
+    """
+    Return a recording with what a fit found beside K and P: its package, marker, world and clock.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it was given.
+    found : mapping
+        See `Fit.nuisances`.
+    number : int
+        Of the recording in the fit.
+
+    """
+    if not found:
+        return recording
+    free = {name: rows[number if KINDS[name].each else 0]
+            for name, rows in found.items()}
+    moves, tracked = np.array(recording.settings.moves_with_com, float), recording.tracked_package
+    middle = middle_of(tracked)
+    delay = round(float(free['time_offset'][0]) * NS_PER_S) if 'time_offset' in free else 0
+
+    def moved(poses: Trajectory) -> Trajectory:
+        return poses_of(poses, free, moves, middle)
+
+    of_tool, of_package = recording.filters
+    payload = payload_of(recording.payload, free)
+    return replace(
+        recording, settings=replace(recording.settings, payload=payload),
+        filters=(of_tool, replace(of_package, poses=moved(of_package.poses))),
+        tracked_package=replace(moved(tracked), stamps_ns=tracked.stamps_ns + delay))

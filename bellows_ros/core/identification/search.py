@@ -26,7 +26,7 @@ from bellows_ros.core.identification.problem import (
     WhitenedSegment,
 )
 from bellows_ros.core.identification.quantities import KINDS
-from bellows_ros.core.identification.segments import MIN_POSE_STD, Segment, Track
+from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.signals.resampling import MAD_TO_STD
 from bellows_ros.errors import BellowsError
@@ -99,10 +99,10 @@ def no_report(cup: Cup, chi2: float) -> None:
 
 
 class Iterate(NamedTuple):
-    """Unknowns, and the track of each segment."""
+    """Unknowns, and the course of each segment."""
 
     theta: Array
-    tracks: tuple[Track, ...]
+    courses: tuple[Course, ...]
 
 
 System = tuple[list[WhitenedSegment], Array, Array]
@@ -120,7 +120,7 @@ class Solution:
         That was solved.
     theta : ndarray (m,)
         Unknowns.
-    tracks : tuple of Track
+    courses : tuple of Course
         The likeliest motion in each segment, and the noise of its poses.
     parts : list of WhitenedSegment
         The differences.
@@ -133,7 +133,7 @@ class Solution:
 
     problem: Problem
     theta: Array
-    tracks: tuple[Track, ...]
+    courses: tuple[Course, ...]
     parts: list[WhitenedSegment]
     information: Array
     converged: bool
@@ -174,12 +174,12 @@ class Solution:
 
     @property
     def iterate(self) -> Iterate:
-        """Unknowns and tracks."""
-        return Iterate(self.theta, self.tracks)
+        """Unknowns and courses."""
+        return Iterate(self.theta, self.courses)
 
     def near(self, problem: Problem) -> Iterate:
-        """Return where another problem of the same recordings has the same cup and tracks."""
-        return Iterate(problem.transferred(self.problem, self.theta), self.tracks)
+        """Return where another problem of the same recordings has the same cup and courses."""
+        return Iterate(problem.transferred(self.problem, self.theta), self.courses)
 
     def estimate(self, name: str) -> tuple[Array, Array]:
         """Return what is free by a name, SI units, with standard errors by its information."""
@@ -210,18 +210,18 @@ class Solution:
         """
         return max((
             float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
-            for segment, track, part in zip(
-                self.problem.segments, self.tracks, self.parts, strict=True)
+            for segment, course, part in zip(
+                self.problem.segments, self.courses, self.parts, strict=True)
             for noise in [segment.measured.package_noise] if not part.is_white
-            for share in np.split((track.std / noise.std) ** 2, 2)), default=0.0)
+            for share in np.split((course.std / noise.std) ** 2, 2)), default=0.0)
 
     @property
     def noise_in_motion(self) -> dict[int, Array]:
         """Standard deviations (6,) of white noise in motion by recording, m and rad."""
         return {segment.measured.recording: np.maximum(
-            track.std, segment.measured.package_noise.std)
-            for segment, track, part in zip(
-                self.problem.segments, self.tracks, self.parts, strict=True)
+            course.std, segment.measured.package_noise.std)
+            for segment, course, part in zip(
+                self.problem.segments, self.courses, self.parts, strict=True)
             if segment.is_slow and part.is_white}
 
 
@@ -292,7 +292,7 @@ def approach(
     near = _descended(problem, start, FORGETTING_RATE, diagonal, report)
     if with_couplings and diagonal.shape != everything.shape and not (
             near.squares < MISFIT_CHI2 * near.residual_count):
-        near = _descended(problem, start._replace(tracks=first.tracks), FORGETTING_RATE,
+        near = _descended(problem, start._replace(courses=first.courses), FORGETTING_RATE,
                           everything, report)
     return replace(near, converged=False)
 
@@ -312,14 +312,14 @@ def _descended(
     The latter if the search does not converge, and with an unknown acceleration of the
     package that forgets at a rate (1/s).
     """
-    (theta, tracks), segments = start, problem.segments
+    (theta, courses), segments = start, problem.segments
     parts, H, g = system or system_of(problem, start, forgetting)
     if not np.all(np.isfinite(g)):
         finite = [part._replace(
             innovations=np.nan_to_num(part.innovations, nan=DIVERGED), **{
                 name: np.nan_to_num(getattr(part, name), posinf=0.0)
                 for name in ('jacobian', 'variance')}) for part in parts]
-        return Solution(problem, theta, accepted(segments, tracks, parts), finite,
+        return Solution(problem, theta, accepted(segments, courses, parts), finite,
                         np.eye(len(theta)), False)
     min_damping, tolerance, max_steps = (
         (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
@@ -329,7 +329,7 @@ def _descended(
     history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
     expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
     largest = MAX_RISE * max(squares(parts), expected)
-    best, lowest = Solution(problem, theta, tracks, parts, H, False), (True, math.inf)
+    best, lowest = Solution(problem, theta, courses, parts, H, False), (True, math.inf)
     best_number = 0
     for number in range(max_steps):
         is_misfit = number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected
@@ -342,15 +342,15 @@ def _descended(
         cost = not is_near, length if is_near else objective(parts)
         if cost < lowest:
             best, lowest, best_number = (
-                Solution(problem, theta, tracks, parts, H, is_near), cost, number)
+                Solution(problem, theta, courses, parts, H, is_near), cost, number)
         steps = _anderson_step(step, H, history), SHORTER * step
-        moved, new = _moved_below(problem, Iterate(theta, tracks), steps, forgetting, largest)
+        moved, new = _moved_below(problem, Iterate(theta, courses), steps, forgetting, largest)
         if new is None:
             history = []
             if is_fresh:
                 damping = max(10.0 * damping, 1e-2)
             else:  # squares are compared along the same path, in the same noise
-                again = system_of(problem, Iterate(theta, tracks), forgetting)
+                again = system_of(problem, Iterate(theta, courses), forgetting)
                 if not np.all(np.isfinite(again[2])):
                     break
                 (parts, H, g), is_fresh = again, True
@@ -358,12 +358,12 @@ def _descended(
             continue
         history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
         rises = squares(new[0]) > MAX_SMALL_RISE * max(squares(parts), expected)
-        theta, (parts, H, g), is_fresh, before = moved, new, False, tracks
-        tracks = accepted(segments, tracks, parts)
-        tracks, settled = (tracks, True) if forgetting else _with_noise(segments, tracks, parts)
+        theta, (parts, H, g), is_fresh, before = moved, new, False, courses
+        courses = accepted(segments, courses, parts)
+        courses, settled = (courses, True) if forgetting else _with_noise(segments, courses, parts)
         largest = MAX_RISE * max(expected, sum(
-            float(np.sum((part.innovations.reshape(-1, 6) * old.std / new_track.std) ** 2))
-            for part, old, new_track in zip(parts, before, tracks, strict=True)))
+            float(np.sum((part.innovations.reshape(-1, 6) * old.std / new_course.std) ** 2))
+            for part, old, new_course in zip(parts, before, courses, strict=True)))
         settled &= damping <= MAX_FINAL_DAMPING
         damping = max(10.0 * damping, 1e-3) if rises else (
             max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0)
@@ -372,35 +372,35 @@ def _descended(
             break
     is_near = not forgetting and settled and length < LOOSE_TOLERANCE
     if not is_near and lowest < (True, objective(parts)):
-        return replace(best, tracks=accepted(segments, best.tracks, best.parts))
-    return Solution(problem, theta, _with_noise(segments, tracks, parts)[0], parts, H, is_near)
+        return replace(best, courses=accepted(segments, best.courses, best.parts))
+    return Solution(problem, theta, _with_noise(segments, courses, parts)[0], parts, H, is_near)
 
 
 def accepted(
-    segments: Sequence[Segment], tracks: Sequence[Track], parts: Sequence[WhitenedSegment]
-) -> tuple[Track, ...]:
-    """Return the likeliest tracks, but for a simulation that diverges."""
+    segments: Sequence[Segment], courses: Sequence[Course], parts: Sequence[WhitenedSegment]
+) -> tuple[Course, ...]:
+    """Return the likeliest courses, but for a simulation that diverges."""
     return tuple(
-        segment.track(part.tool_change, part.start, track.std)
-        if all(np.isfinite(values).all() for values in (part.tool_change, *part.start)) else track
-        for segment, track, part in zip(segments, tracks, parts, strict=True))
+        segment.course(part.tool_change, part.start, course.std)
+        if all(np.isfinite(values).all() for values in (part.tool_change, *part.start)) else course
+        for segment, course, part in zip(segments, courses, parts, strict=True))
 
 
 def _with_noise(
-    segments: Sequence[Segment], tracks: Sequence[Track], parts: Sequence[WhitenedSegment]
-) -> tuple[tuple[Track, ...], bool]:
-    """Return tracks with the noise of poses that come slowly, and whether it hardly changes."""
+    segments: Sequence[Segment], courses: Sequence[Course], parts: Sequence[WhitenedSegment]
+) -> tuple[tuple[Course, ...], bool]:
+    """Return courses with the noise of poses that come slowly, and whether it hardly changes."""
     new, settled = [], True
-    for segment, track, part in zip(segments, tracks, parts, strict=True):
+    for segment, course, part in zip(segments, courses, parts, strict=True):
         if segment.is_slow:
             correlation = segment.measured.package_noise.correlation
             total = (MAD_TO_STD * np.median(np.abs(part.residuals), axis=0)) ** 2
             simulated = np.median(part.variance, axis=0) - part.new_variance
             std = np.maximum(MIN_POSE_STD, np.sqrt(
                 np.maximum(total - simulated, 0.1 * total) / (1.0 - correlation**2)))
-            if np.any(np.abs(std - track.std) > NOISE_TOLERANCE * track.std):
-                track, settled = track._replace(std=std), False
-        new.append(track)
+            if np.any(np.abs(std - course.std) > NOISE_TOLERANCE * course.std):
+                course, settled = course._replace(std=std), False
+        new.append(course)
     return tuple(new), settled
 
 
@@ -447,14 +447,14 @@ def _squared_length(problem: Problem, step: Array, H: Array) -> float:
 
 def system_of(problem: Problem, at: Iterate, forgetting: float = 0.0) -> System:
     """Return the whitened segments, and information and slope of the whole."""
-    def whitened(segment: Segment, track: Track) -> WhitenedSegment:
-        return problem.whitened(at.theta, segment, track, forgetting)
+    def whitened(segment: Segment, course: Course) -> WhitenedSegment:
+        return problem.whitened(at.theta, segment, course, forgetting)
 
     if len(problem.segments) == 1:
-        parts = [whitened(problem.segments[0], at.tracks[0])]
+        parts = [whitened(problem.segments[0], at.courses[0])]
     else:
         with ThreadPoolExecutor(usable_cores()) as threads:
-            parts = list(threads.map(whitened, problem.segments, at.tracks))
+            parts = list(threads.map(whitened, problem.segments, at.courses))
     H, g = problem.prior(at.theta, forgetting)
     for part in parts:
         H[np.ix_(part.places, part.places)] += part.jacobian.T @ part.jacobian

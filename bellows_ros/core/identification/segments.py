@@ -1,7 +1,7 @@
 """
 The parts of recordings that a fit by simulation goes through.
 
-Each has the tool's poses at a uniform rate and those of the package at any stamps; its track has
+Each has the tool's poses at a uniform rate and those of the package at any stamps; its course has
 the likeliest path of the tool so far. Quick poses are taken as means over a few of them.
 """
 
@@ -162,7 +162,7 @@ class Nodes(NamedTuple):
     delays: Array
 
 
-class Track(NamedTuple):
+class Course(NamedTuple):
     """
     The likeliest motion in a segment so far.
 
@@ -257,19 +257,19 @@ class Segment:
             first.position[0], lie.rotation_to_quaternion(first.rotation)[0])
 
     @cached_property
-    def first(self) -> Track:
+    def first(self) -> Course:
         """The motion as measured."""
-        return self.track(np.zeros((len(self.variance), 6)), self.expected_start,
-                          self.measured.package_noise.std)
+        return self.course(np.zeros((len(self.variance), 6)), self.expected_start,
+                           self.measured.package_noise.std)
 
-    def track(self, change: Array, start: State, std: Array) -> Track:
+    def course(self, change: Array, start: State, std: Array) -> Course:
         """Return the motion after changes (S, 6) of the tool's samples, in body axes."""
         tool, shift = self.tool, np.zeros((len(self.tool), 6))
         shift[self.inner] = change
         path = savgol(Trajectory(
             tool.stamps_ns, tool.position + lie.apply(tool.rotation, shift[:, :3]),
             tool.rotation @ lie.exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
-        return Track(path, relative_coordinates(path, tool.select(self.inner)), start, std)
+        return Course(path, relative_coordinates(path, tool.select(self.inner)), start, std)
 
     def nodes(self, delay: float, rate: float = 0.0) -> Nodes:
         """Return the nodes for the delay (s) and the relative rate of the tool's clock."""

@@ -198,12 +198,12 @@ class Validation(residuals.Comparison):
         segment = Segment.of(replace(longest, tool=longest.tool.between(*middle),
                                      package=longest.package.between(*middle)))
         problem = Problem((segment,), STRUCTURES['full'], self.cup, {})
-        track = segment.first
+        course = segment.first
         for _ in range(2):  # the path of the tool comes near to the likeliest
-            part = problem.whitened(problem.start, segment, track)
-            (track,) = accepted([segment], [track], [part])
+            part = problem.whitened(problem.start, segment, course)
+            (course,) = accepted([segment], [course], [part])
         white = part.innovations.reshape(-1, 6)
-        scaled = white * track.std
+        scaled = white * course.std
         return OneStep(float(np.mean(white**2)), residuals.portmanteau(white),
                        residuals.spectrum(scaled, 1.0 / segment.period))
 

@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification import given as module
+from bellows_ros.core.identification import output_error as module
 from bellows_ros.core.identification.diagnosis import candidates
 from bellows_ros.core.identification.diagnosis.ranking import deviating
-from bellows_ros.core.identification.given import given_std, PACKAGE_STD, stated
 from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.identification.quantities import given_std, PACKAGE_STD, stated
 from bellows_ros.core.identification.search import minimise
 from bellows_ros.core.model.cup_package import varied
 from bellows_ros.core.model.simulation import row_state, simulate, tool_rows

@@ -108,9 +108,9 @@ def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
     (part,), _, _ = system_of(problem, start)
     for wrong in (part._replace(tool_change=np.nan * part.tool_change),
                   part._replace(start=tuple(np.inf * np.array(own) for own in part.start))):
-        assert accepted(problem.segments, start.tracks, [wrong]) == start.tracks
-    (track,) = accepted(problem.segments, start.tracks, [part])
-    assert track.path is not start.tracks[0].path and track.start is part.start
+        assert accepted(problem.segments, start.courses, [wrong]) == start.courses
+    (course,) = accepted(problem.segments, start.courses, [part])
+    assert course.path is not start.courses[0].path and course.start is part.start
 
 
 def test_a_simulation_that_diverges_explains_nothing():
@@ -132,13 +132,13 @@ def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):
 
 
 def settled(problem, steps=2, theta=None):
-    """Return part and track after steps: about the measured path, then about the likeliest."""
+    """Return part and course after steps: about the measured path, then about the likeliest."""
     segment, = problem.segments
-    track = segment.first
+    course = segment.first
     for _ in range(steps):
-        part = problem.whitened(problem.start if theta is None else theta, segment, track)
-        (track,) = accepted([segment], [track], [part])
-    return part, track
+        part = problem.whitened(problem.start if theta is None else theta, segment, course)
+        (course,) = accepted([segment], [course], [part])
+    return part, course
 
 
 def require_white(part):
@@ -168,13 +168,13 @@ def test_every_derivative_is_that_of_the_differences(monkeypatch, of_smooth_pose
     problem = posed(own, cup, {
         name: np.full(kind.size, kind.prior_std) for name, kind in KINDS.items()},
         slip_ns=2_000_000_000)
-    part, track = settled(problem, 3)
+    part, course = settled(problem, 3)
     slopes = part.jacobian  # with the first state
     for number in range(len(problem.units)):
         size = np.abs(slopes[:, number]).max()
         step = 0.3 / size * (np.arange(len(problem.units)) == number)
         ahead, behind = (problem.whitened(
-            problem.start + side * step, problem.segments[0], track) for side in (1.0, -1.0))
+            problem.start + side * step, problem.segments[0], course) for side in (1.0, -1.0))
         slope = (behind.innovations - ahead.innovations) * size / 0.6
         if of_smooth_poses and number in problem.places['scale']:
             ratio = slope @ slopes[:, number] / np.sum(slopes[:, number] ** 2)
@@ -271,7 +271,7 @@ def test_differences_are_the_same_about_any_path_near_the_measured_one(rates, hz
     (segment,) = problem.segments
     moved = np.zeros((len(segment.variance), 6))
     moved[:, 0] = 3e-4 * np.sin(2.0 * np.pi * hz * np.arange(len(moved)) / rates[0])
-    before, after = (problem.whitened(problem.start, segment, segment.track(
+    before, after = (problem.whitened(problem.start, segment, segment.course(
         change, segment.first.start, segment.first.std)) for change in (0.0 * moved, moved))
     assert np.sqrt(np.mean((after.innovations - before.innovations) ** 2)) < 0.03
 
@@ -286,8 +286,8 @@ def test_noise_of_the_first_state_does_not_ring_in_the_derivatives(stiffness, da
     def spread(silent):
         problem = posed(measured(0, package_noise=noise, silent=silent, cup=cup), cup,
                         {'package_world': np.full(6, 0.2)})
-        _, track = settled(problem, 1)
-        H = system_of(problem, as_measured(problem)._replace(tracks=(track,)))[1]
+        _, course = settled(problem, 1)
+        H = system_of(problem, as_measured(problem)._replace(courses=(course,)))[1]
         return np.sqrt(np.diag(np.linalg.inv(H)))[:8]
 
     assert_allclose(spread(False), spread(True), rtol=0.1)
@@ -378,7 +378,7 @@ def test_noise_of_slow_poses_with_a_memory_is_learned(has_tails):
         replace(own, package=seen, package_noise=BodyNoise(stated, kept)), scaled(2.0)))
     assert found.converged
     if not has_tails:  # else its median is that of a smaller one
-        assert_allclose(found.tracks[0].std, np.std(noise, axis=0), rtol=0.2)
+        assert_allclose(found.courses[0].std, np.std(noise, axis=0), rtol=0.2)
 
 
 def test_rubber_that_relaxes_is_found_with_its_static_stiffness():

@@ -119,7 +119,7 @@ def pulls(found: Solution, given: Free) -> dict[str, float]:
     return {name: size / MAX_PULL for name, size in sizes.items()}
 
 
-class Freed(NamedTuple):
+class Alternative(NamedTuple):
     """A solution with one free quantity more, and the fall of chi²."""
 
     name: str
@@ -133,12 +133,12 @@ class Freed(NamedTuple):
         return float(np.sqrt(now / then))
 
 
-def freed(before: Solution, name: str, from_start: bool = False) -> Freed:
+def freed(before: Solution, name: str, from_start: bool = False) -> Alternative:
     """Return the solution near one, or from its start, with one quantity more, and its gain."""
     wide = before.problem.freed(
         before.problem.start if from_start else before.theta, quantities.weak_prior([name]))
     found = minimise(wide, None if from_start else before.near(wide))
-    return Freed(name, found, gain_of(before, found, name == 'slip'))
+    return Alternative(name, found, gain_of(before, found, name == 'slip'))
 
 
 def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
@@ -189,7 +189,7 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
                 scores(with_slip, ['slip'])['slip'], posinf=0.0))
         return tried[slip_ns][1]
 
-    ends = [track.path.stamps_ns[[0, -1]].tolist() for track in found.tracks]
+    ends = [course.path.stamps_ns[[0, -1]].tolist() for course in found.courses]
     period = max(round(SLIP_PERIOD * NS_PER_S),
                  sum(last - first for first, last in ends) // MAX_SLIPS)
     moments = [stamp for first, last in ends for stamp in range(first + period, last, period)]

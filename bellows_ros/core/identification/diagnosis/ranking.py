@@ -17,7 +17,7 @@ from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.causes import DISTINCT, Finding, MATERIAL
 from bellows_ros.core.identification.diagnosis import candidates
 from bellows_ros.core.identification.diagnosis.candidates import (
-    Freed,
+    Alternative,
     freed,
     MARKERS,
     MIN_SLIP_PERIOD,
@@ -25,9 +25,8 @@ from bellows_ros.core.identification.diagnosis.candidates import (
     pulls,
     SIGNIFICANT,
 )
-from bellows_ros.core.identification.given import stated
 from bellows_ros.core.identification.problem import Problem
-from bellows_ros.core.identification.quantities import Free
+from bellows_ros.core.identification.quantities import Free, stated
 from bellows_ros.core.identification.search import (
     deviance,
     MAX_NOISE_CHI2,
@@ -150,7 +149,7 @@ def _causes(end: Solution, given_std: Free) -> tuple[Finding, ...]:
 
 
 def _decided(
-    end: Solution, best: Freed, gains: Mapping[str, float], given_std: Free, is_off: bool
+    end: Solution, best: Alternative, gains: Mapping[str, float], given_std: Free, is_off: bool
 ) -> tuple[Finding, ...]:
     """Return the best candidate if it is certain, otherwise an unknown cause before it."""
     theta, std = best.found.estimate(best.name)
@@ -212,14 +211,14 @@ def _priced(fall: tuple[str, float]) -> float:
     return (1.0 - PRICE * quantities.KINDS[fall[0]].size) * fall[1]
 
 
-def _tried(end: Solution, falls: Mapping[str, float]) -> list[Freed]:
+def _tried(end: Solution, falls: Mapping[str, float]) -> list[Alternative]:
     """
     Return the freed candidates, the highest score first.
 
     A second one is freed if it explains at least half as much, the next if searches do not
     converge. Scores about an implausible cup mean little: worlds are tried then, from the start.
     """
-    tried, least = list[Freed](), DISTINCT * max(falls.values())
+    tried, least = list[Alternative](), DISTINCT * max(falls.values())
     names = list(falls)[:MAX_SEARCHES] if end.is_plausible else dict.fromkeys(
         [*list(falls)[:MAX_TRIED], *(name for name in WORLDS if name in falls)])
     for name in names:
@@ -233,7 +232,9 @@ def _tried(end: Solution, falls: Mapping[str, float]) -> list[Freed]:
     return tried
 
 
-def _frame_instead(end: Solution, tried: Sequence[Freed], best: Freed) -> Finding | None:
+def _frame_instead(
+    end: Solution, tried: Sequence[Alternative], best: Alternative
+) -> Finding | None:
     """Return exchanged frames if a shift of the lip is as large as its distance from the com."""
     problem = end.problem
     shifts = [one.found.estimate(one.name)[0] for one in tried if one.name in OF_LIP] + [
@@ -301,7 +302,7 @@ def deviating(end: Solution, given_std: Free, least: float = -np.inf) -> tuple[F
             best.found is not end and candidates.is_off(best.found, given_std))),)
 
 
-def _finding(best: Freed, theta: Array, std: Array) -> Finding:
+def _finding(best: Alternative, theta: Array, std: Array) -> Finding:
     """Return the finding of a freed quantity."""
     name, problem = best.name, best.found.problem
     if name == 'slip':
