@@ -1,0 +1,211 @@
+"""
+Count alarms and errors in pick-and-place cycles of cells that the package's formulas do not have.
+
+    python -m benchmarks.cycles --hours 1        # ordinary work with three cameras
+    python -m benchmarks.cycles --faults 30      # so many faults of each kind
+
+Cells are those of `test/core/observer/contact_cell.py`. Each has its own errors and twelve cycles
+of different packages. `--seed` is the seed of the first cell.
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from bellows_ros import LivePredictor
+from bellows_ros.core.model.equilibrium import pose_error
+from bellows_ros.core.observer.alarms import ONSET_NS
+import numpy as np
+from scipy.stats import ncx2
+
+from test.core.observer import contact_cell  # noqa: I100, I201
+from test.core.observer.contact_cell import ContactCell, DAMPING, LENGTH, STIFFNESS, WRONG
+
+START_NS = 1_000_000_000_000
+CYCLES = 12
+"""Number of cycles of one cell."""
+CAMERAS = {
+    'memory': {},
+    'view': {'measured.model': 'tag', 'measured.camera': [0.5, 0.0, 1.6]},
+    'white': {},
+}
+"""Parameters of each sensor of a `ContactCell`."""
+DIAGONAL = np.eye(6).ravel()
+CUP: dict[str, Any] = {
+    'cup.stiffness': np.diag(STIFFNESS).ravel().tolist(), 'cup.length': LENGTH,
+    'cup.damping': np.diag(DAMPING).ravel().tolist(), 'vacuum.signal': 'bool',
+    'tool_noise.position': 2e-5, 'tool_noise.rotation': 5e-5}
+CUP_STD = {
+    'cup.stiffness_std': np.diag(WRONG['stiffness'] * STIFFNESS).ravel().tolist(),
+    'cup.damping_std': np.diag(WRONG['damping'] * DAMPING).ravel().tolist()}
+
+
+class Outcome(NamedTuple):
+    """Alarms and errors of one cell."""
+
+    alarms: list[tuple[int, float, Any]]
+    """Cycle, seconds in the cycle, and alarm, as told first."""
+    errors: np.ndarray
+    """Pose errors (N, 6) of held packages, m and rad."""
+    nees: np.ndarray
+    """Normalised squared errors of these poses."""
+    seconds: float
+
+
+def followed(
+    cycles: Sequence[Any], parameters: Mapping[str, Any], has_camera: bool = True,
+    package_std: bool = False,
+) -> Outcome:
+    """Let one predictor follow the cycles of a cell, with package.* set at each grip."""
+    live, begin = LivePredictor.from_parameters({**parameters, **cycles[0].stated}), START_NS
+    alarms: list[tuple[int, float, Any]] = []
+    errors, nees, told = [], [], set[tuple[str, int]]()
+    for number, cycle in enumerate(cycles):
+        held = int(np.searchsorted(cycle.times, cycle.at['grip'])), int(
+            np.searchsorted(cycle.times, cycle.at['release']))
+        seen = sorted(cycle.seen, key=lambda each: each[1]) if has_camera else []
+        for k, t in enumerate(cycle.times.tolist()):
+            stamp_ns = begin + round(1e9 * t)
+            if k == held[0]:
+                live.set_parameters(cycle.stated | (_package_std(cycle) if package_std else {}))
+            if k % 5 == 0:
+                live.on_vacuum(held[0] <= k < held[1], stamp_ns)
+            while seen and seen[0][1] <= t:
+                measured, arrival, position, q = seen.pop(0)
+                live.on_measured(begin + round(1e9 * measured), 'world', position, q, None,
+                                 begin + round(1e9 * arrival))
+            row = cycle.tool[k].tolist()
+            live.on_twist(stamp_ns, tuple(row[7:10]), tuple(row[10:]))
+            live.on_pose(stamp_ns, 'world', tuple(row[:3]), tuple(row[3:7]), stamp_ns)
+            for alarm in live.alarms[-3:]:
+                if all((alarm.cause, second) not in told for second in range(
+                        alarm.stamp_ns // 10**9 - 4, alarm.stamp_ns // 10**9 + 5)):
+                    told.add((alarm.cause, alarm.stamp_ns // 10**9))
+                    alarms.append((number, t, alarm))
+            if cycle.at['move'] < t < cycle.at['lower'] and k % 5 == 0 and live.held:
+                e = np.r_[pose_error(live.held.body, *_split(cycle.truth[k]))]
+                errors.append(e)
+                P = live.covariance(live.held.stamp_ns) if live.package.observer else None
+                nees.append(np.nan if P is None else e @ np.linalg.solve(P[:6, :6], e))
+        begin += round(1e9 * (cycle.times[-1] + 0.01))
+    return Outcome(alarms, np.array(errors), np.array(nees), 1e-9 * (begin - START_NS))
+
+
+def _split(row: np.ndarray) -> tuple[Any, Any]:
+    numbers = row.tolist()
+    return tuple(numbers[:3]), tuple(numbers[3:])
+
+
+def _package_std(cycle: Any) -> dict[str, Any]:
+    mass, inertia = (np.array(cycle.stated[f'package.{name}']) for name in ('mass', 'inertia'))
+    return {
+        'package.mass_std': float(WRONG['mass'] * mass),
+        'package.com_std': (WRONG['com'] * np.array([1.0, 1.0, 0.5])).tolist(),
+        'package.inertia_std': (WRONG['inertia'] * inertia).tolist()}
+
+
+def ordinary(sensor: str, cells: range, stated: bool, errors: float = 1.0) -> None:
+    """Print alarms an hour, errors with and without a camera, and NEES of ordinary work."""
+    causes, hours, rows, worse = Counter[str](), 0.0, [], 0
+    for seed in cells:
+        cell = ContactCell(seed, errors, sensor)
+        cycles = [cell.cycle() for _ in range(CYCLES)]
+        given = CUP | CAMERAS[sensor] | (CUP_STD if stated else {})
+        both, alone = (followed(cycles, given, camera, stated) for camera in (True, False))
+        causes.update(alarm.cause for _, _, alarm in both.alarms)
+        hours += both.seconds / 3600.0
+        of_cell = [np.sqrt(np.mean(np.square(run.errors[:, :3]).sum(axis=1)))
+                   for run in (both, alone)]
+        worse += of_cell[0] > of_cell[1]
+        rows.append([*np.square(of_cell), np.nanmean(both.nees)])
+    mm = 1e3 * np.sqrt(np.mean(rows, axis=0))
+    print(f'| {sensor} | {"stated" if stated else "default"} | {hours:.2f} h | '
+          f'{causes.total() / hours:.1f}/h {dict(causes)} | {mm[0]:.2f} mm with, {mm[1]:.2f} '
+          f'without, worse in {worse} of {len(cells)} | NEES {np.mean(rows, axis=0)[2]:.1f} |',
+          flush=True)
+
+
+FAULTS: dict[str, list[dict[str, Any]]] = {
+    'collision': [{'size': 0.3}],
+    'drop': [{'at_event': 'hold', 'after': 0.15}, {'at_event': 'hold', 'after': -0.3},
+             {'at_event': 'hold', 'after': 0.1, 'gradual': 0.15},
+             {'at_event': 'move', 'after': 0.05}],
+    'slip': [{'size': 5e-3}],
+    'swap': [{'size': 1.3}],
+    'latency': [{'size': 0.04, 'at_event': 'grip', 'after': 0.0}],
+    'camera': [{'size': 5e-3}],
+}
+RIGHT = {'collision': ('', 'disturbance'), 'drop': ('lost',), 'swap': ('payload',)}
+TRUE_SIZE = {'slip': 5e-3, 'swap': 0.3, 'latency': 0.04, 'camera': 5e-3}
+
+
+def faults(kind: str, seeds: range, sensor: str) -> None:
+    """Print the first causes of faults in the third cycle of a cell, and z of the sizes."""
+    first, z, odds, ideal = Counter[str](), [], 0.0, []
+    for seed in seeds:
+        cell = ContactCell(seed, 1.0, sensor)
+        fault = FAULTS[kind][seed % len(FAULTS[kind])]
+        cycles = [cell.cycle(), cell.cycle(), cell.cycle(kind, **fault)]
+        if kind in ('latency', 'swap'):
+            cycles += [cell.cycle(kind, **fault) for _ in range(2)]
+        run = followed(cycles, CUP | CUP_STD | CAMERAS[sensor], True, True)
+        found = [each for each in run.alarms if each[0] >= 2]
+        first[found[0][2].cause if found else ''] += 1
+        ideal.append(ideal_slip(cycles[2]))
+        for _, _, alarm in found[:1]:
+            if alarm.cause not in RIGHT.get(kind, (kind,)):
+                odds = max(odds, alarm.odds)
+            elif kind in TRUE_SIZE:
+                z.append((alarm.size - TRUE_SIZE[kind]) / alarm.std)
+    right = sum(first[cause] for cause in RIGHT.get(kind, (kind,)))
+    print(f'| {kind} | {sensor} | {right} of {len(seeds)} {dict(first)} | largest wrong odds '
+          f'{odds:.0f} | z rms {np.sqrt(np.mean(np.square(z))):.2f} of {len(z)} |' + (
+              f' ideal {np.sum(ideal):.1f} |' if kind == 'slip' else ''), flush=True)
+
+
+def ideal_slip(cycle: Any) -> float:
+    """
+    Return the probability that an ideal test finds a slip of 5 mm.
+
+    The test has the true time and noise, and averages over directions, at the threshold for one
+    false alarm an hour. The mean pose is unknown before by the camera and the marker.
+    """
+    times = [('seen', 'fault'), ('fault', 'lower')]
+    before, after = (sum(cycle.at[first] < stamp < cycle.at[last] for stamp, *_ in cycle.seen)
+                     for first, last in times)
+    keep = np.exp(-1.0 / 30.0 / 0.05)
+    tilt = 5e-3 * cycle.stated['package.mass'] * 9.81 / STIFFNESS[3]
+    shift = 5e-3 + tilt * abs(cycle.stated['package.com'][2])
+    square = 0.0
+    stds = contact_cell.NOISE[::3]
+    for change, noise, prior in ((shift, stds[0], 2.8e-3), (tilt, stds[1], 4.2e-3)):
+        information = [(1.0 + (n - 1) * (1 - keep) / (1 + keep)) / noise**2 if n else 0.0
+                       for n in (before, after)]
+        if information[1]:
+            known = 1.0 / (information[0] + prior**-2)
+            square += change**2 / (known + 1.0 / information[1])
+    return float(ncx2.sf(2.0 * np.log(3600e9 / ONSET_NS), 2, square))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        prog='python -m benchmarks.cycles', description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--hours', type=float, default=0.0, help='of ordinary work in each row')
+    parser.add_argument('--faults', type=int, default=0, help='of each kind')
+    parser.add_argument('--kind', choices=FAULTS, help='of faults; default: all')
+    parser.add_argument('--sensor', choices=CAMERAS, help='default: all; memory for faults')
+    parser.add_argument('--seed', type=int, default=0, help='of the first cell')
+    given = parser.parse_args()
+    cells = range(given.seed, given.seed + max(1, round(given.hours * 3600.0 / (CYCLES * 6.0))))
+    for sensor in ((given.sensor,) if given.sensor else CAMERAS) if given.hours else ():
+        for stated in (False, True):
+            ordinary(sensor, cells, stated)
+    for kind in ((given.kind,) if given.kind else FAULTS) if given.faults else ():
+        faults(kind, range(given.seed, given.seed + given.faults), given.sensor or 'memory')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,300 @@
+"""
+A pick-and-place cell that shares no formula with the package: bushing, contact, camera.
+
+The cup is a co-rotated bushing at its middle with two relaxing branches; the package is a box with
+corners that touch a table with friction; symplectic Euler steps of 0.5 ms. The package stands on
+the table before and after a cycle, and touches the table while it is still held. A camera sees a
+part of the cycle. The numbers that a user states differ from the true ones.
+"""
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+STEP = 5e-4
+EVERY = 20
+"""Number of steps between two stored samples, 10 ms."""
+TABLE = 0.08
+STIFFNESS = np.array([4300.0, 4300.0, 7800.0, 3.4, 3.4, 1.1])
+DAMPING = np.array([48.0, 48.0, 30.0, 0.05, 0.05, 0.08])
+LENGTH = 0.042
+RELAXING, TIMES = np.array([0.06, 0.05]), np.array([0.06, 0.8])
+WRONG = {'stiffness': 0.03, 'damping': 0.2, 'mass': 0.02, 'com': 2e-3, 'inertia': 0.05,
+         'camera': (2e-3, 3e-3), 'marker': (2e-3, 3e-3)}
+"""Standard deviations of the stated numbers: relative, com in m, m and rad."""
+NOISE = np.repeat([2e-3, 1e-2], 3)
+
+
+class Cycle(NamedTuple):
+    """One cycle: sampled motion, what the sensors tell, and what is true."""
+
+    times: np.ndarray
+    tool: np.ndarray
+    """Position, quaternion, linear and angular velocity in the world (N, 13)."""
+    truth: np.ndarray
+    """Position and quaternion of the package (N, 7)."""
+    seen: list
+    """Measured poses: stamp, arrival (s), position, quaternion."""
+    stated: dict
+    """Parameters package.*."""
+    at: dict
+    """Times of the events, s."""
+
+
+@njit(cache=True)
+def _fly(tool, state, cup, box, push, grip, floor):
+    """Return the states (N, 30) of the box: position, rotation, twists in the world, branches."""
+    K, P, r, tau, length = cup
+    mass, J, com, size = box
+    n = (len(tool) - 1) // EVERY + 1
+    out = np.zeros((n, 30))
+    o, R, v, w = state[:3].copy(), state[3:12].copy().reshape(3, 3), np.zeros(3), np.zeros(3)
+    z = np.zeros((2, 6))
+    corners = np.zeros((8, 3))
+    for i in range(8):
+        for j in range(3):
+            corners[i, j] = (0.5 if i >> j & 1 else -0.5) * size[j] - com[j]
+        corners[i, 2] -= 0.5 * size[2]
+    radius = math.sqrt((corners[0] ** 2).sum()) + 0.05
+    for k in range(len(tool)):
+        if k % EVERY == 0:
+            row = out[k // EVERY]
+            row[:3], row[3:12], row[12:15], row[15:18] = o, R.ravel(), v, w
+        is_low = o[2] < floor + radius
+        if is_low and grip[k] == 0.0 and (v * v).sum() < 1e-8 and (w * w).sum() < 1e-6:
+            continue
+        e, RE = tool[k, :3], tool[k, 3:12].copy().reshape(3, 3)
+        ve, we = tool[k, 12:15], tool[k, 15:18]
+        f, t = np.zeros(3), np.zeros(3)
+        f[2] = -9.81 * mass
+        f += push[k, :3]
+        t += push[k, 3:]
+        if grip[k] > 0.0:
+            near, far = RE[:, 2] * (-0.5 * length), R @ (-com) + R[:, 2] * (0.5 * length)
+            d = o + far - e - near
+            D = RE.T @ R
+            c = min(max(0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0), -1.0), 1.0)
+            a = np.array([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]])
+            angle = math.acos(c)
+            phi = a * (0.5 if angle < 1e-6 else 0.5 * angle / math.sin(angle))
+            x, s = 0.5 * phi, 0.5 * angle
+            X = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+            one = 1.0 if s < 1e-6 else math.sin(s) / s
+            two = 0.5 if s < 1e-6 else (1.0 - math.cos(s)) / (s * s)
+            M = RE @ (np.eye(3) + one * X + two * (X @ X))
+            strain, rate = np.zeros(6), np.zeros(6)
+            strain[:3], strain[3:] = M.T @ d, phi
+            rate[:3] = M.T @ (v + np.cross(w, far) - ve - np.cross(we, near))
+            rate[3:] = M.T @ (w - we)
+            load = strain.copy()
+            for b in range(2):
+                load += r[b] * (strain - z[b])
+                z[b] += STEP / tau[b] * (strain - z[b])
+            load = -grip[k] * (K * load + P * rate)
+            F = M @ load[:3]
+            f += F
+            t += M @ load[3:] + np.cross(far - 0.5 * d, F)
+        for i in range(8 if is_low else 0):
+            arm = R @ corners[i]
+            depth = floor - o[2] - arm[2]
+            if depth > 0.0:
+                u = v + np.cross(w, arm)
+                N = max(2.5e4 * depth - 70.0 * u[2], 0.0)
+                F = np.zeros(3)
+                F[2] = N
+                slow = math.sqrt(u[0] * u[0] + u[1] * u[1]) + 5e-3
+                F[:2] = -0.35 * N / slow * u[:2]
+                f += F
+                t += np.cross(arm, F)
+        v = v + STEP / mass * f
+        wb = R.T @ w
+        wb = wb + STEP * (R.T @ t - np.cross(wb, J * wb)) / J
+        w = R @ wb
+        o = o + STEP * v
+        x = STEP * wb
+        X = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+        R = R @ (np.eye(3) + X + 0.5 * (X @ X))
+        R = 1.5 * R - 0.5 * (R @ (R.T @ R))
+    return out
+
+
+class ContactCell:
+    """
+    A cell with its own errors; `cycle` draws one package and one cycle after the other.
+
+    Parameters
+    ----------
+    seed : int
+    errors : float
+        Factor of all errors of the stated numbers.
+    sensor : {'memory', 'white', 'view'}
+        Noise of measured poses: with a memory of 50 ms, without memory, or a function of the
+        view with blur and flips, as of a detected tag.
+
+    """
+
+    def __init__(self, seed, errors=1.0, sensor='memory'):
+        """Draw the cell."""
+        self.rng, self.errors, self.sensor = np.random.default_rng(seed), errors, sensor
+        k, p = (np.exp(errors * WRONG[name] * self.rng.normal(size=4))[[0, 0, 1, 2, 2, 3]]
+                for name in ('stiffness', 'damping'))
+        relaxing = RELAXING * (errors > 0.0)
+        static = STIFFNESS * k / (1.0 + 0.6 * relaxing.sum())
+        self.cup = static, DAMPING * p, relaxing, TIMES, LENGTH
+        self.lag = 5e-3 * errors
+        self.camera = self._offset('camera')
+        self.waves = self.rng.normal(size=(6, 8, 6)), self.rng.uniform(0.0, 6.3, (6, 8))
+
+    def _offset(self, name):
+        return self.errors * np.repeat(WRONG[name], 3) * self.rng.normal(size=6)
+
+    def _path(self, height):
+        """Return way points: end time, position, rotation vector, and the times of events."""
+        g, at, t = self.rng, {}, 0.0
+        o = np.array([g.uniform(-0.1, 0.1), g.uniform(-0.3, 0.3), TABLE + height + LENGTH])
+        turn, points = np.zeros(3), [(0.0, o + [0.0, 0.0, 0.08], np.zeros(3))]
+
+        def go(seconds, to=None, turned=None):
+            nonlocal t, o, turn
+            t, o = t + seconds, o if to is None else to
+            turn = turn if turned is None else turned
+            points.append((t, o, turn))
+
+        go(0.4, o - [0.0, 0.0, 2e-3])
+        at['grip'] = t
+        go(0.2)
+        at['lift'] = t
+        go(0.45, o + [0.0, 0.0, 0.15])
+        distance, heading = g.uniform(0.5, 1.2), g.uniform(-0.6, 0.6)
+        yaw = g.uniform(-1.0, 1.0)
+        seconds = max(math.sqrt(5.78 * distance / 4.5), math.sqrt(5.78 * abs(yaw) / 12.0))
+        at['move'] = t
+        go(seconds, o + [distance * math.cos(heading), distance * math.sin(heading),
+                         g.uniform(0.0, 0.1)], np.r_[g.uniform(-0.05, 0.05, 2), yaw])
+        at['hold'] = t
+        go(g.uniform(0.3, 1.5))
+        at['lower'] = t
+        go(0.5, np.r_[o[:2], TABLE + height + LENGTH - 1e-3], np.r_[0.0, 0.0, yaw])
+        go(0.1)
+        at['valve'] = t
+        at['release'] = t + 0.08
+        go(0.2)
+        go(0.4, o + [0.0, 0.0, 0.1])
+        go(seconds, np.array([0.0, 0.0, TABLE + 0.25]), np.zeros(3))
+        go(g.uniform(0.1, 2.0))
+        at['end'] = t
+        at['seen'] = at['move'] + g.uniform(0.1, 0.5) * seconds
+        at['unseen'] = at['seen'] + 0.4 * t
+        return points, at
+
+    def cycle(self, fault='', at_event='hold', after=0.1, size=1.0, gradual=0.0):
+        """
+        Return a cycle, with a fault some time (s) after an event.
+
+        Faults: 'collision' (size in N s), 'drop', 'slip' (m), 'swap' (factor of mass), 'latency'
+        (s), 'camera' (m). A drop lets the grip fade within a time (s).
+        """
+        g = self.rng
+        dims = np.array([g.uniform(0.15, 0.3), g.uniform(0.12, 0.22), g.uniform(0.06, 0.14)])
+        mass, com = g.uniform(0.6, 2.2), np.r_[4e-3 * g.normal(size=2), -0.5 * dims[2]]
+        inertia = mass / 12.0 * (np.sum(np.square(dims)) - np.square(dims))
+        stated = {'package.mass': mass, 'package.com': com.tolist(),
+                  'package.inertia': [*inertia.tolist(), 0.0, 0.0, 0.0]}
+        factor = (1.0 + self.errors * WRONG['mass'] * g.normal()) * (
+            size if fault == 'swap' else 1.0)
+        mass = factor * mass
+        inertia = factor * inertia * np.exp(self.errors * WRONG['inertia'] * g.normal(size=3))
+        com = com + self.errors * WRONG['com'] * g.normal(size=3) * [1.0, 1.0, 0.5]
+        marker = self._offset('marker')
+        points, at = self._path(dims[2])
+        times = np.arange(0.0, at['end'] - 2 * STEP, STEP)
+        tool = _sampled(points, times)
+        grip = ((times > at['grip']) & (times < at['release'])).astype(float)
+        push, when = np.zeros((len(times), 6)), at[at_event] + after
+        at['fault'], direction = when, g.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        across = direction * [1.0, 1.0, 0.0] / np.linalg.norm(direction[:2])
+        if fault == 'collision':
+            hit = (times > when) & (times < when + 0.02)
+            push[hit, :3] = direction * size / 0.02
+            push[hit, 3:] = np.cross(0.5 * dims * g.uniform(-1.0, 1.0, 3), push[hit, :3][0])
+        if fault == 'drop':
+            grip *= np.clip(1.0 - (times - when) / max(gradual, STEP), 0.0, 1.0)
+        start = np.r_[0.0, 0.0, 0.0, np.eye(3).ravel()]
+        start[:3] = np.r_[points[1][1][:2], TABLE + dims[2]] + com
+        box = mass, inertia, com, dims
+        if fault == 'slip':  # the lip slips at once: the rest of the motion from there
+            k = round(when / STEP) // EVERY * EVERY
+            first = _fly(tool[:k + 1], start, self.cup, box, push[:k + 1], grip[:k + 1], TABLE)
+            moved = com + size * across
+            again = first[-1].copy()
+            again[:3] += again[3:12].reshape(3, 3) @ (size * across)
+            rest = _fly(tool[k:], again, self.cup, (mass, inertia, moved, dims), push[k:],
+                        grip[k:], TABLE)
+            states = np.vstack([first[:-1], rest])
+        else:
+            states = _fly(tool, start, self.cup, box, push, grip, TABLE)
+        sampled = times[::EVERY]
+        q = Rotation.from_matrix(tool[::EVERY, 3:12].reshape(-1, 3, 3)).as_quat()
+        told = np.hstack([tool[::EVERY, :3], q, tool[::EVERY, 12:]])
+        late = np.maximum(np.arange(len(told)) - round(self.lag / (STEP * EVERY) + 1e-9), 0)
+        told[:, :7] = 0.5 * (told[:, :7] + told[late, :7]) if self.lag else told[:, :7]
+        told[:, 3:7] /= np.linalg.norm(told[:, 3:7], axis=1)[:, None]
+        told[:, :3] += 2e-5 * g.normal(size=(len(told), 3))
+        told[:, 7:] += np.repeat([5e-4, 1e-3], 3) * g.normal(size=(len(told), 6))
+        truth = np.hstack([states[:, :3], Rotation.from_matrix(
+            states[:, 3:12].reshape(-1, 3, 3)).as_quat()])
+        seen = self._seen(sampled, truth, marker, at, fault, when, size * direction)
+        return Cycle(sampled, told, truth, seen, stated, at)
+
+    def _seen(self, times, truth, marker, at, fault, when, moved):
+        g, drawn = self.rng, []
+        last, n = min(at['unseen'], times[-1]), g.normal(size=6)
+        was = truth[0]
+        for t in np.arange(at['seen'], last, 1.0 / 30.0):
+            k = round(t / (STEP * EVERY))
+            pose = truth[min(k, len(truth) - 1)]
+            R, o = Rotation.from_quat(pose[3:]), pose[:3]
+            speed, was = np.linalg.norm(o - was[:3]) * 30.0, pose
+            o, R = o + R.apply(marker[:3]), R * Rotation.from_rotvec(marker[3:])
+            world = Rotation.from_rotvec(self.camera[3:])
+            o, R = world.apply(o - [0.5, 0.0, 0.3]) + [0.5, 0.0, 0.3] + self.camera[:3], world * R
+            if fault == 'camera' and t > when:
+                o = o + moved
+            memory = math.exp(-1.0 / 30.0 / 0.05) if self.sensor == 'memory' else 0.0
+            n = memory * n + math.sqrt(1.0 - memory**2) * g.normal(size=6)
+            e = NOISE * n
+            if self.sensor == 'view':  # depth is z; errors are waves of the view, and blur
+                waves, phases = self.waves
+                view = np.r_[o / 0.08, R.as_rotvec() / 0.15]
+                e = np.sin(waves @ view + phases).sum(axis=1) / 2.0
+                e = e * [4e-4, 4e-4, 3e-3, 8e-3, 8e-3, 3e-3] * (1.0 + 3.0 * speed)
+                e += [1e-4, 1e-4, 4e-4, 3e-3, 3e-3, 1e-3] * n
+                if g.random() < 0.01:
+                    e[3:5] += g.normal(size=2) * 0.5
+            o, R = o + e[:3], R * Rotation.from_rotvec(e[3:])
+            stamp = k * STEP * EVERY + 5e-3 * (self.errors > 0.0) * g.normal()
+            if fault == 'latency' and t > when:
+                stamp += moved @ moved and np.linalg.norm(moved)
+            arrival = max(stamp, t) + g.uniform(0.03, 0.06)
+            if g.random() > 0.02:
+                drawn.append((stamp, arrival, tuple(o.tolist()), tuple(R.as_quat().tolist())))
+        drawn.sort()
+        return drawn
+
+
+def _sampled(points, times):
+    """Return position, rotation, linear and angular velocity (N, 18) of minimum-jerk moves."""
+    o, turn = np.zeros((2, len(times), 3))
+    for (a, o0, r0), (b, o1, r1) in zip(points[:-1], points[1:], strict=True):
+        part = times >= a if a else times >= -1.0
+        s = np.clip((times[part] - a) / (b - a), 0.0, 1.0)[:, None]
+        e = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        o[part], turn[part] = o0 + e * (o1 - o0), r0 + e * (r1 - r0)
+    R = Rotation.from_rotvec(turn)
+    w = np.zeros_like(o)
+    w[:-1] = (R[1:] * R[:-1].inv()).as_rotvec() / STEP
+    return np.hstack([o, R.as_matrix().reshape(-1, 9), np.gradient(o, STEP, axis=0), w])
