@@ -198,7 +198,9 @@ def track(
     speed2 = along(v, w, v, w)
     if wide != variance:
         rate_variance = max(rate_variance, START_STD * START_STD)
-    gain = speed2 / (wide * speed2 + POSE_STD * POSE_STD)
+    v0, w0 = point_at(rows, seconds, t)[2:4]
+    slower = min(speed2, along(v0, w0, v0, w0))  # where the plan starts or stops between both
+    gain = slower / (wide * slower + POSE_STD * POSE_STD)
     rate += covariance * (at - t) / wide
     rate_variance -= covariance * covariance * gain
     variance, covariance = wide - wide * wide * gain, covariance - wide * covariance * gain
