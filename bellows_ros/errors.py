@@ -1,5 +1,6 @@
 """Errors with a message for the user, and what to install where an optional package is missing."""
 
+from collections.abc import Iterable
 import importlib.util
 from pathlib import Path
 import sys
@@ -107,6 +108,24 @@ def require_types(**arguments: tuple[Any, ...]) -> None:
         if not isinstance(value, tuple(types)):
             expected = ' or '.join(each.__name__ for each in types)
             raise BellowsError(f'{name} must be of type {expected}, got {shown(value)}.')
+
+
+MAX_NAME = 255
+"""Length of a usable name of a frame, joint or link, characters."""
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text can be the name of a frame, joint or link in outputs; '' can."""
+    return len(text) <= MAX_NAME and (text.isprintable() or not text)
+
+
+def require_names(names: Iterable[str], what: str) -> None:
+    """Raise BellowsError for names of a kind with control characters, or too long ones."""
+    for name in names:
+        if not is_name(name):
+            raise BellowsError(
+                f"A name of {what} is '{shown(name)}'; expected at most {MAX_NAME} printable "
+                'characters. Rename it.')
 
 
 def shown(text: object, length: int = 80, allowed: str = '') -> str:

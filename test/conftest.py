@@ -155,6 +155,12 @@ def rubber_kernels():
 
 
 @pytest.fixture(scope='session')
+def plan_kernels():
+    """Compile what predicts and steers plans, outside the limit of a test."""
+    kernels.compile_plans()
+
+
+@pytest.fixture(scope='session')
 def observer_kernels():
     """Compile what observes, outside the limit of a test."""
     kernels.compile_observer()
@@ -247,15 +253,17 @@ class Ros:
         Spin until the condition holds, and tell whether it did before the timeout (s).
 
         Waits for events, not for time: it returns as soon as the condition holds, and the timeout
-        is long, as it costs only where something fails. Pauses of this process do not count.
+        is long, as it costs only where something fails. It counts processor time, as the limit
+        of a test, and time that passes by a `WAIT_FACTOR` less.
         """
         left = timeout
         while not condition():
             if left <= 0.0:
                 return False
-            before = time.monotonic()
+            before, used = time.monotonic(), time.process_time()
             self.executor.spin_once(timeout_sec=LONGEST_TURN)
-            left -= min(time.monotonic() - before, LONGEST_TURN)
+            passed = min(time.monotonic() - before, LONGEST_TURN) / WAIT_FACTOR
+            left -= max(time.process_time() - used, passed)
         return True
 
 

@@ -21,12 +21,20 @@ else:
 MAX_RECORD_BYTES = 256 * 2**20
 
 
+DEFINED_TYPES = ('moveit_msgs/msg/RobotTrajectory', 'moveit_msgs/msg/DisplayTrajectory')
+"""Types that differ between releases."""
+MAX_DEFINITION = 2**20
+"""Longest definition of a type, bytes."""
+
+
 class Channel(NamedTuple):
     """A recorded topic: its name, its type and the encoding of its messages."""
 
     name: str
     type_name: str
     encoding: str
+    definition: str = ''
+    """Definition of a type in `DEFINED_TYPES`, as it travels with the recording."""
 
 
 class Message(NamedTuple):

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
-from bellows_ros.errors import BellowsError, NoTopicError
+from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bag_folder, File, mcap, messages
 from bellows_ros.files.bag_folder import Channel, DamagedError, Message, Stored, Wanted, ZSTD_MAGIC
 import numpy as np
@@ -275,20 +275,20 @@ def messages_of(path: File, types: Collection[str], topic: str = '') -> Iterator
         lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name))
 
 
-ROBOT_TRAJECTORY = 'moveit_msgs/msg/RobotTrajectory'
-DISPLAY_TRAJECTORY = 'moveit_msgs/msg/DisplayTrajectory'
+ROBOT_TRAJECTORY, DISPLAY_TRAJECTORY = bag_folder.DEFINED_TYPES
 MOVEIT_TYPES = {
     ROBOT_TRAJECTORY: 'trajectory_msgs/JointTrajectory joint_trajectory\n'
     'trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory',
     DISPLAY_TRAJECTORY: 'string model_id\nmoveit_msgs/RobotTrajectory[] trajectory'}
-"""Definitions of types that rosbags does not know."""
-BEGUN_TYPES = (DISPLAY_TRAJECTORY,)
-"""Types of whose messages only the first fields are defined here."""
+"""Definitions of types that rosbags does not know, for recordings without definitions: the first
+fields, which are those of all releases."""
 
 
-def decoded(data: bytes, type_name: str) -> Any:
+def decoded(data: bytes, type_name: str, definition: str = '') -> Any:
     """
     Return a message as an object with its fields, of any type.
+
+    A type of `MOVEIT_TYPES` is decoded by its definition in the recording, if there is one.
 
     Raises
     ------
@@ -297,26 +297,30 @@ def decoded(data: bytes, type_name: str) -> Any:
 
     """
     from rosbags.serde import SerdeError
+    from rosbags.typesys import TypesysError
 
     try:
-        if type_name in BEGUN_TYPES:  # whose rest is not read, and differs between releases
-            definition = message_types().get_msgdef(type_name)
-            read = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
-            return read(data[4:], 0, definition.cls, message_types())[0]
-        return message_types().deserialize_cdr(data, type_name)
-    except (SerdeError, IndexError, struct.error, ValueError) as error:
-        raise BellowsError(f'A {type_name} cannot be decoded: {error} Record it again.') from None
+        types = message_types(type_name, definition)
+        if type_name not in MOVEIT_TYPES:
+            return types.deserialize_cdr(data, type_name)
+        begun = types.get_msgdef(type_name)  # further fields of a message are not read
+        read = begun.deserialize_cdr_le if data[1] else begun.deserialize_cdr_be
+        return read(data[4:], 0, begun.cls, types)[0]
+    except (SerdeError, TypesysError, LookupError, struct.error, ValueError) as error:
+        raise BellowsError(
+            f'A {type_name} cannot be decoded: {shown(str(error), 300)} Record it again.'
+        ) from None
 
 
 @cache
-def message_types() -> Any:
-    """Return the store of message types that encodes and decodes messages."""
+def message_types(type_name: str = '', definition: str = '') -> Any:
+    """Return the store of message types, or of those in the definition of a type alone."""
     # late: takes long, and is rarely needed
     from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for name, definition in MOVEIT_TYPES.items():
-        store.register(get_types_from_msg(definition, name))
+    store = get_typestore(Stores.EMPTY if definition else Stores.ROS2_JAZZY)
+    for name, text in ({type_name: definition} if definition else MOVEIT_TYPES).items():
+        store.register(get_types_from_msg(text, name))
     return store
 
 
@@ -521,11 +525,20 @@ def _topics(database: sqlite3.Connection, counts: dict[Channel, int]) -> dict[in
     """Return the topics by number, and count their messages."""
     amounts = dict(database.execute('SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id'))
     numbers: dict[int, Channel] = {}
-    for row in database.execute('SELECT id, name, type, serialization_format FROM topics'):
-        if not isinstance(row[0], int) or not all(isinstance(x, str) for x in row[1:]):
+    definitions = dict[str, str]()
+    with suppress(sqlite3.OperationalError):  # of recordings before ROS Iron
+        definitions.update(database.execute(
+            'SELECT topic_type, encoded_message_definition FROM message_definitions '
+            f'WHERE topic_type IN {bag_folder.DEFINED_TYPES} '
+            'AND length(encoded_message_definition) < ?', (bag_folder.MAX_DEFINITION,)))
+    for number, *texts in database.execute(
+            'SELECT id, name, type, serialization_format FROM topics'):
+        if not isinstance(number, int) or not all(isinstance(x, str) for x in texts):
             raise DamagedError("its table 'topics' is damaged")
-        topic = numbers[row[0]] = Channel(*row[1:])
-        counts[topic] = counts.get(topic, 0) + amounts.pop(row[0], 0)
+        name, type_name, encoding = texts
+        topic = numbers[number] = Channel(
+            name, type_name, encoding, str(definitions.get(type_name, '')))
+        counts[topic] = counts.get(topic, 0) + amounts.pop(number, 0)
     if amounts:
         raise DamagedError(f'{sum(amounts.values())} messages have a topic it does not list')
     return numbers

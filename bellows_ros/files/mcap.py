@@ -17,7 +17,15 @@ from typing import BinaryIO
 import zlib
 
 from bellows_ros.files import bag_folder
-from bellows_ros.files.bag_folder import Channel, DamagedError, MAX_RECORD_BYTES, Stored, Wanted
+from bellows_ros.files.bag_folder import (
+    Channel,
+    DamagedError,
+    DEFINED_TYPES,
+    MAX_DEFINITION,
+    MAX_RECORD_BYTES,
+    Stored,
+    Wanted,
+)
 
 MAGIC = b'\x89MCAP0\r\n'
 
@@ -97,7 +105,7 @@ class _Scan:
     def __init__(self, wanted: Wanted, counts: dict[Channel, int], most_bytes: int) -> None:
         self._wanted = wanted
         self._counts = counts
-        self._schemas: dict[int, str] = {}
+        self._schemas: dict[int, tuple[str, str]] = {}
         self.channels: dict[int, Channel] = {}
         self._wanted_channels: set[int] = set()
         self.met: Counter[int] = Counter()
@@ -164,12 +172,17 @@ class _Scan:
         """Read what is no message; refuse a file whose statistics count others."""
         if kind == _SCHEMA:
             (number,) = struct.unpack_from('<H', body)
-            self._schemas[number], _ = _text(body, 2)
+            type_name, end = _text(body, 2)
+            definition = ''
+            if type_name in DEFINED_TYPES and len(body) < MAX_DEFINITION:
+                definition, _ = _text(body, _text(body, end)[1])
+            self._schemas[number] = type_name, definition
         elif kind == _CHANNEL:  # the summary at the end repeats them
             number, schema = struct.unpack_from('<HH', body)
             name, end = _text(body, 4)
             encoding, _ = _text(body, end)
-            topic = Channel(name, self._schemas.get(schema, ''), encoding)
+            type_name, definition = self._schemas.get(schema, ('', ''))
+            topic = Channel(name, type_name, encoding, definition)
             if self.channels.setdefault(number, topic) != topic:
                 raise DamagedError(f'channel {number} is defined twice and differently')
             self.met[number] += 0

@@ -20,7 +20,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.screening import UNIT_TOLERANCE, unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, is_name
 import numpy as np
 
 Indices = Stamps
@@ -123,7 +123,7 @@ class Decoder:
         self._unpack: Callable[[bytes], tuple[Any, ...]] = struct.Struct('').unpack_from
 
     def __call__(self, data: bytes) -> Decoded | None:
-        """Return the content of a message; None unless it is whole, and plain CDR as `HEAD`."""
+        """Return the content of a message; None unless it is whole, plain CDR, and named."""
         if len(data) in self._sizes:
             content = self._unpack(data)
             head, sec, nanosec, strings = content[:4]
@@ -131,7 +131,7 @@ class Decoder:
                 stamp_ns = sec * NS_PER_S + nanosec if nanosec < NS_PER_S else NO_STAMP
                 return stamp_ns, self._names, content[4:]
         names, end = _strings(data, LAYOUTS[self._kind].strings)
-        if not end or data[:_STAMP_AT] != HEAD:
+        if not end or data[:_STAMP_AT] != HEAD or not all(map(is_name, names)):
             return None
         form, *_ = _form(self._kind, names)
         sizes, strings = range(form.size, form.size + _MAX_PADDING + 1), data[_STRINGS_AT:end]

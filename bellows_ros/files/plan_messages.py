@@ -16,7 +16,7 @@ from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.points import JointPath, require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
-from bellows_ros.errors import BellowsError, shown
+from bellows_ros.errors import BellowsError, require_names, shown
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np
 
@@ -53,7 +53,8 @@ class PlanMessage:
     accelerations: Array | None = None
 
     def __post_init__(self) -> None:
-        """Refuse several names for the one transform of each point."""
+        """Refuse several names for the one transform of each point, and unusable names."""
+        require_names((self.frame_id, *self.names), 'the plan')
         if len(self.names) > 1:
             raise BellowsError(
                 f"The plan has the joint names {shown(', '.join(self.names), 200)}, but points "
@@ -241,6 +242,7 @@ class JointPlan(NamedTuple):
 def joint_plan(message: Any) -> JointPlan:
     """Return the points of a JointTrajectory."""
     points, names = message.points, tuple(message.joint_names)
+    require_names((message.header.frame_id, *names), 'the plan')
     require_count(len(points), 'The plan')
     position, velocity, acceleration = (
         None if lists is None else np.array(lists, dtype=float) for lists in (

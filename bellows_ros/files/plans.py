@@ -10,7 +10,7 @@ there, as live.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,6 +26,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.signals.transforms import Chain
 from bellows_ros.errors import BellowsError, shown
 from bellows_ros.files import File, plan_messages, read_text, safe_yaml
+from bellows_ros.files.bag_folder import Channel
 from bellows_ros.files.bags import (
     decoded,
     DISPLAY_TRAJECTORY,
@@ -164,14 +165,23 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
         If the recording cannot be read, or a plan in it is none.
 
     """
-    makers: dict[str, Callable[[bytes], list[PlanMessage | JointPlan]]] = {
-        MULTI_DOF: lambda data: [plan_messages.decode_multi_dof(data)],
-        PATH: lambda data: [path_points(decoded(data, PATH))],
-        JOINTS: lambda data: [plan_messages.joint_plan(decoded(data, JOINTS))],
-        ROBOT_TRAJECTORY: lambda data: of_moveit([decoded(data, ROBOT_TRAJECTORY)]),
-        DISPLAY_TRAJECTORY: lambda data: of_moveit(decoded(data, DISPLAY_TRAJECTORY).trajectory)}
-    return [(channel.name, plan) for channel, _, data in messages_of(path, makers, topic)
-            for plan in makers[channel.type_name](data)]
+    def plans_of(channel: Channel, data: bytes) -> list[PlanMessage | JointPlan]:
+        """Return the plans in a message."""
+        if channel.type_name == MULTI_DOF:
+            return [plan_messages.decode_multi_dof(data)]
+        message = decoded(data, channel.type_name, channel.definition)
+        if channel.type_name in (PATH, JOINTS):
+            read = path_points if channel.type_name == PATH else plan_messages.joint_plan
+            return [read(message)]
+        try:
+            return of_moveit(getattr(message, 'trajectory', [message]))
+        except AttributeError as error:
+            raise BellowsError(
+                f'The definition of {channel.type_name} in the recording has no field '
+                f"'{error.name}'. Record the plan as a JointTrajectory.") from None
+
+    return [(channel.name, plan) for channel, _, data in messages_of(path, PLAN_TYPES, topic)
+            for plan in plans_of(channel, data)]
 
 
 def of_moveit(trajectories: Iterable[Any]) -> list[PlanMessage | JointPlan]:

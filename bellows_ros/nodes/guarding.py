@@ -27,6 +27,7 @@ from rosgraph_msgs.msg import Clock
 
 from ..core.geometry.arrays import Mask
 from ..errors import shown
+from ..report import health
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -60,6 +61,7 @@ class GuardedNode(Node):
         """Create the node; rclpy creates its first subscriptions here."""
         self.failures: Counter[str] = Counter()
         self.workers: list[Worker] = []
+        self._without_frame: set[str] = set()
         super().__init__(*arguments, **options)
 
     def note_failure(self, error: Exception, place: str = '') -> None:
@@ -77,6 +79,12 @@ class GuardedNode(Node):
                 'node continues, and only counts further failures there. Please report it, with '
                 'the traceback from --log-level debug.')
             self.get_logger().debug(''.join(traceback.format_exception(error)))
+
+    def note_frame(self, frame_id: str, topic: str, meaning: str) -> None:
+        """Warn once of messages without a frame."""
+        if not frame_id and topic not in self._without_frame:
+            self._without_frame.add(topic)
+            self.get_logger().warning(health.say('inputs.no_frame', topic=topic, meaning=meaning))
 
     def guarded(
         self, callback: Callable[..., Any], otherwise: Callable[[], Any] = lambda: None

@@ -149,6 +149,8 @@ class Pipeline(Predicting):
         if not self.node.is_active:
             return
         stamp_ns, names, numbers = self._read_pose(data)
+        if not names[0]:
+            self.node.note_frame('', self.pose_in.topic, 'no output has a frame for RViz and tf')
         if self._twist_at:
             twist = numbers[self._twist_at]
             self._has_odometry_twists |= any(twist)
@@ -161,6 +163,9 @@ class Pipeline(Predicting):
         if not (self.node.is_active and self.twist_in):
             return
         stamp_ns, names, numbers = self._read_twist(data)
+        if not names[0]:
+            self.node.note_frame(
+                '', self.twist_in.topic, 'its axes are those of tool_twist.frame alone')
         arrival_ns = self.twist_in.note(stamp_ns)
         self.publish(self.live.on_twist, stamp_ns, numbers[:3], numbers[3:], names[0])
         self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
@@ -512,6 +517,9 @@ class Attachment:
         """Follow the pressure in the cup, and go on without cups of a gripper that lose it."""
         assert self.signal
         live = self._pipeline.live
+        if len(live.values.cup.layout) > 3:
+            self._pipeline.node.note_frame(
+                message.header.frame_id, self.signal.topic, 'the pressure is that of all cups')
         self.signal.note(stamp_to_ns(message.header.stamp))
         opened = live.vacuum.open_cups
         rejected = self._pipeline.change(
@@ -603,6 +611,8 @@ class Observing:
             live.on_measured, stamp_ns, frame_id, *pose, covariance, arrival_ns)
         if (observer := self._observer) is None:  # before the first pose of the tool
             return
+        if not (frame_id or live.frame_id):
+            node.note_frame('', self._measured_in.topic, 'its frame is that of the tool poses')
         if frame_id != live.frame_id and not observer.sensor.has_own_world:
             node.get_logger().warning(
                 f"package/measured is in frame '{shown(frame_id)}', the tool in "

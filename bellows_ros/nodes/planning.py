@@ -350,6 +350,8 @@ class PlanReader:
         plan, tip = plan_of(
             message.times_ns, message.poses, message.twists, message.accelerations,
             values.tool_twist.frame), tip_of(values)
+        self._pipeline.node.note_frame(
+            message.frame_id, 'a topic of plans', 'its frame is that of the tool poses')
         if tip is None or of_package:
             return message, plan, of_package
         return message, at_tip(plan.trajectory(), tip), False

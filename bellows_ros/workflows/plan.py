@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import simulation
@@ -46,7 +46,7 @@ TAIL_SHOWN = 1.5
 STANDSTILL_STEP = 0.005
 """Spacing of the points after the end, s."""
 
-START_WINDOW, MIN_START_POSES = 0.2, 5
+START_WINDOW, MIN_START_POSES = 0.2, 8
 """Time from which the twist at the start of a recording is fitted (s), and fewest poses."""
 
 START_DEVIATIONS = 3.0
@@ -80,8 +80,8 @@ class Source:
         On reading it.
     moves : str
         Name of the moved body in the message.
-    recorded_ns : int array or None
-        Stamps of recorded poses of which it is made, ns; None where it was planned.
+    recorded : Trajectory or None
+        The measured poses of E; None where the motion was planned.
     path : str
         The file.
     values : mapping
@@ -95,7 +95,7 @@ class Source:
     frame_id: str
     notes: tuple[str, ...] = ()
     moves: str = ''
-    recorded_ns: Stamps | None = None
+    recorded: Trajectory | None = None
     path: str = ''
     values: Values = field(default_factory=lambda: Values({}))
     joints: Joints | None = None
@@ -113,7 +113,7 @@ class Source:
     @cached_property
     def gravity(self) -> Array:
         """Acceleration (3,) in the frame of the plan, m/s^2."""
-        world = 'z_up' if self.recorded_ns is None else self.values.recording.world
+        world = 'z_up' if self.recorded is None else self.values.recording.world
         R_model_plan = alignment.world_rotation(world, self.values.gravity.direction)
         return np.asarray(R_model_plan.T @ [0.0, 0.0, -self.values.gravity.magnitude])
 
@@ -366,13 +366,23 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     """
     source = _read_plan(Path(path), values, urdf, topic)
     plan_messages.require_frame(source.frame_id, values)
-    stamps_ns = [source.tool.stamps_ns, source.recorded_ns]
-    chosen = recordings.interval_masks([each for each in stamps_ns if each is not None], values)[0]
+    measured = source.tool if source.recorded is None else source.recorded
+    chosen, measured_chosen = recordings.interval_masks(
+        [source.tool.stamps_ns, measured.stamps_ns], values)
     if (points := np.count_nonzero(chosen)) < 2:
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
             'more. Select a longer part.')
-    return replace(source, tool=source.tool.select(chosen), path=os.fspath(path), values=values)
+    tool, measured, notes = (
+        source.tool.select(chosen), measured.select(measured_chosen), source.notes)
+    if source.recorded is not None and stands_at_first(measured):
+        tool = from_rest(tool)
+    elif source.recorded is not None and not simulation.stands(np.asarray(tool.twist)[0]):
+        tool, (linear, angular) = with_fitted_start(tool, measured)
+        notes = (*notes, (
+            'The first acceleration of the tool is fitted to its poses, with a standard error of '
+            f'{linear:.2g} m/s^2 and {angular:.2g} rad/s^2.'))
+    return replace(source, tool=tool, path=os.fspath(path), values=values, notes=notes)
 
 
 @seldom_collected()  # which takes most of the time, of many points
@@ -459,9 +469,40 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
         motion, rates, axes = _with_rates(
             motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
     tool = at_tip(_checked_motion(motion, rates, axes, name), tip_of(values))
-    if stands_at_first(poses.trajectory()):
-        tool = from_rest(tool)
-    return Source(tool, poses.frame_id, contents.notes, recorded_ns=poses.stamps_ns)
+    return Source(tool, poses.frame_id, contents.notes,
+                  recorded=at_tip(poses.trajectory(), tip_of(values)))
+
+
+def with_fitted_start(
+    tool: Trajectory, measured: Trajectory
+) -> tuple[Trajectory, tuple[float, float]]:
+    """
+    Return a motion whose first two poses and twists are those of a quintic through measured poses.
+
+    The quintic is fitted by position and rotation vector to the first `START_WINDOW`. The largest
+    standard errors of the first acceleration, m/s^2 and rad/s^2, are infinite for fewer than
+    `MIN_START_POSES` poses, whose motion stays.
+    """
+    window = measured.select(measured.seconds <= START_WINDOW)
+    if len(window) < MIN_START_POSES:
+        return tool, (math.inf, math.inf)
+    seconds, at = ((stamps - tool.stamps_ns[0]) / NS_PER_S
+                   for stamps in (window.stamps_ns, tool.stamps_ns[:2]))
+    powers, poses = np.vander(seconds, 6, True), np.hstack([
+        window.position, lie.log_so3(window.rotation[0].T @ window.rotation)])
+    fit = np.linalg.lstsq(powers, poses, rcond=None)[0]
+    variance = 4.0 * np.linalg.inv(powers.T @ powers)[2, 2] * np.sum(
+        (poses - powers @ fit)**2, axis=0) / (len(seconds) - 6)
+    value, rate = np.vander(at, 6, True), np.vander(at, 5, True) * np.arange(1.0, 6.0)
+    position, rotation, twist = (np.array(part) for part in (
+        tool.position, tool.rotation, tool.twist))
+    position[:2], phi = np.split(value @ fit, 2, axis=1)
+    rotation[:2], (v, w) = window.rotation[0] @ lie.exp_so3(phi), np.split(
+        rate @ fit[1:], 2, axis=1)
+    twist[:2] = np.hstack([lie.apply(np.swapaxes(rotation[:2], -1, -2), v),
+                           w - 0.5 * np.cross(phi, w)])  # body rate, to first order
+    std = np.sqrt(np.maximum(variance, 0.0)).reshape(2, 3).max(axis=1).tolist()
+    return replace(tool, position=position, rotation=rotation, twist=twist), (std[0], std[1])
 
 
 def stands_at_first(measured: Trajectory) -> bool:

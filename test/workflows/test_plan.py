@@ -24,11 +24,19 @@ from bellows_ros.files.plan_messages import (
 from bellows_ros.files.plans import DESCRIPTION, JOINTS, read_yaml, STATES, TF
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
-from bellows_ros.workflows.plan import plan, plan_with_cup, read_plan, stands_at_first
+from bellows_ros.workflows.plan import (
+    plan,
+    plan_with_cup,
+    read_plan,
+    stands_at_first,
+    with_fitted_start,
+)
 from bellows_ros.workflows.replay import replay
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 import yaml
 
 from ..conftest import ROOT
@@ -181,6 +189,31 @@ def test_plans_of_moveit_are_plans(kind, truth, tmp_path):
         read = figures(bag, values=values, urdf=str(urdf))
         for figure in FIGURES:
             assert_allclose(read[figure], found[figure], rtol=1e-6)
+
+
+@pytest.mark.parametrize('plugin', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_plan_of_moveit_is_read_by_the_definition_in_its_recording(plugin, tmp_path):
+    """Of another release: fields in another order, and further ones."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(
+        'float64 cost\ntrajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory\n'
+        'trajectory_msgs/JointTrajectory joint_trajectory', ROBOT_TRAJECTORY))
+    store.register(get_types_from_msg(
+        'moveit_msgs/RobotTrajectory[] trajectory\nstring model_id', DISPLAY_TRAJECTORY))
+    data = serialized(JOINTS, joint_message())
+    none = store.types[MULTI_DOF](store.types['std_msgs/msg/Header'](
+        store.types['builtin_interfaces/msg/Time'](0, 0), ''), [], [])
+    trajectory = store.types[ROBOT_TRAJECTORY](1.0, none, store.deserialize_cdr(data, JOINTS))
+    message = store.types[DISPLAY_TRAJECTORY]([trajectory], 'arm')
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=plugin) as writer:
+        topic = writer.add_connection('/plan', DISPLAY_TRAJECTORY, typestore=store)
+        writer.write(topic, T0, store.serialize_cdr(message, DISPLAY_TRAJECTORY))
+    urdf = tmp_path / 'arm.urdf'
+    urdf.write_text(URDF)
+    read, expected = (figures(bag, values={'tool_link': 'tool'}, urdf=str(urdf)) for bag in (
+        tmp_path / 'bag', bag_of(tmp_path / 'plain', JOINTS, data)))
+    for figure in FIGURES:
+        assert_allclose(read[figure], expected[figure], rtol=1e-9)
 
 
 def test_a_recording_without_a_plan_says_what_a_plan_is(tmp_path):
@@ -363,6 +396,28 @@ def test_a_recording_that_begins_at_rest_is_predicted_from_rest():
         R = lie.exp_so3(5e-5 * rng.standard_normal((200, 3)))
         poses = Trajectory(np.round(t * 1e9).astype(np.int64), position, R)
         assert stands_at_first(poses) is stands
+
+
+def test_the_start_in_motion_of_a_recording_is_fitted():
+    """The first acceleration is true within its stated error, which is small against gravity."""
+    rng, move = np.random.default_rng(4), Move([0.6, 0.0, 0.1], [0.2, 0.0, 0.5], 0.6)
+    t = np.arange(250) * 2e-3
+    ratios = []
+    for begin in (0.1, 0.15, 0.2):
+        o, R, v = move.at(begin + t)
+        R = R @ lie.exp_so3(5e-5 * rng.standard_normal((len(t), 3)))
+        noisy = Trajectory(np.round(t * 1e9).astype(np.int64),
+                           o + 2e-5 * rng.standard_normal(o.shape), R,
+                           v + 2e-3 * rng.standard_normal(v.shape))
+        fitted, std = with_fitted_start(noisy, noisy)
+        assert std[0] < 0.5 and std[1] < 2.0
+        h, exact = 1e-4, move.at(np.array([begin]))[2]
+        rates = np.diff(fitted.twist[:2], axis=0)[0] / 2e-3
+        truth = (np.array(move.at(np.array([begin + 1e-3 + h]))[2])
+                 - move.at(np.array([begin + 1e-3 - h]))[2])[0] / (2.0 * h)
+        ratios.append((rates - truth).reshape(2, 3) / np.array(std)[:, None])
+        assert_allclose(np.asarray(fitted.twist)[0], exact[0], atol=0.02)
+    assert 0.1 < np.sqrt(np.mean(np.square(ratios))) < 2.0
 
 
 def test_the_margin_of_a_standstill_is_that_of_the_weight():

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.parameters.checks import MAX_NUMBER
-from bellows_ros.errors import BellowsError, shown
+from bellows_ros.errors import BellowsError, require_names, shown
 import numpy as np
 
 MAX_URDF_SIZE = 10_000_000
@@ -202,6 +202,7 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
         chain.append(by_child[link])
         link = _link(by_child[link], 'parent')
     by_name = {joint.get('name', ''): joint for joint in robot.findall('joint')}
+    require_names((link, *(each.get('name', '') for each in chain)), 'the URDF')
     arm = Arm(link, tool_link, tuple(_joint(each, by_name) for each in reversed(chain)))
     if not arm.moving:
         raise BellowsError(
