@@ -89,17 +89,14 @@ count: $(VENV)/ready  ## print lines of code, modules, and words of the pages
 reference: $(VENV)/ready  ## write docs/reference/ from the declarations
 	@$(BIN)/python docs/tools/reference.py $(ARGS)
 
-.PHONY: figures
-figures: $(VENV)/ready  ## draw docs/images/ again (the demo's plot from demo_output/)
-	@for script in docs/figures/*.py; do $(BIN)/python $$script || exit; done
+.PHONY: pictures
+pictures: $(VENV)/extras-ready demo  ## draw the pictures of the pages, and run the notebooks
+	@$(BIN)/python docs/tools/pictures.py $(ARGS)
+	@$(BIN)/python docs/tools/notebooks.py
 
 .PHONY: pages
 pages: $(VENV)/ready  ## run the commands on all pages, and write what they print into them
 	@$(BIN)/python docs/tools/pages.py
-
-.PHONY: notebooks
-notebooks: $(VENV)/extras-ready  ## run the notebooks, and write what they give into them
-	@$(BIN)/python docs/tools/notebooks.py
 
 .PHONY: bags
 bags: $(VENV)/ready  ## make the recordings in bags/ again

@@ -34,7 +34,7 @@ html_css_files = ['pages.css']
 
 html_math_renderer = 'mathml'
 
-myst_enable_extensions = ['dollarmath']
+myst_enable_extensions = ['attrs_inline', 'dollarmath']
 myst_heading_anchors = 3
 
 HERE = Path(__file__).parent
@@ -53,6 +53,7 @@ def setup(app: Any) -> None:
     for book in sorted((HERE.parent / 'notebooks').glob('*.ipynb')):
         (NOTEBOOKS / f'{book.stem}.md').write_text('\n\n'.join(notebook_parts(book)) + '\n')
     app.connect('source-read', lead_to_notebooks)
+    app.connect('source-read', pair_pictures)
 
 
 def notebook_parts(book: Path) -> Iterator[str]:
@@ -65,7 +66,7 @@ def notebook_parts(book: Path) -> Iterator[str]:
             if 'image/png' in data:
                 name = f'{book.stem}_{cell["id"]}_{number}.png'
                 (NOTEBOOKS / name).write_bytes(base64.b64decode(data['image/png']))
-                yield f'![What the cell above draws]({name})'
+                yield f'![Output of the cell above]({name})'
             elif text := ''.join(output.get('text', data.get('text/plain', ()))):
                 yield f'```text\n{text.rstrip()}\n```'
 
@@ -75,6 +76,18 @@ def lead_to_notebooks(app: Any, name: str, source: list[str]) -> None:
     inside = name.startswith('notebooks/')
     pairs = ('](../docs/', '](../') if inside else ('](../notebooks/', '](notebooks/')
     source[0] = re.sub(r'(\]\(notebooks/\w+)\.ipynb\)', r'\1.md)', source[0].replace(*pairs))
+
+
+def pair_pictures(app: Any, name: str, source: list[str]) -> None:
+    """Show a picture that has a dark one beside it in the theme of the site."""
+    def pair(picture: re.Match[str]) -> str:
+        alt, stem, ending = picture.groups()
+        dark = f'{stem}_dark.{ending}'
+        if not (HERE / dark).exists():
+            return picture[0]
+        return f'![{alt}]({stem}.{ending}){{.only-light}} ![{alt}]({dark}){{.only-dark}}'
+
+    source[0] = re.sub(r'!\[([^\]]*)\]\((images/\w+)\.(\w+)\)', pair, source[0])
 
 
 def inline_formula(translator: Any, node: Any) -> None:

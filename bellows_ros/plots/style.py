@@ -83,11 +83,40 @@ def require_picture(path: File, allowed: tuple[str, ...] = PICTURES) -> str:
     return ending.lstrip('.')
 
 
+def description(figure: Any) -> str:
+    """
+    Return the content of a figure as text.
+
+    A row of texts and legends, then a row per panel: title, labels, legend, and of each line its
+    name, its number of points, and its smallest and largest value.
+    """
+    def words(*texts: Any) -> str:
+        return ', '.join(filter(None, (text if isinstance(text, str) else text.get_text()
+                                       for text in texts)))
+
+    rows = [words(*figure.texts, *(text for legend in figure.legends
+                                   for text in legend.get_texts()))]
+    for panel in figure.axes:
+        legend = panel.get_legend()
+        lines = []
+        for line in panel.lines:
+            values = np.ma.masked_invalid(np.asarray(line.get_ydata(), float)).compressed()
+            if values.size:
+                lines.append(f'{values.size} points from {values.min():.3g} to {values.max():.3g}')
+        title = words(*(panel.get_title(side) for side in ('left', 'center', 'right')))
+        names = words(*panel.texts, *(legend.get_texts() if legend else ()))
+        rows.append(' | '.join(filter(None, (
+            title, words(panel.get_ylabel()), words(panel.get_xlabel()), names, *lines))))
+    return re.sub(r'[^\S\n]+', ' ', '\n'.join(rows).replace('−', '-')).strip()
+
+
 def write_figure(path: File, figure: Any) -> None:
-    """Write a figure in the format of the name's ending, whole or not at all."""
+    """Write a figure with its description, in the format of the name's ending, atomically."""
     ending = require_picture(path)
     data = io.BytesIO()
-    metadata = {'png': {'Software': None}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
+    metadata = {'png': {'Software': None, 'Description': description(figure)},
+                'svg': {'Date': None, 'Description': description(figure)},
+                'pdf': {'CreationDate': None, 'Subject': description(figure)}}
     import matplotlib
 
     with matplotlib.rc_context(SAME_BYTES):

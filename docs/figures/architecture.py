@@ -5,9 +5,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
-
-IMAGES = Path(__file__).resolve().parents[1] / 'images'
+from bellows_ros.plots.style import drawing, Theme
 
 # Room: left, bottom, width, height, content.
 ROOMS = {
@@ -88,10 +86,4 @@ def draw(theme: Theme) -> Any:
     return figure
 
 
-def main() -> None:
-    """Write the picture."""
-    write_figure(IMAGES / 'architecture.svg', draw(THEMES['light']))
-
-
-if __name__ == '__main__':
-    main()
+FIGURES = {'architecture.svg': draw}

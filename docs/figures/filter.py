@@ -1,16 +1,16 @@
 """Draw what the filter's window does: to a motion, to noise, and to an identified cup."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
+from bellows_ros.plots.style import drawing, Theme
 from bellows_ros.workflows.identify import identify
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
-IMAGES = ROOT / 'docs' / 'images'
 RATE_HZ = 360.0
 ORDERS = (2, 4, 6)
 WINDOWS = (8, 12, 20, 30, 45, 65)  # samples, half
@@ -40,15 +40,13 @@ def response(theme: Theme) -> Any:
 
 def found(theme: Theme) -> Any:
     """Return the figure with K and P, identified with several windows, over the truth."""
-    truth = read_parameters(ROOT / 'bags' / 'cup.yaml')
-    known = read_parameters(ROOT / 'bags' / 'package.yaml')
     names = ('x, y', 'z', 'rx, ry', 'rz')
     picks = (0, 2, 3, 5)
     with drawing(theme) as figures:
         figure = figures.Figure(figsize=(7.6, 5.4), layout='constrained')
         panels = figure.subplots(2, 4, sharex=True)
         for order, colour in zip(ORDERS[1:], _colours(theme)[1:], strict=True):
-            ratios = np.array([_ratios(known, truth, n, order) for n in WINDOWS])
+            ratios = np.array([_ratios(n, order) for n in WINDOWS])
             for row in range(2):
                 for column, axis in enumerate(picks):
                     panels[row, column].plot(
@@ -68,9 +66,13 @@ def found(theme: Theme) -> Any:
     return figure
 
 
-def _ratios(known: Any, truth: Any, half_window: int, order: int) -> Any:
+@cache
+def _ratios(half_window: int, order: int) -> Any:
     """Return the diagonals of K and P (2, 6) found with a filter, over the true ones."""
-    settings = {**known, 'bags': [str(ROOT / 'bags' / 'identification')],
+    truth = read_parameters(ROOT / 'bags' / 'cup.yaml')
+    settings = {**read_parameters(ROOT / 'bags' / 'package.yaml'),
+
+                'bags': [str(ROOT / 'bags' / 'identification')],
                 'filter.tool.half_window': round(half_window * 500.0 / RATE_HZ),
                 'filter.package.half_window': half_window,
                 'filter.tool.order': order, 'filter.package.order': order}
@@ -87,11 +89,4 @@ def _colours(theme: Theme) -> tuple[str, str, str]:
     return theme.measured, theme.error, theme.predicted
 
 
-def main() -> None:
-    """Write the pictures."""
-    for name, draw in (('filter_response', response), ('filter_found', found)):
-        write_figure(IMAGES / f'{name}.svg', draw(THEMES['light']))
-
-
-if __name__ == '__main__':
-    main()
+FIGURES = {'filter_response.svg': response, 'filter_found.svg': found}

@@ -1,43 +1,77 @@
-"""Draw the pictures that `bellows` draws for the pages, from recordings and plans in bags/."""
+"""Draw the results of commands, from recordings and plans in bags/, as users get them."""
 
+from collections.abc import Callable
 from contextlib import chdir
-import io
+from functools import cache
 from pathlib import Path
-import tempfile
+from typing import Any
 
-from bellows_ros import read_parameters, steer
+from bellows_ros import plan, read_parameters, steer
 from bellows_ros.cli import main as bellows
-from bellows_ros.files.atomic import write_bytes
+from bellows_ros.files.safe_yaml import load
 from bellows_ros.plots.animation import write_steering
-from PIL import Image
+from bellows_ros.plots.style import Theme, THEMES
+from bellows_ros.workflows.excite import excite
+from bellows_ros.workflows.toss import toss_plan
 
 ROOT = Path(__file__).resolve().parents[2]
-IMAGES = ROOT / 'docs' / 'images'
 CUP = ('--params', 'bags/package.yaml', '--params', 'bags/cup.yaml')
-COLOURS = 64
 SPEED = 0.25
 """Seconds of the transport per second of its film."""
 
 
-def main() -> None:
-    """Write the pictures, with fewer colours; their captions name recordings as a reader would."""
-    with chdir(ROOT), tempfile.TemporaryDirectory() as folder:
-        picture = Path(folder) / 'deflection.png'
-        bellows(['plot', 'deflection', 'bags/identification', *CUP, '--out', str(picture)])
-        small = Image.open(picture).convert('RGB').resize((1100, 807))
-        data = io.BytesIO()
-        small.quantize(COLOURS, dither=Image.Dither.NONE).save(data, 'png', optimize=True)
-        write_bytes(IMAGES / 'deflection.png', data.getvalue())
-        bellows(['plot', 'animation', 'bags/validation', *CUP, '--from', '3', '--to', '4', '--out',
-                 str(IMAGES / 'replay.gif')])
-        plan = ('bags/transport.yaml', '--params', 'bags/tossing.yaml', '--plot')
-        bellows(['plan', *plan, str(IMAGES / 'plan.png')])
-        bellows(['steer', '--method', 'inverse', *plan, str(IMAGES / 'steer.png')])
-        report = steer(plan[0], read_parameters(plan[2]), method='inverse')
-        for theme, name in (('light', 'steer'), ('dark', 'steer_dark')):
-            write_steering(IMAGES / f'{name}.gif', report, '0.6 m in 0.5 s, with 1.84 kg', SPEED,
-                           theme)
+def drawn(work: Callable[[], Any]) -> Callable[[Theme], Any]:
+    """Return a function that draws a result in a theme; the result is computed once."""
+    @cache
+    def once() -> Any:
+        with chdir(ROOT):  # so that the pictures name recordings as a reader would
+            return work()
+    return lambda theme: once().plot('light' if theme is THEMES['light'] else 'dark')
 
 
-if __name__ == '__main__':
-    main()
+def parameters() -> dict[str, Any]:
+    """Return the parameters of transport and throw."""
+    return read_parameters('bags/tossing.yaml')
+
+
+@cache
+def steered() -> Any:
+    """Return the transport, steered by the inverse."""
+    return steer('bags/transport.yaml', parameters(), method='inverse')
+
+
+def designed() -> Any:
+    """Return a motion of 20 s that identifies the cup of bags/."""
+    return excite(read_parameters('bags/cup.yaml'),
+                  load('config/limits_example.yaml'), 20.0)
+
+
+FIGURES = {
+    'plan.png': drawn(lambda: plan('bags/transport.yaml', parameters())),
+    'steer.png': drawn(steered),
+    'toss.png': drawn(
+        lambda: toss_plan('bags/throw.yaml', parameters(), 2.95, monte_carlo=500)),
+    'exciting.png': drawn(designed),
+}
+
+
+def plotted(*arguments: str) -> Callable[[Path, str], None]:
+    """Return a function that lets `bellows plot` write a file in a theme."""
+    def write(path: Path, theme: str) -> None:
+        with chdir(ROOT):
+            assert bellows(['plot', *arguments, *CUP, '--theme', theme, '--out', str(path)]) == 0
+    return write
+
+
+def filmed(path: Path, theme: str) -> None:
+    """Write the film of the transport as planned and as steered."""
+    with chdir(ROOT):
+        report = steered()
+    write_steering(path, report, '0.6 m in 0.5 s, with 1.84 kg', SPEED, theme)
+
+
+FILES = {
+    'deflection.png': plotted('deflection', 'bags/identification'),
+    'replay.gif': plotted('animation', 'bags/validation', '--from', '3', '--to', '4'),
+    'steer.gif': filmed,
+}

@@ -4,12 +4,11 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
+from bellows_ros.plots.style import drawing, Theme
 
 sys.path.insert(0, str(Path(__file__).parent))
 from sketch import draw_box, draw_cup, draw_frame, Frame  # noqa: E402
 
-IMAGES = Path(__file__).resolve().parents[1] / 'images'
 LENGTH, DEPTH, PLACES = 0.0481, 0.040, (-0.09, 0.0, 0.09)  # m
 
 
@@ -41,5 +40,4 @@ def gripper(theme: Theme) -> Any:
     return figure
 
 
-if __name__ == '__main__':
-    write_figure(IMAGES / 'gripper.svg', gripper(THEMES['light']))
+FIGURES = {'gripper.svg': gripper}

@@ -7,13 +7,12 @@ from typing import Any
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.kernels import cup_wrench
-from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
+from bellows_ros.plots.style import drawing, Theme
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from sketch import draw_box, draw_cup, draw_frame, Frame  # noqa: E402
 
-IMAGES = Path(__file__).resolve().parents[1] / 'images'
 LENGTH, DEPTH = 0.0481, 0.040  # m
 PLATE = (-0.062, 0.062), (-0.040, 0.040)
 
@@ -173,11 +172,4 @@ def _wrench(law: Any, x: float, z: float, angle: float) -> Any:
     return np.hstack(cup_wrench(cup.as_tuple, *at, still, still))
 
 
-def main() -> None:
-    """Write the pictures."""
-    for name, draw in (('frames', frames), ('bending', bending), ('stretch', stretch)):
-        write_figure(IMAGES / f'{name}.svg', draw(THEMES['light']))
-
-
-if __name__ == '__main__':
-    main()
+FIGURES = {'frames.svg': frames, 'bending.svg': bending, 'stretch.svg': stretch}

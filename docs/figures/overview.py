@@ -4,14 +4,10 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
-import numpy as np
+from bellows_ros.plots.style import drawing, Theme
 
 sys.path.insert(0, str(Path(__file__).parent))
 from sketch import draw_box, draw_cup, draw_frame, Frame  # noqa: E402
-
-IMAGES = Path(__file__).resolve().parents[1] / 'images'
-NAMES = {'light': 'overview.svg', 'dark': 'overview_dark.svg'}
 
 WORLD = Frame((0.0, 0.0), 0.0)
 TOOL = Frame((0.150, 0.190), 0.16)
@@ -73,12 +69,4 @@ def _write(axes: Any, theme: Theme) -> None:
     axes.text(0.306, -0.004, 'A: world, z up', color=theme.quiet, fontsize=10.5, va='center')
 
 
-def main() -> None:
-    """Write the pictures."""
-    for name, file in NAMES.items():
-        write_figure(IMAGES / file, draw(THEMES[name]))
-
-
-if __name__ == '__main__':
-    np.seterr(all='raise')
-    main()
+FIGURES = {'overview.svg': draw}

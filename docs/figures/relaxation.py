@@ -1,28 +1,39 @@
 """Draw stiffness and loss of rubber over frequency, beside the models fitted to a recording."""
 
+from functools import cache
 from pathlib import Path
 import sys
 from typing import Any
 
 from bellows_ros.core.model.structure import RELAXATION_TIMES
-from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
+from bellows_ros.plots.style import drawing, Theme
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 from benchmarks.rubber import (  # noqa: E402, I100
     CUP,
+    identified,
+    multisine,
+    recorded,
     stiffening,
     strengths,
-    study,
     TIMES,
 )
 
 LOSS_FACTOR = 0.10
 
 
-def frequencies(fits: Any, theme: Theme) -> Any:
+@cache
+def fitted() -> dict[str, Any]:
+    """Return fits of a recording without and with relaxation."""
+    recording = recorded(LOSS_FACTOR, 1, multisine(1), 30.0)
+    return {name: identified(recording, name) for name in ('off', 'auto')}
+
+
+def frequencies(theme: Theme) -> Any:
     """Return the figure: stiffness against bending over the static one, and loss factor."""
+    fits = fitted()
     f = np.geomspace(0.01, 10.0, 200)
     lines = [('rubber', theme.measured, 4.0, CUP.stiffness[3, 3], CUP.damping[3, 3],
               strengths(LOSS_FACTOR), TIMES)]
@@ -47,12 +58,4 @@ def frequencies(fits: Any, theme: Theme) -> Any:
     return figure
 
 
-def main() -> None:
-    """Write the picture."""
-    fits, _ = study(LOSS_FACTOR)
-    write_figure(ROOT / 'docs' / 'images' / 'relaxation.svg',
-                 frequencies(fits, THEMES['light']))
-
-
-if __name__ == '__main__':
-    main()
+FIGURES = {'relaxation.svg': frequencies}

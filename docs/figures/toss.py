@@ -1,4 +1,4 @@
-"""The picture of a toss, and how far off a landing is with the cup ignored, and with ours."""
+"""Print the error of a landing with the cup ignored, and with an identified cup."""
 
 from pathlib import Path
 
@@ -8,10 +8,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.release import HeldMotion, landing_error, release_of, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.plots.pictures import toss_figure
-from bellows_ros.plots.style import write_figure
 from bellows_ros.workflows.plan import read_plan
-from bellows_ros.workflows.toss import toss_plan
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
@@ -20,11 +17,8 @@ TIMES = np.arange(2.7, 3.25, 0.025)
 
 
 def main() -> None:
-    """Draw the picture and print the table."""
-    parameters = read_parameters(ROOT / 'bags' / 'tossing.yaml')
-    result = toss_plan(PLAN, parameters, 2.95, monte_carlo=500)
-    write_figure(ROOT / 'docs' / 'images' / 'toss.png', toss_figure(result))
-    values = resolve(parameters)
+    """Print the table."""
+    values = resolve(read_parameters(ROOT / 'bags' / 'tossing.yaml'))
     cup, package, release = cup_of(values), package_of(values), release_of(values)
     tool, grip = read_plan(PLAN, values).tool, grip_of(values)
     soft = np.diag([1.0, 1.0, 1.0, 1e-3, 1e-3, 1.0])

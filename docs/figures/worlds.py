@@ -4,12 +4,11 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
+from bellows_ros.plots.style import drawing, Theme
 
 sys.path.insert(0, str(Path(__file__).parent))
 from sketch import draw_box, draw_cup, draw_frame, Frame  # noqa: E402
 
-IMAGES = Path(__file__).resolve().parents[1] / 'images'
 LENGTH, DEPTH = 0.0481, 0.040  # m
 
 
@@ -47,5 +46,4 @@ def worlds(theme: Theme) -> Any:
     return figure
 
 
-if __name__ == '__main__':
-    write_figure(IMAGES / 'worlds.svg', worlds(THEMES['light']))
+FIGURES = {'worlds.svg': worlds}

@@ -10,6 +10,13 @@ from typing import Any
 
 FOLDER = Path(__file__).resolve().parents[2] / 'notebooks'
 TIMEOUT = 100  # s, for one cell
+DESCRIBED = """
+from bellows_ros.plots.style import description
+from matplotlib.figure import Figure
+get_ipython().display_formatter.formatters['text/plain'].for_type(
+    Figure, lambda figure, printer, _: printer.text(description(figure)))
+"""
+"""A first cell, not stored, with which figures have their description as their text."""
 
 
 def notebooks() -> list[Path]:
@@ -23,8 +30,15 @@ def executed(path: Path) -> Any:
     import nbformat
 
     book = nbformat.read(path, as_version=4)
+    book.cells.insert(0, nbformat.v4.new_code_cell(DESCRIBED))
     where = {'metadata': {'path': str(path.parent)}}
     NotebookClient(book, timeout=TIMEOUT, resources=where, record_timing=False).execute()
+    del book.cells[0]
+    for cell in (cell for cell in book.cells if cell.cell_type == 'code'):
+        cell.execution_count -= 1
+        for output in cell.outputs:
+            if 'execution_count' in output:
+                output.execution_count -= 1
     return book
 
 
@@ -36,11 +50,11 @@ def printed(book: Any) -> list[str]:
     ]
 
 
-def pictures(book: Any) -> list[int]:
-    """Return how many pictures each code cell shows."""
+def pictures(book: Any) -> list[str]:
+    """Return the descriptions of all pictures."""
     return [
-        sum('image/png' in o.get('data', {}) for o in cell.outputs)
-        for cell in book.cells if cell.cell_type == 'code'
+        o.data['text/plain'] for cell in book.cells if cell.cell_type == 'code'
+        for o in cell.outputs if 'image/png' in o.get('data', {})
     ]
 
 

@@ -1,12 +1,32 @@
-"""The scripts that draw the pictures of the pages."""
+"""The pictures of the pages show what their scripts draw today."""
 
 import pytest
 
-from .conftest import DOCS, load
+from .conftest import load, show_the_same
+
+PICTURES = load('tools', 'pictures')
+SLOW = {'camera.png', 'exciting.png', 'filter_found.svg', 'relaxation.svg', 'replay.gif',
+        'steer.gif', 'toss.png'}
+DECLARED = [(script, name) for script in PICTURES.SCRIPTS
+            for name, *_ in PICTURES.declared(script)]
 
 
-@pytest.mark.parametrize('name', sorted(path.stem for path in DOCS.glob('figures/*.py')))
-def test_script_uses_what_there_is(name):
-    """Import what the script imports; each is run by hand when its picture changes."""
+@pytest.mark.parametrize(('script', 'name'), [
+    pytest.param(*each, id=each[1], marks=[pytest.mark.stress] if each[1] in SLOW else [])
+    for each in DECLARED])
+def test_a_picture_shows_what_its_script_draws(script, name, tmp_path):
+    """Draw it again in both themes, and compare the descriptions."""
     pytest.importorskip('matplotlib')
-    load('figures', name)
+    PICTURES.draw(script, tmp_path, (name,))
+    for theme in ('light', 'dark'):
+        file = PICTURES.themed(name, theme)
+        new, stored = (PICTURES.content(folder / file) for folder in (tmp_path, PICTURES.IMAGES))
+        assert show_the_same(new, stored), (
+            f'run: python docs/tools/pictures.py {name}\n{stored}\n{new}')
+
+
+def test_every_picture_has_a_script_and_both_themes():
+    """Find no other picture than these and the demo's."""
+    names = {name for _, name in DECLARED} | {'demo.png'}
+    assert {PICTURES.themed(name, theme) for name in names for theme in ('light', 'dark')} == {
+        path.name for path in PICTURES.IMAGES.iterdir()}
