@@ -39,6 +39,7 @@ from ..core.live import flight, LivePredictor, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import cup_of, model_tuple, package_of
 from ..core.model.kernels import ModelTuple
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
+from ..core.signals import transforms
 from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S
 from ..core.signals.transforms import Chain
@@ -437,6 +438,7 @@ class TransformInput(SensorInput):
         from tf2_msgs.msg import TFMessage
 
         self._on_pose = on_pose
+        transforms.warm_up()
         self._chain = Chain(values.frames.world, values.frames.tool)
         super().__init__(node, TFMessage, '/tf', self._on_moving)
         self._static = SensorInput(

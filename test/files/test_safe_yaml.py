@@ -67,11 +67,11 @@ def test_what_is_no_file_is_refused(tmp_path):
 def test_aliases_that_would_grow_are_not_written_out(tmp_path):
     lines = ['a0: &a0 [x, x]']
     lines += [f'a{i}: &a{i} [*a{i - 1}, *a{i - 1}]' for i in range(1, 60)]
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(BellowsError, match=r'\*name'):
         load(tmp_path / 'a', '\n'.join(lines))
     assert load(tmp_path / 'a', '\n'.join(lines), aliases=True)['a0'] == ['x', 'x']
-    assert time.monotonic() - start < 10.0
+    assert time.process_time() - start < 10.0
 
 
 def test_lines_lead_to_each_key(tmp_path):

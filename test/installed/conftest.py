@@ -23,7 +23,7 @@ class Installed:
         """Run a command as a user of the installed package would."""
         return subprocess.run(
             command, env=self.environment, cwd=self.prefix, capture_output=True, text=True,
-            timeout=60)
+            timeout=600)
 
 
 @pytest.fixture(scope='session')

@@ -48,7 +48,7 @@ class User(Peer):
         """End it as Ctrl-C does, and return its log, which must be in order."""
         assert self.process is not None
         self.process.send_signal(signal.SIGINT)
-        out, log = self.process.communicate(timeout=30)
+        out, log = self.process.communicate(timeout=300)
         assert 'Traceback' not in out + log
         return out + log
 

@@ -36,7 +36,7 @@ def run(environment, root, *command):
     """Run Python to its end."""
     return subprocess.run(
         [sys.executable, *command], env=environment, cwd=root, capture_output=True, text=True,
-        timeout=60)
+        timeout=600)
 
 
 @pytest.mark.parametrize('name', NODES)
@@ -114,7 +114,7 @@ def test_process_predicts_and_ends_in_order(number, run_predictor, ros):
     peer.node.create_timer(0.02, lambda: writer.publish(pose_at(next(stamps))))
     assert ros.spin_until(lambda: len(answers) > 3)
     running.send_signal(number)
-    _, log = running.communicate(timeout=20)
+    _, log = running.communicate(timeout=200)
 
     assert running.returncode == 0, log
     assert 'Traceback' not in log and 'invalid' not in log
@@ -125,11 +125,11 @@ def test_process_ends_at_once_while_it_compiles(run_predictor, tmp_path):
     """End before the node is made, with 0 and without a word."""
     pytest.importorskip('numba', reason='nothing is compiled without numba')
     process = run_predictor(NUMBA_CACHE_DIR=str(tmp_path))
-    until = time.monotonic() + 60.0
+    until = time.monotonic() + 600.0
     while not any(tmp_path.rglob('*.nbi')) and time.monotonic() < until:
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    out, log = process.communicate(timeout=20)
+    out, log = process.communicate(timeout=200)
     compiled = len(list(tmp_path.rglob('*.nbi')))
     assert (process.returncode, out) == (0, '')
     assert 'Listens to' not in log and 'Traceback' not in log

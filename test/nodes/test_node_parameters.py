@@ -300,7 +300,7 @@ def test_prediction_goes_on_while_a_cup_of_another_kind_compiles(make_partner, m
     compiled = Event()
     partner = make_partner(with_twists=False)
     node = partner.predictor
-    monkeypatch.setattr(pipeline, 'warm_up', lambda *model: compiled.wait(30.0))
+    monkeypatch.setattr(pipeline, 'warm_up', lambda *model: compiled.wait(300.0))
     set_on(node, 'cup.relaxation', [0.1, 0.1])
     partner.predict(START)
     assert len(node.pipeline.live.model[0]) == 4

@@ -1,5 +1,5 @@
 """
-Build the message of tf from its definition, with the generators of ROS.
+Build the message of tf, or another one, from its definition, with the generators of ROS.
 
 The wheels of ROS bring rosidl, headers and libraries, but no tf2_msgs.
 """
@@ -14,25 +14,24 @@ from unittest import mock
 
 import numpy as np
 
-PACKAGE = 'tf2_msgs'
-DEFINITION = 'geometry_msgs/TransformStamped[] transforms\n'
+TF = 'tf2_msgs', 'msg/TFMessage.msg', 'geometry_msgs/TransformStamped[] transforms\n'
 PREFIX = Path(sys.prefix)
 PYTHON_HEADERS = Path(sysconfig.get_paths()['include'])
 
 # What a package of messages has a library of, in the order in which they need each other.
 KINDS = ('generator_c', 'typesupport_fastrtps_c', 'typesupport_introspection_c', 'typesupport_c')
-USED = ('geometry_msgs', 'std_msgs', 'builtin_interfaces')
+USED = ('geometry_msgs', 'std_msgs', 'service_msgs', 'builtin_interfaces')
 RUNTIME = ('rosidl_runtime_c', 'rcutils', 'fastcdr', 'rosidl_typesupport_c',
            'rosidl_typesupport_fastrtps_c', 'rosidl_typesupport_fastrtps_cpp',
            'rosidl_typesupport_introspection_c')
 
 # ROS opens the libraries by their bare names: those that are loaded already are found so.
-LOAD = f"""
+LOAD = """
 import ctypes
 import pathlib
 
-for kind in {KINDS}:
-    ctypes.CDLL(str(pathlib.Path(__file__).with_name(f'lib{PACKAGE}__rosidl_{{kind}}.so')))
+for library in {libraries}:
+    ctypes.CDLL(str(pathlib.Path(__file__).with_name(library)))
 """
 
 
@@ -44,24 +43,24 @@ def missing():
     return ', '.join(f'no {path}' for path in headers if not path.exists())
 
 
-def build(folder):
-    """Return a folder below the given one, from which Python imports tf2_msgs."""
-    definition = folder / PACKAGE / 'msg' / 'TFMessage.msg'
+def build(folder, package=TF[0], file=TF[1], text=TF[2]):
+    """Return a folder below the given one, from which Python imports a package of one type."""
+    definition = folder / package / file
     definition.parent.mkdir(parents=True)
-    definition.write_text(DEFINITION)
+    definition.write_text(text)
     sources = folder / 'sources'
     with mock.patch.dict(os.environ, AMENT_PREFIX_PATH=str(PREFIX)):
-        _generate(f'{definition.parents[1]}:msg/TFMessage.msg', sources)
-    module = sources / 'py' / PACKAGE
-    objects = _compile(sources)
+        _generate(package, f'{definition.parents[1]}:{file}', sources)
+    module, objects = sources / 'py' / package, _compile(sources)
+    libraries = [f'lib{package}__rosidl_{kind}.so' for kind in KINDS]
     for k, kind in enumerate(KINDS):
-        _link(module / _library(kind), objects[kind], map(_library, KINDS[:k]))
-    _link(module / f'{PACKAGE}_s__rosidl_typesupport_c.so', objects['py'], map(_library, KINDS))
-    (module / '__init__.py').write_text(LOAD)
+        _link(module / libraries[k], objects[kind], libraries[:k])
+    _link(module / f'{package}_s__rosidl_typesupport_c.so', objects['py'], libraries)
+    (module / '__init__.py').write_text(LOAD.format(libraries=libraries))
     return module.parent
 
 
-def _generate(definition, into):
+def _generate(package, definition, into):
     """Write C and Python as for any other package of messages, each kind into its folder."""
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
@@ -78,7 +77,7 @@ def _generate(definition, into):
         ('py', GeneratePython('py', typesupport_implementations=['rosidl_typesupport_c'])),
     ):
         generator.generate(
-            PACKAGE, [definition], [str(PREFIX / 'share')], into / kind / PACKAGE)
+            package, [definition], [str(PREFIX / 'share')], into / kind / package)
 
 
 def _compile(sources):
@@ -93,7 +92,7 @@ def _compile(sources):
         made.append(f'{file}.o')
         compiler = 'g++' if file.suffix == '.cpp' else 'gcc'
         running.append(subprocess.Popen([compiler, *options, str(file), '-o', made[-1]]))
-    assert [process.wait(120) for process in running] == [0] * len(running)
+    assert [process.wait(600) for process in running] == [0] * len(running)
     return objects
 
 
@@ -108,8 +107,3 @@ def _link(target, objects, needed):
          *(f'-l:{name}' for name in needed), *(f'-l{name}' for name in (*RUNTIME, *used)),
          '-Wl,--allow-shlib-undefined'],
         check=True, timeout=120)
-
-
-def _library(kind):
-    """Return the file name of a library of the package."""
-    return f'lib{PACKAGE}__rosidl_{kind}.so'

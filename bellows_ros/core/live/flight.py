@@ -12,7 +12,7 @@ from bellows_ros.core.geometry.tuples import scale, ZERO
 from bellows_ros.core.live.payload import MAX_SUBSTEPS
 from bellows_ros.core.live.plan_tracker import point_at
 from bellows_ros.core.live.uncertainty import Prediction, Uncertainty, UNKNOWN_ROOT
-from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error
+from bellows_ros.core.model.equilibrium import adapted, largest_step, moved_by, pose_error
 from bellows_ros.core.model.grip import Grip, grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
@@ -20,7 +20,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.toss import release
 from bellows_ros.core.toss.free_flight import COARSE_ROTATION_PER_STEP, flight, upward
-from bellows_ros.core.toss.landing import aim, factor_columns
+from bellows_ros.core.toss.landing import aim, release_factor, release_with
 from bellows_ros.core.toss.release import HeldMotion, Toss
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -109,7 +109,7 @@ class Flight:
         self.has_size = min(values.package.size) > 0.0
         self._release = release.release_of(values) if self.has_size else release.NO_FLIGHT
         self._ahead = release.latest_release(release.law_of(values)) + EXTRA_TIME
-        self._factor = factor_columns(values)
+        self._factor = release_factor(values)
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
         self._by_progress = np.zeros(6)
         self.forget()
@@ -294,35 +294,45 @@ class Flight:
         longest = STEP_FACTOR * _longest_step(model)
         if not self.has_size or self.state or self._ahead > MAX_SUBSTEPS * longest:
             return None  # so many steps would hold up the poses
-        if self._count % COVARIANCE_PERIOD == 0:
-            self._of_state[:] = covariance(prediction)
-        k = self._count % len(release.DIFFERENCE_STEPS)
-        renewed = (k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))
+        is_due = self._count % COVARIANCE_PERIOD == 0
+        plan = self._future(prediction, 0.0)
+        hanging = adapted(model, prediction.tool, prediction.body)
+
+        def landing(
+            change: Array, tool: ToolRows | None = plan
+        ) -> tuple[float, State, float, State]:
+            """Return `toss_along` with a change (20,) of state and law along a motion."""
+            switching = (model, self.grip or release.NO_GRIP,
+                         release_with(self._release, self._factor @ change[12:]), 0.0)
+            found = release.toss_along(
+                switching, 0.0, prediction.tool, moved_by(hanging, change[:12]),
+                (*_after_now(tool), self._ahead, longest))
+            if found[2] <= found[0]:
+                raise ArithmeticError('no landing')
+            return found
+
+        def change_by(changed: tuple[float, State, float, State]) -> Array:
+            """Return the deviation of a landing (6,)."""
+            return np.concatenate(release.landing_error(changed[3], nominal[3], model[2]))
+
         try:
-            is_sound, landing = self._landing(model, prediction, 0.0, longest, renewed)
-            if is_sound and self._count % COVARIANCE_PERIOD == 0:
-                _, changed = self._landing(model, prediction, 1.0, longest, (0, 0))
-                self._by_progress = np.concatenate(
-                    release.landing_error(changed[3], landing[3], model[2]))
+            if is_due:
+                self._of_state[:] = covariance(prediction)
+            nominal = landing(np.zeros(20))
+            steps = np.diag(release.DIFFERENCE_STEPS)
+            for k in [self._count % len(steps)] if self._count else range(len(steps)):
+                self._by[:, k] = change_by(landing(steps[k])) / steps[k, k]
+            if is_due:
+                self._by_progress = change_by(
+                    landing(np.zeros(20), self._future(prediction, 1.0)))
+            by_state, by_law = self._by[:, :12], self._by[:, 12:]
+            of_landing = by_state @ self._of_state @ by_state.T + by_law @ by_law.T + np.outer(
+                self._by_progress, self._by_progress)
+            is_sound = math.isfinite(of_landing.trace())
         except (BellowsError, ArithmeticError, ValueError):
             is_sound = False
-        by_state, by_law = self._by[:, :12], self._by[:, 12:]
-        of_landing = by_state @ self._of_state @ by_state.T + by_law @ by_law.T + np.outer(
-            self._by_progress, self._by_progress)
-        is_sound = is_sound and math.isfinite(of_landing.trace())
         self._count = self._count + 1 if is_sound else 0
-        return Landing(prediction.stamp_ns, Toss(*landing), of_landing) if is_sound else None
-
-    def _landing(
-        self, model: ModelTuple, prediction: Prediction, deviations: float, longest: float,
-        renewed: tuple[int, int],
-    ) -> tuple[bool, tuple[float, State, float, State]]:
-        """Return what `toss_with_derivatives` does, with a progress on the plan changed so."""
-        return release.toss_with_derivatives(
-            (model, self.grip or release.NO_GRIP, self._release, 0.0), self._factor,
-            prediction.tool, adapted(model, prediction.tool, prediction.body),
-            (*_after_now(self._future(prediction, deviations)), self._ahead, longest),
-            renewed, self._by)
+        return Landing(prediction.stamp_ns, Toss(*nominal), of_landing) if is_sound else None
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
         """Return the time (s) until the valve should be switched for the target, or None."""

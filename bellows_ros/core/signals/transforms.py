@@ -149,3 +149,12 @@ def interpolated_pose(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSampl
     return PoseSample(
         stamp_ns, t3.add_scaled(t3.scale(1.0 - s, old.position), s, new.position),
         t3.normalised(chord) if any(chord) else chord)
+
+
+def warm_up() -> None:
+    """Compile what a pose from moving and fixed links needs."""
+    chain, q = Chain('world', 'tool'), (0.0, 0.0, 0.0, 1.0)
+    for stamp_ns, parent, child in ((1, 'world', 'base'), (2, 'base', 'tool'),
+                                    (3, 'world', 'base')):
+        chain.add(parent, child, PoseSample(stamp_ns, t3.ZERO, q))
+    assert len(list(chain.due())) == 1

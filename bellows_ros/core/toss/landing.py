@@ -115,12 +115,6 @@ def release_factor(values: Values) -> Array:
         C if size[0] > 0.0 else (axes * np.maximum(size, 1e-9)) @ axes.T))
 
 
-def factor_columns(values: Values) -> toss_release.Factor:
-    """Return the columns of `release_factor` as the kernels take them."""
-    columns: Any = tuple(map(as_law, release_factor(values).T))
-    return columns  # type: ignore[no-any-return]
-
-
 def beyond_masses(values: Values) -> float:
     """Return the `distance_of` the package from release.mass_range."""
     mass_range = values.release.mass_range

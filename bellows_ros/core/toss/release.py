@@ -65,8 +65,6 @@ pull as much (m), 0 for none; damping of the open bellows along z (N s/m), 0 for
 and what the lip sticks with. b and the last as a part of the suction that holds."""
 NO_LAW: Law = (0.0,) * 8
 """Of a cup that lets go at once."""
-Factor = tuple[Law, Law, Law, Law, Law, Law, Law, Law]
-"""The columns of L, where L L^T is the covariance of the law's numbers."""
 
 
 @kernel
@@ -328,43 +326,6 @@ def changed_law(law: Law, k: float, by: Law) -> Law:
         max(law[3] + k * by[3], 0.0), max(law[4] + k * by[4], 0.0),
         max(law[5] + k * by[5], 0.0), max(law[6] + k * by[6], 0.0),
         max(law[7] + k * by[7], 0.0))
-
-
-@kernel
-def toss_with_derivatives(
-    switching: Switching, factor: Factor, tool: State, body: State, ahead: ToolContinuation,
-    renewed: tuple[int, int], by: Array,
-) -> tuple[bool, tuple[float, State, float, State]]:
-    """
-    Write derivatives of a landing; return whether all of them land, and `toss_along` from 0.
-
-    They are derivatives (6, 20) of the `landing_error` by the package's pose and twist, in body
-    axes, and by the law of release, changed by each column of the factor of its covariance.
-    Those from one number to before another are renewed.
-    """
-    (model, grip, release, switched), (first, last) = switching, renewed
-    nominal = -1.0, body, -1.0, body
-    for i in range(first - 1, last):
-        j = i if i >= first else -1  # the first is the toss itself
-        column = factor[j - 12] if j >= 12 else NO_LAW
-        if j >= 12 and column == NO_LAW:
-            by[:, j] = 0.0
-            continue
-        size = DIFFERENCE_STEPS[max(j, 0)]
-        changed = Release(changed_law(release.law, size, column), release.box, release.height)
-        toss_changed = toss_along(
-            (model, grip, changed, switched), 0.0, tool,
-            equilibrium.moved(body, t3.unit(j, size), t3.unit(j - 3, size), t3.unit(j - 6, size),
-                              t3.unit(j - 9, size)), ahead)
-        if toss_changed[2] <= toss_changed[0]:
-            return False, toss_changed
-        if j < 0:
-            nominal = toss_changed
-        else:
-            shift, rotation = landing_error(toss_changed[3], nominal[3], model[2])
-            for k in range(3):
-                by[k, j], by[k + 3, j] = shift[k] / size, rotation[k] / size
-    return True, nominal
 
 
 class Toss(NamedTuple):

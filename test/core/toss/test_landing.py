@@ -1,14 +1,16 @@
 """How sure a landing is against Monte Carlo, and aiming against a scan of all times."""
 
-
-from bellows_ros.core.geometry.jit import as_inputs, COMPILED
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.geometry.tuples import ZERO
+from bellows_ros.core.live.flight import Flight
+from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.simulation import row_state, tool_rows
+from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss import landing
 from bellows_ros.core.toss.landing import TossProblem
-from bellows_ros.core.toss.release import HeldMotion, release_of, toss, toss_with_derivatives
+from bellows_ros.core.toss.release import HeldMotion, release_of, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
@@ -50,15 +52,13 @@ def test_law_counts_in_the_node_as_in_a_plan(case):
     held, k = case.held, 500
     _, expected = landing.contributions_to(
         case, toss(held, case.release, case.switched)).of('release.')
-    by, rows = np.zeros((6, 20)), tool_rows(held.tool)
+    rows, stamps = tool_rows(held.tool), held.tool.stamps_ns
     body = held.states[np.searchsorted(held.times, case.switched)]
-    is_sound, _ = toss_with_derivatives(
-        (MODEL, tosses.GRIP, case.release, 0.0), landing.factor_columns(case.values),
-        row_state(rows[k]), row_state(body),
-        (*as_inputs(rows[k + 1:], held.tool.seconds[1:-k]), 0.4, 1e-3), (0, 20), by)
-    found = by[:, 12:] @ by[:, 12:].T
-    assert is_sound
-    np.testing.assert_allclose(found, expected, rtol=5e-3, atol=1e-12)
+    now = Prediction(1, *row_state(body), ZERO, ZERO, row_state(rows[k]))
+    rest = ToolRows(stamps[k:] - stamps[k], rows[k:])
+    found = Flight(case.values, lambda now, deviations: rest).landing(
+        MODEL, now, lambda _: np.zeros((12, 12)))
+    np.testing.assert_allclose(found.covariance, expected, rtol=5e-3, atol=1e-12)
 
 
 @pytest.mark.parametrize(('target', 'turned'), [
