@@ -38,9 +38,9 @@ RATE_DRIFT = 0.05
 """Standard deviation of the change of a driver's rate within one second."""
 START_STD = 0.5
 """Standard deviation of the rate of a driver that has not moved yet."""
-GATE = 9.0
+GATE = 4.0
 """Squared innovation in units of its variance above which the driver has changed its rate, or the
-tool is elsewhere on the plan: three standard deviations."""
+tool is elsewhere on the plan: two standard deviations."""
 PAUSE_RATE, MAX_RATE = 0.1, 2.0
 """Rate below which a driver pauses, and highest rate, relative to the plan."""
 

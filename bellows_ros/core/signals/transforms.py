@@ -154,7 +154,7 @@ def interpolated_pose(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSampl
 def warm_up() -> None:
     """Compile what a pose from moving and fixed links needs."""
     chain, q = Chain('world', 'tool'), (0.0, 0.0, 0.0, 1.0)
-    for stamp_ns, parent, child in ((1, 'world', 'base'), (2, 'base', 'tool'),
-                                    (3, 'world', 'base')):
+    for stamp_ns in range(5):
+        parent, child = ('world', 'base', 'tool')[stamp_ns % 2:][:2]
         chain.add(parent, child, PoseSample(stamp_ns, t3.ZERO, q))
     assert len(list(chain.due())) == 1
