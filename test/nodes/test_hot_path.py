@@ -24,18 +24,21 @@ sys.meta_path.insert(0, Absent())
 import bellows_ros
 import rclpy
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from sensor_msgs.msg import FluidPressure
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import MarkerArray
 from rclpy.executors import SingleThreadedExecutor
 from bellows_ros.core.geometry import jit
 from bellows_ros.nodes.predictor_node import PredictorNode
 from bellows_ros.nodes.guarding import executor_for
-from test.nodes.conftest import overrides_of, PACKAGE, Partner, pose_at, set_on, START, topics_of
+from test.nodes.conftest import (
+    overrides_of, PACKAGE, Partner, pose_at, set_on, stamped, START, topics_of)
 
 VALUES = {
     **PACKAGE, 'cup.lip_radius': 0.02, 'vacuum.holding': 60000.0,
     'package.size': [0.1, 0.1, 0.1], 'landing.height': -1.0,
-    'payload.estimate': True,
+    'payload.estimate': True, 'vacuum.signal': 'pressure', 'tool_link': 'tool',
+    'landing.target': [0.0, 0.0],
     'cup.stiffness_std': [100.0] * 36, 'cup.damping_std': [1.0] * 36, 'coast.limit': 0.2,
 }
 STEP_NS = 2_000_000
@@ -76,6 +79,7 @@ heard = [partner.poses, partner.twists, partner.wrenches, *(
     partner.hears(kind, topic) for kind, topic in (
         (Odometry, 'package/odometry'), (PoseStamped, 'cup/deflection'),
         (MarkerArray, 'package/markers'), (Vector3Stamped, 'cup/safety_factor')))]
+pressure_out = partner.writes(FluidPressure, 'vacuum/pressure')
 partner.connect(predictor)
 
 sent = 0
@@ -110,6 +114,8 @@ partner.wait(lambda: predictor.pipeline.live.pairing.expect and all(
     topic.subscribed for topic in topics_of(predictor)))
 predictor.diagnostics.report()
 modules, compiled = set(sys.modules), signatures()
+pressure_out.publish(stamped(FluidPressure(fluid_pressure=30000.0), START))
+partner.wait(lambda: predictor.pipeline.live.attached)
 send(300)
 pause()
 send(100)
@@ -165,6 +171,27 @@ def measured_again():
     measured_out.publish(pose_at(START + sent * STEP_NS, (1e-3 * (sent % 7), 0.0, -0.08)))
     return payloads
 partner.wait(measured_again)
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+from test.nodes.conftest import LATCHED
+from test.nodes.test_joint_planning import ARM, message as joint_plan, UR5E
+times = partner.hears(Header, 'release/at')
+set_on(predictor, 'landing.aim', True)
+joints_out = partner.writes(JointTrajectory, 'tool_arm/plan_joints')
+steer_joints_out = partner.writes(JointTrajectory, 'tool_arm/steer_joints')
+joints = partner.hears(JointTrajectory, 'tool_arm/steered_joints')
+partner.writes(String, 'robot_description', LATCHED).publish(
+    String(data=UR5E.replace(f'"{ARM.root}"', '"world"')))
+partner.connect(predictor)
+partner.wait(lambda: planning.reader._urdf)
+joints_out.publish(joint_plan())
+steer_joints_out.publish(joint_plan())
+del plans[:]
+def answered_all():
+    send(1)
+    return times and plans and joints
+partner.wait(answered_all)
+answered += [times, joints]
 pipeline.observing.is_ready = False  # also for those on their way
 pipeline.live.package.observer = None
 set_on(predictor, 'package.size', [0.2, 0.1, 0.1])
@@ -175,13 +202,34 @@ send(200)
 before = held()
 send(600)
 after = held()
-print(json.dumps({
+found = {
     'compiled': jit.COMPILED, 'kernels': sum(compiled.values()), 'modules': new_modules,
     'sent': sent, 'answered': list(map(len, answered)), 'failures': predictor.failures,
     'newly compiled': newly_compiled, 'needed': needed_later, 'of start': of_start,
     'grown': after - before, 'heard': list(map(len, heard)),
     'twists estimated': pipeline.live.twists_estimated, 'coasted': pipeline.live.coasted,
-}))
+}
+needed.clear()
+valve_out.publish(Bool(data=True))
+valve_out.publish(Bool(data=False))
+def landed():
+    global sent
+    sent += 1
+    partner.send(START + sent * STEP_NS)
+    return pipeline.live.state == 'landed' or pipeline.outputs._last_state == 'landed'
+partner.wait(landed)
+from bellows_ros.core.signals import transforms
+needed_after = [*needed]
+transforms.warm_up()  # as `TransformInput` does, for whose type there is no wheel
+needed.clear()
+chain = transforms.Chain('world', 'tool')
+for k in range(4):
+    for parent, child in (('world', 'base'), ('base', 'arm'), ('arm', 'tool'))[k % 2:]:
+        chain.add(parent, child, transforms.PoseSample(
+            10 * k + 3 * len(child), (0.1 * k, 0.0, 1.0), (0.0, 0.0, 0.6, 0.8)), child == 'arm')
+assert list(chain.due())
+needed_after += needed
+print(json.dumps({**found, 'needed': needed_later + needed_after}))
 """
 
 
