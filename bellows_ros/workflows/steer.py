@@ -112,7 +112,7 @@ class SteerReport(CommandResult):
         """Return notes on the motion."""
         steered, allowed = self.steered, max(ALLOWED_TIME, self.source.duration)
         is_short = steered.residual <= SETTLED_ANGLE
-        shaping = {'inverse': '', self.method: 'shaped', 'zv': 'shaped_less'}.get(
+        shaping = {'zv': 'shaped_less', self.method: 'shaped', 'inverse': ''}.get(
             steered.method, 'unchanged' if is_short else 'unchanged_too_long')
         return (*self.source.notes, *implausible(self.source.values), *(
             sentence('planning', code, duration=steered.smoothed, scale=self.time_scale,

@@ -40,3 +40,11 @@ def test_the_sample_plans_are_steered_within_the_sample_limits(root, plan):
     assert all(asked[name] <= limits.rates[name] * (1.0 + 1e-6) for name in RATES)
     quicker = steer(found.source.model, timed(found.source.tool, 0.99 * found.time_scale), 'zvd')
     assert demands(quicker.tool)['speed'] > limits.rates['speed']
+
+
+def test_zvd_is_blamed_only_where_it_was_asked_for(root):
+    """Say of zv what it leaves, and nothing of zvd."""
+    found = steer_plan(root / 'bags/transport.yaml', read_parameters(root / 'bags/tossing.yaml'),
+                       'zv')
+    said = ' '.join(found.notes)
+    assert 'zv shapes 1 mode and leaves' in said and 'zvd' not in said
