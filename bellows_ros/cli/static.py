@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import math
 from pathlib import Path
 
-from bellows_ros.core.identification.statics import SpringCheck
+from bellows_ros.core.identification.statics import PoseCheck
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     if arguments.out:
         static.save_length(result, arguments.out)
     return options.Outcome(
-        result, result.spring is None or result.spring.passed,
+        result, result.passed,
         content={**result.as_json(), 'settings': settings, 'version': __version__})
 
 
@@ -52,7 +52,7 @@ def print_result(result: StaticResult, console: Console) -> None:
         console.table(
             _spring_rows(result.spring), right=True,
             title=f'Spring, with a cup length of {result.cup_length * 1e3:.2f} mm')
-        console.paragraph(result.verdict, style='' if result.spring.passed else 'red')
+        console.paragraph(result.verdict, style='' if result.passed else 'red')
     console.warn(*result.warnings)
 
 
@@ -74,18 +74,18 @@ def _standstill_rows(result: StaticResult) -> list[tuple[str, ...]]:
     return [tuple(columns), *zip(*columns.values(), strict=True)]
 
 
-def _spring_rows(spring: SpringCheck) -> list[tuple[str, ...]]:
+def _spring_rows(spring: Sequence[PoseCheck]) -> list[tuple[str, ...]]:
     """Return each pose's deflection, and how far the predicted one is off, as rows of a table."""
-    stills = [pose.standstill for pose in spring.poses]
+    stills = [pose.standstill for pose in spring]
     columns = []
     for unit, part in ((MILLIMETRES, slice(0, 3)), (DEGREES, slice(3, 6))):
-        measured = [pose.measured[part].tolist() for pose in spring.poses]
-        predicted = [pose.predicted[part].tolist() for pose in spring.poses]
+        measured = [pose.measured[part].tolist() for pose in spring]
+        predicted = [pose.predicted[part].tolist() for pose in spring]
         columns += [_column(unit, [math.hypot(*each) for each in measured], stills),
                     _column(unit, map(math.dist, predicted, measured), stills)]
     return [('pose', 'moved', 'off', 'turned', 'off', 'verdict'),
             *zip(map(str, range(1, len(stills) + 1)), *columns,
-                 (pose.verdict for pose in spring.poses), strict=True)]
+                 (pose.verdict for pose in spring), strict=True)]
 
 
 def _column(

@@ -40,7 +40,7 @@ class StaticResult(NamedTuple):
         Why there is none, or ''.
     cup_length : float
         The length that the cup is taken to have, m.
-    spring : SpringCheck or None
+    spring : tuple of PoseCheck or None
         The spring in every pose; None where no stiffness is given.
 
     """
@@ -49,7 +49,7 @@ class StaticResult(NamedTuple):
     length: statics.CupLength | None
     no_length: str
     cup_length: float
-    spring: statics.SpringCheck | None = None
+    spring: tuple[statics.PoseCheck, ...] | None = None
 
     @property
     def standstills(self) -> list[Standstill]:
@@ -67,11 +67,16 @@ class StaticResult(NamedTuple):
                         position=shift, rotation=angle)
 
     @property
+    def passed(self) -> bool:
+        """Whether the spring model contradicts no pose."""
+        return not any(map(statics.is_off, self.spring or ()))
+
+    @property
     def verdict(self) -> str:
         """A sentence on the spring; '' where it was not checked."""
         return self.spring and sentence(
-            'static', 'holds' if self.spring.passed else 'off', failing=self.spring.failing,
-            count=len(self.spring.poses)) or ''
+            'static', 'holds' if self.passed else 'off', count=len(self.spring),
+            failing=sum(map(statics.is_off, self.spring))) or ''
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -101,12 +106,11 @@ class StaticResult(NamedTuple):
             'no_estimate': self.no_length,
             'cup_length': self.cup_length,
             'spring': self.spring and {
-                'passed': self.spring.passed,
-                'verdict': self.verdict,
+                'passed': self.passed, 'verdict': self.verdict,
                 'poses': [
                     {'tilt': pose.standstill.tilt,
                      **results.attributes(pose, 'measured', 'predicted', 'verdict')}
-                    for pose in self.spring.poses]},
+                    for pose in self.spring]},
             'recordings': [
                 {**recording.as_json(), 'unsettled': failed, 'standstills': [results.attributes(
                     still, 'start_ns', 'duration', 'tilt', 'samples', 'lip', 'creep')
@@ -213,7 +217,8 @@ def static_check(
 def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
     """Return the result with a cup's spring checked in every pose, at its length."""
     cup = Cup(cup.stiffness, cup.damping, result.cup_length)
-    return result._replace(spring=statics.check_spring(cup, result.standstills, gravity))
+    return result._replace(spring=tuple(
+        statics.check_pose(cup, still, gravity) for still in result.standstills))
 
 
 def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress) -> StaticResult:

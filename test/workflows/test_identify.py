@@ -167,7 +167,7 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path
     assert_allclose(joined.cup_length, truth['cup.length'], rtol=0, atol=1e-4)
     assert joined.fit.standstills.count == 9 and joined.fit.standstills.chi2 < 2.0
     assert joined.fit.standstills.narrowed[0] < 0.95 and joined.fit.standstills.narrowed[2] < 0.95
-    assert joined.static.spring.passed
+    assert joined.static.passed
     K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
     assert_allclose(np.diag(joined.fit.stiffness), K, rtol=0.01)
     assert any('Cup length with the fit: 4' in line for line in joined.findings)

@@ -266,49 +266,17 @@ class PoseCheck(NamedTuple):
     verdict: str
 
 
-class SpringCheck(NamedTuple):
+def is_off(pose: PoseCheck) -> bool:
+    """Return whether the spring model contradicts a pose."""
+    return pose.verdict in ('off', 'no equilibrium')
+
+
+def check_pose(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     """
-    The spring model in several poses of the tool.
+    Compare the measured equilibrium of a standstill with that of the spring model (3.9).
 
-    Parameters
-    ----------
-    poses : tuple of PoseCheck
-        Every standstill.
-
+    Gravity (m/s^2) points along -z of the world; damping has no effect.
     """
-
-    poses: tuple[PoseCheck, ...]
-
-    @property
-    def failing(self) -> int:
-        """Number of poses that are off."""
-        return sum(pose.verdict in ('off', 'no equilibrium') for pose in self.poses)
-
-    @property
-    def passed(self) -> bool:
-        """Whether no pose is off."""
-        return not self.failing
-
-
-def check_spring(cup: Cup, standstills: Sequence[Standstill], gravity: float) -> SpringCheck:
-    """
-    Compare where the package hangs with where the spring model puts it (3.9).
-
-    Parameters
-    ----------
-    cup : Cup
-        Its damping takes no part.
-    standstills : sequence of Standstill
-        In several poses of the tool.
-    gravity : float
-        m/s^2 along -z of the world.
-
-    """
-    return SpringCheck(tuple(_check(cup, still, gravity) for still in standstills))
-
-
-def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
-    """Return predicted and measured equilibrium of one standstill."""
     nominal = np.array([0.0, 0.0, -cup.length, 0.0, 0.0, 0.0])
     measured = still.lip - nominal
     try:
@@ -322,9 +290,9 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     deviation, size = np.linalg.norm(
         np.reshape([predicted - measured, measured], (2, 2, 3)), axis=2)
     is_beyond = deviation > NOISE_DEVIATIONS * np.sqrt(3.0) * np.array(still.error)
-    is_off = is_beyond & (deviation > EQUILIBRIUM_TOLERANCE * size)
+    is_wrong = is_beyond & (deviation > EQUILIBRIUM_TOLERANCE * size)
     return PoseCheck(still, measured, predicted, (
-        'off' if is_off.any() else 'good' if is_beyond.any() else 'within noise'))
+        'off' if is_wrong.any() else 'good' if is_beyond.any() else 'within noise'))
 
 
 def _state(body: Trajectory) -> State:
