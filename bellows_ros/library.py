@@ -16,9 +16,10 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion, transform
 from bellows_ros.core.live import LivePredictor, Prediction
 from bellows_ros.core.model import cup_package, equilibrium, simulation
-from bellows_ros.core.model.cup_package import box_inertia, Cup, cup_of, Package, package_of
+from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory

@@ -3,8 +3,7 @@
 import argparse
 from collections.abc import Sequence
 
-from bellows_ros.core.model import cup_package, grip
-from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.files import atomic, exports
 
 from . import options
@@ -16,12 +15,12 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     values = options.read_settings(arguments, cup_for=console)
     settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
     console.final_warnings += checks.implausible(settings)
-    cup, package = cup_package.cup_of(settings), cup_package.package_of(settings)
+    cup, package = conversion.cup_of(settings), conversion.package_of(settings)
     target = exports.TARGETS[arguments.to]
-    x, y, z = checks.gravity_of(settings).tolist()
+    x, y, z = conversion.gravity_of(settings).tolist()
     missing = exports.limits(target, cup, (x, y, z))
     atomic.write_text(arguments.out, target.write(
-        cup, package, (x, y, z), grip.grip_of(settings), arguments.name))
+        cup, package, (x, y, z), conversion.grip_of(settings), arguments.name))
 
     return options.Outcome((target.name, missing), content={
         'format': arguments.to, 'file': arguments.out, 'not_expressed': missing})

@@ -16,8 +16,9 @@ from bellows_ros.cli.console import Console, NOT_USABLE, OK, Progress, run_guard
 from bellows_ros.core.geometry.jit import compile_aside
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.live import warm_up
-from bellows_ros.core.model.cup_package import Cup, package_of
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S

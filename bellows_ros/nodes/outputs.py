@@ -11,6 +11,7 @@ import importlib.util
 import time
 from typing import Any, Self
 
+from bellows_ros.core.parameters import conversion
 from builtin_interfaces.msg import Time
 from geometry_msgs import msg as geometry
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -28,7 +29,7 @@ from .node_parameters import ManagedNode
 from ..core.geometry.arrays import Array
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import flight, LivePredictor, load, Prediction, uncertainty
-from ..core.model import cup_package, kernels, structure
+from ..core.model import kernels
 from ..core.parameters.values import Values
 from ..core.signals.trajectory import NS_PER_S
 from ..core.toss.landing import ellipse
@@ -194,7 +195,7 @@ class Outputs:
         self._safety = Topic(geometry.Vector3Stamped, 'cup/safety_factor')
         self._odometry = Topic(
             Odometry, 'package/odometry', self._make_odometry, prepare=partial(
-                uncertainty.warm_up_uncertainty, cup_package.cup_of(values).relaxation))
+                uncertainty.warm_up_uncertainty, conversion.cup_of(values).relaxation))
         self._deflection = Topic(geometry.PoseStamped, 'cup/deflection', self._make_deflection)
         self._markers = Topic(MarkerArray, 'package/markers', lambda now: self._picture.fill(
             shared.live.frame_id, shared.live.model, now))
@@ -311,7 +312,7 @@ class Markers:
         self._box = marker(0, Marker.CUBE, load.equivalent_box(values))
         self._cup = marker(1, Marker.LINE_LIST, (CUP_WIDTH, 0.0, 0.0))
         self._places: list[Vector] = [
-            (x, y, z) for x, y, z in structure.places_of(values)[:, :3].tolist()]
+            (x, y, z) for x, y, z in conversion.places_of(values)[:, :3].tolist()]
         self._force = marker(2, Marker.ARROW, ARROW_WIDTH)
         self._array = MarkerArray(markers=[self._box, self._cup, self._force])
         self._last_ns = 0

@@ -15,7 +15,8 @@ import math
 import time
 from typing import Any
 
-from bellows_ros.core.parameters.checks import gravity_of, with_chosen_cup
+from bellows_ros.core.parameters.checks import with_chosen_cup
+from bellows_ros.core.parameters.conversion import gravity_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.files.messages import LAYOUTS, TRANSFORMS
 from geometry_msgs.msg import InertiaStamped, TwistStamped
@@ -36,9 +37,10 @@ from .planning import Planning
 from ..core.geometry.jit import compile_aside, COMPILED, release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import flight, LivePredictor, Prediction, uncertainty, warm_up
-from ..core.model.cup_package import cup_of, model_tuple, package_of
+from ..core.model.cup_package import model_tuple
 from ..core.model.kernels import ModelTuple
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
+from ..core.parameters.conversion import cup_of, package_of
 from ..core.signals import transforms
 from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S

@@ -23,14 +23,15 @@ from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
 from ..core.live.plan_tracker import DEVIATED, DONE, MAX_WAIT, PlanTracker, thin_out, WAITING
 from ..core.live.uncertainty import STILL, Uncertainty
-from ..core.model.grip import grip_of, safety_sentence
+from ..core.model.grip import safety_sentence
 from ..core.model.simulation import ToolRows
+from ..core.parameters.conversion import grip_of, parameter_envelope, tip_of
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.limits import NO_LIMITS, stretched
 from ..core.planning.plan_prediction import COARSE_STEP_FACTOR, PlanPrediction, PlanSimulation
 from ..core.planning.points import joint_excess, JointPath, Joints, plan_of, plan_of_joints, timed
 from ..core.planning.steering import steer
-from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory
+from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, Trajectory
 from ..errors import BellowsError
 from ..files import plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
@@ -267,7 +268,8 @@ class Planning:
         outcome, values = self._outcome, self._pipeline.values
         if outcome is None or isinstance(outcome, Status):
             return outcome
-        safety, outside = outcome.smallest_safety, outcome.outside(values)
+        safety, outside = outcome.smallest_safety, outcome.outside(
+            parameter_envelope(values), values.package.mass, values.vacuum.holding)
         message = ' '.join(filter(None, (
             safety_sentence(*safety, 0.0, values.safety.least) if outcome.grip else '',
             f'Outside the validity range: {"; ".join(outside)}.' if outside else '',

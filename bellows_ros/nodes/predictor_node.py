@@ -23,8 +23,8 @@ from .node_parameters import ManagedNode, QOS_PREFIX, TableNode
 from .pipeline import Pipeline
 from ..core.geometry.jit import COMPILED
 from ..core.live.load import check_live
-from ..core.model.grip import grip_of
 from ..core.parameters import checks
+from ..core.parameters.conversion import grip_of
 from ..errors import BellowsError, install, MAX_MESSAGE, shown
 from ..report import health
 

@@ -12,8 +12,8 @@ from typing import Any
 import zlib
 
 from bellows_ros.core.identification import samples, validation
-from bellows_ros.core.model.cup_package import package_of
 from bellows_ros.core.model.modes import modes
+from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES

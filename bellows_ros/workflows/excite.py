@@ -10,9 +10,10 @@ from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR, parameter_units
-from bellows_ros.core.model import cup_package, grip
-from bellows_ros.core.model.structure import fitted_structure, Structure
-from bellows_ros.core.parameters import checks
+from bellows_ros.core.model import cup_package
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.parameters import checks, conversion
+from bellows_ros.core.parameters.conversion import fitted_structure
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals import resampling, trajectory
@@ -166,11 +167,11 @@ def excite(
     bounds, block = motion_design.limits_from(limits, float(values.safety.least), arm)
     tracking = tracking_from(block)
     structure = fitted_structure(values)
-    cup, package = cup_package.one_cup_of(values), cup_package.package_of(values)
-    gravity = checks.gravity_of(values)
+    cup, package = conversion.one_cup_of(values), conversion.package_of(values)
+    gravity = conversion.gravity_of(values)
     checked = motion_design.Checks(bounds, [
         cup_package.model_tuple(cup_package.gripper_of(each, structure.places), package, gravity)
-        for each in motion_design.cups_near(cup)], grip.grip_of(values))
+        for each in motion_design.cups_near(cup)], conversion.grip_of(values))
 
     def errors_of(tool: trajectory.Trajectory) -> Array:
         return motion_design.standard_errors(motion_design.motion_information(

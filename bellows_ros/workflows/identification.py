@@ -10,7 +10,7 @@ from bellows_ros.core.identification import identifiability, reduction
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
-from bellows_ros.core.parameters import checks, table
+from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
@@ -136,7 +136,7 @@ class Identification(CommandResult):
     @property
     def cup(self) -> cup_package.Cup:
         """K, P, length and relaxation."""
-        return cup_package.cup_of(self.cup_values())
+        return conversion.cup_of(self.cup_values())
 
     def cup_values(self) -> Values:
         """Return the parameters of the run with the cup, and the estimated worlds."""

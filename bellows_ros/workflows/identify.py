@@ -19,8 +19,8 @@ from bellows_ros.core.identification.reduction import AnyRecording, reduced, who
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
-from bellows_ros.core.model.cup_package import is_gripper
-from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters import checks, conversion
+from bellows_ros.core.parameters.conversion import is_gripper
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
@@ -96,7 +96,7 @@ def identify(
 
     """
     values = resolved(settings)
-    structure.fitted_structure(values)
+    conversion.fitted_structure(values)
     static = None
     if values.static.bags:
         static = read_standstills(values.replaced({**FULL_RANGE}), progress)
@@ -134,7 +134,7 @@ def resolved(settings: Mapping[str, Any]) -> Values:
         values = values.replaced({'fit.time_offset': True})
     if not values.recording.package_world and 'package_world' in free:
         values = values.replaced({'recording.package_world': checks.ESTIMATE})
-    structure.given_structure(values)
+    conversion.given_structure(values)
     if values.output.report:
         require_pictures()
     for wrong, words in _mistakes(values):
@@ -310,7 +310,7 @@ def _identify(
         selected = select_structure(
             [samples_of(recording) for recording in recordings], effective.cup.length,
             [recording.noise for recording in recordings],
-            structure.given_structure(effective.replaced({'fit.structure': 'layout'}))
+            conversion.given_structure(effective.replaced({'fit.structure': 'layout'}))
             if is_gripper(effective) else None)
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),

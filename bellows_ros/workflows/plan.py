@@ -13,18 +13,26 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import simulation
-from bellows_ros.core.model.cup_package import contributions, cup_of, model_tuple, package_of
-from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
+from bellows_ros.core.model.cup_package import contributions, model_tuple
+from bellows_ros.core.model.grip import Grip, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.checks import with_chosen_cup
+from bellows_ros.core.parameters.conversion import (
+    cup_of,
+    grip_of,
+    package_of,
+    parameter_envelope,
+    tip_of,
+    uncertain_of,
+)
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.limits import Fastest, fastest
 from bellows_ros.core.planning.plan_prediction import MAX_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
 from bellows_ros.core.recording import alignment, preparation
 from bellows_ros.core.signals import resampling, savgol, trajectory
-from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, tip_of, Trajectory
+from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
@@ -290,15 +298,18 @@ def plan(
             raise BellowsError(
                 'The shortest safe time cannot be found, because the plan begins or ends in '
                 'motion. Give a plan from rest to rest.')
-        shortest = fastest(values, model, grip, source.tool, float(values.safety.least))
-    return PlanReport(source, prediction, std, prediction.outside(values), shortest, seek_fastest)
+        shortest = fastest(
+            uncertain_of(values), model, grip, source.tool, float(values.safety.least))
+    outside = prediction.outside(
+        parameter_envelope(values), values.package.mass, values.vacuum.holding)
+    return PlanReport(source, prediction, std, outside, shortest, seek_fastest)
 
 
 def _deviations(
     values: Values, model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> Array:
     """Return the standard deviations of a function of the model; 0 if all parameters are exact."""
-    _, parts = contributions(values, model, compute)
+    _, parts = contributions(uncertain_of(values), model, compute)
     return np.asarray(np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(model))
 
 

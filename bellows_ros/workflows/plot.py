@@ -10,6 +10,7 @@ from bellows_ros.core.identification import samples
 from bellows_ros.core.identification.result import POSE_UNITS, WRENCH_UNITS
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.core.model import cup_package, kernels
+from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
@@ -209,7 +210,7 @@ def spectra(values: Values, recording: Recording, cup: bool) -> Spectra:
 
 def loads(values: Values, recording: Recording) -> Loads:
     """Return the load of the cup in a recording, by inverse dynamics, and its deflection."""
-    cup, package = cup_package.cup_of(values), cup_package.package_of(values)
+    cup, package = conversion.cup_of(values), conversion.package_of(values)
     o, R, v = samples.lip_relative(recording.tool, recording.package, package.com)
     at_lip = samples.needed_wrench(package, recording.package, values.gravity.magnitude)
     T_middle_lip = np.eye(4)
@@ -252,7 +253,7 @@ def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
     live = replace(live, **vars(live.select(np.isfinite(live.predicted[:, 0]))))
     at = np.isin(recording.measured_package.stamps_ns, live.stamps_ns)
     tool, measured = recording.measured_tool.select(at), recording.measured_package.select(at)
-    package, length = cup_package.package_of(values), cup_package.cup_of(values).length
+    package, length = conversion.package_of(values), conversion.cup_of(values).length
     place, bent = live.predicted[:, :3], exp_so3(live.predicted[:, 3:])
     predicted = Trajectory(
         tool.stamps_ns, tool.position + apply(tool.rotation, place), tool.rotation @ bent)

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
-from bellows_ros.core.model import cup_package
-from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import conventions
@@ -177,7 +176,7 @@ def _prepared(
     tool, package, twist = streams['tool_pose'], streams['package_pose'], streams.get('tool_twist')
     if values.get('tool_pose.offset'):
         tool, twist = trajectory.streams_at_tip(
-            tool, twist, trajectory.tip_of(values), values.tool_twist.frame == 'world')
+            tool, twist, conversion.tip_of(values), values.tool_twist.frame == 'world')
     if values.recording.package_world == '':
         prepared.require_one_frame(tool, package)
     elif tool.frame_id != package.frame_id and (
@@ -305,7 +304,7 @@ def prepare_settings(values: Values) -> PrepareSettings:
         package_frame=values.recording.package_frame,
         align_at_rest=values.recording.align_at_rest,
         rest_duration=values.recording.rest_duration,
-        payload=cup_package.package_of(values),
+        payload=conversion.package_of(values),
         gravity=values.gravity.magnitude,
         tool_half_window=values.filter.tool.half_window,
         tool_order=values.filter.tool.order,

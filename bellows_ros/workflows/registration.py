@@ -5,9 +5,8 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import output_error
-from bellows_ros.core.model.cup_package import one_cup_of
-from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared

@@ -20,13 +20,13 @@ from bellows_ros.core.live.cycle import holds, Signal
 from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.predictor import Messages, predicted_trajectory
 from bellows_ros.core.model import simulation, validity_range
-from bellows_ros.core.model.cup_package import cup_of, package_of
-from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
+from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.calibration import calibrated, ModelCalibration, WORK_FOLDS
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.observer.observer import Calibration, Observer, Payload
-from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters import checks, conversion
+from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
 from bellows_ros.core.recording.recording import Recording, require_one_frame, TimeOffset
@@ -398,7 +398,7 @@ def validated(values: Values, recording: Recording) -> Replay:
         *(finding_sentence(cause, values) for cause in corrected(recording)[0]
           if cause.name not in CAUSES_IN_VALUES),
         *recording.report.warnings, *validation.warnings]
-    valid = validity_range.parameter_envelope(values)
+    valid = conversion.parameter_envelope(values)
     outside = validity_range.beyond(
         valid, reduction.envelope_of(recording, values.cup.length)) if valid else []
     if outside:

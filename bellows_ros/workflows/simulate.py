@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, transform
-from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package_of
+from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import largest_step
-from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
+from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening

@@ -6,8 +6,9 @@ import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.identification import statics
-from bellows_ros.core.model.cup_package import Cup, cup_of
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.conversion import cup_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of

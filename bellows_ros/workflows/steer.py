@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.model.cup_package import mean_square, parameter_std
+from bellows_ros.core.model.cup_package import mean_square
 from bellows_ros.core.parameters.checks import implausible, Settings
+from bellows_ros.core.parameters.conversion import parameter_std, uncertain_of
 from bellows_ros.core.planning.limits import demands, Limits, NO_LIMIT, read_rates, stretched
 from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.planning.points import joint_excess, timed
@@ -264,7 +265,7 @@ def _effect(
     model = source.model
     run, longer = PlanSimulation(model, source.grip, tool), extended(tool, TAIL)
     square = mean_square(
-        source.values, model,
+        uncertain_of(source.values), model,
         lambda changed: float(run.with_model(changed).predict().summary()['swing_left']))
     return SteeredMotion(
         tool, run.predict(), arrival - source.duration, longer,

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
-from bellows_ros.core.model import grip, simulation
-from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model import simulation
+from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.validity_range import outside_loads
-from bellows_ros.core.parameters import checks, table
+from bellows_ros.core.parameters import checks, conversion, table
+from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
@@ -153,7 +154,9 @@ class TossResult(CommandResult):
             warnings.append(
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
                 'the valve, whatever the load; release.tau has no effect.')
-        if outside := outside_loads(values):
+        if outside := outside_loads(
+                (values.cup.valid_mass, values.cup.valid_vacuum), values.package.mass,
+                values.vacuum.holding):
             warnings.append(f'Outside the validity range of the cup: {"; ".join(outside)}.')
         if landing.beyond_masses(values):
             lightest, heaviest = values.release.mass_range
@@ -378,7 +381,7 @@ def identify_release(
             cup_of(parameters), package_of(parameters), parameters.gravity.magnitude)
         valve = _valve_times(bag, parameters)
         usable, not_used = release_fit.drops_of(
-            load(bag, parameters), model, grip.grip_of(parameters), valve)
+            load(bag, parameters), model, conversion.grip_of(parameters), valve)
         drops += usable
         used += [bag] * len(usable)
         left_out += [f'{bag}, {text}' for text in not_used]

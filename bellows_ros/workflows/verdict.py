@@ -11,7 +11,8 @@ from bellows_ros.core.identification.quantities import as_found, Free, given_std
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.identification.validation import validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
-from bellows_ros.core.model.structure import given_structure, Structure
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.parameters.conversion import given_structure
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package_of
-from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.toss.release import HeldMotion, landing_error, release_of, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters

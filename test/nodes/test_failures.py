@@ -4,7 +4,7 @@ from operator import attrgetter
 
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.load import Safety
-from bellows_ros.core.model.cup_package import cup_of, package_of
+from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.nodes import predictor_node
 from builtin_interfaces.msg import Time
 import pytest

@@ -1,8 +1,9 @@
 """A gripper of several cups at a live node, over DDS."""
 
-from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
-from bellows_ros.core.parameters.checks import gravity_of, resolve
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import cup_of, gravity_of, package_of
 from bellows_ros.nodes.conversions import quaternion_xyzw, vector
 from geometry_msgs.msg import PoseStamped
 import numpy as np

@@ -2,8 +2,9 @@
 
 import time
 
-from bellows_ros.core.model.cup_package import Cup, package_of
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.equilibrium import moved_by
+from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.nodes.conversions import TOOL_POSES
 from bellows_ros.report.health import Level

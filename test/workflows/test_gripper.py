@@ -1,8 +1,8 @@
 """A gripper of three cups as a user identifies one of its cups: files in, a cup file out."""
 
 from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.core.model.cup_package import cup_of
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import cup_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load

@@ -17,8 +17,14 @@ from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.identification.statics import joined_with_standstills, Length
-from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
-from bellows_ros.core.model.structure import AUTO, given_structure, richest_structure
+from bellows_ros.core.model.cup_package import Cup, varied
+from bellows_ros.core.model.structure import AUTO
+from bellows_ros.core.parameters.conversion import (
+    given_structure,
+    one_cup_of,
+    package_of,
+    richest_structure,
+)
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, Noise, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import Standstill, standstills_of

@@ -14,8 +14,9 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import jacobians as jac
-from bellows_ros.core.model.cup_package import gravity_vector, Package, package_of, varied
+from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
+from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory

@@ -20,8 +20,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import samples as sampling
 from bellows_ros.core.identification.samples import Equations, LipMotion, Moments, Samples
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.model.structure import richest_structure, Structure
+from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.model.validity_range import Envelope
+from bellows_ros.core.parameters.conversion import richest_structure
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import recording as measured
 from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Recording

@@ -13,9 +13,10 @@ from bellows_ros.core.live.payload import MAX_SUBSTEPS
 from bellows_ros.core.live.plan_tracker import point_at
 from bellows_ros.core.live.uncertainty import Prediction, Uncertainty, UNKNOWN_ROOT
 from bellows_ros.core.model.equilibrium import adapted, largest_step, moved_by, pose_error
-from bellows_ros.core.model.grip import Grip, grip_of
+from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
+from bellows_ros.core.parameters.conversion import grip_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.toss import release

@@ -8,11 +8,17 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.live.uncertainty import Prediction, STILL, Uncertainty
-from bellows_ros.core.model.cup_package import cup_of, package_of
-from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
+from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
-from bellows_ros.core.model.validity_range import Distance, distance, parameter_envelope
-from bellows_ros.core.parameters.checks import ESTIMATE, gravity_of
+from bellows_ros.core.model.validity_range import Distance, distance
+from bellows_ros.core.parameters.checks import ESTIMATE
+from bellows_ros.core.parameters.conversion import (
+    cup_of,
+    gravity_of,
+    grip_of,
+    package_of,
+    parameter_envelope,
+)
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -9,11 +9,12 @@ from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY_NS, Settling
 from bellows_ros.core.model import equilibrium, kernels
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, package_of
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.observer.correction import ANOTHER_PACKAGE, SAME_PACKAGE
 from bellows_ros.core.observer.measurement import Measurement
 from bellows_ros.core.observer.observer import Observer, Payload
+from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError

@@ -24,7 +24,7 @@ from bellows_ros.core.live.load import ALL, check_live, Load, Vacuum
 from bellows_ros.core.live.payload import LivePayload, stated_payload
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
 from bellows_ros.core.live.uncertainty import Prediction, Uncertainty
-from bellows_ros.core.model.cup_package import Cup, cup_of, frozen_array, Package, package_of
+from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import ToolRows, trajectory_of
@@ -32,16 +32,12 @@ from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.observer.alarms import Alarm, Alarms
 from bellows_ros.core.observer.correction import CAMERA_ROWS, SAME_PACKAGE
 from bellows_ros.core.observer.observer import Observer, Payload
-from bellows_ros.core.parameters.checks import (
-    gravity_of,
-    PACKAGE_PARAMETERS,
-    resolve,
-    with_chosen_cup,
-)
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve, with_chosen_cup
+from bellows_ros.core.parameters.conversion import cup_of, gravity_of, package_of, tip_of
 from bellows_ros.core.parameters.table import lookup
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.screening import PoseSample
-from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, tip_of, Trajectory
+from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, require_types
 import numpy as np
 from numpy.typing import ArrayLike

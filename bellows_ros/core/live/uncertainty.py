@@ -35,11 +35,12 @@ from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector, ZERO
 from bellows_ros.core.model import equilibrium
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, parameter_std
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Strains
-from bellows_ros.core.model.structure import composition, places_of
+from bellows_ros.core.model.structure import composition
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import parameter_std, places_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError

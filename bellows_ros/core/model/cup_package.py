@@ -3,15 +3,14 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, InitVar, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 import warnings
 
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import kernels, structure
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple
-from bellows_ros.core.model.structure import matrix, SINGLE, UPPER
-from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.model.structure import SINGLE, UPPER
 from bellows_ros.errors import BellowsError, UnitWarning
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -197,17 +196,6 @@ class Package:
         return package_tuple(self.mass, self.com, self.inertia)
 
 
-def is_gripper(values: Values) -> bool:
-    """Return whether parameter values describe cups other than one at E that holds."""
-    return bool(any(values.get('cup.layout', ())) or any(
-        index >= 0.0 for index in values.get('cup.open', ())))
-
-
-def cup_of(values: Values) -> Cup:
-    """Return the cup that parameter values describe (see `parameters`), composed of several."""
-    return gripper_of(one_cup_of(values), structure.places_of(values))
-
-
 def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     """
     Return the cup that moves a package as equal ones at places (n, 4) do; without, the one.
@@ -229,20 +217,6 @@ def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     return replace(one, stiffness=K, damping=P)
 
 
-def one_cup_of(values: Values) -> Cup:
-    """Return the cup that parameter values describe, whatever cup.layout is."""
-    stiffness = structure.matrix(values.cup.stiffness)
-    a, b = values.get('cup.stretch', (0.0, 0.0))
-    ends = [values.get(f'envelope.deflection_{end}', np.zeros(6))[2] for end in ('low', 'high')]
-    structure.require_stretch(stiffness, (a, b), *(ends if any(ends) else ()))
-    return Cup(
-        stiffness, structure.matrix(values.cup.damping),
-        length=values.cup.length,
-        relaxation=values.get('cup.relaxation', (0.0, 0.0)),
-        relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES),
-        stretch=(a, b))
-
-
 def varied(
     package: Package, com: ArrayLike = 0.0, mass: ArrayLike = 0.0, inertia: ArrayLike = 0.0
 ) -> Package:
@@ -255,14 +229,6 @@ def varied(
     return Package(
         package.mass * float(np.exp(mass).item()), package.inertia * np.outer(root, root),
         package.com + np.asarray(com), is_checked=False)
-
-
-def package_of(values: Values) -> Package:
-    """Return the package that parameter values describe (see `parameters`)."""
-    return Package(
-        mass=values.package.mass,
-        inertia=structure.inertia_matrix(values.package.inertia),
-        com=np.array(values.package.com))
 
 
 def package_tuple(mass: float, com: Array, inertia: Array) -> PackageTuple:
@@ -369,61 +335,11 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
     return np.diag(moments)
 
 
-def parameter_vector(values: Values) -> Array:
-    """Return the numbers (52,) of parameter values: K and P, mass, com, inertia; SI units."""
-    return np.concatenate([
-        matrix(values.cup.stiffness)[UPPER], matrix(values.cup.damping)[UPPER],
-        [values.package.mass], values.package.com, values.package.inertia])
-
-
-BENDING_BY_MASS = (0.30, 0.03)
-"""Relative change of the bending stiffness per kg, of a cup without and with stretch, 1/kg."""
-
-STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
-"""Relative change of the diagonal of K per vacuum, of a bellows by finite elements, 1/Pa."""
-
-
-def stiffness_std(values: Values) -> Array:
-    """
-    Return the standard deviations (6, 6) of K for the mass and the vacuum of use.
-
-    The figures of bellows by finite elements are added in proportion to the distance from
-    cup.valid_mass and cup.valid_vacuum.
-    """
-    std = np.reshape(values.cup.stiffness_std, (6, 6))
-    K = np.diag(matrix(values.cup.stiffness))
-
-    def distance(value: float, name: str) -> float:
-        low, high = values.get(name, (0.0, 0.0))
-        return max(low - value, value - high, 0.0) if high > 0.0 and value > 0.0 else 0.0
-
-    by_mass = BENDING_BY_MASS[any(values.get('cup.stretch', ()))]
-    more = distance(values.get('vacuum.holding', 0.0), 'cup.valid_vacuum') * STIFFNESS_BY_VACUUM
-    more[3:5] += by_mass * distance(values.get('package.mass', 0.0), 'cup.valid_mass')
-    return np.asarray(np.hypot(std, np.diag(K * more)))
-
-
-def parameter_std(values: Values) -> Array:
-    """
-    Return the standard deviations (52,) of the numbers.
-
-    An entry of K or P that is not identifiable has a huge one. A linear model holds for no more
-    than entries as large as the roots of their two diagonal ones: those are the largest.
-    """
-    root = [np.sqrt(np.diag(matrix(values[kind]))) for kind in ('cup.stiffness', 'cup.damping')]
-    limit = np.concatenate([np.outer(each, each)[UPPER] for each in root])
-    std = parameter_vector(Values({
-        name.removesuffix('_std'): each for name, each in values.items()
-        if name.endswith('_std')}))
-    std[:21] = stiffness_std(values)[UPPER]
-    return np.concatenate([np.minimum(std[:42], limit), std[42:]])
-
-
 def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> ModelTuple:
     """
     Return a model with other numbers (52,), length and gravity as they are.
 
-    K and P are those of one of the cups at the places, as `places_of` returns them.
+    K and P are those of one of the cups at the places (n, 4): x, y, z (m) in E and the index.
     """
     K, P = np.zeros((2, 6, 6))
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
@@ -437,19 +353,27 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
     return cup, package, model[2]
 
 
+class Uncertain(NamedTuple):
+    """The numbers (52,) of cup and package, their standard deviations, and the cups' places."""
+
+    numbers: Array
+    std: Array
+    places: Array
+
+
 def perturbed(
-    values: Values, model: ModelTuple
+    uncertain: Uncertain, model: ModelTuple
 ) -> Iterator[tuple[str, ModelTuple, ModelTuple]]:
     """Yield name and models with a number `PERTURBATION` sigma up and down, where sigma > 0."""
-    numbers, places = parameter_vector(values), structure.places_of(values)
-    changes = np.diag(PERTURBATION * parameter_std(values))
-    for i in np.flatnonzero(changes.diagonal()):
-        up, down = (model_with(model, numbers + side * changes[i], places) for side in (1, -1))
+    numbers, std, places = uncertain
+    for i in np.flatnonzero(std):
+        change = PERTURBATION * std[i] * np.eye(len(std))[i]
+        up, down = (model_with(model, numbers + side * change, places) for side in (1, -1))
         yield PARAMETER_NAMES[i], up, down
 
 
 def contributions(
-    values: Values, model: ModelTuple, compute: Callable[[ModelTuple], Array]
+    uncertain: Uncertain, model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> tuple[list[str], Array]:
     """
     Return the contribution of each uncertain parameter to the standard deviations of figures.
@@ -461,8 +385,8 @@ def contributions(
 
     Parameters
     ----------
-    values : mapping
-        Parameters by name: cup.stiffness, cup.damping, package.*, each with its _std.
+    uncertain : Uncertain
+        Numbers with standard deviations.
     model : tuple
         Of the same values, as the kernels take it.
     compute : callable
@@ -477,12 +401,12 @@ def contributions(
 
     """
     parts = {name: (compute(up) - compute(down)) / (2.0 * PERTURBATION)
-             for name, up, down in perturbed(values, model)}
+             for name, up, down in perturbed(uncertain, model)}
     return list(parts), np.array(list(parts.values()))
 
 
 def mean_square(
-    values: Values, model: ModelTuple, compute: Callable[[ModelTuple], float]
+    uncertain: Uncertain, model: ModelTuple, compute: Callable[[ModelTuple], float]
 ) -> float:
     """
     Return the mean square of a vector over the uncertain parameters; see `contributions`.
@@ -491,5 +415,5 @@ def mean_square(
     """
     square = compute(model) ** 2
     changes = sum(compute(up) ** 2 + compute(down) ** 2 - 2.0 * square
-                  for _, up, down in perturbed(values, model))
+                  for _, up, down in perturbed(uncertain, model))
     return max(square + changes / (2.0 * PERTURBATION ** 2), 0.0)

@@ -20,8 +20,6 @@ from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, State, Strains, Wrench
 from bellows_ros.core.model.simulation import row_state
-from bellows_ros.core.model.structure import is_single, places_of
-from bellows_ros.core.parameters.values import Values
 import numpy as np
 
 Grip = tuple[float, float, float, *tuple[Array, ...]]
@@ -196,27 +194,6 @@ def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
     return Margin(
         float(factors[row, mode]), mode_name(grip, int(mode), int(factors[row, 2 + mode])),
         float(seconds[row]))
-
-
-def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
-    """
-    Return the grip in parameter values, or None if it is incomplete.
-
-    Parameters
-    ----------
-    values : mapping
-        Parameters by name: cup.lip_radius, cup.suction_area, cup.friction, vacuum.holding.
-    vacuum : float, optional
-        Pressure below ambient (Pa) as it is measured, instead of vacuum.holding.
-
-    """
-    radius = float(values.cup.lip_radius)
-    pressure = float(values.vacuum.holding) if vacuum is None else max(vacuum, 0.0)
-    if radius == 0.0 or (vacuum is None and pressure == 0.0):
-        return None
-    area = float(values.cup.suction_area) or math.pi * radius * radius
-    grip, places = (pressure * area, radius, float(values.cup.friction)), places_of(values)
-    return grip if is_single(places) else (*grip, places)
 
 
 def safety_sentence(factor: float, mode: str, time: float, std: float, required: float) -> str:

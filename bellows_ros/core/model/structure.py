@@ -13,13 +13,12 @@ ixy, ixz, iyz]; units are SI.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, transform
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -69,30 +68,6 @@ def positions_of(layout: Sequence[float]) -> Array:
             f'cup.layout: cups {min(i, j)} and {max(i, j)} are {1e3 * gaps[i, j]:.3g} mm apart; '
             f'expected at least {1e3 * CLEARANCE:g} mm. Give each cup once, in m.')
     return places
-
-
-def places_of(values: Values) -> Array:
-    """
-    Return x, y, z (m) in E and the index, from 0, of each cup that holds (n, 4).
-
-    Raises
-    ------
-    BellowsError
-        If cup.layout and cup.open do not describe a gripper that holds.
-
-    """
-    positions = positions_of(values.get('cup.layout', (0.0, 0.0, 0.0)))  # a single cup at E
-    opened = set(values.get('cup.open', ())) - {-1.0}  # which stands for none
-    wrong = sorted(opened - set(range(len(positions))))
-    if wrong:
-        raise BellowsError(
-            f'cup.open has {wrong[0]:g}; expected integers from 0 to {len(positions) - 1}, '
-            'the places of cups in cup.layout.')
-    if len(opened) == len(positions):
-        raise BellowsError(
-            'cup.open has all cups of cup.layout, so that none holds. Leave out those that hold.')
-    indices = np.setdiff1d(np.arange(len(positions)), list(opened))
-    return np.column_stack([positions[indices], indices])
 
 
 def is_single(places: Array) -> bool:
@@ -320,45 +295,6 @@ def structure_named(name: str) -> Structure:
         raise BellowsError(
             f"fit.structure is '{str(name)[:40]}'; expected one of {', '.join(STRUCTURE_NAMES)}.")
     return AUTO_STRUCTURES[0] if name == AUTO else STRUCTURES.get(name, OF_LAYOUT)
-
-
-def richest_structure(values: Values) -> Structure:
-    """Return the richest structure that a fit may select: `given_structure` unless it is auto."""
-    return AUTO_STRUCTURES[1] if values.fit.structure == AUTO else given_structure(values)
-
-
-def given_structure(values: Values) -> Structure:
-    """
-    Return the structure of parameter values, with the places of the cups where they are needed.
-
-    Raises
-    ------
-    BellowsError
-        If fit.structure is none, or is layout without several cups in cup.layout.
-
-    """
-    structure = structure_named(values.fit.structure)
-    if structure is not OF_LAYOUT:
-        return structure
-    places = places_of(values)
-    if is_single(places):
-        raise BellowsError(
-            'fit.structure: layout fits one cup of a gripper, but cup.layout is that of a single '
-            'cup. Give x, y and z of each cup in the tool, in m, one cup after the other: '
-            'cup.layout: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
-    return replace(structure, places=tuple(map(tuple, places.tolist())))
-
-
-def fitted_structure(values: Values) -> Structure:
-    """Return the structure of a fit; BellowsError for that of a single cup with cup.layout."""
-    structure = given_structure(values)
-    if any(values.get('cup.layout', ())) and not structure.places:
-        raise BellowsError(
-            'cup.layout describes a gripper of several cups, whose cup.stiffness is of one, but '
-            f'fit.structure: {structure.name} is of a single cup. Set fit.structure: layout to '
-            'find the numbers of one cup from the gripper, or leave cup.layout out to fit the '
-            'gripper as one cup (fit.structure: full).')
-    return structure
 
 
 def common_structure(one: Structure, other: Structure) -> Structure:

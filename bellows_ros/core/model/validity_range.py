@@ -12,7 +12,6 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import frozen_array
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -167,7 +166,8 @@ def distance(
     """
     return _worst_first(
         _deflections(valid, np.asarray(deflection, dtype=float))
-        + _rates(valid, np.asarray(rates, dtype=float)) + _loads(valid, mass, vacuum))
+        + _rates(valid, np.asarray(rates, dtype=float))
+        + _loads((valid.mass, valid.vacuum), mass, vacuum))
 
 
 def _worst_first(distances: list[tuple[float, str]]) -> Distance:
@@ -181,25 +181,13 @@ def beyond(valid: Envelope, other: Envelope) -> tuple[str, ...]:
     ends = (_deflections(valid, end) for end in (other.deflection_low, other.deflection_high))
     return _worst_first([
         *map(max, *ends), *_rates(valid, other.rates), *_frequencies(valid, other.frequencies),
-        *max(_loads(valid, mass, vacuum) for mass, vacuum in zip(
+        *max(_loads((valid.mass, valid.vacuum), mass, vacuum) for mass, vacuum in zip(
             other.mass.tolist(), np.asarray(other.vacuum).tolist(), strict=True))]).outside
 
 
-def parameter_envelope(values: Values) -> Envelope | None:
-    """Return the envelope in parameter values, or None if all are zero: unknown."""
-    ranges = {name: np.array(values.get(RANGE_PARAMETERS[name], ())) for name in FIELDS}
-    if not any(ranges[name].any() for name in FIELDS[:4]):
-        return None
-    return Envelope(**{**ranges, 'frequencies': ranges['frequencies'].reshape(2, 2)})
-
-
-def outside_loads(values: Values) -> tuple[str, ...]:
-    """Return a phrase for mass and vacuum of parameter values if outside their valid ranges."""
-    zero = np.zeros(6)
-    valid = Envelope(zero, zero, zero, np.zeros((2, 2)), np.array(values.cup.valid_mass),
-                     np.array(values.cup.valid_vacuum))
-    return tuple(phrase for size, phrase in _loads(
-        valid, values.package.mass, values.vacuum.holding) if size > 1.0)
+def outside_loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> tuple[str, ...]:
+    """Return a phrase for mass (kg) and vacuum (Pa) outside their ranges."""
+    return tuple(phrase for size, phrase in _loads(ranges, mass, vacuum) if size > 1.0)
 
 
 def _deflections(valid: Envelope, value: Array) -> list[tuple[float, str]]:
@@ -237,11 +225,11 @@ def _frequencies(valid: Envelope, bands: Array) -> list[tuple[float, str]]:
         if valid.frequencies.any()]
 
 
-def _loads(valid: Envelope, mass: float, vacuum: float) -> list[tuple[float, str]]:
+def _loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> list[tuple[float, str]]:
     """Return distance and phrase for mass and vacuum; nothing for a range that is unknown."""
     found = []
-    for name, value, range_, scale, unit in (
-            ('mass', mass, valid.mass, 1.0, 'kg'), ('vacuum', vacuum, valid.vacuum, 1e-3, 'kPa')):
+    for range_, (name, value, scale, unit) in zip(ranges, (
+            ('mass', mass, 1.0, 'kg'), ('vacuum', vacuum, 1e-3, 'kPa')), strict=True):
         low, high = np.asarray(range_).tolist()
         if high > 0.0 and value > 0.0:
             half = 0.5 * (high - low) + LOAD_MARGIN * 0.5 * (high + low)

@@ -7,12 +7,11 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
-from bellows_ros.core.model.cup_package import stiffness_std
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
-from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
+from bellows_ros.core.model.structure import composition, is_single, maps, UPPER
 from bellows_ros.core.observer import alarms
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE, STATE
@@ -24,6 +23,7 @@ from bellows_ros.core.observer.measurement import (
     OUT_OF_REACH,
     OUTSIDE,
 )
+from bellows_ros.core.parameters.conversion import places_of, stiffness_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np

@@ -278,12 +278,6 @@ def require_direction(direction: ArrayLike) -> None:
             'things fall, in axes of the world: [0.0, 0.0, -1.0] where z is up.')
 
 
-def gravity_of(values: Mapping[str, Any]) -> Array:
-    """Return the acceleration (3,) of gravity in the world, m/s^2, of parameter values."""
-    direction = np.asarray(values['gravity.direction'], dtype=np.float64)
-    return np.asarray(values['gravity.magnitude'] * (direction / np.linalg.norm(direction)))
-
-
 def cup_names(names: Iterable[str]) -> list[str]:
     """Return the names of the cups that parameters of the form cups.NAME.* describe."""
     matches = (table.NAMED_CUP.fullmatch(name) for name in names)

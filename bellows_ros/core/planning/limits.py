@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
-from bellows_ros.core.model.cup_package import PERTURBATION, perturbed
+from bellows_ros.core.model.cup_package import PERTURBATION, perturbed, Uncertain
 from bellows_ros.core.model.equilibrium import largest_step, nominal_system_matrix
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.parameters.checks import Settings
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.plan_prediction import COARSE_STEP_FACTOR, PlanSimulation
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
@@ -182,7 +181,7 @@ class Fastest(NamedTuple):
 
 
 def fastest(
-    values: Values, model: ModelTuple, grip: Grip, tool: Trajectory, required: float
+    uncertain: Uncertain, model: ModelTuple, grip: Grip, tool: Trajectory, required: float
 ) -> Fastest | None:
     """
     Return the shortest time scale at which safety factor minus two sigma stays at `required`.
@@ -192,10 +191,10 @@ def fastest(
 
     Parameters
     ----------
-    values : mapping
-        Parameters by name, with standard deviations.
+    uncertain : Uncertain
+        Numbers of the model, with standard deviations.
     model, grip : tuple
-        As the kernels take them, of the same values.
+        As the kernels take them.
     tool : Trajectory
         The plan, which ends at rest.
     required : float
@@ -213,7 +212,7 @@ def fastest(
     slowest = float(np.abs(np.linalg.eigvals(nominal_system_matrix(model))).min())
     tail = min(MAX_PEAK_TAIL, 2.0 * math.pi / slowest)
     quick = PlanSimulation(model, grip, thin, tail=tail, longest=COARSE_STEP_FACTOR * longest)
-    spread = [quick.with_model(each) for _, *both in perturbed(values, model) for each in both]
+    spread = [quick.with_model(each) for _, *both in perturbed(uncertain, model) for each in both]
     fine = PlanSimulation(model, grip, tool, tail=tail, longest=longest)
 
     def margin(scale: float, part: float, run: PlanSimulation) -> float:

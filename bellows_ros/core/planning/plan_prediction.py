@@ -14,11 +14,11 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.model import kernels, simulation, validity_range
+from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.model.validity_range import beyond, Envelope, OVERTURN_ANGLE
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -119,12 +119,11 @@ class PlanPrediction(NamedTuple):
             'swing_left': peak['swing'] if self.ends_at_rest else math.nan,
             'settled_after': self.settled_after if self.ends_at_rest else math.nan}
 
-    def outside(self, values: Values) -> tuple[str, ...]:
-        """Return a phrase for each validity range among parameters that is exceeded."""
-        valid = validity_range.parameter_envelope(values)
-        return () if valid is None else validity_range.beyond(valid, validity_range.Envelope(
+    def outside(self, valid: Envelope | None, mass: float, vacuum: float) -> tuple[str, ...]:
+        """Return a phrase for each validity range that the plan, mass or vacuum exceeds."""
+        return () if valid is None else beyond(valid, Envelope(
             self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
-            np.full(2, values.package.mass), np.full(2, values.vacuum.holding)))
+            np.full(2, mass), np.full(2, vacuum)))
 
 
 class PlanSimulation:
@@ -373,7 +372,7 @@ def _simulate_decay(
         load = record_sample(model, grip, tool, body, t + since, wrench, loads, extremes)
         angle = t3.norm(t3.rotation_between(hanging, body[1]))
         update_peak(extremes, 7, t + since, angle)
-        if load > ceiling or angle > validity_range.OVERTURN_ANGLE or stop[0]:
+        if load > ceiling or angle > OVERTURN_ANGLE or stop[0]:
             return math.inf
         if angle > SETTLED_ANGLE:
             settled = math.inf

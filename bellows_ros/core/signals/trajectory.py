@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -357,15 +356,6 @@ def _require_rotations(rotation: Array, of: str) -> None:
                 f'{of}: the rotation of sample {start + i} is not orthonormal and right-handed '
                 f'to {ORTHONORMALITY_TOLERANCE:g} (off by {error[i]:.3g}). '
                 'Normalise the quaternions before converting them.')
-
-
-def tip_of(values: Values) -> Array | None:
-    """Return the pose (4, 4) of E in the frame of the tool's poses, None where that is E."""
-    text = values.get('tool_pose.offset', '')
-    if not text:
-        return None
-    pose = np.array([float(part) for part in text.split()])
-    return lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3])
 
 
 def at_tip(motion: Posed, tip: Array | None) -> Posed:

@@ -14,7 +14,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.structure import places_of
+from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.toss import release as toss_release
 from bellows_ros.core.toss.release import HeldMotion, Law, Release, RELEASE_NAMES, Toss, toss
@@ -134,10 +134,10 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     The law of release acts to second order, too: with a normal z along each axis of its
     covariance, a z + b z^2 has the second moment a^2 + 2 b^2 about its mean, the sum of all b.
     """
+    numbers = conversion.uncertain_of(case.values)
     names, parts = cup_package.contributions(
-        case.values, case.held.model, lambda model: case.error_with(model, case.release, nominal))
-    every = cup_package.parameter_std(case.values)
-    std = [every[cup_package.PARAMETER_NAMES.index(name)] for name in names]
+        numbers, case.held.model, lambda model: case.error_with(model, case.release, nominal))
+    std = [numbers.std[cup_package.PARAMETER_NAMES.index(name)] for name in names]
     factor, count = release_factor(case.values), len(names)
     of_law = np.linalg.norm(factor, axis=1)
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
@@ -186,13 +186,12 @@ class MonteCarlo(NamedTuple):
 def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
     """Return random tosses with every parameter drawn from its normal distribution."""
     rng = np.random.default_rng(seed)
-    numbers = cup_package.parameter_vector(case.values)
-    std = cup_package.parameter_std(case.values)
+    numbers, std, places = conversion.uncertain_of(case.values)
     factor = release_factor(case.values)
     rows = []
     for _ in range(count):
         model = cup_package.model_with(
-            case.held.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
+            case.held.model, numbers + std * rng.standard_normal(len(std)), places)
         release = release_with(case.release, factor @ rng.standard_normal(8))
         with suppress(NoLandingError, UnstableError):
             rows.append(case.error_with(model, release, nominal))

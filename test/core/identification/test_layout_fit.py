@@ -9,7 +9,8 @@ from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.core.model.structure import composition, given_structure, STRUCTURES
+from bellows_ros.core.model.structure import composition, STRUCTURES
+from bellows_ros.core.parameters.conversion import given_structure
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import BodyNoise, PrepareSettings

@@ -1,7 +1,7 @@
 """Which way is down."""
 
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.parameters.checks import gravity_of
+from bellows_ros.core.parameters.conversion import gravity_of
 from bellows_ros.core.recording.alignment import levelling
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal

@@ -2,7 +2,8 @@
 
 import math
 
-from bellows_ros.core.model.grip import grip_of, margin, safety_factors
+from bellows_ros.core.model.grip import margin, safety_factors
+from bellows_ros.core.parameters.conversion import grip_of
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 import numpy as np

@@ -3,11 +3,18 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3, transform
-from bellows_ros.core.model.cup_package import cup_of, model_with, parameter_std, parameter_vector
-from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
+from bellows_ros.core.model.cup_package import model_with
+from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import cup_wrench
-from bellows_ros.core.model.structure import composition, places_of, UPPER
+from bellows_ros.core.model.structure import composition, UPPER
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import (
+    cup_of,
+    grip_of,
+    parameter_std,
+    parameter_vector,
+    places_of,
+)
 from bellows_ros.errors import BellowsError
 from hypothesis import given, settings, strategies
 import numpy as np

@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 from bellows_ros.core.model import equilibrium, kernels
-from bellows_ros.core.model.cup_package import Cup, cup_of, gripper_of, model_tuple, regressor
+from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, regressor
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import require_stretch, STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import cup_of
 from bellows_ros.errors import BellowsError
 from hypothesis import given, settings
 from hypothesis import strategies as st

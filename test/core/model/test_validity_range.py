@@ -6,9 +6,11 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.reduction import envelope
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model import validity_range
-from bellows_ros.core.model.cup_package import Package, parameter_std, stiffness_std
+from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Distance, Envelope, outside_loads
+from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import parameter_std, stiffness_std
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, with_standstills
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -116,11 +118,11 @@ def test_beyond_names_what_another_recording_leaves():
 
 def test_a_file_holds_at_least_what_was_seen():
     """Round outward: what the fit has seen is not beyond the six digits of it in a file."""
-    assert validity_range.parameter_envelope(resolve({})) is None
+    assert conversion.parameter_envelope(resolve({})) is None
     ends = np.random.default_rng(6).uniform(-1.0, 1.0, size=(500, 6))
     for low, high in zip(ends - 2.0, ends + 2.0, strict=True):
         seen = Envelope(low, high, high, high[:4].reshape(2, 2) + [0.0, 3.0], np.sort(high[:2]))
-        written = validity_range.parameter_envelope(resolve(seen.parameters()))
+        written = conversion.parameter_envelope(resolve(seen.parameters()))
         assert validity_range.beyond(written, seen) == ()
         for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
             assert_allclose(getattr(written, name), getattr(seen, name), rtol=2e-5)
@@ -169,11 +171,16 @@ def used(**more):
 
 
 def test_other_masses_and_vacuums_are_named():
-    assert outside_loads(used()) == outside_loads(used(package__mass=1.9)) == ()
-    assert outside_loads(used(package__mass=2.5)) == ('the mass is 2.5 kg, seen 1.8',)
-    assert outside_loads(used(vacuum__holding=40e3)) == ('the vacuum is 40 kPa, seen 20',)
-    assert outside_loads(used(package__mass=2.5, cup__valid_mass=[0.0, 0.0])) == ()
-    assert outside_loads(used(package__mass=2.0, cup__valid_mass=[1.0, 2.5])) == ()
+    def outside(**changed):
+        values = used(**changed)
+        return outside_loads((values.cup.valid_mass, values.cup.valid_vacuum), values.package.mass,
+                             values.vacuum.holding)
+
+    assert outside() == outside(package__mass=1.9) == ()
+    assert outside(package__mass=2.5) == ('the mass is 2.5 kg, seen 1.8',)
+    assert outside(vacuum__holding=40e3) == ('the vacuum is 40 kPa, seen 20',)
+    assert outside(package__mass=2.5, cup__valid_mass=[0.0, 0.0]) == ()
+    assert outside(package__mass=2.0, cup__valid_mass=[1.0, 2.5]) == ()
 
 
 def test_the_stiffness_of_other_loads_is_less_certain():

@@ -6,10 +6,9 @@ from bellows_ros.core.model.cup_package import (
     Cup,
     model_tuple,
     model_with,
-    parameter_std,
-    parameter_vector,
     perturbed,
 )
+from bellows_ros.core.parameters.conversion import parameter_std, parameter_vector, uncertain_of
 from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, timed
@@ -51,7 +50,7 @@ def smallest(model, plan, scale):
 
 def lower_end(values, model, plan, scale):
     """Return the smallest safety factor minus two standard deviations."""
-    _, parts = contributions(values, model, lambda m: smallest(m, plan, scale))
+    _, parts = contributions(uncertain_of(values), model, lambda m: smallest(m, plan, scale))
     return smallest(model, plan, scale) - 2 * np.linalg.norm(parts)
 
 
@@ -60,7 +59,7 @@ def lower_end(values, model, plan, scale):
     pytest.param(Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan(500), 60,
                  marks=pytest.mark.stress)])
 def test_is_that_of_an_exhaustive_scan(plan, count):
-    found = fastest(VALUES, MODEL, GRIP, plan, 1.5)
+    found = fastest(uncertain_of(VALUES), MODEL, GRIP, plan, 1.5)
     scales = found.scale * np.concatenate([np.geomspace(0.3, 0.98, count), [0.9975, 1.0025]])
     ends = [lower_end(VALUES, MODEL, plan, scale) for scale in scales]
     assert max(ends[:-1]) < 1.5 <= ends[-1]
@@ -75,7 +74,7 @@ def test_finds_the_window_below_a_resonance(least):
     scales = np.geomspace(0.1, 2.0, 300)
     truth = np.array([smallest(model, plan, scale) for scale in scales])
     first = scales[np.argmax(truth >= least)]
-    found = fastest(EXACT, model, GRIP, plan, least)
+    found = fastest(uncertain_of(EXACT), model, GRIP, plan, least)
     assert_allclose(found.scale, first, rtol=0.01)
     assert found.std == 0.0 and found.factor >= least
     slower = truth[(scales > 1.3 * first) & (scales < 1.6 * first)]
@@ -84,13 +83,14 @@ def test_finds_the_window_below_a_resonance(least):
 
 def test_nothing_helps_a_package_that_is_too_heavy():
     weak = (GRIP[0] / 3, *GRIP[1:])
-    assert fastest(VALUES, MODEL, weak, Move([0.1, 0, 0], [0, 0, 0], 1.0).plan(100), 1.5) is None
+    plan = Move([0.1, 0, 0], [0, 0, 0], 1.0).plan(100)
+    assert fastest(uncertain_of(VALUES), MODEL, weak, plan, 1.5) is None
 
 
 def test_each_number_is_changed_in_its_place():
-    names = [name for name, _, _ in perturbed(VALUES, MODEL)]
+    names = [name for name, _, _ in perturbed(uncertain_of(VALUES), MODEL)]
     assert len(names) == 12 + 1 + 3 + 3
-    for name, up, down in perturbed(VALUES, MODEL):
+    for name, up, down in perturbed(uncertain_of(VALUES), MODEL):
         if name == 'package.com[y]':
             assert_allclose((up[1][1], down[1][1]), [(0, 5e-4, -0.03), (0, -5e-4, -0.03)])
             assert up[0] == down[0] == MODEL[0]
@@ -118,7 +118,7 @@ def test_standard_deviations_are_those_of_monte_carlo(count, within):
         found = run.with_model(model).predict().summary()
         return np.array([found[name] for name in names])
 
-    _, parts = contributions(VALUES, MODEL, figures)
+    _, parts = contributions(uncertain_of(VALUES), MODEL, figures)
     rng = np.random.default_rng(8)
     std = parameter_std(VALUES)
     draws = parameter_vector(VALUES) + std * rng.standard_normal((count, 52))

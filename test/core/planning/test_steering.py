@@ -3,15 +3,9 @@
 import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
-from bellows_ros.core.model.cup_package import (
-    Cup,
-    mean_square,
-    model_tuple,
-    model_with,
-    parameter_std,
-    parameter_vector,
-)
+from bellows_ros.core.model.cup_package import Cup, mean_square, model_tuple, model_with
 from bellows_ros.core.model.simulation import rest, tool_rows
+from bellows_ros.core.parameters.conversion import parameter_std, parameter_vector, uncertain_of
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
@@ -251,4 +245,4 @@ def test_the_expected_swing_is_that_of_monte_carlo():
     std = parameter_std(VALUES)
     draws = parameter_vector(VALUES) + std * rng.standard_normal((100, 52))
     drawn = math.sqrt(np.mean([swing(model_with(MODEL, each)) ** 2 for each in draws]))
-    assert_allclose(math.sqrt(mean_square(VALUES, MODEL, swing)), drawn, rtol=0.15)
+    assert_allclose(math.sqrt(mean_square(uncertain_of(VALUES), MODEL, swing)), drawn, rtol=0.15)

@@ -4,6 +4,7 @@ from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion, trans
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.parameters.checks import validate
+from bellows_ros.core.parameters.conversion import tip_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import Arm, Joint
 from bellows_ros.core.signals.trajectory import (
@@ -11,7 +12,6 @@ from bellows_ros.core.signals.trajectory import (
     from_tip,
     PoseStream,
     streams_at_tip,
-    tip_of,
     TwistStream,
 )
 from bellows_ros.errors import BellowsError

@@ -1,0 +1,221 @@
+"""Objects of core from values of parameters: cup, package, gripper, structure, gravity."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+import math
+from typing import Any
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model import structure
+from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, Uncertain
+from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.structure import (
+    AUTO,
+    AUTO_STRUCTURES,
+    is_single,
+    matrix,
+    OF_LAYOUT,
+    positions_of,
+    Structure,
+    structure_named,
+    UPPER,
+)
+from bellows_ros.core.model.validity_range import Envelope, FIELDS, RANGE_PARAMETERS
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+BENDING_BY_MASS = (0.30, 0.03)
+"""Relative change of the bending stiffness per kg, of a cup without and with stretch, 1/kg."""
+
+STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
+"""Relative change of the diagonal of K per vacuum, of a bellows by finite elements, 1/Pa."""
+
+
+def is_gripper(values: Values) -> bool:
+    """Return whether parameter values describe cups other than one at E that holds."""
+    return bool(any(values.get('cup.layout', ())) or any(
+        index >= 0.0 for index in values.get('cup.open', ())))
+
+
+def cup_of(values: Values) -> Cup:
+    """Return the cup that parameter values describe (see `parameters`), composed of several."""
+    return gripper_of(one_cup_of(values), places_of(values))
+
+
+def one_cup_of(values: Values) -> Cup:
+    """Return the cup that parameter values describe, whatever cup.layout is."""
+    stiffness = structure.matrix(values.cup.stiffness)
+    a, b = values.get('cup.stretch', (0.0, 0.0))
+    ends = [values.get(f'envelope.deflection_{end}', np.zeros(6))[2] for end in ('low', 'high')]
+    structure.require_stretch(stiffness, (a, b), *(ends if any(ends) else ()))
+    return Cup(
+        stiffness, structure.matrix(values.cup.damping),
+        length=values.cup.length,
+        relaxation=values.get('cup.relaxation', (0.0, 0.0)),
+        relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES),
+        stretch=(a, b))
+
+
+def package_of(values: Values) -> Package:
+    """Return the package that parameter values describe (see `parameters`)."""
+    return Package(
+        mass=values.package.mass,
+        inertia=structure.inertia_matrix(values.package.inertia),
+        com=np.array(values.package.com))
+
+
+def parameter_vector(values: Values) -> Array:
+    """Return the numbers (52,) of parameter values: K and P, mass, com, inertia; SI units."""
+    return np.concatenate([
+        matrix(values.cup.stiffness)[UPPER], matrix(values.cup.damping)[UPPER],
+        [values.package.mass], values.package.com, values.package.inertia])
+
+
+def stiffness_std(values: Values) -> Array:
+    """
+    Return the standard deviations (6, 6) of K for the mass and the vacuum of use.
+
+    The figures of bellows by finite elements are added in proportion to the distance from
+    cup.valid_mass and cup.valid_vacuum.
+    """
+    std = np.reshape(values.cup.stiffness_std, (6, 6))
+    K = np.diag(matrix(values.cup.stiffness))
+
+    def distance(value: float, name: str) -> float:
+        low, high = values.get(name, (0.0, 0.0))
+        return max(low - value, value - high, 0.0) if high > 0.0 and value > 0.0 else 0.0
+
+    by_mass = BENDING_BY_MASS[any(values.get('cup.stretch', ()))]
+    more = distance(values.get('vacuum.holding', 0.0), 'cup.valid_vacuum') * STIFFNESS_BY_VACUUM
+    more[3:5] += by_mass * distance(values.get('package.mass', 0.0), 'cup.valid_mass')
+    return np.asarray(np.hypot(std, np.diag(K * more)))
+
+
+def parameter_std(values: Values) -> Array:
+    """
+    Return the standard deviations (52,) of the numbers.
+
+    An entry of K or P that is not identifiable has a huge one. A linear model holds for no more
+    than entries as large as the roots of their two diagonal ones: those are the largest.
+    """
+    root = [np.sqrt(np.diag(matrix(values[kind]))) for kind in ('cup.stiffness', 'cup.damping')]
+    limit = np.concatenate([np.outer(each, each)[UPPER] for each in root])
+    std = parameter_vector(Values({
+        name.removesuffix('_std'): each for name, each in values.items()
+        if name.endswith('_std')}))
+    std[:21] = stiffness_std(values)[UPPER]
+    return np.concatenate([np.minimum(std[:42], limit), std[42:]])
+
+
+def places_of(values: Values) -> Array:
+    """
+    Return x, y, z (m) in E and the index, from 0, of each cup that holds (n, 4).
+
+    Raises
+    ------
+    BellowsError
+        If cup.layout and cup.open do not describe a gripper that holds.
+
+    """
+    positions = positions_of(values.get('cup.layout', (0.0, 0.0, 0.0)))  # a single cup at E
+    opened = set(values.get('cup.open', ())) - {-1.0}  # which stands for none
+    wrong = sorted(opened - set(range(len(positions))))
+    if wrong:
+        raise BellowsError(
+            f'cup.open has {wrong[0]:g}; expected integers from 0 to {len(positions) - 1}, '
+            'the places of cups in cup.layout.')
+    if len(opened) == len(positions):
+        raise BellowsError(
+            'cup.open has all cups of cup.layout, so that none holds. Leave out those that hold.')
+    indices = np.setdiff1d(np.arange(len(positions)), list(opened))
+    return np.column_stack([positions[indices], indices])
+
+
+def richest_structure(values: Values) -> Structure:
+    """Return the richest structure that a fit may select: `given_structure` unless it is auto."""
+    return AUTO_STRUCTURES[1] if values.fit.structure == AUTO else given_structure(values)
+
+
+def given_structure(values: Values) -> Structure:
+    """
+    Return the structure of parameter values, with the places of the cups where they are needed.
+
+    Raises
+    ------
+    BellowsError
+        If fit.structure is none, or is layout without several cups in cup.layout.
+
+    """
+    structure = structure_named(values.fit.structure)
+    if structure is not OF_LAYOUT:
+        return structure
+    places = places_of(values)
+    if is_single(places):
+        raise BellowsError(
+            'fit.structure: layout fits one cup of a gripper, but cup.layout is that of a single '
+            'cup. Give x, y and z of each cup in the tool, in m, one cup after the other: '
+            'cup.layout: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
+    return replace(structure, places=tuple(map(tuple, places.tolist())))
+
+
+def fitted_structure(values: Values) -> Structure:
+    """Return the structure of a fit; BellowsError for that of a single cup with cup.layout."""
+    structure = given_structure(values)
+    if any(values.get('cup.layout', ())) and not structure.places:
+        raise BellowsError(
+            'cup.layout describes a gripper of several cups, whose cup.stiffness is of one, but '
+            f'fit.structure: {structure.name} is of a single cup. Set fit.structure: layout to '
+            'find the numbers of one cup from the gripper, or leave cup.layout out to fit the '
+            'gripper as one cup (fit.structure: full).')
+    return structure
+
+
+def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
+    """
+    Return the grip in parameter values, or None if it is incomplete.
+
+    Parameters
+    ----------
+    values : mapping
+        Parameters by name: cup.lip_radius, cup.suction_area, cup.friction, vacuum.holding.
+    vacuum : float, optional
+        Pressure below ambient (Pa) as it is measured, instead of vacuum.holding.
+
+    """
+    radius = float(values.cup.lip_radius)
+    pressure = float(values.vacuum.holding) if vacuum is None else max(vacuum, 0.0)
+    if radius == 0.0 or (vacuum is None and pressure == 0.0):
+        return None
+    area = float(values.cup.suction_area) or math.pi * radius * radius
+    grip, places = (pressure * area, radius, float(values.cup.friction)), places_of(values)
+    return grip if is_single(places) else (*grip, places)
+
+
+def parameter_envelope(values: Values) -> Envelope | None:
+    """Return the envelope in parameter values, or None if all are zero: unknown."""
+    ranges = {name: np.array(values.get(RANGE_PARAMETERS[name], ())) for name in FIELDS}
+    if not any(ranges[name].any() for name in FIELDS[:4]):
+        return None
+    return Envelope(**{**ranges, 'frequencies': ranges['frequencies'].reshape(2, 2)})
+
+
+def tip_of(values: Values) -> Array | None:
+    """Return the pose (4, 4) of E in the frame of the tool's poses, None where that is E."""
+    text = values.get('tool_pose.offset', '')
+    if not text:
+        return None
+    pose = np.array([float(part) for part in text.split()])
+    return lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3])
+
+
+def gravity_of(values: Mapping[str, Any]) -> Array:
+    """Return the acceleration (3,) of gravity in the world, m/s^2, of parameter values."""
+    direction = np.asarray(values['gravity.direction'], dtype=np.float64)
+    return np.asarray(values['gravity.magnitude'] * (direction / np.linalg.norm(direction)))
+
+
+def uncertain_of(values: Values) -> Uncertain:
+    """Return the numbers of cup and package with standard deviations and the cups' places."""
+    return Uncertain(parameter_vector(values), parameter_std(values), places_of(values))
