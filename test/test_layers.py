@@ -61,6 +61,24 @@ CORE = (
 """The rooms of core, each above those that it may import."""
 
 
+READ_VALUES = {
+    'identification.methods', 'identification.quantities', 'identification.reduction',
+    'live.flight', 'live.load', 'live.payload', 'live.predictor', 'live.uncertainty',
+    'observer.calibration', 'observer.correction', 'observer.measurement', 'observer.observer',
+    'recording.measurement_model', 'toss.landing', 'toss.release'}
+"""Modules of core outside `parameters` that still read parameters by name."""
+
+CORE_SENTENCES = {
+    'geometry.jit': 2, 'identification.causes': 6, 'identification.diagnosis.commission': 1,
+    'identification.identifiability': 2, 'identification.methods': 1,
+    'identification.output_error': 1, 'identification.result': 3, 'identification.validation': 4,
+    'model.cup_package': 1, 'model.grip': 5, 'model.structure': 9, 'model.validity_range': 3,
+    'observer.measurement': 1, 'parameters.checks': 4, 'parameters.table': 6, 'planning.points':
+    10, 'recording.alignment': 3, 'recording.conventions': 2, 'recording.preparation': 3,
+    'signals.resampling': 1, 'signals.transforms': 4}
+"""Number of sentences that modules of core still have."""
+
+
 def is_ros(module):
     """Tell whether a module comes with ROS."""
     top = module.partition('.')[0]
@@ -183,9 +201,7 @@ def graph_of(root, room='*'):
 
 
 def floor(name):
-    """Return the place of a module's room in the order of core, 0 for core itself and values."""
-    if name == 'bellows_ros.core.parameters.values':
-        return 0
+    """Return the place of a module's room in the order of core, 0 for core itself."""
     return sum(CORE.index(room) + 1 for room in name.split('.')[2:3])
 
 
@@ -195,6 +211,38 @@ def test_modules_of_core_import_downwards(root):
         f'{name} imports {target}' for name, targets in graph_of(root, 'core').items()
         for target in targets if floor(target) > floor(name)]
     assert wrong == []
+
+
+def test_core_reads_no_parameter_by_name(root):
+    """Convert values in `parameters/conversion.py`; `READ_VALUES` may only become shorter."""
+    values = 'bellows_ros.core.parameters.values'
+    assert {name.removeprefix('bellows_ros.core.') for name, targets in graph_of(
+        root, 'core').items() if values in targets and '.parameters.' not in name} == READ_VALUES
+
+
+def sentences_in(tree):
+    """Count the texts of more than four words outside errors, docstrings and constants' texts."""
+    def inside(node):
+        if isinstance(node, ast.Raise) or (
+                isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
+            return 0
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith('Error'):
+            return 0
+        if isinstance(node, ast.JoinedStr):
+            parts = [each.value for each in node.values if isinstance(each, ast.Constant)]
+            return len(' '.join(parts).split()) > 4
+        if isinstance(node, ast.Constant):
+            return isinstance(node.value, str) and len(node.value.split()) > 4
+        return sum(map(inside, ast.iter_child_nodes(node)))
+
+    return inside(tree)
+
+
+def test_core_has_no_sentences(root):
+    """Return codes and numbers; the numbers of `CORE_SENTENCES` may only become smaller."""
+    found = {name_of(file, root).removeprefix('bellows_ros.core.'): sentences_in(
+        ast.parse(file.read_text())) for file in modules(root, 'core')}
+    assert {name: count for name, count in found.items() if count} == CORE_SENTENCES
 
 
 def test_modules_import_in_no_circle(root):

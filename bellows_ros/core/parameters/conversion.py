@@ -10,18 +10,8 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, Uncertain
 from bellows_ros.core.model.grip import Grip
-from bellows_ros.core.model.structure import (
-    AUTO,
-    AUTO_STRUCTURES,
-    is_single,
-    matrix,
-    OF_LAYOUT,
-    positions_of,
-    Structure,
-    structure_named,
-    UPPER,
-)
-from bellows_ros.core.model.validity_range import Envelope, FIELDS, RANGE_PARAMETERS
+from bellows_ros.core.model.structure import matrix, Structure, UPPER
+from bellows_ros.core.model.validity_range import Envelope, RANGE_PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -119,7 +109,7 @@ def places_of(values: Values) -> Array:
         If cup.layout and cup.open do not describe a gripper that holds.
 
     """
-    positions = positions_of(values.get('cup.layout', (0.0, 0.0, 0.0)))  # a single cup at E
+    positions = structure.positions_of(values.get('cup.layout', (0.0, 0.0, 0.0)))
     opened = set(values.get('cup.open', ())) - {-1.0}  # which stands for none
     wrong = sorted(opened - set(range(len(positions))))
     if wrong:
@@ -135,7 +125,8 @@ def places_of(values: Values) -> Array:
 
 def richest_structure(values: Values) -> Structure:
     """Return the richest structure that a fit may select: `given_structure` unless it is auto."""
-    return AUTO_STRUCTURES[1] if values.fit.structure == AUTO else given_structure(values)
+    is_auto = values.fit.structure == structure.AUTO
+    return structure.AUTO_STRUCTURES[1] if is_auto else given_structure(values)
 
 
 def given_structure(values: Values) -> Structure:
@@ -148,28 +139,28 @@ def given_structure(values: Values) -> Structure:
         If fit.structure is none, or is layout without several cups in cup.layout.
 
     """
-    structure = structure_named(values.fit.structure)
-    if structure is not OF_LAYOUT:
-        return structure
+    named = structure.structure_named(values.fit.structure)
+    if named is not structure.OF_LAYOUT:
+        return named
     places = places_of(values)
-    if is_single(places):
+    if structure.is_single(places):
         raise BellowsError(
             'fit.structure: layout fits one cup of a gripper, but cup.layout is that of a single '
             'cup. Give x, y and z of each cup in the tool, in m, one cup after the other: '
             'cup.layout: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
-    return replace(structure, places=tuple(map(tuple, places.tolist())))
+    return replace(named, places=tuple(map(tuple, places.tolist())))
 
 
 def fitted_structure(values: Values) -> Structure:
     """Return the structure of a fit; BellowsError for that of a single cup with cup.layout."""
-    structure = given_structure(values)
-    if any(values.get('cup.layout', ())) and not structure.places:
+    given = given_structure(values)
+    if any(values.get('cup.layout', ())) and not given.places:
         raise BellowsError(
             'cup.layout describes a gripper of several cups, whose cup.stiffness is of one, but '
-            f'fit.structure: {structure.name} is of a single cup. Set fit.structure: layout to '
+            f'fit.structure: {given.name} is of a single cup. Set fit.structure: layout to '
             'find the numbers of one cup from the gripper, or leave cup.layout out to fit the '
             'gripper as one cup (fit.structure: full).')
-    return structure
+    return given
 
 
 def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
@@ -190,13 +181,14 @@ def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
         return None
     area = float(values.cup.suction_area) or math.pi * radius * radius
     grip, places = (pressure * area, radius, float(values.cup.friction)), places_of(values)
-    return grip if is_single(places) else (*grip, places)
+    return grip if structure.is_single(places) else (*grip, places)
 
 
 def parameter_envelope(values: Values) -> Envelope | None:
     """Return the envelope in parameter values, or None if all are zero: unknown."""
-    ranges = {name: np.array(values.get(RANGE_PARAMETERS[name], ())) for name in FIELDS}
-    if not any(ranges[name].any() for name in FIELDS[:4]):
+    ranges = {name: np.array(values.get(RANGE_PARAMETERS[name], ())) for name in RANGE_PARAMETERS}
+    if not any(ranges[name].any() for name in RANGE_PARAMETERS
+               if name not in ('mass', 'vacuum')):
         return None
     return Envelope(**{**ranges, 'frequencies': ranges['frequencies'].reshape(2, 2)})
 
