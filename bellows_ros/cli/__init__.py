@@ -9,7 +9,7 @@ of this package with its name, whose `run(arguments, console)` does the work and
 
 An argument of the table has `name` (with what stands for its values in the help) and `help`, and
 
-- `type`: path, int or float; output, binary or folder of what is written; or switch;
+- `type`: path, int or float; output, binary or folder of an output; or switch;
 - `repeat`: an option may be repeated, a positional argument may have several values;
 - `optional`: its value may be left out;
 - what `add_argument` of a parser takes: default, choices, required, dest, nargs.
@@ -86,10 +86,10 @@ def _argument(
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser with short errors: what is wrong, and where to find help."""
+    """A parser with short errors: the fault, and the place of help."""
 
     commands: Mapping[str, 'Parser'] = MappingProxyType({})
-    """Of the program: the parsers of its commands."""
+    """Parsers of the commands; empty in the parser of a command."""
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
         """Wrap the description; the epilog stays as it is."""
@@ -99,7 +99,7 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Refuse what is unknown here: the parser of the program does not know the options."""
+        """Reject unknown words here: the parser of the program does not know the options."""
         self._words = list(args or ())
         parsed, unknown = super().parse_known_args(args, namespace)
         if unknown:
@@ -111,7 +111,7 @@ class Parser(argparse.ArgumentParser):
         print(message, end='', file=file or sys.stderr, flush=True)
 
     def error(self, message: str) -> NoReturn:
-        """Report what is wrong with the command line and what was meant, and exit with 2."""
+        """Report the fault of the command line and its likely meaning, and exit with 2."""
         known = [*self._option_string_actions, *self.commands]
         for word in (word.partition('=')[0] for word in (
                 self._words[:1] if self.commands else self._words)):
@@ -129,7 +129,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     args : sequence of str, optional
-        Command line behind the command's name; that of the process if left out.
+        Words of the command line; by default, the words of this process.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def add_arguments(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 def program_parser() -> Parser:
-    """Return the parser of the program, which knows those of its commands."""
+    """Return the parser of the program and, inside it, of its commands."""
     width = max(map(len, COMMANDS))
     listed = '\n'.join(f'  {name:{width}}  {entry["does"]}' for name, entry in COMMANDS.items())
     program = Parser('bellows', PROGRAM['text'], PROGRAM['ends'].format(

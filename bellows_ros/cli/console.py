@@ -88,7 +88,7 @@ class Console:
         self._out = self._err
 
     def require_no_signal(self) -> None:
-        """End where a signal has been noted, but what it raised was lost."""
+        """End if a signal has been noted, but its exception was lost."""
         if self._signals:
             raise KeyboardInterrupt
 
@@ -181,7 +181,7 @@ class Progress:
         self._next, self._stage = now + REDRAW_INTERVAL, stage
         width = shutil.get_terminal_size().columns - 1
         line = progress_line(stage, fraction, now - self._start)
-        shown = line if len(line) <= width else stage  # what is done matters more than the bar
+        shown = line if len(line) <= width else stage  # the step matters more than the bar
         self._stream.write(CLEAR_LINE + printable(shown)[:width])
         self._stream.flush()
         jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')
@@ -227,7 +227,7 @@ def _is_terminal(stream: TextIO) -> bool:
 
 
 def _wrapped(text: str, first: str, rest: str) -> list[str]:
-    """Return lines as wide as the terminal, at most what is easy to read, with indentations."""
+    """Return indented lines as wide as the terminal, up to the widest that is easy to read."""
     width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), MIN_WIDTH)
     return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=rest,
                          break_long_words=False, break_on_hyphens=False)
@@ -312,7 +312,7 @@ def run_guarded(work: Callable[[Console], int]) -> int:
         return USER_ERROR
     finally:
         sys.unraisablehook = unraisable
-        for number in handled if not ended else ():  # ignored: what is left is to clean up
+        for number in handled if not ended else ():  # ignored during the cleanup
             signal.signal(number, before[number])
 
 

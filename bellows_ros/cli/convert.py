@@ -70,7 +70,7 @@ def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -
 
 
 def print_result(done: Conversion, console: Console) -> None:
-    """Print what was converted and what was left out."""
+    """Print the numbers of converted and of rejected poses."""
     for body in done.bodies:
         rejected = ', '.join(f'{count} {reason}' for reason, count in body.left_out.items())
         console.line(f'{body.topic}: {body.poses} poses of {body.source}'

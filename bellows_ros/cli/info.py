@@ -74,7 +74,7 @@ def _check_sentence(check: Check) -> str:
 
 
 def _commented(result: Info) -> list[str]:
-    """Return lines of a parameter file with the checks, and what they found, as comments."""
+    """Return comments for a parameter file: each check and its result."""
     lines = list[str]()
     for check in result.checks:
         lines += textwrap.wrap(

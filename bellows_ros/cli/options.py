@@ -1,4 +1,4 @@
-"""What the commands share: the order of their work, the settings, and checks of outputs."""
+"""Common parts of the commands: order of the work, settings, checks of outputs."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.fil
 
 class Outcome(NamedTuple):
     """
-    What a command has done.
+    Result of a command.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Outcome(NamedTuple):
 
 
 def run_command(arguments: argparse.Namespace, console: Console) -> int:
-    """Check the outputs, work, write --json, print, name what was written; return the code."""
+    """Check the outputs, work, write --json, print, name the written files; return the code."""
     require_named_outputs(arguments)
     require_drawable(arguments)
     command = importlib.import_module(f'{__package__}.{arguments.command}')
@@ -104,7 +104,7 @@ def read_settings(
     arguments: argparse.Namespace, node: str | None = None, cup_for: Console | None = None
 ) -> dict[str, table.Value]:
     """
-    Return the parameters of the files and, over them, those of the command line.
+    Return the parameters of the files, replaced by the parameters of the command line.
 
     Parameters
     ----------
@@ -197,8 +197,8 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
     Raises
     ------
     BellowsError
-        If a folder is missing, something else is in a file's place, two are the same, one is read
-        or lies in what is read, or what is no text is for stdout.
+        If a folder is missing, a path is no file, two paths are equal, an output would replace
+        an input or lie in one, or binary output is for stdout.
 
     """
     named = [item for value in vars(arguments).values()

@@ -45,7 +45,7 @@ def template(parameters: Iterable[Parameter]) -> str:
     """
     Return a parameter file with the defaults.
 
-    What has no default, or an empty list, which ROS files do not know, stands there as a comment.
+    A parameter without a default, or with an empty list, which ROS files lack, is a comment.
     """
     parameters = list(parameters)
     required = [p for p in parameters if p.default in (None, ())]

@@ -1,4 +1,4 @@
-"""Predict what a planned motion does to the package, and if it holds."""
+"""Predict the motion of the package during a plan, and the safety of the grip."""
 
 import argparse
 import math

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
 
 def print_result(played: 'Played', console: Console) -> None:
-    """Print what was sent."""
+    """Print the numbers of sent messages."""
     width = max(map(len, played.messages))
     for name, count in played.messages.items():
         console.line(f'  {name:{width}}  {count} messages')

@@ -51,7 +51,7 @@ def _draw(
     arguments: argparse.Namespace, values: Values, recording: Recording, has_cup: bool, note: str,
     progress: Progress,
 ) -> Any:
-    """Draw and write; return what the picture shows."""
+    """Draw and write; return the drawn data."""
     def bodies() -> plot.Replayed:
         live = replay.predicted_live(recording, values, progress)
         return plot.with_bodies(values, recording, live)

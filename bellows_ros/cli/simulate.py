@@ -22,7 +22,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
 
 def print_result(report: SimulationReport, console: Console) -> None:
-    """Print what was recorded."""
+    """Print the numbers of messages and of faults."""
     console.line(f'Recorded {report.duration_s:g} s to {report.bag}', 'bold')
     width = max(map(len, report.messages))
     for topic, count in report.messages.items():

@@ -24,8 +24,7 @@ def configure_process(is_node: bool = False) -> None:
 
     More threads only contend: on two busy cores least squares takes two to seven times as long
     with them. And by itself glibc soon keeps the memory of freed arrays, a tenth of what a long
-    recording needs; so do threads with memory of their own, which those of a node may have.
-    What the user has set prevails.
+    recording needs, and more with an arena per thread. Settings of the user prevail.
     """
     warnings.simplefilter('ignore', UnitWarning)  # commands and nodes ask in their own output
     for variable in ('OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):

@@ -18,11 +18,11 @@ DOMAINS = 101
 PORTS = (7400, 7410)  # of domain 0: multicast discovery, the first participant's unicast
 PORTS_PER_DOMAIN = 250
 
-# What else could let discovery reach other machines.
+# Other settings that let discovery reach other machines.
 _DISCOVERY_VARIABLES = ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER')
 
-# Held until this process ends, so that of two that look for a domain at once none takes the
-# other's before ROS runs in it.
+# Open until this process ends: two processes that search at once do not choose the same domain
+# before ROS occupies it.
 _reserved: list[socket.socket] = []
 
 

@@ -75,9 +75,9 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     Parameters
     ----------
     name : str
-        Of the node and of its command.
+        Name of the node and of its command.
     args : sequence of str, optional
-        The command line behind the command's name; that of the process if left out.
+        Words of the command line; by default, the words of this process.
     node : str, optional
         The node's module and class, instead of those in `NODES`. A node has a future `finished`:
         its result ends the process with 0, its exception is raised here.
@@ -183,7 +183,7 @@ def require_ros() -> None:
 
 
 def _initialise(argv: Sequence[str]) -> None:
-    """Start ROS; say plainly what is wrong with its arguments."""
+    """Start ROS; raise BellowsError for faulty arguments."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 

@@ -75,7 +75,7 @@ def odometry(
     Return pose and twist of the package with covariances (REP-103: row-major, xyz first).
 
     The root (12, n) of the covariance is in body axes; the covariance of the pose is rotated into
-    world axes, that of the twist stays in the axes of the child frame.
+    world axes, the covariance of the twist remains in the axes of the child frame.
     """
     return pack(
         messages.ODOMETRY, (frame_id, child_frame_id), prediction.stamp_ns,
@@ -92,7 +92,7 @@ def payload_message(frame_id: str, payload: Payload) -> bytes:
 
 
 def payload_std_message(frame_id: str, payload: Payload) -> bytes:
-    """Return the standard deviations of an estimated payload, those of products being 0."""
+    """Return the standard deviations of an estimated payload, with 0 for products of inertia."""
     xx, yy, zz = payload.inertia_std.tolist()
     return pack(messages.INERTIA, (frame_id,), payload.stamp_ns, payload.mass_std,
                 *payload.com_std.tolist(), xx, 0.0, 0.0, yy, 0.0, zz)

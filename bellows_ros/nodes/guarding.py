@@ -197,7 +197,7 @@ class Worker:
             self._changed.notify_all()
 
     def cancel(self) -> None:
-        """Drop what waits, and stop what is worked on."""
+        """Drop the waiting tasks, and stop the present one."""
         with self._changed:
             self._pending.clear()
             self.stop[0] = True

@@ -80,7 +80,7 @@ class IdentifierNode(TableNode):
             self.finished.set_exception(error)
 
     def _log_stage(self, stage: str, part: float = 0.0) -> None:
-        """Log what is done, once."""
+        """Log each step once."""
         if stage != self._stage:
             self._stage = stage
             self.get_logger().info(stage)

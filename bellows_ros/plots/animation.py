@@ -58,7 +58,7 @@ def write_animation(
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
     progress : callable, optional
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
     speed : float
         Seconds of the recording per second of the animation.
 

@@ -1,5 +1,5 @@
 """
-Pages of an identification and of a replay: what the command prints, pictures, provenance.
+Pages of an identification and of a replay: tables of the terminal, pictures, provenance.
 
 Headings, tables and pictures are HTML, with all style inside.
 """
@@ -75,7 +75,7 @@ class Section:
         self.add(*([f'<ul class="warning">{items}</ul>'] if texts else []))
 
     def add(self, *parts: str) -> None:
-        """Add what is HTML already."""
+        """Add HTML."""
         self._parts += parts
 
 

@@ -117,7 +117,7 @@ class InputReport(NamedTuple):
     topic: str
     publishers: int
     mismatch: str
-    """What does not match some publisher's, or ''."""
+    """QoS setting that does not match a publisher, or ''."""
     messages: int
     rate_hz: float
     jitter: float

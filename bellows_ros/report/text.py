@@ -174,7 +174,7 @@ def print_relaxation(
 
 
 def _print_samples(result: 'Identification', out: Writer) -> None:
-    """Print how many samples were used, and what was wrong with the poses of each topic."""
+    """Print the number of used samples, and the faults of the poses of each topic."""
     fit = result.fit
     out.paragraph(sentence(
         'report', 'samples', used=fit.samples_used, rejected=fit.samples_rejected))

@@ -2,7 +2,7 @@
 One complete job each: files in, `bellows_ros.core` in the middle, files out.
 
 Prints nothing and knows no ROS, so that commands, nodes and scripts share the same work. Results
-draw and write themselves. What few runs need is loaded when it is first used.
+draw and write themselves. Rarely needed modules are loaded at their first use.
 """
 
 from collections.abc import Callable

@@ -79,7 +79,7 @@ class DesignedMotion(CommandResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings before the motion: what it cannot identify, and what would."""
+        """Return warnings before the motion: parameters that it cannot identify, and remedies."""
         warnings = checks.implausible(self.values)
         if motion_design.LOADS[-1] not in self.design.ratios:
             warnings += (NO_FACTOR,)
@@ -142,7 +142,7 @@ def excite(
     seed : int
         Of the shape from which the search begins.
     progress : callable, optional
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
     hold : float
         Of a tilt after the motion, s, in which rubber relaxes; 0 for none.
 

@@ -74,7 +74,7 @@ def identify(
     settings : mapping
         Parameters by name; those left out have their defaults.
     progress : callable, optional
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
     parameter_files : sequence of path, optional
         Files that the settings are from, for the provenance.
     jobs : int, optional

@@ -47,7 +47,7 @@ MOTION_RATE = 500.0
 """Points per second taken from a motion of `bellows simulate`, Hz."""
 
 TIME_MARGIN = 1.001
-"""Factor on time beyond that of a limit, as peaks are sought at points 1 ms apart."""
+"""Margin on the time scale of a limit, since peaks are sought at points 1 ms apart, 1."""
 
 TAIL_SHOWN = 1.5
 """Longest time after the end that a picture shows, s."""
@@ -77,7 +77,7 @@ MotionSource = File | Trajectory
 @dataclass(frozen=True, eq=False)
 class Source:
     """
-    A plan as read from its file, and the parameters of what it moves.
+    A plan as read from its file, with the parameters of cup and package.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Source:
 
     @property
     def duration(self) -> float:
-        """Of the plan, s."""
+        """Duration of the plan, s."""
         return float(self.tool.seconds[-1])
 
     @property
@@ -132,13 +132,13 @@ class Source:
 
     @cached_property
     def grip(self) -> Grip | None:
-        """Of the cup; None if unknown."""
+        """Grip of the cup; None if unknown."""
         return grip_of(self.values)
 
 
 class Curves(NamedTuple):
     """
-    What a motion does to the package, over time.
+    Deflection, loads and safety of a plan over time.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ class PlanReport(CommandResult):
 
     @cached_property
     def curves(self) -> Curves:
-        """What a picture shows, with what follows a plan that ends at rest."""
+        """Curves of the picture, including the time after a plan that ends at rest."""
         prediction, source = self.prediction, self.source
         after = min(TAIL_SHOWN, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
         return curves(source.values, source.model, source.grip, extended(source.tool, after))
@@ -520,8 +520,7 @@ def stands_at_first(measured: Trajectory) -> bool:
     """
     Return whether a recorded tool stands in the first `START_WINDOW`.
 
-    Its mean twist there, fitted to the poses, is that of a standing tool within
-    `START_DEVIATIONS` of its standard error.
+    Its mean twist there, fitted to the poses, is below `START_DEVIATIONS` standard errors.
     """
     window = measured.select(measured.seconds <= START_WINDOW)
     if len(window) < MIN_START_POSES:
@@ -545,7 +544,7 @@ def from_rest(tool: Trajectory) -> Trajectory:
 def _with_rates(
     poses: Trajectory, twists: trajectory.TwistStream | None, values: Values
 ) -> tuple[Trajectory, Array, str]:
-    """Return measured poses with recorded twists, or with those of the filter, and their axes."""
+    """Return measured poses with recorded or filtered twists, and the axes of the twists."""
     if twists is not None:
         first, last = twists.stamps_ns[[0, -1]]
         poses = poses.select((poses.stamps_ns >= first) & (poses.stamps_ns <= last))

@@ -25,7 +25,7 @@ from bellows_ros.report.sentences import sentence
 import numpy as np
 
 Progress = Callable[..., None]
-"""Called with what is being done and the part (0 to 1) that is done."""
+"""Called with the present step and its completed part (0 to 1)."""
 
 
 def no_progress(what: str, part: float = 0.0) -> None:
@@ -36,7 +36,7 @@ OTHER_TOPICS = ' If the topics of recordings differ, give each a file in package
 """Remedy for a topic that is missing in one of several recordings."""
 
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
-"""For what is read whole: plans, standstills, and recordings for validation."""
+"""Settings for reading whole recordings: plans, standstills, validations."""
 
 ARRAYS = ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
 """The arrays of streams with an entry per message."""
@@ -53,10 +53,10 @@ NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 """Placeholder for the inertia (kg m^2) of a package at rest, which does not matter."""
 
 FILES_OF = {'bags': 'package.files', 'static.bags': 'static.files'}
-"""Where the parameter files of recordings are named."""
+"""Parameters that name the parameter files of recordings."""
 
 RECORDING_PREFIXES = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
-"""Parameters, other than those of the package, in which recordings of one cup may differ."""
+"""Prefixes of parameters, besides package, in which recordings of one cup may differ."""
 
 
 class Failed(NamedTuple):

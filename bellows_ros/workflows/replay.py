@@ -338,7 +338,7 @@ def replay(
     settings : mapping
         Parameters by name: cup, package, topics and how it was recorded.
     progress : callable, optional
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
     observe : str
         Topic with measured poses of the package, which correct another live prediction; none when
         left out.

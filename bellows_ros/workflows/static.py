@@ -152,7 +152,7 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
     values : mapping
         All parameters.
     progress : callable
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
 
     Raises
     ------
@@ -190,7 +190,7 @@ def static_check(
         Parameters by name. The spring is checked if cup.stiffness is among them; with cup.length,
         or with the estimated length where that is not among them.
     progress : callable, optional
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
 
     Raises
     ------

@@ -45,7 +45,7 @@ class SteeredMotion(NamedTuple):
     along: Trajectory
     """The tool until `TAIL` after the end, N points."""
     states: Array
-    """Of B in the world (N, 13): position, quaternion, body twist."""
+    """States of B in the world (N, 13): position, quaternion, body twist."""
     reference: Trajectory
     """Reference motion of B, N points."""
     expected_swing: float
@@ -208,7 +208,7 @@ def read_limits(content: object) -> Limits:
     """
     Return the limits in the content of a YAML file, as config/limits_example.yaml explains it.
 
-    All of them are optional. What only `bellows excite` needs is left unread.
+    All of them are optional. Settings of `bellows excite` alone are not read.
 
     Raises
     ------

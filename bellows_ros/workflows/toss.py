@@ -26,7 +26,7 @@ from bellows_ros.workflows.recordings import load, no_progress, Progress, values
 import numpy as np
 
 RATE = 500.0
-"""Of the poses of a toss that is written, Hz."""
+"""Rate of the poses of a written toss, Hz."""
 
 MAX_TARGET = 100.0
 """Largest coordinate of a target, m."""
@@ -44,7 +44,7 @@ class Share(NamedTuple):
 
     name: str
     std: float
-    """Of the parameter, SI units; of a group NaN."""
+    """Standard deviation of the parameter, SI units; NaN for a group."""
     metres: float
     radians: float
 
@@ -64,7 +64,7 @@ class TossResult(CommandResult):
 
     @property
     def covariance(self) -> Array:
-        """Of the landing (6, 6), m and rad."""
+        """Covariance of the landing (6, 6), m and rad."""
         return self.parts.covariance
 
     def shares(self) -> list[Share]:
@@ -174,7 +174,7 @@ class TossResult(CommandResult):
 
 
 def _budget(shares: list[Share]) -> list[dict[str, Any]]:
-    """Return contributions as JSON; those of groups are independent, so that squares add up."""
+    """Return contributions as JSON; groups are independent, so that their squares add up."""
     return [{'name': share.name, 'std': share.std, 'contribution_mm': 1e3 * share.metres,
              'contribution_deg': math.degrees(share.radians)} for share in shares]
 
@@ -361,7 +361,7 @@ def identify_release(
     settings : mapping
         Parameters by name, with the cup, and the package of each recording.
     progress : callable
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
 
     Raises
     ------

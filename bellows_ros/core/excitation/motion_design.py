@@ -8,10 +8,10 @@ over limits and time, divides the coefficients, so that only their shape is sear
 pass the whole model simulates the motion, and corrects the limits of the loads
 in the linear one. The most informative pass is scaled until no limit is violated.
 
-The information of a motion, before or after it is recorded, is that of the output error, by its
-own code: of the poses in units of what noise of both bodies makes of their differences from the
-simulated ones (see `identification.whitening`). For small motions it follows from the linear
-response, which is what a search can afford.
+The information of a motion, planned or recorded, is the information of an output error fit, by
+the same code: pose differences are whitened by the noise of both bodies (see
+`identification.whitening`). For small motions the linear response gives the information fast
+enough for a search.
 """
 
 from collections import Counter
@@ -165,7 +165,7 @@ class ArmLimits(NamedTuple):
         return turned
 
     def bounds(self) -> list[Bound]:
-        """Return the limits on the tool, those of joints for small motions."""
+        """Return the limits on the tool; limits of joints are linearised about the start."""
         eye, start = np.eye(6), self.start.position
         headroom = np.concatenate(
             [np.minimum(self.upper - start, start - self.lower), self.rotation]).tolist()
@@ -315,7 +315,7 @@ class Response(NamedTuple):
     Parameters
     ----------
     package : ndarray (F, 6, 6)
-        Displacement of B (m, rad, body axes) by that of E (body axes).
+        Transfer matrix from displacements of E to displacements of B (m, rad, body axes).
     changes : ndarray (n, F, 6, 6)
         Its derivatives by parameters, in units of the spread of a pose's innovation there.
     constant : ndarray (n, n)
@@ -439,7 +439,7 @@ class FourierMotion(moving.Vibration):
 
     @property
     def highest_frequency(self) -> float:
-        """Of the last harmonic, Hz."""
+        """Frequency of the last harmonic, Hz."""
         return len(self.coefficients) / self.period
 
     def displacement(self, t: Array) -> Array:
@@ -472,7 +472,7 @@ class Checks(NamedTuple):
     grip: Grip | None
 
     def ratios(self, motion: Motion) -> dict[str, float]:
-        """Return the largest part of every limit that a motion takes, whatever model is right."""
+        """Return the largest use of every limit, as a fraction, over all models."""
         worst = self.loads(motion).max(axis=0).tolist()
         return self.limits.ratios(motion) | dict(zip(LOADS, worst, strict=False))
 
@@ -652,7 +652,7 @@ def design(
     seed : int
         Of the shape from which the search begins.
     progress : callable
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
     hold : float
         Of a tilt, s, beside `duration`: rubber relaxes in it. None where the tool may not tilt.
 

@@ -93,7 +93,7 @@ def fit(
     values : mapping
         Parameters by name: fit.*, cup.*, gravity.
     progress : callable, optional
-        Called with what is being done and the part (0 to 1) that is done.
+        Called with the present step and its completed part (0 to 1).
     standstills : sequence of Standstill
         Of the same cup, whose balance counts, too.
     length_std : float

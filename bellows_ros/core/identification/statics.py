@@ -4,14 +4,14 @@ The cup's length from standstills (4.2), and a check of its spring.
 The spring can be checked pose by pose, and the length of the cup under several loads, seen without
 noise, leads to its length under none.
 
-As equations for K, standstills are solved together with those of a motion. At rest the spring
-alone balances gravity (3.9): the acceleration a(q, k) is zero, with k the entries of K and q the
-lip's pose. Near a guess k0, whose equilibrium is q0, a measured pose is
+Standstills are equations for K, solved jointly with the equations of a motion. At rest the spring
+alone balances gravity (3.9): the acceleration a(q, k) is zero, with the entries k of K and the
+pose q of the lip. Near a guess k0, whose equilibrium is q0, a measured pose is
 
     q = q0 - (da/dq)^-1 da/dk (k - k0) + error,
 
-six equations that are linear in K. The derivatives are those at the equilibrium and not at the
-measured pose, whose noise would look like strain where there is no load. The errors of the mean
+six equations that are linear in K. The derivatives are taken at the equilibrium: at the
+measured pose, noise would look like strain without a load. The errors of the mean
 pose, and of the cup's length, whiten the equations.
 """
 
@@ -50,7 +50,7 @@ CUBIC_GAIN = 0.8
 """The cubic is used if it predicts masses left out with less than this part of the error."""
 
 MAX_SCATTER = 0.25
-"""Scatter about the line, as a part of what the loads lengthen the cup, above which none fits."""
+"""Largest scatter about the line, as a fraction of the elongation by the loads."""
 
 LINEARITY_TOLERANCE = 0.05
 """The linear range ends where the polynomial deviates from its tangent by this fraction."""
@@ -273,7 +273,7 @@ def is_off(pose: PoseCheck) -> bool:
 
 def check_pose(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     """
-    Compare the measured equilibrium of a standstill with that of the spring model (3.9).
+    Compare the measured equilibrium of a standstill with the equilibrium of the model (3.9).
 
     Gravity (m/s^2) points along -z of the world; damping has no effect.
     """

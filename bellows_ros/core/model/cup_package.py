@@ -148,7 +148,7 @@ class Package:
     com : array_like (3,)
         Centre of mass B in the lip frame S, m; typically (0, 0, -d).
     is_checked : bool
-        Whether the numbers are checked; a search goes a little beyond what a body can have.
+        Whether the numbers are checked; a search also tries slightly impossible bodies.
 
     Raises
     ------
@@ -247,11 +247,7 @@ def blocks(matrix: Array) -> Blocks:
 
 
 def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> ModelTuple:
-    """
-    Return the model as the kernels take it.
-
-    Gravity is that of `gravity_vector`.
-    """
+    """Return the model as the kernels take it; `gravity_vector` explains the gravity."""
     vector = frozen_array(gravity_vector(gravity), (3,), 'gravity')
     return cup.as_tuple, package.as_tuple, _tuple(vector)
 
@@ -339,7 +335,7 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
     """
     Return a model with other numbers (52,), length and gravity as they are.
 
-    K and P are those of one of the cups at the places (n, 4): x, y, z (m) in E and the index.
+    K and P describe each of the equal cups at the places (n, 4): x, y, z (m) in E, and the index.
     """
     K, P = np.zeros((2, 6, 6))
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
@@ -411,7 +407,7 @@ def mean_square(
     """
     Return the mean square of a vector over the uncertain parameters; see `contributions`.
 
-    Of a size near zero the derivative says nothing; its square is quadratic in each number.
+    Near zero the derivative of a norm is useless, but its square is quadratic in each number.
     """
     square = compute(model) ** 2
     changes = sum(compute(up) ** 2 + compute(down) ** 2 - 2.0 * square

@@ -1,7 +1,7 @@
 """
 Structures of K and P: which entries are free, which are tied, and how equal cups add up.
 
-A new structure is one entry in `STRUCTURES`: whatever depends on the structure follows from it.
+A new structure is one entry in `STRUCTURES`: methods, tables and exports follow.
 
 Cup i of a gripper stands at a_i in E, and its lip at a_i in S. Its strain (3.18) and twist are
 linear in those of a cup at the origin, h_i = A_i h and v_i = A_i v, A_i = [[I, -a_i^], [0, I]], as
@@ -76,12 +76,12 @@ def is_single(places: Array) -> bool:
 
 
 def maps(places: Array) -> Array:
-    """Return A (n, 6, 6), from strain and twist at the origin to those of each cup."""
+    """Return A (n, 6, 6), from strain and twist at the origin to strain and twist of each cup."""
     return adjoint(transform(np.eye(3), -places[:, :3]))
 
 
 def composed(matrix: Array, places: Array) -> Array:
-    """Return K or P (6, 6) of the gripper, that of one cup being given: sum A_i^T K_1 A_i."""
+    """Return K or P (6, 6) of the gripper from K_1 or P_1 of one cup: sum A_i^T K_1 A_i."""
     if is_single(places):
         return matrix
     A = maps(places)
@@ -188,13 +188,13 @@ class Structure:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of the parameters, 'K x', 'K rx', 'K x-rz', ..., then those of P."""
+        """Names of the parameters: 'K x', 'K rx', 'K x-rz', ..., 'P x', ..."""
         names = [AXES[i] if i == j else f'{AXES[i]}-{AXES[j]}' for i, j in self.leads]
         return tuple(f'{matrix} {name}' for matrix in 'KP' for name in names)
 
     @cached_property
     def model_basis(self) -> list[Array]:
-        """What the model has of each unit (6, 6): the gripper's matrix where there is one."""
+        """Matrix (6, 6) of the cup or gripper for a unit of each parameter."""
         if not self.places:
             return self.basis
         return [composed(unit, np.array(self.places)) for unit in self.basis]
@@ -210,7 +210,7 @@ class Structure:
         return K, P
 
     def spread(self, errors: Array) -> tuple[Array, Array]:
-        """Return errors (2 n,) of the parameters, which may be infinite, as those of K and P."""
+        """Return errors (6, 6) of K and P from errors (2 n,) of parameters; some are infinite."""
         K, P = np.where(self.basis, errors.reshape(2, -1, 1, 1), 0.0).max(axis=1)
         return K, P
 
@@ -222,7 +222,7 @@ class Structure:
             for entries in self.entries])
 
     def within(self, other: 'Structure') -> Array:
-        """Return T (2 m, 2 n) with which the model of x is that of parameters T x of another."""
+        """Return T (2 m, 2 n): x here and T x of another structure give the same model."""
         T = [other.parameters(unit, unit)[:other.size] for unit in self.model_basis]
         return np.asarray(np.kron(np.eye(2), np.column_stack(T)), dtype=np.float64)
 
@@ -278,7 +278,7 @@ STRUCTURES = {structure.name: structure for structure in (
 
 OF_LAYOUT = Structure('layout', 'each cup of cup.layout axisymmetric',
                       STRUCTURES['axisymmetric'].groups)
-"""Of one cup of a gripper; its places are those that are given."""
+"""Structure of one cup of a gripper; `places` are filled in."""
 
 AUTO = 'auto'
 """Value of fit.structure for the selection between the two of `AUTO_STRUCTURES`."""

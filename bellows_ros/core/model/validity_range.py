@@ -42,7 +42,7 @@ DOWN, UP = (Context(prec=6, rounding=mode) for mode in (ROUND_FLOOR, ROUND_CEILI
 ROUNDING_MODES = {
     'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
     'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP), 'vacuum': (DOWN, UP)}
-"""Outward, so that what is in a range stays in it."""
+"""Rounding of the bounds outward, so that each range still contains its data."""
 
 FIELDS = tuple(ROUNDING_MODES)
 
@@ -149,7 +149,7 @@ def distance(
     """
     Return the distance of a state from the validity range.
 
-    A state has no frequency: a motion that is faster than those of the fit shows by its rates.
+    A state has no frequency: a motion faster than the motions of the fit exceeds their rates.
     Bands are compared in `beyond`.
 
     Parameters

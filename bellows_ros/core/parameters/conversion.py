@@ -35,7 +35,7 @@ def cup_of(values: Values) -> Cup:
 
 
 def one_cup_of(values: Values) -> Cup:
-    """Return the cup that parameter values describe, whatever cup.layout is."""
+    """Return a single cup of parameter values, without regard to cup.layout."""
     stiffness = structure.matrix(values.cup.stiffness)
     a, b = values.get('cup.stretch', (0.0, 0.0))
     ends = [values.get(f'envelope.deflection_{end}', np.zeros(6))[2] for end in ('low', 'high')]
@@ -152,7 +152,7 @@ def given_structure(values: Values) -> Structure:
 
 
 def fitted_structure(values: Values) -> Structure:
-    """Return the structure of a fit; BellowsError for that of a single cup with cup.layout."""
+    """Return the structure of a fit; raise if cup.layout meets a structure of a single cup."""
     given = given_structure(values)
     if any(values.get('cup.layout', ())) and not given.places:
         raise BellowsError(

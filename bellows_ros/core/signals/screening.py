@@ -73,11 +73,10 @@ class StampScreen:
     """
 
     def __init__(self) -> None:
-        """Take whatever stamp comes next."""
         self.forget_stamps()
 
     def forget_stamps(self) -> None:
-        """Take whatever stamp comes next."""
+        """Accept any next stamp."""
         self.newest_ns = -1
         self.period_ns = 0
         self._least_age_ns = self._accepted = 0

@@ -29,7 +29,7 @@ CHECK_BLOCK = 2048
 
 
 class _Stamped:
-    """What has stamps."""
+    """Data with stamps."""
 
     stamps_ns: Stamps
 
@@ -189,7 +189,7 @@ class Trajectory(_Stamped):
         """
         Return the samples that a slice, a mask or increasing indices pick.
 
-        What was checked is not checked again, and a slice copies nothing.
+        Samples are not checked again, and a slice copies nothing.
         """
         picked = copy(self)
         _store(picked, 'stamps_ns', checked_stamps(self.stamps_ns[index], 'Picked samples'))
@@ -219,7 +219,7 @@ class Filtered(Trajectory):
 
     Notes
     -----
-    The other fields are those of `Trajectory`; twist and acceleration are always there.
+    The other fields are as in `Trajectory`; twist and acceleration are always present.
 
     """
 
@@ -379,7 +379,7 @@ def from_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
 def streams_at_tip(
     poses: PoseStream, twists: TwistStream | None, tip: Array | None, in_world: bool
 ) -> tuple[PoseStream, TwistStream | None]:
-    """Return recorded poses and twists of E, those of another frame of the tool being given."""
+    """Return poses and twists of E from recorded poses and twists of another tool frame."""
     moved = at_tip(poses, tip)
     if tip is None or twists is None:
         return moved, twists
