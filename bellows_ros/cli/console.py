@@ -29,8 +29,6 @@ from bellows_ros.version import __version__
 OK = 0
 NOT_USABLE = 1
 USER_ERROR = 2
-PIPE_CLOSED = 141
-
 STDOUT = '-'
 """As of `files.atomic`."""
 
@@ -39,7 +37,6 @@ MAX_TEXT = 100_000
 """Length of a printed text, characters: more than any result, less than floods a terminal."""
 GUTTER, INDENTED = 2, 2  # of tables, characters
 BAR = 24  # characters
-REDRAW_INTERVAL = 0.1  # s, between two drawings of the progress
 CLEAR_LINE = '\r\x1b[2K'
 STYLES: Mapping[str, str] = {'bold': '1', 'dim': '2', 'red': '31', 'yellow': '33', 'green': '32'}
 
@@ -178,7 +175,7 @@ class Progress:
         now = time.monotonic()
         if not self._shown or (now < self._next and stage == self._stage):
             return
-        self._next, self._stage = now + REDRAW_INTERVAL, stage
+        self._next, self._stage = now + 0.1, stage  # s
         width = shutil.get_terminal_size().columns - 1
         line = progress_line(stage, fraction, now - self._start)
         shown = line if len(line) <= width else stage  # the step matters more than the bar
@@ -303,7 +300,7 @@ def run_guarded(work: Callable[[Console], int]) -> int:
         return _run_guarded(work, console, ended)
     except BrokenPipeError:  # the reader of the output has closed it
         _discard(sys.stdout)
-        return PIPE_CLOSED
+        return 141  # as a shell reports SIGPIPE
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise

@@ -13,8 +13,6 @@ from bellows_ros.workflows import replay
 from . import options
 from .console import Console
 
-PERCENT = 100.0
-
 
 def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
     """Refuse what cannot be drawn or written, before any work."""
@@ -35,7 +33,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     _check(arguments, settings)
     result = replay.replay(
         arguments.bag, settings, console.progress, arguments.observe, arguments.calibrate)
-    limit = MAX_NRMSE if arguments.limit is None else arguments.limit / PERCENT
+    limit = MAX_NRMSE if arguments.limit is None else arguments.limit / 100.0
     if result.observed and arguments.out:
         found = result.observed.model_calibration
         if found and not found.is_better:

@@ -12,7 +12,6 @@ from .console import Console
 from .options import Outcome, read_settings
 
 DEGREES = math.degrees(1.0)
-FILM_SPEED = 0.25
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
@@ -28,7 +27,7 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
             arguments.out, report.source, motion.tool, motion.prediction.states, arguments.force)
     is_film = arguments.plot.lower().endswith(FILMS)
     if is_film:
-        write_steering(arguments.plot, report, f'{arguments.plan}', FILM_SPEED)
+        write_steering(arguments.plot, report, f'{arguments.plan}', 0.25)
     return Outcome(report, inputs=[arguments.plan], draw='' if is_film else arguments.plot)
 
 

@@ -43,9 +43,6 @@ MILLI, MICRO = 1e3, 1e6
 MAX_ERROR = 2.0
 """Largest RMS error of a prediction in units of the measured noise; 1.0 for a right cup."""
 
-BUSY_LATENCY = 10e-3
-"""Latency (99 %) above which the machine has been busy with other work, s."""
-
 PAUSE_QUEUE = 10_000
 """Length of the predictor's queues, messages: it may be paused for long on a busy machine."""
 
@@ -162,7 +159,7 @@ def _print_result(
     lost = poses - len(answers)
     console.line(f'Messages in {np.ptp(answers) / NS_PER_S:.0f} s: {poses} poses and {twists} '
                  f'twists to the node, {len(answers)} predictions back, {lost or "none"} lost')
-    if lost or high > BUSY_LATENCY * MICRO:
+    if lost or high > 10e-3 * MICRO:  # s
         load, cores = os.getloadavg()[0], os.cpu_count()
         console.line(f'The machine was busy (load {load:.1f} on {cores} cores), so latencies here '
                      'are mostly waiting.')
@@ -171,10 +168,6 @@ def _print_result(
     if not accurate:
         console.line(f'Errors exceed {MAX_ERROR:g} times the noise: the prediction is not usable.')
     return accurate
-
-
-EXIT_TIMEOUT = 10.0
-LOG_LINES_SHOWN = 15
 
 
 @contextmanager
@@ -203,7 +196,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
 
     def require_alive() -> None:
         if process.poll() is not None:
-            lines = log.read_text(errors='replace').splitlines()[-LOG_LINES_SHOWN:]
+            lines = log.read_text(errors='replace').splitlines()[-15:]
             end = '\n'.join(f'  {line}' for line in lines) or '  (it is empty)'
             raise BellowsError(
                 f'The predictor exited with code {process.returncode}. The end of its log, '
@@ -216,7 +209,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
         if process.poll() is None:
             process.send_signal(signal.SIGINT)  # as Ctrl-C does
         try:
-            process.wait(EXIT_TIMEOUT)
+            process.wait(10.0)  # s
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

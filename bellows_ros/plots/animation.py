@@ -22,7 +22,6 @@ from .style import FILMS, picture, require_picture, Theme
 
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 SIZE, DPI = (8.0, 4.5), 80
-ARM_LENGTH = 0.10  # m, of the tool that is drawn above its tip
 TAIL_SHOWN = 0.5  # s, that a steered motion is shown after its end
 CUP_ZOOM, REPLAY_ZOOM, PLAN_ZOOM = 1.6, 1.3, 1.22  # the box stays inside, wherever it swings
 VIEW = {'elev': 14.0, 'azim': -60.0}
@@ -214,7 +213,7 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
         [np.array([a[k], a[k + 1], b[k + 1], b[k]])
          for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)],
         facecolor=colours.measured, edgecolor=colours.quiet, linewidth=0.3)
-    arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM_LENGTH])])
+    arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, 0.1])])  # m
     edges = Line3DCollection(
         list(box_corners(*outline, scene.box)[BOX_EDGES]), colors=colours.error, linewidths=1.3)
     for order, thing in enumerate((package, cup, edges), 1):

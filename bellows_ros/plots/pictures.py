@@ -354,8 +354,6 @@ def with_gaps(seconds: Array, values: Array) -> Array:
 WIDE = (9.4, 4.2)  # inches
 WIDE_PANEL = {'top': 1.0 - 0.9 / WIDE[1], 'bottom': 0.52 / WIDE[1]}
 BANDS = 'bands: two standard deviations'
-MAX_SHOWN_FACTOR = 4.0
-"""Safety factors are drawn up to this multiple of the required one."""
 
 
 def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
@@ -448,7 +446,7 @@ def _draw_margins(panel: Any, margins: replay.Margins, colours: style.Theme) -> 
                                  (0.5, 'lets go', 'center')):
         panel.text(0.99, height, words, fontsize=7.5, va=place, ha='right',
                    transform=panel.get_yaxis_transform(), color=colours.quiet)
-    top = max(MAX_SHOWN_FACTOR * margins.least, 1.5 * factor)
+    top = max(4.0 * margins.least, 1.5 * factor)
     panel.set_ylim(0.0, top)
     if np.nanmax(margins.factors) > top:
         panel.text(0.01, 0.98, f'above {top:.3g}: not shown', fontsize=7.5, va='top',

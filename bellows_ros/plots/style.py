@@ -154,9 +154,6 @@ BELOW_HEAD = {'left': LEFT_EDGE, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
 """Edges of the panels of a figure of `SIZE`."""
 
 TITLE, NOTE = 0.31, 0.52  # inches from the top
-MAX_NOTE = 150
-"""Length of the conditions above the panels, characters."""
-
 MILLI, DEGREES = DISPLAY_FACTORS[[0, 3]]
 
 
@@ -177,7 +174,7 @@ def picture(
     with drawing(colours) as figures:
         figure = figures.Figure(figsize=size, dpi=dpi, label=title)
         figure.text(LEFT_EDGE, 1.0 - TITLE / size[1], title, fontsize=13.5, fontweight='bold')
-        plain = shown(note, MAX_NOTE).replace('$', r'\$')  # no mathematics in foreign names
+        plain = shown(note, 150).replace('$', r'\$')  # no mathematics in foreign names
         figure.text(LEFT_EDGE, 1.0 - NOTE / size[1], plain, color=colours.quiet)
         yield figure, colours
 

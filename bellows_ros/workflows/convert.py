@@ -21,9 +21,6 @@ from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_
 import numpy as np
 
 TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
-MOTIVE_FRAME = 'motive'
-TEXT_ENDINGS = ('.tum', '.txt')
-MIN_DATE_NS = 86_400 * 10**9  # a stamp in the first day of 1970 is no date
 
 
 class Body(NamedTuple):
@@ -282,7 +279,8 @@ def to_bag(
     notes = [f'{body.source} was never tracked; its topic is empty.'
              for body in bodies if not body.poses]
     undated = [body.source for body in bodies
-               if body.poses and body.messages.stamps_ns[0] < MIN_DATE_NS]
+               # earlier stamps are times since a start
+               if body.poses and body.messages.stamps_ns[0] < 86400 * 10**9]
     if undated:
         notes.append(f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
     masks = interval_masks([body.messages.stamps_ns for body in bodies], span)
@@ -305,7 +303,7 @@ def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
     if source.suffix.lower() == '.csv' and trajectory_files.is_motive(source):
         return [Body(
             bag_writer.as_messages(
-                _topic_of(body.name), POSE, body.stamps_ns, body.values, MOTIVE_FRAME),
+                _topic_of(body.name), POSE, body.stamps_ns, body.values, 'motive'),
             f'{source} ({body.name})', {reason: count for reason, count in (
                 ('not tracked', body.missing), ('too few markers', body.unseen)) if count},
             'motive_y_up')

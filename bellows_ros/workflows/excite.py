@@ -27,11 +27,6 @@ from bellows_ros.workflows.plan import NO_FACTOR, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
-POINT_RATE = 1000.0
-"""Rate of the points in recordings and CSV, Hz."""
-UR_RATE = 125.0
-"""Rate of the points in a URScript program, Hz."""
-
 MIN_DURATION = motion_design.REST + 3.0 * motion_design.RAMP
 """Shortest motion: a rest and three ramps, s."""
 MAX_DURATION = 120.0
@@ -229,7 +224,7 @@ def write_motion(
     motion = result.design.motion
 
     plan = plan_messages.plan_message(
-        motion.at_rate(POINT_RATE), 0, frame, 'tool', result.values.tool_twist.frame)
+        motion.at_rate(1000.0), 0, frame, 'tool', result.values.tool_twist.frame)  # Hz
     bag_writer.write_bag(path, [bag_writer.Encoded(
         '/tool_arm/plan', plan_messages.MULTI_DOF, np.array([trajectory.NS_PER_S]),
         [plan_messages.encode_multi_dof(plan)])], replace=replace)
@@ -237,6 +232,6 @@ def write_motion(
         trajectory_files.write_csv(
             csv, plan.times_ns, np.hstack([plan.poses, np.asarray(plan.twists)]))
     if urscript:
-        slow = motion.at_rate(UR_RATE)
+        slow = motion.at_rate(125.0)  # Hz
         trajectory_files.write_urscript(
             urscript, slow.seconds, slow.position, log_so3(slow.rotation), frame)

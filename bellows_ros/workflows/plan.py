@@ -43,12 +43,6 @@ from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
 YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt')
-MOTION_RATE = 500.0
-"""Points per second taken from a motion of `bellows simulate`, Hz."""
-
-TIME_MARGIN = 1.001
-"""Margin on the time scale of a limit, since peaks are sought at points 1 ms apart, 1."""
-
 TAIL_SHOWN = 1.5
 """Longest time after the end that a picture shows, s."""
 STANDSTILL_STEP = 0.005
@@ -212,7 +206,8 @@ class PlanReport(CommandResult):
         if source.joints is not None:
             factor, limit = joint_excess(
                 source.joints.arm, source.joints.along(tool, source.tool), math.inf)
-            tool = timed(tool, factor * TIME_MARGIN if limit else 1.0)
+            # peaks are sought at points 1 ms apart
+            tool = timed(tool, factor * 1.001 if limit else 1.0)
         return tool, PlanSimulation(source.model, None, tool, tail=0.0).states(), limit
 
     @cached_property
@@ -441,7 +436,7 @@ def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
     recipe = read_recipe(content, np.array(values.package.com))
     R_world_level = alignment.levelling(values.gravity.direction).T  # z of a motion file is up
     motion = recipe.motion
-    count = max(2, math.ceil(motion.duration * MOTION_RATE))
+    count = max(2, math.ceil(motion.duration * 500.0))  # Hz
     stamps = recipe.start_ns + np.round(
         np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
     tool = alignment.in_world(motion.trajectory(stamps, recipe.start_ns), R_world_level)

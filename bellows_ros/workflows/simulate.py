@@ -33,10 +33,6 @@ from bellows_ros.workflows.plan import bending, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
-SAMPLES_PER_PERIOD = 100.0
-"""The tool is simulated with this many samples in the shortest period of its motion ..."""
-SAMPLES_PER_STABLE_STEP = 2.5
-"""... and this many in the longest stable step. Both keep the truth accurate to 1e-9 m."""
 MIN_RATE = 500.0
 """... and at least at this rate, Hz."""
 MAX_SAMPLES = 5_000_000
@@ -184,8 +180,8 @@ def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedu
     """Simulate at all sampling times of both streams, and as finely in between as truth needs."""
     motion, cup, package = recipe.motion, cup_of(values), package_of(values)
     model = model_tuple(cup, package, values.gravity.magnitude)
-    rate = max(MIN_RATE, SAMPLES_PER_PERIOD * motion.highest_frequency,
-               SAMPLES_PER_STABLE_STEP / largest_step(model))
+    rate = max(MIN_RATE, 100.0 * motion.highest_frequency,
+               2.5 / largest_step(model))
     count = motion.duration * (rate + recipe.tool.rate_hz + recipe.package.rate_hz)
     if count > MAX_SAMPLES:
         raise BellowsError(

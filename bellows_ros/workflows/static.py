@@ -23,9 +23,6 @@ import numpy as np
 StaticBag = tuple[str, Mapping[str, Any]]
 """A recording, and the parameters that hold for it alone, such as its package."""
 
-LENGTHS_AGREE_WITHIN = 3e-4
-"""Difference (m) between the given and the estimated cup.length that triggers a warning."""
-
 
 class StaticResult(NamedTuple):
     """
@@ -83,7 +80,7 @@ class StaticResult(NamedTuple):
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
         warnings = list(length_warnings(self.length)) if self.length else []
-        if self.length and abs(self.length.length - self.cup_length) > LENGTHS_AGREE_WITHIN:
+        if self.length and abs(self.length.length - self.cup_length) > 3e-4:  # m
             warnings.append(sentence('static', 'other_length', given=self.cup_length,
                                      found=self.length.length))
         for recording in self.recordings:

@@ -47,11 +47,6 @@ import scipy  # whose parts are loaded as they are used
 
 CHECK_RATE = 1000.0
 """Rate at which limits are checked, Hz."""
-JOINT_RATE = 250.0
-"""Rate at which joint positions are computed, Hz."""
-
-TORSION = math.radians(30.0)
-"""Default limit of the torsion of real cups, rad."""
 MAX_FREQUENCY = 12.0
 """Default highest frequency of real arms, Hz."""
 
@@ -63,36 +58,16 @@ RAMP = 1.0
 GUESS_FACTORS = (1.0, 0.7, 1.3)
 """Ratios of the true K to its guess for which the limits hold."""
 
-PRIOR = 1.0
-"""Prior information on each parameter in units of its size: accurate to a factor of about 2."""
-
 STAGES = ((16, 1000), (64, 400), (64, 400))
 """Exponent of the norm that approximates the largest ratio to a limit, and most steps with it."""
 
-POINTS_PER_PERIOD = 8
-"""Number of samples per period of the highest frequency in the search."""
-LBFGS_MEMORY = 20
-"""Number of steps from which the search estimates the Hessian."""
 MIN_GAIN = 1e-6
 """Relative gain of a step below which the search ends."""
-LOAD_EXPONENT = 1.4
-"""Exponent of the correction for loads: part of a load does not shrink with the amplitude."""
-
 MARGIN = 1e-3
 """Relative distance kept from a limit."""
 
 HOLD = 7.0
 """Default duration of the hold in which rubber relaxes, s."""
-TILT_SHARE = 0.9
-"""Tilt of the hold as a fraction of the largest rotation."""
-SEPTIC_PEAKS = (2.1875, 7.5132, 52.5)
-"""Peaks of speed, acceleration and jerk of the septic step, 1/s, 1/s^2 and 1/s^3."""
-
-TILT_FACTOR = 0.85
-"""Factor by which a tilt that violates a limit shrinks."""
-MAX_TILT_TRIALS = 20
-"""Maximum number of tilts that are tried."""
-
 SAMPLES_AT_ONCE = 4096
 """Number of samples of a motion computed at once, which bounds the memory."""
 
@@ -196,7 +171,7 @@ class ArmLimits(NamedTuple):
         for name, peak in largest_rates(R, np.asarray(tool.twist), 1.0 / CHECK_RATE).items():
             ratios[name.replace('_', ' ')] = peak / self.rates[name]
         if self.arm is not None:
-            coarse = slice(None, None, round(CHECK_RATE / JOINT_RATE))
+            coarse = slice(None, None, round(CHECK_RATE / 250.0))  # Hz
             joints = self.arm.positions(lie.transform(R[coarse], o[coarse]), self.joints)
             spline = scipy.interpolate.CubicSpline(tool.seconds[coarse], joints)
             q, speed = spline(tool.seconds), spline(tool.seconds, 1)
@@ -255,7 +230,7 @@ def limits_from(
     limits = ArmLimits(
         start, lower, upper, rotation, read_rates(settings),
         settings.number('bending', TYPICAL_BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
-        settings.number('torsion', TORSION, 'rad', above=0.0, maximum=0.5 * math.pi),
+        settings.number('torsion', math.radians(30.0), 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('safety_factor', safety, minimum=0.0),
         settings.number('highest_frequency', MAX_FREQUENCY, 'Hz', above=0.0, maximum=50.0),
         arm, joints)
@@ -500,7 +475,7 @@ class MotionObjective:
         limits, models, grip = checks
         self.count = max(2, math.floor(limits.highest_frequency * period))
         wide = self.count + math.ceil(2.0 * period / RAMP)  # the ramps widen the lines
-        self.points = 2 ** math.ceil(math.log2(POINTS_PER_PERIOD * self.count))
+        self.points = 2 ** math.ceil(math.log2(8 * self.count))
         omega = 2.0 * np.pi / period * np.arange(1, wide + 1, dtype=np.float64)
         self._powers = (1j * omega[:self.count]) ** np.arange(4)[:, None, None]
         W = window(np.arange(self.points) * period / self.points, period)
@@ -600,7 +575,7 @@ class MotionObjective:
         y = (self._changes @ lines[:, :, None]).reshape(len(lines), self._models, -1, 6)
         flat = y.transpose(1, 2, 0, 3).reshape(self._models, y.shape[2], -1)
         M = self._constant + 0.5 * self._poses * np.real(flat.conj() @ np.swapaxes(flat, 1, 2))
-        M = M + PRIOR * np.eye(M.shape[1])
+        M = M + np.eye(M.shape[1])  # each parameter is known to a factor of about 2
         value, by_M = float(np.mean(np.linalg.slogdet(M)[1])), np.linalg.inv(M) / len(M)
         weighted = (by_M @ flat).reshape(self._models, -1, len(lines), 6)
         weighted_gradient = weighted.transpose(2, 0, 1, 3).reshape(len(lines), -1, 1)
@@ -684,7 +659,7 @@ def design(
     for number, (power, max_iterations) in enumerate(STAGES):
         progress('designing the motion', number / len(STAGES))
         shape = minimise(search, shape, (power, allowed), 'L-BFGS-B', True, options={
-            'maxiter': max_iterations, 'maxfun': 2 * max_iterations, 'maxcor': LBFGS_MEMORY,
+            'maxiter': max_iterations, 'maxfun': 2 * max_iterations, 'maxcor': 20,
             'ftol': MIN_GAIN}).x
         coefficients, now = search.within(shape, power, allowed)
         moved = replace(still, coefficients=coefficients)
@@ -692,7 +667,8 @@ def design(
         reached = search.criterion(coefficients / max(1.0, float(worst.max())))
         if reached > best:
             best, motion, shares = reached, moved, now
-        allowed = np.minimum(allowed / np.maximum(worst, 0.1) ** LOAD_EXPONENT, 1.0)
+        # a part of a load does not shrink with the amplitude
+        allowed = np.minimum(allowed / np.maximum(worst, 0.1) ** 1.4, 1.0)
     motion, ratios = _within(motion, checks)
     progress('computing the expected errors', 1.0)
     tool = motion.at_rate(1.0 / tracking.package_period)
@@ -704,16 +680,17 @@ def _held(checks: Checks, period: float, hold: float) -> FourierMotion:
     """Return a hold alone, tilted about x and y by as much as the limits permit, or none."""
     limits = checks.limits
     still = FourierMotion(limits.start, period, np.zeros((1, 6)))
-    tilt = TILT_SHARE * np.array([*limits.rotation[:2], 0.0])
-    for _ in range(MAX_TILT_TRIALS if hold and tilt.any() else 0):
+    tilt = 0.9 * np.array([*limits.rotation[:2], 0.0])
+    for _ in range(20 if hold and tilt.any() else 0):
         angle, angular_limits = float(np.linalg.norm(tilt)), list(limits.rates.values())[3:]
         move = max(
             (peak * angle / (0.9 * limit)) ** (1.0 / order) for order, peak, limit in zip(
-                (1, 2, 3), SEPTIC_PEAKS, angular_limits, strict=True))
+                # peaks of speed, acceleration and jerk of the septic step
+                (1, 2, 3), (2.1875, 7.5132, 52.5), angular_limits, strict=True))
         held = replace(still, tilt=tilt, move=max(move, RAMP), hold=hold)
         if max(checks.ratios(held).values()) <= 1.0 - 2.0 * MARGIN:
             return held
-        tilt = TILT_FACTOR * tilt
+        tilt = 0.85 * tilt
     return still
 
 

@@ -40,38 +40,17 @@ from scipy.special import chdtrc
 UPRIGHT_TOLERANCE = np.radians(2.0)
 """Largest angle (rad) of the cup's axis from the vertical for measuring the cup length."""
 
-LOAD_TOLERANCE = 1e-2
-"""Loads (N) closer than this, of masses 1 g apart, count as one."""
-
-LINEAR_DEGREE, CUBIC_DEGREE = 1, 3
-"""Degrees of length against load (4.2)."""
-
-CUBIC_GAIN = 0.8
-"""The cubic is used if it predicts masses left out with less than this part of the error."""
+MASSES_FOR_CUBIC = 5
+"""Smallest number of different masses for a cubic of length against load (4.2)."""
 
 MAX_SCATTER = 0.25
 """Largest scatter about the line, as a fraction of the elongation by the loads."""
 
-LINEARITY_TOLERANCE = 0.05
-"""The linear range ends where the polynomial deviates from its tangent by this fraction."""
-
 MIN_STIFFNESS, MAX_STIFFNESS = 100.0, 1e6
 """Axial stiffness of cups, N/m."""
 
-MISFIT_P_VALUE = 0.01
-"""p-value of the polynomial's residuals below which a misfit is reported."""
-
-MIN_REPEATED_PICKS = 3
-"""Picks beyond the first of each mass that tell the scatter from pick to pick."""
-
 MAX_LENGTH_STD = 1e-4
 """Largest acceptable standard error of the cup length, m."""
-
-EQUILIBRIUM_TOLERANCE = 0.05
-"""An equilibrium is met within this fraction of the deflection, or within noise."""
-
-NOISE_DEVIATIONS = 3.0
-"""Standard errors of a mean that count as noise."""
 
 
 class CupLength(NamedTuple):
@@ -117,12 +96,12 @@ class CupLength(NamedTuple):
         told, known = np.isfinite([self.pick_std, self.length_std])
         numbers = {
             'size': float(np.sqrt(self.chi2 / max(count, 1))), 'masses': masses,
-            'enough': CUBIC_DEGREE + 2, 'std': self.length_std, 'load': float(self.loads.min())}
+            'enough': MASSES_FOR_CUBIC, 'std': self.length_std, 'load': float(self.loads.min())}
         return tuple(Remark(code, numbers) for code, applies in (
             ('wrong_mass' if told else 'scatter_or_wrong_mass',
-             count and chdtrc(count, self.chi2) < MISFIT_P_VALUE),
+             count and chdtrc(count, self.chi2) < 0.01),
             ('two_masses', not known),
-            ('straight', known and masses < CUBIC_DEGREE + 2),
+            ('straight', known and masses < MASSES_FOR_CUBIC),
             ('uncertain_length', MAX_LENGTH_STD < self.length_std < np.inf)) if applies)
 
 
@@ -162,11 +141,11 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
             'standstills with other known masses, and give the mass of each.')
     pick = _pick_scatter(measured, groups)
     scattered = np.column_stack([loads, lengths, np.hypot(errors, np.nan_to_num(pick))])
-    degree = LINEAR_DEGREE
-    if different >= CUBIC_DEGREE + 2:
+    degree = 1
+    if different >= MASSES_FOR_CUBIC:
         straight, cubic = (_cross_validation_error(scattered, groups, order)
-                           for order in (LINEAR_DEGREE, CUBIC_DEGREE))
-        degree = CUBIC_DEGREE if cubic < CUBIC_GAIN * straight else LINEAR_DEGREE
+                           for order in (1, 3))
+        degree = 3 if cubic < 0.8 * straight else 1
     coefficients, std, chi2, degrees_of_freedom = _polynomial(scattered, degree)
     fitted = polyval(loads, coefficients)
     scatter, stretch = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
@@ -193,7 +172,8 @@ def _groups(loads: Array) -> Places:
     """Return the number (N,) of the group of like loads that each is in, in their order."""
     order = np.argsort(loads)
     number = np.empty(len(loads), dtype=np.int64)
-    number[order] = np.cumsum(np.diff(loads[order], prepend=loads[order][:1]) > LOAD_TOLERANCE)
+    # N: masses closer than 1 g are equal
+    number[order] = np.cumsum(np.diff(loads[order], prepend=loads[order][:1]) > 1e-2)
     return number
 
 
@@ -202,7 +182,7 @@ def _pick_scatter(measured: Array, groups: Places) -> float:
     _, lengths, errors = measured.T
     means = np.array([lengths[groups == group].mean() for group in groups])
     degrees_of_freedom = len(lengths) - len(set(groups.tolist()))
-    if degrees_of_freedom < MIN_REPEATED_PICKS:
+    if degrees_of_freedom < 3:
         return float('nan')
     variance = float(np.sum((lengths - means)**2)) / degrees_of_freedom - float(np.mean(errors**2))
     return float(np.sqrt(max(variance, 0.0)))
@@ -239,7 +219,7 @@ def _linear_range(coefficients: Array, largest: float) -> float:
     """Return the load (N) up to which a polynomial stays near its tangent at no load."""
     loads = np.linspace(0.0, largest, 1001)[1:]
     tangent = coefficients[0] + coefficients[1] * loads
-    bent = np.abs(polyval(loads, coefficients) - tangent) > LINEARITY_TOLERANCE * np.abs(
+    bent = np.abs(polyval(loads, coefficients) - tangent) > 0.05 * np.abs(
         coefficients[1] * loads)
     return float(loads[int(np.argmax(bent))]) if bent.any() else largest
 
@@ -289,8 +269,8 @@ def check_pose(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
         lie.quaternion_to_rotation(np.array([q])))).lip - nominal
     deviation, size = np.linalg.norm(
         np.reshape([predicted - measured, measured], (2, 2, 3)), axis=2)
-    is_beyond = deviation > NOISE_DEVIATIONS * np.sqrt(3.0) * np.array(still.error)
-    is_wrong = is_beyond & (deviation > EQUILIBRIUM_TOLERANCE * size)
+    is_beyond = deviation > 3.0 * np.sqrt(3.0) * np.array(still.error)
+    is_wrong = is_beyond & (deviation > 0.05 * size)
     return PoseCheck(still, measured, predicted, (
         'off' if is_wrong.any() else 'good' if is_beyond.any() else 'within noise'))
 
@@ -300,20 +280,8 @@ def _state(body: Trajectory) -> State:
     return state_row(body.position[0], lie.rotation_to_quaternion(body.rotation[0]))
 
 
-NEWTON_STEPS, MAX_NEWTON_STEP = 6, 0.05
-"""Newton steps to an equilibrium near a measured pose, and the longest one (m, rad)."""
-
-NO_EFFECT = 1e-3
-"""An entry has no effect if a change by its size moves poses by fewer standard errors."""
-
 MIN_STANDSTILL_STD = (1e-7, 1e-6)
 """Smallest standard error of a mean pose (m, rad): rounding, and the error of the model."""
-
-ROUNDS = 4
-"""Rounds of whitening with the latest K and reweighting by the residuals."""
-
-MAX_CHI2 = 4.0
-"""Chi^2 per degree of freedom above which standstills contradict the motions or each other."""
 
 
 class Length(NamedTuple):
@@ -364,13 +332,14 @@ def joined_with_standstills(
     prior[-1, -1] += 1.0
     start = np.append(x0, 0.0)
     weight, z, covariance = 1.0, start, fit.covariance
-    for _ in range(ROUNDS):
+    for _ in range(4):
         guess = _guess(structure, z[:-1], covariance, typical)
         rows = np.concatenate([_equations(still, length.value, structure, gravity, guess)
                                for still in standstills])
         of_K, b = rows[:, :-2], rows[:, -2]
         large = structure.sizes(guess, guess)[:structure.size]
-        of_K[:, np.linalg.norm(of_K, axis=0) * large < NO_EFFECT] = 0.0
+        # a change by its size moves no pose by 1e-3 standard errors
+        of_K[:, np.linalg.norm(of_K, axis=0) * large < 1e-3] = 0.0
         A = np.hstack([of_K, np.zeros_like(of_K), length.std * rows[:, -1:]])
         joint = result.covariance_of(prior + weight * A.T @ A)
         finite = np.where(np.isfinite(joint), joint, 0.0)  # other entries stay as they are
@@ -385,7 +354,7 @@ def joined_with_standstills(
         fit, parameters=z[:-1], covariance=covariance, standstills=result.StandstillPart(
             len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
             length.value + length.std * float(z[-1]), length.std * float(np.sqrt(joint[-1, -1]))),
-        notes=(*fit.notes, *[NOTES['disagreement'].format(chi2=chi2)] * (chi2 > MAX_CHI2)))
+        notes=(*fit.notes, *[NOTES['disagreement'].format(chi2=chi2)] * (chi2 > 4.0)))
 
 
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
@@ -409,10 +378,10 @@ def _equations(
     cup = gripper_of(Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)
     model = model_tuple(cup, still.payload, gravity)
     tool, body = _state(still.tool), _state(still.package)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(6):
         step = -np.linalg.solve(linearise(model, tool, body).body_pose,
                                 np.concatenate(body_acceleration(model, tool, body)))
-        step *= min(1.0, MAX_NEWTON_STEP / max(float(np.abs(step).max()), 1e-12))
+        step *= min(1.0, 0.05 / max(float(np.abs(step).max()), 1e-12))
         body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
     changes: Array = np.empty((6, 43))  # by the entries of K and P, and by the length
     parameter_jacobian(model, tool, body, 0, 43, changes)

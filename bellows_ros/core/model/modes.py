@@ -10,12 +10,6 @@ from bellows_ros.core.model.kernels import ORIGIN
 import numpy as np
 from scipy.linalg import block_diag
 
-MIN_FREQUENCY_SEPARATION = 0.02
-"""Relative difference of natural frequencies below which mode shapes are not unique."""
-
-AXES_PART = 1e-6
-"""Fraction of the damping's trace that aligns degenerate mode shapes with the axes."""
-
 DIRECTIONS = ('lateral', 'lateral', 'axial', 'bending', 'bending', 'torsion')
 """Names of the six axes' directions."""
 
@@ -85,8 +79,8 @@ def modes(cup: Cup, package: Package, gravity: float) -> list[Mode]:
 
 def _shapes(stiffness: Array, damping: Array) -> Array:
     squares, vectors = np.linalg.eigh(stiffness)
-    apart = np.diff(squares) > 2.0 * MIN_FREQUENCY_SEPARATION * np.abs(squares[1:])
-    axes = np.diag(np.arange(6.0)) * AXES_PART * float(np.trace(damping))
+    apart = np.diff(squares) > 0.04 * np.abs(squares[1:])
+    axes = np.diag(np.arange(6.0)) * 1e-6 * float(np.trace(damping))
     for group in np.split(np.arange(6), np.flatnonzero(apart) + 1):
         inside = vectors[:, group]
         vectors[:, group] = inside @ np.linalg.eigh(inside.T @ (damping + axes) @ inside)[1]

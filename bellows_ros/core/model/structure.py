@@ -308,9 +308,6 @@ MOMENTS_WITHIN = 1e-3
 The rounded figures of a thin plate's data sheet may be so.
 """
 
-SYMMETRIC_WITHIN = 1e-9
-"""Relative difference of a matrix and its transpose that counts as rounding."""
-
 ROUNDING = 1e-12
 """Eigenvalues so much smaller than the largest, or than the largest entry, are rounding errors."""
 
@@ -368,14 +365,10 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
             'identify it again.')
 
 
-MIN_CENTRE_SHIFT = 1e-4
-"""Smallest shift of the centre of stiffness that a measured cup length does not contain, m."""
-
-
 def has_coupling(stiffness: Array) -> bool:
     """Return whether the centre of stiffness, by K[x, ry], is off the middle of the cup."""
     couplings = np.abs([stiffness[0, 4], stiffness[1, 3]])
-    return bool(np.any(couplings > MIN_CENTRE_SHIFT * stiffness[[0, 1], [0, 1]]))
+    return bool(np.any(couplings > 1e-4 * stiffness[[0, 1], [0, 1]]))  # m
 
 
 STRETCH_RANGE = 5e-3
@@ -411,7 +404,7 @@ def require_symmetric(values: Array, name: str) -> None:
     """Raise BellowsError, with the entries that differ most, for a matrix that is asymmetric."""
     asymmetry = np.abs(values - values.T)
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(asymmetry)), values.shape))
-    if asymmetry[row, column] > SYMMETRIC_WITHIN * float(np.max(np.abs(values))):
+    if asymmetry[row, column] > 1e-9 * float(np.max(np.abs(values))):
         raise BellowsError(
             f'{name} is not symmetric: row {row + 1}, column {column + 1} is '
             f'{values[row, column]:.9g}, row {column + 1}, column {row + 1} is '

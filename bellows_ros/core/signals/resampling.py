@@ -38,29 +38,8 @@ MAD_TO_STD = 1.4826
 MAX_RELATIVE_JITTER = 0.1
 """Jitter in parts of the period that is worth a look."""
 
-RESOLUTION_SAMPLES, RESOLUTION_WINDOW = 4000, 100
-"""Number of stamps whose resolution is examined, and of steps that are compared with a line."""
-
-STEP_TOLERANCE, MAX_STEP_SIZES = 5.0, 30
-"""Difference of equal steps, us, and number of different steps of rounded stamps."""
-
-TICK_TOLERANCE, MAX_ROUNDING, MIN_CHANGES = 0.02, 1.3, 5
-"""Tolerance of multiples of the resolution, largest distance of rounded stamps from a line, in
-parts of it, and number of unusual steps in a window, of which lost samples make fewer or move
-later stamps farther."""
-
-SHORT_STEP, MAX_SHORT = 0.2, 0.3
-"""Step in periods that no sensor makes again and again, and part of such steps in bursts."""
-
-MIN_BURSTS, LONGEST_BURST, MAX_UNEVENNESS = 5, 0.5, 0.5
-"""Number of gaps between bursts, their length (s), and interquartile range over median of the time
-per sample from burst to burst."""
-
-GAP_SAMPLES, MAX_GAPS, LOST_PERIODS = 30, 200, 0.65
-"""Samples compared on both sides of a gap, most gaps, and periods that tell that one is lost."""
-
-WINDOW_S, MIN_WINDOW_SAMPLES, ORDER = 1 / 12, 8, 5
-"""Length of the polynomials that a motion follows (s; samples) and their order."""
+SAMPLES_BESIDE_GAP = 30
+"""Number of samples compared on both sides of a gap."""
 
 MAX_DEVIATION_RATIO = 0.8
 """Product of the squared deviations of position and rotation below which stamps are replaced."""
@@ -151,24 +130,28 @@ def timing(stamps_ns: Stamps) -> Timing:
 
 
 def resolution(stamps_ns: Stamps) -> float:
-    """Return to how many seconds stamps of a uniform rate are rounded, 0 if finely enough."""
-    steps = np.diff(stamps_ns[:RESOLUTION_SAMPLES]) / 1e3  # us
-    if len(steps) < 2 * RESOLUTION_WINDOW:
+    """
+    Return the resolution of rounded stamps of a uniform rate, s; 0 if it is fine enough.
+
+    Rounded stamps have few different steps, multiples of the resolution, and stay near a line;
+    lost samples make fewer unusual steps in a window, or move later stamps farther.
+    """
+    n, equal_us = 100, 5.0  # steps in a window, and difference of equal steps
+    steps = np.diff(stamps_ns[:4000]) / 1e3  # us
+    if len(steps) < 2 * n:
         return 0.0
     sizes = np.unique(np.rint(steps))
-    sizes = sizes[np.diff(sizes, prepend=-np.inf) > STEP_TOLERANCE]
-    if not 2 <= len(sizes) <= MAX_STEP_SIZES:
+    sizes = sizes[np.diff(sizes, prepend=-np.inf) > equal_us]
+    if not 2 <= len(sizes) <= 30:
         return 0.0
     tick = float(np.min(np.diff(sizes)))
-    is_multiple = np.abs(steps / tick - np.rint(steps / tick)) < TICK_TOLERANCE
-    if tick < MAX_RELATIVE_JITTER * np.median(steps) or np.mean(~is_multiple) > TICK_TOLERANCE:
+    is_multiple = np.abs(steps / tick - np.rint(steps / tick)) < 0.02
+    if tick < MAX_RELATIVE_JITTER * np.median(steps) or np.mean(~is_multiple) > 0.02:
         return 0.0
-    n = RESOLUTION_WINDOW
     parts = steps[:len(steps) // n * n].reshape(-1, n)
     off_line = np.cumsum(parts - parts.mean(axis=1, keepdims=True), axis=1)
-    changes = np.abs(parts - np.median(parts, axis=1, keepdims=True)) > STEP_TOLERANCE
-    rounded = (np.count_nonzero(changes, axis=1) >= MIN_CHANGES) & (
-        np.ptp(off_line, axis=1) < MAX_ROUNDING * tick)
+    changes = np.abs(parts - np.median(parts, axis=1, keepdims=True)) > equal_us
+    rounded = (np.count_nonzero(changes, axis=1) >= 5) & (np.ptp(off_line, axis=1) < 1.3 * tick)
     return 1e-6 * tick if 2 * np.count_nonzero(rounded) > len(parts) else 0.0
 
 
@@ -180,15 +163,14 @@ def in_bursts(stamps_ns: Stamps, timing: Timing) -> bool:
     of samples that come at once; lost samples leave gaps of any length, or of any number.
     """
     steps = np.diff(stamps_ns) / NS_PER_S
-    if np.mean(steps * timing.rate_hz < SHORT_STEP) > MAX_SHORT:
+    if np.mean(steps * timing.rate_hz < 0.2) > 0.3:  # no sensor repeats a fifth of its period
         return True
     begins = np.flatnonzero(steps > timing.longest_step_ns / NS_PER_S) + 1
     gaps = steps[begins - 1]
-    if len(begins) < MIN_BURSTS or (
-            2.0 * gaps.sum() < steps.sum() or np.median(gaps) > LONGEST_BURST):
+    if len(begins) < 5 or 2.0 * gaps.sum() < steps.sum() or np.median(gaps) > 0.5:  # s
         return False
     low, middle, high = np.percentile(np.diff(stamps_ns[begins]) / np.diff(begins), (25, 50, 75))
-    return bool(high - low < MAX_UNEVENNESS * middle)
+    return bool(high - low < 0.5 * middle)
 
 
 def _period(steps: Stamps) -> float:
@@ -261,7 +243,7 @@ class ArrivalStamps(NamedTuple):
 
 def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
     """Return poses with the stamps of their sampling, where theirs are times of arrival."""
-    if len(stream) < 4 * GAP_SAMPLES:
+    if len(stream) < 4 * SAMPLES_BESIDE_GAP:
         return stream, None
     recorded = timing(stream.stamps_ns)
     if recorded.jitter_s * recorded.rate_hz < MAX_RELATIVE_JITTER:
@@ -269,7 +251,7 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
     sampled = sampling_stamps(stream.stamps_ns)
     if sampled is None:
         return stream, None
-    size = max(round(WINDOW_S * recorded.rate_hz), MIN_WINDOW_SAMPLES)
+    size = max(round(recorded.rate_hz / 12.0), 8)  # samples of a polynomial
     before, after = (
         _deviation(stream, stamps, size) for stamps in (stream.stamps_ns, sampled))
     if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < MAX_DEVIATION_RATIO:
@@ -288,16 +270,16 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
     jitter of many periods, leave it unknown.
     """
     since, number = (stamps_ns - stamps_ns[0]).astype(np.float64), np.arange(len(stamps_ns))
-    n = GAP_SAMPLES
+    n = SAMPLES_BESIDE_GAP
     period = float(np.quantile(since[2 * n:] - since[:-2 * n], 0.25)) / (2 * n)
-    for _ in range(MAX_GAPS):
+    for _ in range(200):  # gaps
         delay = since - period * number
         earliest = np.min(np.lib.stride_tricks.sliding_window_view(delay, n), axis=1)
         steps = earliest[n:] - earliest[:-n]
         drift = float(np.median(steps))
         period += drift / n
         i = int(np.argmax(steps))
-        missing = int((steps[i] - drift) / period + 1.0 - LOST_PERIODS)
+        missing = int((steps[i] - drift) / period + 0.35)  # lost from 0.65 periods on
         if missing < 1:
             sampled = _tangent_below(number, since)
             return np.asarray(stamps_ns[0] + np.rint(sampled).astype(np.int64))
@@ -326,11 +308,11 @@ def _deviation(poses: PoseStream, stamps_ns: Stamps, size: int) -> Array:
                for part in ((stamps_ns - stamps_ns[0]).astype(np.float64), poses.position,
                             poses.rotation))
     t = (t - t[:, :1]) / (t[:, -1:] - t[:, :1])
-    Q, _ = np.linalg.qr((2.0 * t - 1.0)[:, :, None] ** np.arange(ORDER + 1))
+    Q, _ = np.linalg.qr((2.0 * t - 1.0)[:, :, None] ** np.arange(6))
     moved = np.stack([o - o[:, :1], lie.log_so3(np.swapaxes(R[:, :1], 2, 3) @ R)])
     residual = moved - Q @ (np.swapaxes(Q, 1, 2) @ moved)
     squares = np.median(np.sum(residual**2, axis=(2, 3)), axis=1)
-    return np.asarray(np.sqrt(squares / (3 * (size - ORDER - 1))))
+    return np.asarray(np.sqrt(squares / (3 * (size - 6))))
 
 
 def resample(
@@ -421,8 +403,8 @@ def cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Arr
     return value, rate_start + s * (2.0 * quadratic + s * 3.0 * cubic)
 
 
-# A grid may have this many samples, or this many per message: a stamp far away is no recording.
-MAX_GRID_SAMPLES, MAX_GRID_PER_MESSAGE = 1_000_000, 10
+MAX_GRID_SAMPLES = 1_000_000
+"""Largest number of samples of a grid, unless it has fewer than 10 per message."""
 
 
 def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
@@ -451,7 +433,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
     """
     span = float(trajectory.stamps_ns[-1] - trajectory.stamps_ns[0])
     count = span * timing.rate_hz / NS_PER_S
-    if count > max(MAX_GRID_SAMPLES, MAX_GRID_PER_MESSAGE * len(trajectory)):
+    if count > max(MAX_GRID_SAMPLES, 10 * len(trajectory)):  # a stamp far away
         raise BellowsError(
             f'{len(trajectory)} poses at {timing.rate_hz:.6g} Hz should cover '
             f'{len(trajectory) / timing.rate_hz:.6g} s, but their stamps cover '

@@ -240,16 +240,6 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
     return Spectrum(np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64), density)
 
 
-LAGS = 20
-"""Lags of the portmanteau test."""
-
-WHITENESS_P_VALUE = 0.01
-"""p-value below which a residual is not white."""
-
-NEGLIGIBLE_CORRELATION = 0.1
-"""Autocorrelation below which colour is negligible: it explains 1 % of the next residual."""
-
-
 @dataclass(frozen=True, eq=False)
 class Whiteness:
     """
@@ -282,9 +272,9 @@ class Whiteness:
     @property
     def verdicts(self) -> tuple[str, ...]:
         """'white', 'nearly white' or 'coloured' for each channel."""
-        small = self.largest < NEGLIGIBLE_CORRELATION
+        small = self.largest < 0.1
         return tuple(
-            'white' if not p < WHITENESS_P_VALUE else 'nearly white' if little else 'coloured'
+            'white' if not p < 0.01 else 'nearly white' if little else 'coloured'
             for p, little in zip(self.p_value.tolist(), small.tolist(), strict=True))
 
     @property
@@ -293,7 +283,7 @@ class Whiteness:
         return np.asarray(np.abs(self.autocorrelation).max(axis=0))
 
 
-def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
+def portmanteau(residuals: Array, lags: int = 20) -> Whiteness:
     """
     Test whether residuals are white.
 

@@ -35,9 +35,6 @@ LEAP_NS = 20_000_000
 LEAP_PERIODS = 4
 """Lead (periods) over earlier stamps relative to arrival that makes a stamp a leap."""
 
-MIN_DELAY_SAMPLES = 10
-"""Poses needed to know the delay between stamps and arrivals."""
-
 
 class PoseSample(NamedTuple):
     """A pose of the tool in the world that has been accepted."""
@@ -133,7 +130,7 @@ class StampScreen:
         step_ns = stamp_ns - self.newest_ns
         if step_ns > LONGEST_GAP_NS:
             return self._accepted > 0 and 2 * lead_ns > step_ns
-        return self._accepted >= MIN_DELAY_SAMPLES and (
+        return self._accepted >= 10 and (
             lead_ns > max(LEAP_NS, LEAP_PERIODS * self.period_ns))
 
     def _judge_backward(self, stamp_ns: int) -> str:

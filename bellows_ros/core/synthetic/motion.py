@@ -29,8 +29,6 @@ MAX_DURATION = 3600.0
 """Longest motion, s."""
 MAX_FREQUENCY = 100.0
 """Highest frequency of a motion, Hz, beyond any robot."""
-MIN_MOVE = 0.01
-"""Shortest move to a waypoint, s."""
 
 
 class Pose(NamedTuple):
@@ -411,5 +409,5 @@ def _sweeps(settings: Settings) -> list[tuple[float, ...]]:
 
 def _times(settings: Settings) -> tuple[float, float]:
     """Return the durations of a move and of the hold after it, s."""
-    move = settings.number('move', unit='s', minimum=MIN_MOVE, maximum=MAX_DURATION)
+    move = settings.number('move', unit='s', minimum=0.01, maximum=MAX_DURATION)  # m
     return move, settings.number('hold', 0.0, 's', minimum=0.0, maximum=MAX_DURATION)

@@ -36,11 +36,6 @@ from numpy.random import default_rng, Generator, SeedSequence
 WORLDS = {world: R.T for world, R in alignment.WORLDS.items()}
 """R_recording_world of each possible world of a recording."""
 
-MAX_RATE_HZ = 10_000.0
-"""Highest rate of a stream, Hz."""
-MAX_JITTER = 0.45
-"""Jitter is limited to this fraction of the sampling time, so that stamps stay in order."""
-
 
 @dataclass(frozen=True)
 class Faults:
@@ -171,7 +166,7 @@ def schedule(
     for start, end in zip(starts[~is_jump], ends[~is_jump], strict=True):
         sent[start:end] = False
     jumps, dropouts = (tuple(starts[which].tolist()) for which in (is_jump, ~is_jump))
-    largest = MAX_JITTER / sensor.rate_hz
+    largest = 0.45 / sensor.rate_hz
     jitter = np.clip(draw.normal(0.0, sensor.jitter, len(sampled_ns)), -largest, largest)
     stamps_ns = sampled_ns + np.round(jitter * NS_PER_S).astype(np.int64)
     return Schedule(sampled_ns, stamps_ns, jump, sent, jumps, dropouts)
@@ -256,7 +251,7 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
     noise, marker, stamps = (settings.block(name) for name in ('noise', 'marker', 'stamps'))
     return Sensor(
         settings.path,
-        rate_hz=settings.number('rate_hz', unit='Hz', above=0.0, maximum=MAX_RATE_HZ),
+        rate_hz=settings.number('rate_hz', unit='Hz', above=0.0, maximum=1e4),
         position_noise=noise.number('position', 0.0, 'm', minimum=0.0),
         rotation_noise=noise.number('rotation', 0.0, 'rad', minimum=0.0),
         origin=np.zeros(3) if origin is None else origin,
