@@ -217,7 +217,7 @@ def test_core_reads_no_parameter_by_name(root):
     """Convert values in `parameters/conversion.py`; `READ_VALUES` may only become shorter."""
     values = 'bellows_ros.core.parameters.values'
     assert {name.removeprefix('bellows_ros.core.') for name, targets in graph_of(
-        root, 'core').items() if values in targets and '.parameters.' not in name} == READ_VALUES
+        root, 'core').items() if values in targets and '.parameters.' not in name} <= READ_VALUES
 
 
 def sentences_in(tree):
@@ -242,7 +242,7 @@ def test_core_has_no_sentences(root):
     """Return codes and numbers; the numbers of `CORE_SENTENCES` may only become smaller."""
     found = {name_of(file, root).removeprefix('bellows_ros.core.'): sentences_in(
         ast.parse(file.read_text())) for file in modules(root, 'core')}
-    assert {name: count for name, count in found.items() if count} == CORE_SENTENCES
+    assert [name for name, count in found.items() if count > CORE_SENTENCES.get(name, 0)] == []
 
 
 def test_modules_import_in_no_circle(root):

@@ -11,8 +11,8 @@ pose q of the lip. Near a guess k0, whose equilibrium is q0, a measured pose is
     q = q0 - (da/dq)^-1 da/dk (k - k0) + error,
 
 six equations that are linear in K. The derivatives are taken at the equilibrium: at the
-measured pose, noise would look like strain without a load. The errors of the mean
-pose, and of the cup's length, whiten the equations.
+measured pose, noise would look like strain without a load. The errors of mean
+pose and cup length whiten the equations.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ class CupLength(NamedTuple):
     Parameters
     ----------
     length, length_std : float
-        l0 and its standard error, m; that is infinite where no degree of freedom is left.
+        l0 and its standard error, m; infinite without degrees of freedom.
     chi2, degrees_of_freedom : float, int
         Chi^2 of the fit, and its degrees of freedom.
     stiffness : float
@@ -178,7 +178,7 @@ def _groups(loads: Array) -> Places:
 
 
 def _pick_scatter(measured: Array, groups: Places) -> float:
-    """Return by how much lengths of the same mass scatter beyond their errors, or NaN."""
+    """Return the scatter of lengths of equal masses beyond their errors, m, or NaN."""
     _, lengths, errors = measured.T
     means = np.array([lengths[groups == group].mean() for group in groups])
     degrees_of_freedom = len(lengths) - len(set(groups.tolist()))
@@ -301,12 +301,12 @@ def joined_with_standstills(
     places: tuple[tuple[float, ...], ...] = (),
 ) -> Fit:
     """
-    Return a fit of motions combined with standstills, each by its covariance.
+    Return a fit of motions combined with standstills, weighted by their covariances.
 
     With the information J of the motions about their estimate x0 + s (l - l0), it minimises
     |x - x0 - s (l - l0)|^2 in J, |b - A x - g (l - l0)|^2 and (l - l0)^2 over its variance
-    together: what fitting all equations at once would give. Standstills that fit worse than their
-    errors explain are trusted by as much less.
+    together, like a joint fit of all equations. Chi^2 above its expectation lowers the weight of
+    the standstills.
 
     Parameters
     ----------
@@ -371,8 +371,8 @@ def _equations(
     """
     Return [A, b, g] (6, n + 2) of b = A k + g dl, in standard errors of the mean pose.
 
-    In coordinates of the lip; k are the n free entries of K, dl (m) is by how much the length is
-    off. By a guess of K (6, 6) errors of poses become errors of wrenches.
+    In coordinates of the lip; k are the n free entries of K, dl is the error of the length, m. A
+    guess of K (6, 6) converts errors of poses to errors of wrenches.
     """
     x = structure.parameters(stiffness, stiffness)
     cup = gripper_of(Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)

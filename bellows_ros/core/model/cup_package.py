@@ -198,7 +198,7 @@ class Package:
 
 def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     """
-    Return the cup that moves a package as equal ones at places (n, 4) do; without, the one.
+    Return the cup equivalent to equal cups at places (n, 4); without places, the one cup.
 
     Raises
     ------
@@ -221,9 +221,9 @@ def varied(
     package: Package, com: ArrayLike = 0.0, mass: ArrayLike = 0.0, inertia: ArrayLike = 0.0
 ) -> Package:
     """
-    Return a package with its centre of mass shifted (3,), m, and other mass and inertia.
+    Return a package with a shifted centre of mass (3,), m, and scaled mass and inertia.
 
-    These are logarithms of factors: of the mass, and of each moment of inertia (3,) or all.
+    Scales are logarithms of factors, of the mass and of each moment of inertia (3,) or all.
     """
     root = np.exp(0.5 * np.broadcast_to(inertia, 3))
     return Package(
@@ -333,7 +333,7 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
 
 def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> ModelTuple:
     """
-    Return a model with other numbers (52,), length and gravity as they are.
+    Return a model with other numbers (52,), but the same length and gravity.
 
     K and P describe each of the equal cups at the places (n, 4): x, y, z (m) in E, and the index.
     """

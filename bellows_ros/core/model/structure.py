@@ -34,7 +34,7 @@ MAX_CUPS, REACH, CLEARANCE = 32, 2.0, 5e-3
 
 UPPER = np.triu_indices(6)
 SINGLE = np.zeros((1, 4))
-"""One cup at E, as `places_of` returns it."""
+"""Places of a single cup at E."""
 
 
 def positions_of(layout: Sequence[float]) -> Array:
@@ -71,7 +71,7 @@ def positions_of(layout: Sequence[float]) -> Array:
 
 
 def is_single(places: Array) -> bool:
-    """Return whether it is one cup at E."""
+    """Return whether places (n, 4) are a single cup at E."""
     return len(places) == 1 and not places[0, :3].any()
 
 
@@ -89,7 +89,7 @@ def composed(matrix: Array, places: Array) -> Array:
 
 
 def composition(places: Array) -> Array:
-    """Return C (21, 21): the upper triangle of a gripper's matrix, row by row, from one cup's."""
+    """Return C (21, 21), from the upper triangle of one cup's matrix to the gripper's, by rows."""
     units = STRUCTURES['full'].basis
     return np.column_stack([composed(unit, places)[UPPER] for unit in units])
 
@@ -309,7 +309,7 @@ The rounded figures of a thin plate's data sheet may be so.
 """
 
 ROUNDING = 1e-12
-"""Eigenvalues so much smaller than the largest, or than the largest entry, are rounding errors."""
+"""Relative size of eigenvalues below which they are rounding errors, 1."""
 
 MIN_STIFFNESS = 1e-6
 """Smallest eigenvalue (N/m, N m/rad) of a stiffness: a million times softer than any cup."""
@@ -366,7 +366,7 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
 
 
 def has_coupling(stiffness: Array) -> bool:
-    """Return whether the centre of stiffness, by K[x, ry], is off the middle of the cup."""
+    """Return whether K[x, ry] puts the centre of stiffness off the middle of the cup."""
     couplings = np.abs([stiffness[0, 4], stiffness[1, 3]])
     return bool(np.any(couplings > 1e-4 * stiffness[[0, 1], [0, 1]]))  # m
 

@@ -22,15 +22,19 @@ DIRECTIONS = (
     'bending about x', 'bending about y', 'torsion')
 """Names of the coordinates of the lip in the tool: shift (m) and rotation vector (rad)."""
 
-TYPICAL_BENDING, FLAT_MOMENT_BENDING, PEAK_MOMENT_BENDING = math.radians(20.0), 0.6, math.pi / 4.0
-"""Bending (rad) of real cups; where the moment of (3.17) hardly grows; where it is largest."""
+TYPICAL_BENDING = math.radians(20.0)
+"""Largest bending of real cups, rad."""
+FLAT_MOMENT_BENDING = 0.6
+"""Bending from which the moment of (3.17) hardly grows, rad."""
+PEAK_MOMENT_BENDING = math.pi / 4.0
+"""Bending with the largest moment of (3.17), rad."""
 
 OVERTURN_ANGLE = 1.5
-"""Rotation (rad) beyond which a package that swings is not followed: no cup goes so far."""
+"""Rotation beyond which a swinging package has left any cup, rad."""
 
 MIN_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
 MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
-"""Smallest width of a validity range (m, rad; m/s, rad/s), so that noise does not leave it."""
+"""Smallest width of a validity range, above the noise (m, rad; m/s, rad/s)."""
 
 MIN_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
 """Bands reach at least this high (Hz), and are exceeded by a frequency this many times higher."""
@@ -93,7 +97,7 @@ class Envelope:
             raise BellowsError('Envelope: a range ends below its beginning.')
 
     def parameters(self) -> dict[str, tuple[float, ...]]:
-        """Return the parameters of the cup file: six digits, rounded outward; a known vacuum."""
+        """Return the parameters of the cup file with six digits, rounded outward."""
         return {
             RANGE_PARAMETERS[name]: tuple(
                 float(context.create_decimal(repr(x)))
@@ -226,7 +230,7 @@ def _frequencies(valid: Envelope, bands: Array) -> list[tuple[float, str]]:
 
 
 def _loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> list[tuple[float, str]]:
-    """Return distance and phrase for mass and vacuum; nothing for a range that is unknown."""
+    """Return distance and phrase for mass and vacuum, without unknown ranges."""
     found = []
     for range_, (name, value, scale, unit) in zip(ranges, (
             ('mass', mass, 1.0, 'kg'), ('vacuum', vacuum, 1e-3, 'kPa')), strict=True):

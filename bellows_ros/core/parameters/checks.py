@@ -35,7 +35,7 @@ MIN_VACUUM = 1000.0
 """Smallest vacuum (Pa below ambient) that is no mistake of unit."""
 
 VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (MIN_VACUUM, 'mbar', 1e2))
-"""Below the first number a smaller one is likely in this unit, of so many Pa."""
+"""Number below which a pressure is likely in a unit, the unit, and its size in Pa."""
 
 
 def validate(name: str, value: object) -> Value:
@@ -122,7 +122,7 @@ def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def pose_text(pose: Array) -> str:
-    """Return position and quaternion (7,) as the parameter recording.package_world has them."""
+    """Return position and quaternion (7,) as the text of the parameter recording.package_world."""
     return ' '.join(f'{x:.10g}' for x in pose)
 
 
@@ -160,7 +160,7 @@ def _refuse(parameter: Parameter, got: str) -> BellowsError:
 
 
 def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
-    """Return seven numbers, given as a list or a string, as a string; other values unchanged."""
+    """Return seven numbers of a list or string as a string; other values unchanged."""
     parts = value.replace(',', ' ').strip('[] ').split() if isinstance(value, str) else value
     if parts == [] or (estimated and parts == [ESTIMATE]):
         return ''.join(parts)
@@ -286,7 +286,7 @@ def cup_names(names: Iterable[str]) -> list[str]:
 
 def with_chosen_cup(values: Values) -> Values:
     """
-    Return parameter values with the named cup, cups.NAME.*, in the place of cup.*.
+    Return parameter values with cup.* replaced by the named cup, cups.NAME.*.
 
     The parameter cup.name selects NAME. Parameters that the named cup lacks keep their value in
     cup.*. The validity range envelope.* belongs to the identified cup and is left out.
@@ -392,7 +392,7 @@ class Settings:
     def vector(
         self, name: str, length: int, default: Sequence[float] | None = None, unit: str = ''
     ) -> Array:
-        """Return so many finite numbers."""
+        """Return `length` finite numbers."""
         return np.array(self._get(name, default, 'double_array', unit=unit, length=length))
 
     def numbers(
@@ -418,7 +418,7 @@ class Settings:
         return [self._inside(f'{name}[{i}]', item) for i, item in enumerate(value)]
 
     def _inside(self, name: str, values: object) -> 'Settings':
-        """Return a block of this one, to be done with it."""
+        """Return a block inside this block; `done` also checks it."""
         self._blocks[name] = Settings(values, self.name(name), self._where)
         return self._blocks[name]
 
@@ -449,11 +449,11 @@ class Settings:
             name, f"Setting '{self.name(name)}' must be {expected}, got {shown(repr(got), 60)}.")
 
     def error(self, name: str, message: str) -> BellowsError:
-        """Return an error on a setting, which begins with where it stands."""
+        """Return an error on a setting; its message begins with file and line."""
         return BellowsError(self._where(tuple(self.name(name).split('.'))) + message)
 
     def _get(self, name: str, default: object, kind: Kind, **constraint: Any) -> Any:
-        """Return a setting as it is given, or its default, if it is as a parameter would be."""
+        """Return a given setting or its default, checked like a parameter."""
         self._asked.append(name)
         value = self._values.get(name, default)
         parameter = Parameter(f"Setting '{self.name(name)}'", kind=kind, **constraint)

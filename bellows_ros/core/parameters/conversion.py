@@ -24,7 +24,7 @@ STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
 
 
 def is_gripper(values: Values) -> bool:
-    """Return whether parameter values describe cups other than one at E that holds."""
+    """Return whether parameter values describe several cups, or a cup that is open."""
     return bool(any(values.get('cup.layout', ())) or any(
         index >= 0.0 for index in values.get('cup.open', ())))
 
@@ -131,7 +131,7 @@ def richest_structure(values: Values) -> Structure:
 
 def given_structure(values: Values) -> Structure:
     """
-    Return the structure of parameter values, with the places of the cups where they are needed.
+    Return the structure in parameter values; a structure of a layout has the cups' places.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def parameter_envelope(values: Values) -> Envelope | None:
 
 
 def tip_of(values: Values) -> Array | None:
-    """Return the pose (4, 4) of E in the frame of the tool's poses, None where that is E."""
+    """Return the pose (4, 4) of E in the frame of the tool's poses, None if both are equal."""
     text = values.get('tool_pose.offset', '')
     if not text:
         return None

@@ -28,8 +28,8 @@ GAP_DEVIATIONS = 3.0
 # Steps within this part of the period count as uniform; `savgol` allows twice as much
 # (`UNIFORMITY_TOLERANCE`), measured from the mean step instead of the period estimated here.
 COPY_TOLERANCE = 0.005
-# Stamps come in bursts where the mean of so many steps is mostly not within these factors
-# of the typical step: half the samples may be lost, but none is there twice.
+# Number of averaged steps, and range of their mean in typical steps; a mean mostly outside shows
+# bursts: half the samples may be lost, but none comes twice.
 BURST_STEPS = 20
 MEAN_RANGE = (0.8, 2.5)
 # Standard deviation of a normal distribution per median absolute deviation.
@@ -157,10 +157,10 @@ def resolution(stamps_ns: Stamps) -> float:
 
 def in_bursts(stamps_ns: Stamps, timing: Timing) -> bool:
     """
-    Return whether samples come right after another, as messages do, not measurements.
+    Return whether samples come in bursts, like messages after a delay.
 
-    Short steps show it, or short gaps that take most of the time, each in proportion to the number
-    of samples that come at once; lost samples leave gaps of any length, or of any number.
+    Bursts have short steps, or short gaps that take most of the time in proportion to the samples
+    of the burst; lost samples leave gaps of any length and number.
     """
     steps = np.diff(stamps_ns) / NS_PER_S
     if np.mean(steps * timing.rate_hz < 0.2) > 0.3:  # no sensor repeats a fifth of its period
@@ -195,14 +195,14 @@ def _typical_value(values: Array | Stamps) -> float:
 
 
 def common_span(one: PoseStream | Trajectory, other: PoseStream | Trajectory) -> tuple[int, int]:
-    """Return the first and the last stamp (ns) of the time in which both are, if any."""
+    """Return first and last stamp (ns) of the overlap of two trajectories, if any."""
     starts, ends = zip(*(body.stamps_ns[[0, -1]].tolist() for body in (one, other)), strict=True)
     return max(starts), min(ends)
 
 
 def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
     """
-    Return stamps with more of them put in between.
+    Return stamps with additional stamps between them.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ class ArrivalStamps(NamedTuple):
 
 
 def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
-    """Return poses with the stamps of their sampling, where theirs are times of arrival."""
+    """Return poses with stamps of sampling instead of times of arrival."""
     if len(stream) < 4 * SAMPLES_BESIDE_GAP:
         return stream, None
     recorded = timing(stream.stamps_ns)
@@ -263,7 +263,7 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
 
 def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
     """
-    Return when samples were taken that arrived at some stamps, at the latest; None if unknown.
+    Return the latest possible times of sampling for times of arrival; None if unknown.
 
     No sample arrives before it is taken, so the uniform stamps are the earliest that touch one.
     After a gap all samples seem late, by whole periods. Samples lost every few periods, or
@@ -302,7 +302,7 @@ def _tangent_below(x: Array | Stamps, y: Array) -> Array:
 
 
 def _deviation(poses: PoseStream, stamps_ns: Stamps, size: int) -> Array:
-    """Return how far poses are from polynomials (m, rad), in the median over short windows."""
+    """Return the median distance of poses from polynomials over short windows, m and rad."""
     count = len(stamps_ns) // size
     t, o, R = (part[:count * size].reshape(count, size, *part.shape[1:])
                for part in ((stamps_ns - stamps_ns[0]).astype(np.float64), poses.position,
@@ -449,7 +449,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
 
 
 def filled(poses: Trajectory, known: Trajectory, longest_gap_ns: int | None = None) -> Trajectory:
-    """Return poses with those that are missing as `resample` has them between known ones."""
+    """Return poses with missing ones interpolated by `resample`."""
     missing = ~poses.valid & (
         poses.stamps_ns > known.stamps_ns[0]) & (poses.stamps_ns < known.stamps_ns[-1])
     between = resample(known, poses.stamps_ns[missing], longest_gap_ns)

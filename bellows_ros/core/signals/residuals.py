@@ -22,7 +22,7 @@ AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 DISPLAY_UNITS = ('mm',) * 3 + ('deg',) * 3
 DISPLAY_FACTORS = np.repeat([1e3, np.rad2deg(1.0)], 3)
-"""Units in which a person reads them, and how many of them make 1 m or 1 rad."""
+"""Display units of the axes, and their number per m or rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +203,7 @@ def _is_finite(values: Array) -> Mask:
 
 
 def interpolated(values: Array) -> Array:
-    """Return values (N, C) with the samples that are missing (NaN) on lines between the others."""
+    """Return values (N, C) with missing samples (NaN) interpolated linearly."""
     present, every = np.flatnonzero(_is_finite(values)), np.arange(len(values))
     if len(present) == len(values):
         return values

@@ -143,7 +143,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
 
 
 def weights_for(trajectory: Trajectory, half_window: int, order: int) -> Array:
-    """Return the weights of a filter of a trajectory, or raise what `savgol` does."""
+    """Return the weights of a filter of a trajectory; raise like `savgol`."""
     if len(trajectory) < 2 * half_window + 1:
         raise BellowsError(
             f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
@@ -152,7 +152,7 @@ def weights_for(trajectory: Trajectory, half_window: int, order: int) -> Array:
 
 
 def whole_windows(trajectory: Trajectory, half_window: int) -> Mask:
-    """Return which samples with a full window have only valid ones in it (N - 2n,)."""
+    """Return a mask (N - 2n,) of the samples whose full window is valid."""
     return ~any_within(~trajectory.valid, 2 * half_window + 1)
 
 
@@ -214,7 +214,7 @@ def with_filtered_noise(
     draw: np.random.Generator,
 ) -> Trajectory:
     """
-    Return a filtered motion as it would be with the noise of its poses once more.
+    Return a filtered motion with the noise of its poses added once more.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def bridged(poses: Trajectory) -> Trajectory:
 
 
 def correlated(white: Array, ar1: float) -> Array:
-    """Return white noise (N, C) as noise of first order, as large from the first sample on."""
+    """Return first-order noise from white noise (N, C), stationary from the first sample on."""
     inputs = np.sqrt(1.0 - ar1**2) * white
     inputs[:1] = white[:1]
     return first_order(inputs, ar1) if ar1 else inputs

@@ -22,11 +22,11 @@ MAX_TOOL_RATE = 60.0
 """Largest angular speed of an arm, rad/s."""
 
 UNIT_TOLERANCE = 0.01
-"""A quaternion whose length is off by more is refused; otherwise it is normalised."""
+"""Largest deviation of a quaternion's length from 1 that is normalised, 1."""
 
 
 LONGEST_GAP_NS = 500_000_000
-"""After a longer gap (ns) the package's motion is unknown, and prediction restarts from rest."""
+"""Longest gap over which a prediction continues; after it, prediction restarts from rest, ns."""
 
 BACKWARD_RUN = 5
 """Consecutive backward stamps, increasing among themselves, that mean a clock set back."""
@@ -45,7 +45,7 @@ class PoseSample(NamedTuple):
 
 
 def why_no_pose(o: Vector, q: Quaternion) -> str:
-    """Return why numbers are not a pose, or ''."""
+    """Return the reason why numbers are no pose, or ''."""
     squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
     if not math.isfinite(o[0] + o[1] + o[2] + squared):
         return 'nan'
@@ -147,7 +147,7 @@ REASONS = ('duplicate_stamp', 'backward_stamp', 'future_stamp')
 
 def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps) -> dict[str, Mask]:
     """
-    Return which messages have stamps that cannot be used, by reason.
+    Return the messages with unusable stamps, by reason.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps) -> dict[str, Mask]:
 
 
 def _in_place(stamps_ns: Stamps, unusable: dict[str, Mask]) -> Mask:
-    """Return which messages that seemed to be late lie between their neighbours after all."""
+    """Return a mask of seemingly late messages that lie between their neighbours."""
     bad = np.logical_or.reduce(list(unusable.values()))
     before = np.maximum.accumulate(np.where(bad, -1, stamps_ns))
     after = np.minimum.accumulate(np.where(bad, np.iinfo(np.int64).max, stamps_ns)[::-1])[::-1]
@@ -199,7 +199,7 @@ def _in_place(stamps_ns: Stamps, unusable: dict[str, Mask]) -> Mask:
 
 def _first_is_smaller_loss(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> bool:
     """
-    Return which part loses the overlapping stamps: whether the first.
+    Return whether the first of two parts loses the overlapping stamps.
 
     Where it costs both about as much, as after a clock was set back, the shorter part decides:
     that is the same for all topics of a recording, as chance is not.
