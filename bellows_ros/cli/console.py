@@ -258,8 +258,8 @@ class Stopped(KeyboardInterrupt):
     """
     A signal has come.
 
-    Not KeyboardInterrupt itself: where that passes through an exec(), as where a dataclass is
-    made, CPython ends the process with -SIGINT, whatever code it returns.
+    A subclass, since CPython ends a process with -SIGINT, regardless of its exit code, if
+    KeyboardInterrupt itself passes through an exec(), as in the definition of a dataclass.
     """
 
 

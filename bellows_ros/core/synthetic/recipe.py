@@ -426,7 +426,7 @@ class Thrown(NamedTuple):
     release_time: float
     landing_time: float
     law: Law
-    """As it was drawn, in the order of `RELEASE_NAMES`."""
+    """Drawn numbers of the release, in the order of `RELEASE_NAMES`."""
 
 
 class Truth(NamedTuple):
