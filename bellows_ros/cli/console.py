@@ -32,10 +32,11 @@ USER_ERROR = 2
 STDOUT = '-'
 """As of `files.atomic`."""
 
-WIDTH, MIN_WIDTH = 79, 40
+WIDTH = 79
 MAX_TEXT = 100_000
 """Length of a printed text, characters: more than any result, less than floods a terminal."""
-GUTTER, INDENTED = 2, 2  # of tables, characters
+GUTTER = 2
+"""Space between columns of a table, characters."""
 BAR = 24  # characters
 CLEAR_LINE = '\r\x1b[2K'
 STYLES: Mapping[str, str] = {'bold': '1', 'dim': '2', 'red': '31', 'yellow': '33', 'green': '32'}
@@ -225,7 +226,7 @@ def _is_terminal(stream: TextIO) -> bool:
 
 def _wrapped(text: str, first: str, rest: str) -> list[str]:
     """Return indented lines as wide as the terminal, up to the widest that is easy to read."""
-    width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), MIN_WIDTH)
+    width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), 40)
     return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=rest,
                          break_long_words=False, break_on_hyphens=False)
 
@@ -236,7 +237,7 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
 
     On a terminal that is too narrow, columns follow in blocks, each with the first one again.
     """
-    room = shutil.get_terminal_size((0, 0)).columns - INDENTED
+    room = shutil.get_terminal_size((0, 0)).columns - 2  # indented
     columns = [
         [f'{cell:{">" if right and number else "<"}{max(map(len, cells))}}' for cell in cells]
         for number, cells in enumerate(zip(*rows, strict=True))]

@@ -22,8 +22,8 @@ from .style import FILMS, picture, require_picture, Theme
 
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 SIZE, DPI = (8.0, 4.5), 80
-TAIL_SHOWN = 0.5  # s, that a steered motion is shown after its end
-CUP_ZOOM, REPLAY_ZOOM, PLAN_ZOOM = 1.6, 1.3, 1.22  # the box stays inside, wherever it swings
+TAIL_SHOWN = 0.5
+"""Time after the end of a steered motion that is shown, s."""
 VIEW = {'elev': 14.0, 'azim': -60.0}
 PLAN_VIEW = {'elev': 13.0, 'azim': -42.0}
 
@@ -67,8 +67,8 @@ def write_animation(
         If the ending is another, or ffmpeg is missing.
 
     """
-    views = (View('in the world', replayed, REPLAY_ZOOM),
-             View('moving with the tool tip', replayed, CUP_ZOOM, at_tool=True))
+    views = (View('in the world', replayed, 1.3),
+             View('moving with the tool tip', replayed, 1.6, at_tool=True))
     _write(path, views, 'Predicted, and measured as an outline', note, theme, progress, speed)
 
 
@@ -87,7 +87,7 @@ def write_steering(
             label = name if name == 'as planned' else f'steered ({name})'
             views.append(View(label, plot.Scene(
                 seconds[seconds <= last], tool, package, outline, values.cup.length,
-                np.array(values.package.com), np.array(equivalent_box(values))), PLAN_ZOOM,
+                np.array(values.package.com), np.array(equivalent_box(values))), 1.22,
                 shows_tilt=True))
     _write(path, views, 'The same transport, as planned and steered', note, theme,
            recordings.no_progress, speed)

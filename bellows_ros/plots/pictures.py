@@ -544,7 +544,6 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
 
 
 WIDE_TOSS = (11.0, 7.2)
-OUTLINES, PATH_POINTS = 6, 60
 
 
 def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
@@ -564,7 +563,7 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
 
     """
     toss, motion = result.toss, result.case.held
-    tool, path = result.source.tool, flight_path(motion.model, toss, PATH_POINTS)
+    tool, path = result.source.tool, flight_path(motion.model, toss, 60)
     held = motion.states[motion.times <= toss.release_time]
     valve = held[np.searchsorted(motion.times[:len(held)], result.case.switched) - 1]
     spread = 1e3 * np.sqrt(np.diag(result.covariance))
@@ -614,7 +613,7 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
 
 def _outlines(path: Array, half: Array, middle: Array) -> Iterator[Array]:
     """Yield the edges (12, 2, 3) of the flying box at a few places."""
-    for row in path[np.linspace(0, len(path) - 1, OUTLINES).astype(int)]:
+    for row in path[np.linspace(0, len(path) - 1, 6).astype(int)]:
         R = quaternion_to_rotation(row[3:7])
         yield box_corners(row[:3] + R @ middle, R, 2.0 * half)[BOX_EDGES]
 
