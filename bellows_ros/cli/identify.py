@@ -17,7 +17,8 @@ from .console import Console, Output
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import ReleaseResult
 
-OUTPUTS = {'out': 'output.parameters', 'json': 'output.json', 'report': 'output.report'}
+OUTPUTS = {'out': 'output.parameters', 'out_cell': 'output.cell', 'json': 'output.json',
+           'report': 'output.report'}
 """The parameters that name what options do."""
 
 
@@ -37,23 +38,36 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
         from bellows_ros.report.build import write_page
 
         write_page(result, arguments.report)
-    then, cup_file, usable = _next(arguments, result), arguments.out, not result.refusals
-    arguments.out = cup_file if usable or arguments.force and result.fit.usable else ''
-    save(result, arguments.out, '', arguments.force)
+    then, usable = _next(arguments, result), not result.refusals
+    if not (usable or arguments.force and result.fit.usable):
+        arguments.out = arguments.out_cell = ''
+    save(result, arguments.out, '', arguments.force, arguments.out_cell)
     return options.Outcome(result, usable, then)
 
 
 def _next(arguments: argparse.Namespace, result: Identification) -> tuple[str, ...]:
     """Return what became of the cup, and what to do with it."""
+    out, cell = arguments.out, arguments.out_cell
     if result.refusals:
         written = 'written because of --force' if (
             arguments.force and result.fit.usable) else 'not written'
-        state = f'its file was {written}' if arguments.out else 'do not use it'
+        state = f'its file was {written}' if out or cell else 'do not use it'
         return (f'This cup is refused: {state}.',)
-    if not arguments.out:
+    if not out:
         return ('The cup was not written to a file; give --out cup.yaml to keep it.',)
-    files = ' '.join(f'--params {file}' for file in (*arguments.params, arguments.out))
-    return 'Next, check how well it predicts another recording:', f'  bellows replay BAG {files}'
+    lost = ', '.join(name for name in result.found if name != 'cup.length') if not cell else ''
+    files = [cell] if cell else arguments.params
+    replay = ' '.join([
+        '  bellows replay BAG', *(f'--params {file}' for file in (*files, out)),
+        *([f'--observe {result.values.topics.package_pose}'] if cell else [])])
+    return (
+        *([f'Estimated, but not written: {lost}; give --out-cell cell.yaml to keep them.']
+          if lost else []),
+        'Next, check how well it predicts another recording:', replay, *((
+            'Then predict live:',
+            f'  ros2 run bellows_ros predictor --ros-args --params-file {cell} --params-file {out}'
+            f' -r tool_arm/pose:={result.values.topics.tool_pose}'
+            f' -r package/measured:={result.values.topics.package_pose}') if cell else ()))
 
 
 def _release(

@@ -1,9 +1,10 @@
 """List the topics of a recording, and guess which is the tool."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 import math
 import textwrap
+from typing import Any
 
 from bellows_ros.core.identification.diagnosis.commission import Check
 from bellows_ros.core.parameters.table import PARAMETERS
@@ -21,6 +22,9 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
            'cup.length')
 """Quantities that a recording does not show: comments of the file, to fill in."""
 
+CERTAIN = ('tool_pose.offset', 'recording.package_frame', 'measured.model')
+"""Settings of the checks that the file has as values; others are comments."""
+
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Look and write."""
@@ -28,13 +32,17 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     console.progress(f'reading {arguments.bag}')
     result = info(arguments.bag, options.interval_settings(arguments))
     if arguments.write_params:
+        settings = {**result.settings, **{
+            name: check.settings[name] for check in result.checks for name in CERTAIN
+            if name in check.settings}}
         write_text(arguments.write_params, template_with(
-            [PARAMETERS[name] for name in UNKNOWN], result.settings,
+            [PARAMETERS[name] for name in UNKNOWN if name not in settings], settings,
             [f'How to read {result.path}, as found by bellows info; check it.'],
-            _commented(result)))
+            _commented(result, settings)))
+    cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''
     return options.Outcome(result, then=(
         'Fill in the package there, then:',
-        f'  bellows identify --params {arguments.write_params} --out cup.yaml',
+        f'  bellows identify --params {arguments.write_params} --out cup.yaml{cell}',
     ) if arguments.write_params else ())
 
 
@@ -73,14 +81,14 @@ def _check_sentence(check: Check) -> str:
     return f'{name}: {sentence("commission", code, **check.numbers)}.'
 
 
-def _commented(result: Info) -> list[str]:
+def _commented(result: Info, settings: Mapping[str, Any]) -> list[str]:
     """Return comments for a parameter file: each check and its result."""
     lines = list[str]()
     for check in result.checks:
         lines += textwrap.wrap(
             _check_sentence(check), 97, initial_indent='    # ', subsequent_indent='    # ')
         lines += [f'    #{name}: {_yaml(value)}' for name, value in check.settings.items()
-                  if name in PARAMETERS and result.settings.get(name) != value]
+                  if name in PARAMETERS and settings.get(name) != value]
     return ['    # CHECKS BEFORE A FIT, in the order to settle them.', *lines] if lines else []
 
 

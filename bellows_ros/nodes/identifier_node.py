@@ -24,7 +24,7 @@ RESULT_NAMES = [
     p.name for p in table.parameters_for('identifier') if p.name.startswith(CUP_PREFIXES)]
 """Parameters that are declared when the work is done."""
 
-OUTPUTS = ('output.parameters', 'output.json', 'output.report')
+OUTPUTS = ('output.parameters', 'output.json', 'output.report', 'output.cell')
 
 
 class IdentifierNode(TableNode):
@@ -65,8 +65,8 @@ class IdentifierNode(TableNode):
         """Identify, write and show the result, set it on the predictor; an error ends the node."""
         try:
             result = identify(settings, self._log_stage)
-            cup_file, json_file, page = (result.values[name] for name in OUTPUTS)
-            save(result, cup_file, json_file)
+            cup_file, json_file, page, cell_file = (result.values[name] for name in OUTPUTS)
+            save(result, cup_file, json_file, cell_path=cell_file)
             if page:
                 write_page(result, page)
             cup = self._show(result)

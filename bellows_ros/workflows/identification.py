@@ -6,19 +6,24 @@ from functools import cached_property
 import math
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import identifiability, reduction
+from bellows_ros.core.identification.given import given_std
+from bellows_ros.core.identification.quantities import KINDS, middle_of
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
+from bellows_ros.workflows.recordings import Failed, is_measured, offset_sentence, world_sentence
 from bellows_ros.workflows.static import length_sentence, StaticResult
 from bellows_ros.workflows.verdict import FitVerdict
 import numpy as np
@@ -55,7 +60,17 @@ NARROWED_BELOW = 0.95
 FREE_PARAMETERS = {
     'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
     'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
-"""Parameter and unit of each name in fit.free."""
+"""Parameter and unit of each estimated quantity of cup and package."""
+
+CELL_PREFIXES = ('package.', 'recording.', 'topics.', 'tool_pose.', 'tool_twist.', 'gravity.',
+                 'measured.', 'filter.', 'vacuum.')
+"""Prefixes of the parameters of a cell and its package."""
+
+OF_RUN = ('package.files', 'recording.start', 'recording.end')
+"""Parameters of a run with these prefixes."""
+
+MAX_LATENCY = 0.5
+"""Largest offset of two clocks that is a latency of measured.latency, s."""
 
 MAX_NAMED = 6
 """Largest number of parameters named in a sentence."""
@@ -139,32 +154,104 @@ class Identification(CommandResult):
         return conversion.cup_of(self.cup_values())
 
     def cup_values(self) -> Values:
-        """Return the parameters of the run with the cup, and the estimated worlds."""
-        worlds = [part.package_world for part in self.parts if part.package_world]
-        best = min(worlds, key=lambda world: float(np.sum(world.std)), default=None)
+        """Return the parameters of the run with the cup, and the estimates of the cell."""
         return self.values.replaced({
-            **({'recording.package_world': checks.pose_text(best.pose)} if best else {}),
+            'cup.length': self.cup_length,
+            **{name: checks.validate(name, value) for name, (value, *_) in self.found.items()},
             'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
             'cup.damping': tuple(self.fit.damping.ravel().tolist()),
-            'cup.length': self.cup_length,
             'cup.relaxation': self.fit.relaxation,
             'cup.stretch': self.fit.stretch})
 
     def parameters(self) -> dict[str, Any]:
-        """
-        Return the parameters of the cup file: what was estimated, and what that depends on.
-
-        Whatever else was set, such as the package, is of the recordings, and of no use to others.
-        """
-        names = {*CUP_PARAMETERS, *(FREE_PARAMETERS[name][0] for name, *_ in self.fit.freed), *(
-            ['recording.package_world'] if any(part.package_world for part in self.parts) else [])}
+        """Return the parameters of the cup file: the cup with standard errors and validity."""
         values = {
-            name: value for name, value in self.cup_values().items()
-            if name in names or (name in CUP_EXTRAS and value != table.PARAMETERS[name].default)}
+            name: value for name, value in self.cup_values().items() if name in CUP_PARAMETERS
+            or name in CUP_EXTRAS and value != table.PARAMETERS[name].default}
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
         return {**values, **errors, **self.envelope.parameters()}
+
+    def cell_parameters(self) -> dict[str, Any]:
+        """Return the parameters of the cell file: the given cell and package, and estimates."""
+        given = {
+            name: value for name, value in self.values.items()
+            if name.startswith(CELL_PREFIXES) and name not in OF_RUN
+            and value != table.PARAMETERS[name].default}
+        found = {name: each for name, each in self.found.items() if name != 'cup.length'}
+        errors = {
+            f'{name}_std': std.tolist() for name, (_, std, _) in found.items()
+            if f'{name}_std' in table.PARAMETERS}
+        for name, whole in (('measured.offset', 'measured.marker_std'),
+                            ('recording.package_world', 'measured.camera_std')):
+            if name in found:
+                errors[whole] = [float(max(part)) for part in np.split(found[name][1], 2)]
+        if 'measured.offset' in found:  # the pose of the tag in the centre of mass
+            given |= {'recording.package_frame': 'com', 'recording.align_at_rest': False}
+        return {**given, **{name: value for name, (value, *_) in found.items()}, **errors}
+
+    @cached_property
+    def found(self) -> Mapping[str, tuple[Any, Any, str]]:
+        """
+        Estimates beside K and P by parameters: value, standard errors and unit.
+
+        Clock, marker and world are those of the recording with the best known world.
+        """
+        result = dict[str, tuple[Any, Any, str]]()
+        if not self.fit.converged:
+            return result
+        number = min(range(len(self.parts)), key=lambda n: float(np.sum(
+            world.std if (world := self.parts[n].package_world) else 0.0)))
+        estimates = self.verdict.found if self.verdict else {}
+        given = given_std(self.values)
+        of_package = {freed.name: np.array(freed.std) for freed in self.fit.freed} | {
+            name: given[name] for name, (parameter, _) in FREE_PARAMETERS.items()
+            if parameter in estimates}
+        for name, error in of_package.items():
+            parameter, unit = FREE_PARAMETERS[name]
+            value = np.asarray(
+                estimates[parameter][0] if parameter in estimates else self.values[parameter])
+            if name in ('mass', 'inertia'):
+                error = error * np.atleast_1d(value)[:len(error)]
+            result[parameter] = value, np.resize(
+                np.pad(error, (0, value.size - len(error))), value.shape), unit
+        if self.recordings:
+            result |= self._frames(number)
+        return result
+
+    def _frames(self, number: int) -> Iterator[tuple[str, tuple[Any, Array, str]]]:
+        """Yield the estimates of world, marker and clock from a recording."""
+        recording = self.recordings[number]
+        free, std = ({
+            name: rows[number if KINDS[name].each else 0] for name, rows in each.items()}
+            for each in (self.fit.nuisances, self.fit.nuisances_std))
+        if world := recording.report.package_world:
+            pose = alignment.shifted_pose(
+                world.pose, recording.settings.R_world_recorded,
+                middle_of(recording.tracked_package)[:3],
+                free.get('package_world', np.zeros(6)))
+            yield 'recording.package_world', (
+                checks.pose_text(pose), world.std, 'm, rad')
+        if 'package_marker' in self.values.fit.free or world and (
+                recording.settings.align_at_rest):
+            shift = np.array(recording.settings.moves_with_com) * np.sum([
+                free.get('com', np.zeros(3)),
+                *(freed.change for freed in self.fit.freed if freed.name == 'com')], axis=0)
+            turn = free.get('package_marker', np.zeros(6))
+            frames = recording.alignment
+            R = frames.R_package_markers_lip
+            T = lie.inverse_transform(
+                lie.transform(R, R @ (frames.origin_to_com + shift))
+                @ lie.transform(lie.exp_so3(turn[3:]), turn[:3]))
+            yield 'measured.offset', (
+                np.append(T[:3, 3], lie.log_so3(T[:3, :3])),
+                std.get('package_marker', np.zeros(6)), 'm, rad')
+        if number < len(self.fit.delays) and abs(self.fit.delays[number]) < MAX_LATENCY and (
+                math.isfinite(self.fit.delays_std[number])):
+            yield 'measured.latency', (
+                is_measured(self.values) * self.values.measured.latency - self.fit.delays[number],
+                np.array(self.fit.delays_std[number]), 's')
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -183,21 +270,16 @@ class Identification(CommandResult):
             *(text for each in self.validations for text in (
                 *offset_sentence(each.bag, each.time_offset), each.sentence)))
 
-    def _free_parameters(self) -> Iterator[tuple[str, list[float], list[float], str]]:
-        """Yield the parameters that were estimated by fit.free: value, standard error and unit."""
-        for name, _, std in self.fit.freed:
-            parameter, unit = FREE_PARAMETERS[name]
-            value = np.atleast_1d(self.values[parameter])[:len(std)]
-            relative = value if name in ('mass', 'inertia') else np.ones(len(value))
-            yield parameter, value.tolist(), (relative * std).tolist(), unit
-
     def _free_sentences(self) -> Iterator[str]:
-        """Yield sentences about the parameters that were estimated, lengths in mm."""
-        for name, value, std, unit in self._free_parameters():
+        """Yield sentences about the parameters that were estimated by fit.free, lengths in mm."""
+        for freed in self.fit.freed if self.found else ():
+            name = FREE_PARAMETERS[freed.name][0]
+            value, std, unit = self.found[name]
             factor = 1e3 if unit == 'm' else 1.0
             numbers = ', '.join(
                 f'{factor * x:z.{max(1 - math.floor(math.log10(factor * s)), 0)}f} ± '
-                f'{factor * s:.2g}' for x, s in zip(value, std, strict=True))
+                f'{factor * s:.2g}' for x, s in zip(
+                    np.atleast_1d(value), np.atleast_1d(std), strict=True) if s)
             yield (f'{name} was estimated together with K and P: {numbers} '
                    f'{"mm" if unit == "m" else unit}.')
 
@@ -242,7 +324,7 @@ class Identification(CommandResult):
             'cup_length': self.cup_length,
             'found_parameters': {
                 name: {'value': value, 'std': std, 'units': {'value': unit, 'std': unit}}
-                for name, value, std, unit in self._free_parameters()},
+                for name, (value, std, unit) in self.found.items()},
             'usable': not self.refusals,
             'refusals': self.refusals,
             'verdict': self.verdict,
@@ -306,10 +388,10 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
 
 def save(
     result: Identification, parameters_path: File | None, json_path: File | None,
-    force: bool = False
+    force: bool = False, cell_path: File | None = None,
 ) -> None:
     """
-    Write the cup file and the JSON file, unless None or ''.
+    Write the cup file, the JSON file and the cell file, unless None or ''.
 
     With force the file of a refused cup is written, too, with a note in its header.
 
@@ -317,15 +399,16 @@ def save(
     ------
     BellowsError
         If a file cannot be written, or the cup is refused. The JSON file is written in that case
-        too, the cup file is not.
+        too, the others are not.
 
     """
     if json_path:
         results.write_json(json_path, result)
-    if not parameters_path:
-        return
-    result.require_usable(force)
-    parameter_files.write_parameters(parameters_path, result.parameters(), result.header())
+    for path, parameters in (
+            (parameters_path, result.parameters), (cell_path, result.cell_parameters)):
+        if path:
+            result.require_usable(force)
+            parameter_files.write_parameters(path, parameters(), result.header())
 
 
 def fit_json(fit: Fit) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.geometry.lie import exp_so3, inverse_transform, transform
 from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
 from bellows_ros.core.parameters import checks, conversion
@@ -14,6 +15,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import conventions
 from bellows_ros.core.recording import recording as prepared
+from bellows_ros.core.recording.measurement_model import measurement_model
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
@@ -186,6 +188,7 @@ def _prepared(
     registers = bool(values.fit.time_offset or world == checks.ESTIMATE
                      or 'package_marker' in values.fit.free)
     _require_no_faults(tool, package, settings, registers)
+    package = as_measured(package, values)
     if registers:
         payload, inertia = settings.payload, np.diag(settings.payload.inertia)
         if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
@@ -197,6 +200,24 @@ def _prepared(
     moved = frames.in_tool_world(
         package, frames.pose_of(world), tool.frame_id) if world else package
     return prepare(tool, moved, settings, twist)
+
+
+def is_measured(values: Values) -> bool:
+    """Return whether measured.* describes the recorded package: a tag, or one in its own world."""
+    return values.measured.model == 'tag' or (
+        values.recording.package_world not in ('', checks.ESTIMATE))
+
+
+def as_measured(package: PoseStream, values: Values) -> PoseStream:
+    """Return recorded poses without the stated latency, scale and, unless free, marker offset."""
+    if not is_measured(values):
+        return package
+    model, offset = measurement_model(values), np.array(values.measured.offset)
+    package = replace(
+        trajectory.earlier(package, model.latency), position=model.camera + model.scale * (
+            package.position - model.camera))
+    return package if 'package_marker' in values.fit.free else trajectory.at_tip(
+        package, inverse_transform(transform(exp_so3(offset[3:]), offset[:3])))
 
 
 def _require_no_faults(

@@ -90,8 +90,8 @@ def test_it_is_said_and_written_where_it_belongs(result, bag, settings, tmp_path
     """Replay with the cup file: the transform is in it."""
     assert any('recording.package_world was estimated: position 1' in line and 'degrees' in line
                for line in result.findings)
-    save(result, tmp_path / 'cup.yaml', None)
-    kept = read_parameters(tmp_path / 'cup.yaml')
+    save(result, tmp_path / 'cup.yaml', None, cell_path=tmp_path / 'cell.yaml')
+    kept = read_parameters(tmp_path / 'cell.yaml')
     pose = result.parts[0].package_world.pose
     (offset,), (error,) = result.fit.delays, result.fit.delays_std
     assert any(f'{1e3 * offset:.3f} ms ±' in line and 'later than' in line
@@ -103,7 +103,9 @@ def test_it_is_said_and_written_where_it_belongs(result, bag, settings, tmp_path
     (recording,) = content['recordings']
     assert recording['time_offset'] == {'value': offset, 'std': error, 'unit': 's'}
     assert recording['package_world']['units']['position'] == 'm'
-    assert replay(bag, {**settings, 'fit.time_offset': True, **kept}).validation.failing() == ()
+    assert kept['measured.latency'] == -offset and kept['measured.latency_std'] == error
+    assert replay(bag, {
+        **kept, **read_parameters(tmp_path / 'cup.yaml')}).validation.failing() == ()
 
 
 def test_an_inertia_in_another_unit_is_named_before_a_world_is_looked_for(bag, settings):

@@ -451,6 +451,8 @@ def _fit(
     if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
         notes.append(NOTES['r2_assumed'])
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
+    nuisances = {name: place for name, place in problem.places.items()
+                 if name not in OF_SPRING and (KINDS[name].each or name not in named)}
     residuals = found.residuals
     total = sum(len(segment.measured.package) for segment in problem.segments)
     offsets = np.ravel(problem.places['time_offset']) if 'time_offset' in named else slice(0)
@@ -479,9 +481,8 @@ def _fit(
             for name, (place, *_) in problem.places.items()
             if name in named and not KINDS[name].each),
         causes=reasons,
-        nuisances={
-            name: x[place] for name, place in problem.places.items()
-            if name not in OF_SPRING and (KINDS[name].each or name not in named)},
+        nuisances={name: x[place] for name, place in nuisances.items()},
+        nuisances_std={name: std[place] for name, place in nuisances.items()},
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
         noise_in_motion=found.noise_in_motion,

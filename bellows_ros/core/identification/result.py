@@ -188,6 +188,8 @@ class Fit:
     nuisances : mapping
         What else output error has estimated beside K and P, by names of `KINDS`: changes, SI
         units, a row for each recording or one for all; without what `freed` has.
+    nuisances_std : mapping
+        Standard errors of the nuisances.
 
     """
 
@@ -220,6 +222,7 @@ class Fit:
     causes: tuple[Any, ...] = ()
     from_given: Array | None = None
     nuisances: Mapping[str, Array] = field(default_factory=dict)
+    nuisances_std: Mapping[str, Array] = field(default_factory=dict)
 
     @cached_property
     def _errors(self) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from typing import Any
 
 class OutputGroup:
     parameters: str
+    cell: str
     json: str
     report: str
 

@@ -211,7 +211,8 @@ def _registration(
     plain = not separate  # else recording.align_at_rest corrects it
     yield Check('marker', plain, {
         'position': position.tolist(), 'angle': turned, 'depth': depth},
-        {} if plain else {'fit.free': ('package_marker',), 'measured.offset': [
+        {} if plain else {'fit.free': ('package_marker',), 'recording.package_frame': 'com',
+                          'measured.offset': [
             *np.round(position, 3).tolist(), *np.round(rotation, 3).tolist()]})
 
 
@@ -260,8 +261,8 @@ def _detector(
     yield Check('detector', True, {
         'kind': 'tag' if is_tag else 'body', 'lateral': lateral, 'depth': float(known[2]),
         'rotation': rotation, 'position_moving': overall[0], 'rotation_moving': overall[1]},
-        {'measured.noise': [float(f'{x:.2g}') for x in overall],
-         **({'measured.model': 'tag'} if is_tag else {})})
+        {'measured.model': 'tag'} if is_tag else {
+            'measured.noise': [float(f'{x:.2g}') for x in np.repeat(overall, 2)]})
     yield Check('flips', flips <= MAX_FLIP_PART * len(package), {
         'flips': flips, 'poses': len(package)}, {'measured.model': 'tag'} if is_tag else {})
     slow = rate_hz < LOW_RATE_HZ
