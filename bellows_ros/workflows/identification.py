@@ -214,7 +214,7 @@ class Identification(CommandResult):
                 estimates[parameter][0] if parameter in estimates else self.values[parameter])
             if name in ('mass', 'inertia'):
                 error = error * np.atleast_1d(value)[:len(error)]
-            result[parameter] = value, np.resize(
+            result[parameter] = value.tolist(), np.resize(
                 np.pad(error, (0, value.size - len(error))), value.shape), unit
         if self.recordings:
             result |= self._frames(number)
@@ -226,13 +226,18 @@ class Identification(CommandResult):
         free, std = ({
             name: rows[number if KINDS[name].each else 0] for name, rows in each.items()}
             for each in (self.fit.nuisances, self.fit.nuisances_std))
+        scale = 1.0 + float(free.get('scale', np.zeros(1))[0])
+        if 'scale' in std:
+            yield 'measured.scale', (
+                recording.report.scale * scale, std['scale'][0], '1')
         if world := recording.report.package_world:
+            settings = recording.settings
             pose = alignment.shifted_pose(
-                world.pose, recording.settings.R_world_recorded,
-                middle_of(recording.tracked_package)[:3],
+                world.pose, settings.R_world_recorded, middle_of(recording.tracked_package)[:3],
                 free.get('package_world', np.zeros(6)))
-            yield 'recording.package_world', (
-                checks.pose_text(pose), world.std, 'm, rad')
+            camera = settings.tag.camera if settings.tag else pose[:3]
+            pose[:3] += (scale - 1.0) * np.array(camera)
+            yield 'recording.package_world', (checks.pose_text(pose), world.std, 'm, rad')
         if 'package_marker' in self.values.fit.free or world and (
                 recording.settings.align_at_rest):
             shift = np.array(recording.settings.moves_with_com) * np.sum([
@@ -245,8 +250,13 @@ class Identification(CommandResult):
                 lie.transform(R, R @ (frames.origin_to_com + shift))
                 @ lie.transform(lie.exp_so3(turn[3:]), turn[:3]))
             yield 'measured.offset', (
-                np.append(T[:3, 3], lie.log_so3(T[:3, :3])),
+                np.append(T[:3, 3], lie.log_so3(T[:3, :3])).tolist(),
                 std.get('package_marker', np.zeros(6)), 'm, rad')
+        noise = self.fit.noise_in_motion.get(number)
+        if recording.settings.tag and noise is not None and (
+                tag := recording.with_noise(noise).settings.tag):
+            yield 'measured.noise', (list(tag.at_rest), np.zeros(4), 'm, m, rad, rad')
+            yield 'measured.blur', (list(tag.in_motion), np.zeros(4), 's^2/m, s^2 rad/m^2')
         if number < len(self.fit.delays) and abs(self.fit.delays[number]) < MAX_LATENCY and (
                 math.isfinite(self.fit.delays_std[number])):
             yield 'measured.latency', (

@@ -197,9 +197,11 @@ def _prepared(
         from bellows_ros.workflows.registration import registered_recording
 
         return registered_recording(tool, package, twist, settings, values)
-    moved = frames.in_tool_world(
-        package, frames.pose_of(world), tool.frame_id) if world else package
-    return prepare(tool, moved, settings, twist)
+    if world:
+        pose = frames.pose_of(world)
+        package = frames.in_tool_world(package, pose, tool.frame_id)
+        settings = settings.in_world(pose)
+    return prepare(tool, package, settings, twist, marker_alignment(values))
 
 
 def is_measured(values: Values) -> bool:
@@ -209,15 +211,22 @@ def is_measured(values: Values) -> bool:
 
 
 def as_measured(package: PoseStream, values: Values) -> PoseStream:
-    """Return recorded poses without the stated latency, scale and, unless free, marker offset."""
+    """Return recorded poses of the package without the stated latency and scale."""
     if not is_measured(values):
         return package
-    model, offset = measurement_model(values), np.array(values.measured.offset)
-    package = replace(
+    model = measurement_model(values)
+    return replace(
         trajectory.earlier(package, model.latency), position=model.camera + model.scale * (
             package.position - model.camera))
-    return package if 'package_marker' in values.fit.free else trajectory.at_tip(
-        package, inverse_transform(transform(exp_so3(offset[3:]), offset[:3])))
+
+
+def marker_alignment(values: Values) -> frames.Alignment | None:
+    """Return the alignment by measured.offset, None without an offset."""
+    offset = np.array(values.measured.offset)
+    if not (is_measured(values) and offset.any()):
+        return None
+    T = inverse_transform(transform(exp_so3(offset[3:]), offset[:3]))
+    return frames.Alignment(np.eye(3), T[:3, :3], T[:3, :3].T @ T[:3, 3], np.zeros(3))
 
 
 def _require_no_faults(
@@ -331,4 +340,5 @@ def prepare_settings(values: Values) -> PrepareSettings:
         tool_order=values.filter.tool.order,
         package_half_window=values.filter.package.half_window,
         package_order=values.filter.package.order,
-        tool_twist_frame=values.tool_twist.frame)
+        tool_twist_frame=values.tool_twist.frame,
+        tag=measurement_model(values) if values.measured.model == 'tag' else None)

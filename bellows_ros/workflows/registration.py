@@ -47,21 +47,32 @@ def _registered(
 
     def filtered(alignment: frames.Alignment | None) -> Recording:
         """Return the streams in the world of the tool, filtered."""
-        moved = package if pose is None else frames.in_tool_world(package, pose, tool.frame_id)
-        return prepare(tool, moved, settings, twist, alignment)
+        if pose is None:
+            return prepare(tool, package, settings, twist, alignment)
+        moved = frames.in_tool_world(package, pose, tool.frame_id)
+        return prepare(tool, moved, settings.in_world(pose), twist, alignment)
 
     recording = filtered(alignment)
     names = [name for name, free in (
         ('time_offset', values.fit.time_offset), ('package_world', estimate),
-        ('package_marker', marked)) if free]
+        ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
     changes = dict[str, Any]()
     result = output_error.registered(
         recording, given_structure(values), one_cup_of(values), names)
     if values.fit.method == 'least_squares':
         result.require_world()
+    if result.scale and pose is not None:  # about the camera instead of the tool's world
+        camera = np.array(settings.in_world(pose).tag.camera if settings.tag else pose[:3])
+        of_camera = np.array(values.measured.camera)
+        package = replace(package, position=of_camera + (1.0 + result.scale) * (
+            package.position - of_camera))
+        pose = np.append(pose[:3] + result.scale * camera, pose[3:])
+        changes['scale'] = (1.0 + result.scale) * values.measured.scale
     if result.world is not None and pose is not None:
         pose = frames.shifted_pose(pose, settings.R_world_recorded, result.middle, result.world)
         changes['package_world'] = prepared.PackageWorld(pose, result.world_std)
+    if settings.tag and result.error_factors is not None:
+        settings = replace(settings, tag=settings.tag.scaled_errors(*result.error_factors))
     recording = filtered(result.alignment)
     if result.offset is not None:
         recording = with_tool_earlier(recording, result.offset.value)

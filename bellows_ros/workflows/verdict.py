@@ -381,6 +381,8 @@ def _simulated(
     noise_in_motion: Array | None = None,
 ) -> Simulated:
     """Return a free simulation of a recording; a simulation that fails explains no motion."""
+    if recording.pose_errors and noise_in_motion is not None:
+        recording, noise_in_motion = recording.with_noise(noise_in_motion), None
     try:
         result = validate(cup, recording, MAX_SIMULATED)
         beyond = result.moves & ~(result.model_error <= UNEXPLAINED)

@@ -21,7 +21,7 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
         **settings, 'fit.free': ['length'], 'cup.length': 0.048, 'recording.end': 8.0,
         'package.com_std': (1e-5,) * 3, 'recording.marker_std': (0.0, 0.0)})
     content = json.loads(format_json(result.as_json()))['found_parameters']['cup.length']
-    (value,), (std,) = content['value'], content['std']
+    value, std = content['value'], content['std']
     assert abs(value - 0.046) < 4.0 * std < 4e-4 and content['units']['std'] == 'm'
     assert result.parameters()['cup.length'] == result.cup_length == value
     error = result.fit.stiffness[2, 2] - 9200.0

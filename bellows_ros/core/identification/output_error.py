@@ -637,7 +637,8 @@ class Registered(NamedTuple):
     Estimates beside K and P from one recording, None where not wanted or not identifiable.
 
     The motion of the package's world (6,) about a point (3,), with its standard errors (6,), the
-    alignment with which the streams are to be filtered again, and the time offset.
+    alignment with which the streams are to be filtered again, the time offset, the relative error
+    of the positions' scale, and the factors (2, 6) of a tag's errors at rest and in motion.
     """
 
     world: Array | None
@@ -645,6 +646,8 @@ class Registered(NamedTuple):
     middle: Array
     alignment: Alignment
     offset: TimeOffset | None
+    scale: float = 0.0
+    error_factors: Array | None = None
 
     def require_world(self) -> None:
         """Refuse a world that is not identifiable, for a method that takes it as exact."""
@@ -691,7 +694,9 @@ def registered(
         if std < KINDS['time_offset'].max_std:
             offset = TimeOffset(float(seconds), float(std))
     world, world_std = estimates.get('package_world', (None, np.zeros(6)))
-    return Registered(world, world_std, middle, alignment, offset)
+    (scale,), _ = estimates.get('scale', ((0.0,), None))
+    return Registered(world, world_std, middle, alignment, offset, float(scale),
+                      found.error_factors)
 
 
 def _with_marker_moved(alignment: Alignment, shift: Array, turn: Array) -> Alignment:

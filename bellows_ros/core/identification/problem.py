@@ -95,9 +95,10 @@ class WhitenedSegment(NamedTuple):
     The whitened differences of a segment.
 
     Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the segment, the places (q,)
-    of these among all m unknowns, the variance (N, 6) of each
-    difference and that (6,) of the innovation of a pose's noise, and the likeliest changes of the
-    tool's path and first state of the package.
+    of these among all m unknowns, the variance (N, 6) of each difference, that (6,) of the
+    innovation of a pose's noise, the relative size (N, 6) of the noise and the part of its
+    variance that comes of motion, and the likeliest changes of the tool's path and first state of
+    the package.
     """
 
     innovations: Array
@@ -105,6 +106,8 @@ class WhitenedSegment(NamedTuple):
     places: Places
     variance: Array
     new_variance: Array
+    relative_std: Array
+    of_motion: Array
     tool_change: Array
     start: State
 
@@ -385,7 +388,7 @@ class Problem:
             whitening.relaxing(model), whitening.with_inner(start), mean, np.concatenate(std),
             path, tool_noise, poses, unknowns,
             forgetting**4 * segment.period * course.std**2)
-        innovations, slopes, *_, gains = result
+        innovations, slopes, _, _, gains, _ = result
         smoothed, slope = whitening.smooth(
             result, nodes.place, tool_noise.variances, len(mean) + 6)
         change = np.zeros_like(course.deviation)
@@ -396,6 +399,7 @@ class Problem:
         return WhitenedSegment(
             innovations.ravel(), slopes.reshape(innovations.size, -1), index, variance,
             (1.0 - segment.measured.package_noise.correlation**2) * course.std**2,
+            segment.errors.std[nodes.used], segment.errors.of_motion[nodes.used],
             first_order(change, segment.measured.tool_noise.correlation) + marker,
             whitening.shifted(start, correction))
 
@@ -464,7 +468,9 @@ def _poses(
         [package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays])
     return whitening.Poses(
         nodes.place, rows, by_unknowns * units,
-        (MIN_POSE_STD if noise.correlation > 0.0 else course.std) ** 2, course.std**2,
+        segment.errors.axes[nodes.used[:len(segment.errors.axes)]], segment.errors.point,
+        (segment.errors.std[nodes.used] * (
+            MIN_POSE_STD if noise.correlation > 0.0 else course.std)) ** 2, course.std**2,
         noise.correlation ** (lengths / segment.period))
 
 

@@ -27,6 +27,7 @@ from bellows_ros.core.identification.problem import (
 )
 from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, Segment
+from bellows_ros.core.identification.whitening import HUBER_STD
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.signals.resampling import MAD_TO_STD
 from bellows_ros.errors import BellowsError
@@ -45,8 +46,8 @@ How many earlier steps a step is mixed with, the largest weight of one of them (
 too long has 0.9), and the smallest singular value, in the largest, that counts.
 """
 
-NOISE_TOLERANCE = 0.03
-"""Relative change of the noise of slow poses below which it is kept."""
+NOISE_TOLERANCE, TAG_TOLERANCE = 0.03, 0.1
+"""Relative changes of the noise of slow poses, and of a tag, below which it is kept."""
 
 MAX_APPROACH_STEPS, MAX_STEPS, MAX_MISFIT_STEPS = 10, 60, 30
 """
@@ -68,6 +69,9 @@ DIVERGED = 1e3
 
 CHANCE = 3.0
 """Deviation of an estimated variance of noise by chance, standard deviations."""
+
+MIN_ERRORS = 30
+"""Number of poses at rest, or in motion, that determine the errors of a tag."""
 
 MAX_NOISE_CHI2, MISFIT_CHI2 = 1.2, 1.5
 """Chi^2 per difference that is put down to noise, and above which surely more is left."""
@@ -217,12 +221,36 @@ class Solution:
 
     @property
     def noise_in_motion(self) -> dict[int, Array]:
-        """Standard deviations (6,) of white noise in motion by recording, m and rad."""
-        return {segment.measured.recording: np.maximum(
+        """
+        Standard deviations (6,) of white noise in motion by recording, m and rad.
+
+        With a measurement model, the estimated noise, also with a memory.
+        """
+        return {segment.measured.recording: course.std if segment.measured.sensor else np.maximum(
             course.std, segment.measured.package_noise.std)
             for segment, course, part in zip(
                 self.problem.segments, self.courses, self.parts, strict=True)
-            if segment.is_slow and part.is_white}
+            if segment.is_slow and (part.is_white or segment.measured.sensor)}
+
+    @property
+    def error_factors(self) -> Array | None:
+        """Factors (2, 6) of a measurement model's errors at rest and in motion, if any."""
+        segments = self.problem.segments
+        if any(segment.measured.sensor is None for segment in segments):
+            return None
+        ratios = np.concatenate([
+            part.residuals / (part.relative_std * segment.measured.package_noise.std)
+            for segment, part in zip(segments, self.parts, strict=True)])
+        moves = np.concatenate([part.of_motion for part in self.parts]) > 0.5
+        return np.array([[_clipped_rms(
+            ratios[chosen[:, axis], axis] if np.count_nonzero(chosen[:, axis]) >= MIN_ERRORS
+            else ratios[:, axis]) for axis in range(6)] for chosen in (~moves, moves)])
+
+
+def _clipped_rms(values: Array) -> Array:
+    """Return the RMS of values (N, ...) clipped at `HUBER_STD` typical sizes."""
+    limit = HUBER_STD * MAD_TO_STD * np.median(np.abs(values), axis=0)
+    return np.asarray(np.sqrt(np.mean(np.clip(values, -limit, limit) ** 2, axis=0)))
 
 
 def squares(parts: Sequence[WhitenedSegment]) -> float:
@@ -394,11 +422,14 @@ def _with_noise(
     for segment, course, part in zip(segments, courses, parts, strict=True):
         if segment.is_slow:
             correlation = segment.measured.package_noise.correlation
-            total = (MAD_TO_STD * np.median(np.abs(part.residuals), axis=0)) ** 2
-            simulated = np.median(part.variance, axis=0) - part.new_variance
+            sizes, tolerance = part.relative_std, NOISE_TOLERANCE
+            total = (MAD_TO_STD * np.median(np.abs(part.residuals / sizes), axis=0)) ** 2
+            if segment.measured.sensor:
+                total, tolerance = _clipped_rms(part.residuals / sizes) ** 2, TAG_TOLERANCE
+            simulated = np.median(part.variance / sizes**2, axis=0) - part.new_variance
             std = np.maximum(MIN_POSE_STD, np.sqrt(
                 np.maximum(total - simulated, 0.1 * total) / (1.0 - correlation**2)))
-            if np.any(np.abs(std - course.std) > NOISE_TOLERANCE * course.std):
+            if np.any(np.abs(std - course.std) > tolerance * course.std):
                 course, settled = course._replace(std=std), False
         new.append(course)
     return tuple(new), settled

@@ -17,6 +17,7 @@ from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.kernels import State
+from bellows_ros.core.recording.measurement_model import PoseErrors
 from bellows_ros.core.recording.recording import (
     BodyNoise,
     LOW_RATE_HZ,
@@ -88,6 +89,8 @@ class MeasuredSegment:
         drift; see `quantities.middle_of`.
     world : str
         That of the recording, as of the parameter recording.world.
+    sensor : PoseErrors or None
+        Errors of the package's poses by a measurement model; None for white noise in body axes.
 
     """
 
@@ -101,6 +104,7 @@ class MeasuredSegment:
     moves_with_com: tuple[bool, bool, bool] = (False, False, False)
     middle: Array | None = None
     world: str = 'z_up'
+    sensor: PoseErrors | None = None
 
 
 def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSegment]:
@@ -118,7 +122,8 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
               for noise in recording.body_noise)
     context: tuple[Any, ...] = (
         recording.payload, recording.settings.gravity, *noises, number,
-        recording.settings.moves_with_com, quantities.middle_of(package), recording.settings.world)
+        recording.settings.moves_with_com, quantities.middle_of(package), recording.settings.world,
+        recording.pose_errors)
     motions = []
     for start, end, _ in recording.segments:
         count = int((end - start) / NS_PER_S / MAX_SEGMENT) + 1
@@ -210,7 +215,12 @@ class Segment:
         """Return a part of a recording prepared, with the best half window where none is given."""
         first_ns = int(measured.tool.stamps_ns[0])  # means of equal rates share their stamps
         tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
-        package, package_noise = _means(measured.package, measured.package_noise, first_ns)
+        package, package_noise = measured.package, measured.package_noise
+        if measured.sensor:
+            package_noise = BodyNoise(np.median(measured.sensor.at(
+                package.stamps_ns[package.valid]).std, axis=0), independent=1.0)
+        else:
+            package, package_noise = _means(package, package_noise, first_ns)
         smooth = bridged(tool)
         return cls(
             replace(measured, tool=tool, tool_noise=tool_noise, package=package,
@@ -242,6 +252,16 @@ class Segment:
     def package(self) -> Trajectory:
         """The valid poses of the package."""
         return self.measured.package.select(self.measured.package.valid)
+
+    @cached_property
+    def errors(self) -> PoseErrors:
+        """Errors of the valid poses, their standard deviations in units of the typical ones."""
+        stamps, sensor = self.package.stamps_ns, self.measured.sensor
+        if sensor is None:
+            ones = np.ones((len(stamps), 6))
+            return PoseErrors(stamps, np.empty((0, 3, 3)), ones, np.zeros(3), 0.0 * ones)
+        errors = sensor.at(stamps)
+        return errors._replace(std=errors.std / self.measured.package_noise.std)
 
     @cached_property
     def middle(self) -> Array:

@@ -136,13 +136,17 @@ class Poses(NamedTuple):
 
     Their numbers at the nodes (M,), -1 for none; the poses (N, 8) with the little time (s) that
     each is after its node; minus their derivatives (N, 6, p) in body axes by the unknowns, by the
-    delay per unit of the simulated twist; the variances (6,) of white noise in body axes, m^2 and
-    rad^2, and of correlated noise, with its correlation (M - 1,) from node to node.
+    delay per unit of the simulated twist; the axes (N, 3, 3) of the noise in the world, of length
+    0 for body axes, and the measured point (3,), m, in body axes; the variances of the errors of
+    this point in these axes, m^2 and rad^2: (N, 6) of white noise, and (6,) of correlated noise,
+    with its correlation (M - 1,) from node to node.
     """
 
     place: Places
     rows: Array
     by_unknowns: Array
+    axes: Array
+    point: Array
     white_variance: Array
     variance: Array
     correlations: Array
@@ -171,7 +175,7 @@ class Unknowns(NamedTuple):
 def whiten(
     model: ModelTuple, body: State, mean: Array, std: Array, path: Path, tool_noise: ToolNoise,
     poses: Poses, unknowns: Unknowns, walk: Array,
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     """
     Return whitened differences and their derivatives, and what `smooth` needs.
 
@@ -197,10 +201,12 @@ def whiten(
     T, B, K : ndarray (M, n, n), (M, n, 6), (N, 6, n + 1)
         Transitions, effects of the tool's samples on the step before, and gains with one over the
         standard deviation of what each is of.
+    maps : ndarray (N, 6, 6)
+        From shifts and rotations of the body to those of the measured point, in axes of the noise.
 
     """
     rows, lengths, steps = path  # by their order, on which the machine code on disk depends
-    place, _, _, _, _, _ = poses
+    place, _, _, axes, point, white_variance, _, _ = poses
     last, columns, _, _, _, marker = unknowns
     m, n, nodes, count = len(mean), len(std), len(rows), len(poses[1])
     S, P = np.zeros((n, columns.shape[1])), np.zeros((n, n))
@@ -210,6 +216,7 @@ def whiten(
         S[i, columns.shape[1] - 1] = mean[i]
     out, slopes = np.empty((count, 6)), np.empty((count, 6, columns.shape[1] - 1))
     T, B, K = np.zeros((nodes, n, n)), np.zeros((nodes, n, 6)), np.zeros((count, 6, n + 1))
+    maps = np.zeros((count, 6, 6))
     A, C, E = np.zeros((2, m, m)), np.zeros((2, m, PARAMETER_COUNT)), np.zeros((2, m, 6))
     for k in range(nodes):
         here, slot = row_state(rows[k]), k % 2
@@ -224,11 +231,12 @@ def whiten(
         _add_tool_noise(k, tool_noise, marker, B[k], S, P)
         i = place[k]
         if i >= 0:
-            _write_difference(body, i, poses, unknowns, out[i])
-            _update(poses[3], poses[2][i], m + 6, S, P, out[i], slopes[i], K[i])
+            _write_map(body, axes, point, i, maps[i])
+            _write_difference(body, i, poses, unknowns, maps[i], out[i])
+            _update(white_variance[i], maps[i], poses[2][i], m + 6, S, P, out[i], slopes[i], K[i])
             if walk[0] > 0.0:
                 body = with_mean(body, S, m)
-    return out, slopes, T, B, K
+    return out, slopes, T, B, K, maps
 
 
 @array_kernel
@@ -240,20 +248,52 @@ def _advanced(
 
 
 @array_kernel
+def _write_map(body: State, axes: Any, point: Any, i: int, M: Any) -> None:
+    """Write the map (6, 6) of pose i, see `whiten`."""
+    R, lever = t3.rotation_matrix(body[1]), (point[0], point[1], point[2])
+    for j in range(3):
+        if len(axes) == 0:
+            M[j, j] = M[3 + j, 3 + j] = 1.0
+        else:
+            c = t3.apply_transposed(R, (axes[i, 0, j], axes[i, 1, j], axes[i, 2, j]))
+            of_rotation = t3.cross(lever, c)
+            for k in range(3):
+                M[j, k] = M[3 + j, 3 + k] = c[k]
+                M[j, 3 + k] = of_rotation[k]
+
+
+@array_kernel
 def _write_difference(
-    body: State, i: int, poses: Poses, unknowns: Unknowns, out: Any
+    body: State, i: int, poses: Poses, unknowns: Unknowns, M: Any, out: Any
 ) -> None:
-    """Write the difference (6,) of pose i from the body; multiply clock columns by the twist."""
-    pose, by_unknowns = poses[1][i], poses[2][i]
+    """
+    Write the difference (6,) of pose i from the body, of the measured point in axes of its noise.
+
+    Multiply clock columns by the twist, and map all columns likewise.
+    """
+    pose, by_unknowns, point = poses[1][i], poses[2][i], poses[4]
     shift, rotation = pose_error(
         body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
     linear, angular = body[2], body[3]
+    lever = (point[0], point[1], point[2])
+    # The map is linear in the rotation: blurred tags need the second order.
+    second = t3.scale(0.5, t3.cross(rotation, t3.cross(rotation, lever)))
+    difference = np.empty((6, 1))
     for j in range(3):
-        out[j], out[3 + j] = shift[j] - pose[7] * linear[j], rotation[j] - pose[7] * angular[j]
+        difference[j, 0] = shift[j] + second[j] - pose[7] * linear[j]
+        difference[3 + j, 0] = rotation[j] - pose[7] * angular[j]
     for column in unknowns[4]:
         for j in range(3):
             by_unknowns[j, column] *= linear[j]
             by_unknowns[3 + j, column] *= angular[j]
+    mapped = t3.product(M, difference, np.empty((6, 1)))
+    for j in range(6):
+        out[j] = mapped[j, 0]
+    if len(poses[3]) > 0:
+        columns = t3.product(M, by_unknowns, np.empty(by_unknowns.shape))
+        for j in range(6):
+            for k in range(columns.shape[1]):
+                by_unknowns[j, k] = columns[j, k]
 
 
 @array_kernel
@@ -286,7 +326,7 @@ def _propagate(
     """Propagate states, derivatives and covariance over a step to node k; write its T and B."""
     (A, C, E), (B, S, P, T) = derivatives, states
     (_, lengths, steps), (_, _, tool_correlations) = path, tool_noise
-    (_, _, _, _, variance, correlations), (_, columns, scales, extra, _, _) = poses, unknowns
+    (_, _, _, _, _, _, variance, correlations), (_, columns, scales, extra, _, _) = poses, unknowns
     n, m, length = len(P), A.shape[1], lengths[k - 1]
     mean, ramp, entered = np.zeros((m, m)), np.zeros((m, m)), np.empty((m, 6))
     tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]
@@ -398,20 +438,25 @@ def _add_tool_noise(k: int, tool_noise: ToolNoise, marker: int, B: Any, S: Any, 
 
 @array_kernel
 def _update(
-    variance: Any, by_pose: Any, noise_state: int, S: Any, P: Any, out: Any, slopes: Any, K: Any
+    variance: Any, M: Any, by_pose: Any, noise_state: int, S: Any, P: Any, out: Any,
+    slopes: Any, K: Any,
 ) -> None:
     """Correct the states by the difference (6,) of a pose, number by number; whiten it."""
     n, p = P.shape[0], S.shape[1] - 1
     gain, p_row, s_row = np.empty((n, 1)), np.empty((1, n)), np.empty((1, p + 1))
     for j in range(6):
         for i in range(n):  # loops: temporary arrays would cost a tenth of the fit
-            p_row[0, i] = P[j, i] + (P[noise_state + j, i] if n > noise_state else 0.0)
+            p_row[0, i] = P[noise_state + j, i] if n > noise_state else 0.0
         for i in range(p + 1):
-            s_row[0, i] = S[j, i] + (S[noise_state + j, i] if n > noise_state else 0.0)
+            s_row[0, i] = S[noise_state + j, i] if n > noise_state else 0.0
+        _add_mapped(M[j], P, p_row)
+        _add_mapped(M[j], S, s_row)
         for i in range(p):
             s_row[0, i] += by_pose[j, i]
         e = out[j] - s_row[0, p]
-        s = p_row[0, j] + (p_row[0, noise_state + j] if n > noise_state else 0.0) + variance[j]
+        s = variance[j] + (p_row[0, noise_state + j] if n > noise_state else 0.0)
+        for k in range(6):
+            s += M[j, k] * p_row[0, k]
         s = max(s, s * abs(e) / (HUBER_STD * np.sqrt(s)))  # Huber's weight: a larger variance
         scale = 1.0 / np.sqrt(s)
         for i in range(p):
@@ -425,8 +470,17 @@ def _update(
 
 
 @array_kernel
+def _add_mapped(factors: Any, rows: Any, out: Any) -> None:
+    """Add the first six rows times factors (6,) to a row (1, n)."""
+    for k in range(6):
+        if factors[k] != 0.0:
+            for i in range(out.shape[1]):
+                out[0, i] += factors[k] * rows[k, i]
+
+
+@array_kernel
 def smooth(
-    whitened: tuple[Array, Array, Array, Array, Array], place: Places, variances: Array,
+    whitened: tuple[Array, Array, Array, Array, Array, Array], place: Places, variances: Array,
     noise_state: int,
 ) -> tuple[Array, Array]:
     """
@@ -435,7 +489,7 @@ def smooth(
     Of what `whiten` returns; `noise_state` is the first state of the package's noise. And the
     slope (n,) of the first states: their likeliest change is minus their covariance times that.
     """
-    out, _, T, B, K = whitened
+    out, _, T, B, K, maps = whitened
     innovations, slope = np.zeros(variances.shape), np.zeros(T.shape[1])
     for k in range(len(place) - 1, -1, -1):
         n = place[k]
@@ -443,7 +497,8 @@ def smooth(
             total = out[n, j] * K[n, j, len(slope)]
             for i in range(len(slope)):
                 total += K[n, j, i] * slope[i]
-            slope[j] -= total
+            for i in range(6):
+                slope[i] -= maps[n, j, i] * total
             if len(slope) > noise_state:
                 slope[noise_state + j] -= total
         for i in range(len(slope)):

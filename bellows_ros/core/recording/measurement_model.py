@@ -7,10 +7,8 @@ directions from their mean. Motion during the exposure blurs the image; the erro
 grow with the square of its speed across the line of sight. A flat tag has a second solution, its
 tilt mirrored at the line of sight, for which a detector may take it by mistake (a flip).
 
-The observer, its alarms, the fit and the verdict of `replay` weigh a measured pose by
-`MeasurementModel.covariance`. A fit over a whole recording passes all poses with their velocities
-from the prediction, and replaces the rotations that `MeasurementModel.second_solution` brings
-nearer to the prediction.
+The observer and its alarms weigh a measured pose by `pose_noise`, the fit and the verdict of
+`replay` by `MeasurementModel.errors`.
 """
 
 from __future__ import annotations
@@ -18,13 +16,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 import numpy as np
 
 Sizes = tuple[float, float, float, float]
@@ -100,6 +100,36 @@ def mirrored(camera: Vector, position: Vector, q: Quaternion) -> Quaternion:
     return t3.quaternion_product(t3.quaternion_product((x, y, z, 0.0), q), (0.0, 0.0, 1.0, 0.0))
 
 
+class PoseErrors(NamedTuple):
+    """
+    Errors of recorded poses: stamps (N,), ns; axes (N, 3, 3), the third along the line of sight.
+
+    In these axes the standard deviations (N, 6), m and rad, of a point (3,) in body axes, m, and
+    the part of the variances (N, 6) that comes of motion.
+    """
+
+    stamps_ns: Stamps
+    axes: Array
+    std: Array
+    point: Array
+    of_motion: Array
+
+    def at(self, stamps_ns: Stamps) -> PoseErrors:
+        """Return the errors of the poses next to some stamps."""
+        middles = self.stamps_ns[:-1] + np.diff(self.stamps_ns) // 2
+        nearest = np.searchsorted(middles, stamps_ns)
+        return PoseErrors(stamps_ns, self.axes[nearest], self.std[nearest], self.point,
+                          self.of_motion[nearest])
+
+    def body_std(self, rotation: Array) -> Array:
+        """Return RMS standard deviations (6,) of poses with rotations (N, 3, 3) in body axes."""
+        axes = np.swapaxes(rotation, 1, 2) @ self.axes
+        lever = lie.hat(self.point) @ axes  # the origin rotates about the point
+        shift, turn = np.hsplit(self.std**2, 2)
+        squares = lie.apply(axes**2, shift) + lie.apply(lever**2, turn), lie.apply(axes**2, turn)
+        return np.asarray(np.sqrt(np.mean(np.hstack(squares), axis=0)))
+
+
 @dataclass(frozen=True)
 class MeasurementModel:
     """
@@ -148,19 +178,32 @@ class MeasurementModel:
         sight = t3.subtract(position, self.camera)
         return t3.add(self.camera, t3.scale(self.scale, sight))
 
-    def covariance(self, position: Array, velocity: Array) -> Array:
-        """
-        Return the covariances (N, 6, 6) of measured poses about axes of the frame (m^2, rad^2).
+    def scaled_errors(self, at_rest: Array, in_motion: Array) -> MeasurementModel:
+        """Return the model with errors times factors (6,) in the axes of `PoseErrors`."""
+        def scaled(sizes: Sizes, factors: Array) -> Sizes:
+            lateral, across = (float(np.sqrt(np.mean(factors[part]**2))) for part in (
+                slice(2), slice(3, 5)))
+            return (sizes[0] * lateral, sizes[1] * float(factors[2]),
+                    sizes[2] * across, sizes[3] * float(factors[5]))
 
-        Parameters
-        ----------
-        position, velocity : ndarray (N, 3)
-            Of the tag or body in the frame of the poses, m and m/s; the predicted velocity.
+        return replace(self, at_rest=scaled(self.at_rest, at_rest),
+                       in_motion=scaled(self.in_motion, in_motion))
 
-        """
-        return np.array([
-            pose_noise(self.sensor, tuple(o), tuple(v))
-            for o, v in zip(position.tolist(), velocity.tolist(), strict=True)])
+    def errors(self, poses: PoseStream) -> PoseErrors:
+        """Return the errors of a recorded tag, by its velocity over three poses."""
+        stamps, sight = poses.stamps_ns, poses.position - self.camera
+        seconds = (stamps - stamps[0]) / NS_PER_S
+        velocity = np.gradient(poses.position, seconds, axis=0)
+        sizes, still = (np.array([
+            sizes_of(self.sensor, tuple(o), tuple(v))
+            for o, v in zip(poses.position.tolist(), each.tolist(), strict=True)
+        ])[:, [0, 0, 1, 2, 2, 3]] for each in (velocity, 0.0 * velocity))
+        depth = sight / np.linalg.norm(sight, axis=1)[:, None]
+        first = np.cross(depth, np.eye(3)[np.argmin(np.abs(depth), axis=1)])
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        return PoseErrors(
+            stamps, np.stack([first, np.cross(depth, first), depth], axis=2),
+            sizes, np.zeros(3), 1.0 - (still / sizes) ** 2)
 
     def second_solution(self, position: Array, rotation: Array) -> Array:
         """Return the second solutions (N, 3, 3) of the orientations (N, 3, 3) of a flat tag."""

@@ -84,6 +84,13 @@ ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
 """Steps (m, rad) of a moving body: at least so many times the smallest, which is rounding."""
 
 
+FLIP_NEIGHBOURS = 8
+"""Poses before and after a pose of a tag with which its two solutions are compared."""
+
+MIN_FLIP = 0.15
+"""Smallest rotation from these neighbours of a flip, rad."""
+
+
 class LastingStep(NamedTuple):
     """A jump without a return: the sample before it, and its size, m and rad."""
 
@@ -164,6 +171,24 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     return Outliers(
         usable, tuple(step._replace(before=int(moving[step.before])) for step in steps),
         len(excursions), dict(zip(QUANTITIES, jumps.typical / MEDIAN_PER_DEVIATION, strict=True)))
+
+
+def find_flips(poses: Trajectory, second: Array) -> Outliers:
+    """
+    Find the poses of a flat tag whose second solutions (N, 3, 3) are nearer to their neighbours.
+
+    Blurred poses are no outliers: the measurement model weighs them.
+    """
+    places, first = np.arange(len(poses)), np.linalg.inv(poses.rotation)
+    lags = [lag for lag in range(-FLIP_NEIGHBOURS, FLIP_NEIGHBOURS + 1) if lag]
+    neighbours = [poses.rotation[np.clip(places + lag, 0, len(poses) - 1)] for lag in lags]
+    stated, mirrored = (np.median([
+        np.linalg.norm(log_so3(inverse @ R), axis=1) for R in neighbours], axis=0)
+        for inverse in (first, np.linalg.inv(second)))
+    good = ~((stated > MIN_FLIP) & (mirrored < 0.5 * stated))
+    flips = int(np.count_nonzero(~good))
+    _exclude(good, _frozen(poses))
+    return Outliers(good, (), flips, dict.fromkeys(QUANTITIES, np.zeros(3)))
 
 
 def _jumps(poses: Trajectory) -> _Jumps:

@@ -19,7 +19,8 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 from .alignment import aligned_at_rest, Alignment, in_world, Remark, rest_of, standstill
-from .outliers import find_outliers, increments_of, LastingStep, repeats_in_motion
+from .measurement_model import MeasurementModel
+from .outliers import find_flips, find_outliers, increments_of, LastingStep, repeats_in_motion
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
 # Half a filter window, s, where none is given. With order 6 the filter takes less than 0.1 % from
@@ -69,7 +70,8 @@ def prepare(
 
     """
     of_tool, _, tool_poses = _clean(tool, settings.R_world_recorded)
-    of_package, tracked, package_poses = _clean(package, settings.R_world_recorded)
+    of_package, tracked, package_poses = _clean(
+        package, settings.R_world_recorded, settings.tag)
     if tool_twist is not None and of_tool.arrivals:
         tool_twist = replace(tool_twist, stamps_ns=_shifted_alike(
             tool_twist.stamps_ns, tool.stamps_ns, of_tool.recorded.stamps_ns))
@@ -146,14 +148,16 @@ def _alignment(
 
 
 def _clean(
-    recorded: PoseStream, R_world_recorded: Array
+    recorded: PoseStream, R_world_recorded: Array, tag: MeasurementModel | None = None
 ) -> tuple[StreamReport, Trajectory, Trajectory]:
     """Return the faults of a topic, and its poses in the world, also at a uniform rate, marked."""
     recorded, arrivals = resampling.at_sampling(recorded)
     poses = in_world(recorded.trajectory(), R_world_recorded)
     with _naming(recorded.name):
         timing = resampling.timing(poses.stamps_ns)
-        outliers = find_outliers(poses, timing.longest_step_ns)
+        outliers = find_outliers(poses, timing.longest_step_ns) if tag is None else find_flips(
+            poses, in_world(replace(recorded.trajectory(), rotation=tag.second_solution(
+                recorded.position, recorded.rotation)), R_world_recorded).rotation)
         marked = replace(poses, valid=outliers.good)
         good = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
         if len(good) > 2:

@@ -6,7 +6,7 @@ statistics of a fit, is computed when it is first asked for and kept with it.
 """
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,6 +15,7 @@ from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import Package, STANDARD_GRAVITY
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.recording.alignment import Alignment, Remark, rest_of, world_rotation
+from bellows_ros.core.recording.measurement_model import MeasurementModel, PoseErrors
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.resampling import (
@@ -307,6 +308,8 @@ class PrepareSettings:
     tool_twist_frame : str
         tool_twist.frame: axes of a recorded tool twist, 'world' or 'tool'; its linear part is the
         velocity of the tool tip.
+    tag : MeasurementModel or None
+        measured.*, in the frame of the package's poses, if they are of a detected tag.
 
     """
 
@@ -322,12 +325,18 @@ class PrepareSettings:
     package_half_window: int = 0
     package_order: int = 6
     tool_twist_frame: str = 'world'
+    tag: MeasurementModel | None = None
 
     @property
     def moves_with_com(self) -> tuple[bool, bool, bool]:
         """Components of the centre of mass with which the poses of B move."""
         lip = self.package_frame == 'lip'
         return (lip or self.align_at_rest, lip or self.align_at_rest, lip)
+
+    def in_world(self, pose: Array) -> 'PrepareSettings':
+        """Return the settings for a package whose world has a pose (7,) in that of the tool."""
+        x, y, z, *q = pose.tolist()
+        return replace(self, tag=self.tag and self.tag.moved((x, y, z), tuple(q)))
 
     @cached_property
     def R_world_recorded(self) -> Array:
@@ -456,6 +465,8 @@ class Report:
         What was taken from the tool's stamps, where that was wanted and identifiable.
     package_world : PackageWorld or None
         The transform between two worlds, where that was to be estimated.
+    scale : float
+        Factor of the package's positions about the camera, where that was to be estimated.
 
     """
 
@@ -465,6 +476,7 @@ class Report:
     warnings: tuple[str, ...] = ()
     time_offset: TimeOffset | None = None
     package_world: PackageWorld | None = None
+    scale: float = 1.0
 
 
 MAX_BRIDGED_GAP = 0.15
@@ -668,7 +680,11 @@ class Recording:
             BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
                 (self.aligned_tool, self.aligned_package),
                 (max(part.correlation for part in body) for body in self.ar1_noise), strict=True))
-        if self.report.package.timing.rate_hz < LOW_RATE_HZ:
+        if self.pose_errors:
+            valid = self.tracked_package.select(self.tracked_package.valid)
+            of_package = BodyNoise(
+                self.pose_errors.at(valid.stamps_ns).body_std(valid.rotation))
+        elif self.report.package.timing.rate_hz < LOW_RATE_HZ:
             still = self._still(self.tracked_package)
             if len(still) >= MIN_SAMPLES_AT_REST:
                 of_package = noise_at_rest(still)
@@ -678,6 +694,23 @@ class Recording:
             if report.stamp_std else noise for noise, report, body in zip(
                 (of_tool, of_package), reports, self.filters, strict=True))
         return tool, package
+
+    @cached_property
+    def pose_errors(self) -> PoseErrors | None:
+        """Errors of a tag's poses by its measurement model, with axes in the world."""
+        if self.settings.tag is None:
+            return None
+        errors = self.settings.tag.errors(self.package_pose)
+        return errors._replace(axes=self.settings.R_world_recorded @ errors.axes,
+                               point=-self.alignment.origin_to_com)
+
+    def with_noise(self, std: Array) -> 'Recording':
+        """Return the recording of a tag with median standard deviations (6,) of `pose_errors`."""
+        if self.pose_errors is None or self.settings.tag is None:
+            return self
+        factors = std / np.median(self.pose_errors.std, axis=0)
+        tag = self.settings.tag.scaled_errors(factors, factors)
+        return replace(self, settings=replace(self.settings, tag=tag))
 
     def _still(self, poses: Trajectory) -> Trajectory:
         """Return the valid poses of a body while both stand still at the beginning."""

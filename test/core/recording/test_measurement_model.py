@@ -1,7 +1,8 @@
 """Errors of measured poses, against geometry written with arrays."""
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.recording.measurement_model import MeasurementModel
+from bellows_ros.core.recording.measurement_model import MeasurementModel, pose_noise
+from bellows_ros.core.signals.trajectory import PoseStream
 import numpy as np
 import pytest
 
@@ -30,7 +31,7 @@ def test_covariance_is_diagonal_in_axes_of_the_line_of_sight(rng):
         factors = np.array([distance, distance**2, distance, distance])
         blurred = np.array([1.0, distance, 1.0, 1.0]) * MODEL.in_motion * v2
         lateral, depth, across, along = np.hypot(factors * MODEL.at_rest, blurred)
-        (covariance,) = MODEL.covariance(place[None], velocity[None])
+        covariance = pose_noise(MODEL.sensor, tuple(place), tuple(velocity))
         np.testing.assert_allclose(
             axes.T @ covariance @ axes,
             np.diag([lateral, lateral, depth, across, across, along]) ** 2, atol=1e-12)
@@ -52,9 +53,25 @@ def test_second_solution_has_the_same_image_from_afar(rng):
     np.testing.assert_allclose(again, rotation, atol=1e-12)
 
 
+def test_errors_of_recorded_poses_are_those_of_the_observer(rng):
+    """Agree with the covariance at the middle of three poses in uniform motion."""
+    velocity = np.array([0.3, -0.2, 0.1])
+    stamps, rotation = np.arange(3) * 33_000_000, exp_so3(rng.normal(size=(3, 3)))
+    position = [0.4, 0.1, 0.5] + velocity * stamps[:, None] * 1e-9
+    errors = MODEL.errors(PoseStream('tag', 'camera', stamps, position, rotation))
+    covariance = pose_noise(MODEL.sensor, tuple(position[1]), tuple(velocity))
+    axes = np.kron(np.eye(2), errors.axes[1])
+    np.testing.assert_allclose(
+        axes.T @ covariance @ axes, np.diag(errors.std[1]) ** 2, atol=1e-12)
+    np.testing.assert_allclose(errors.at(stamps[1:2] + 9).std[0], errors.std[1])
+    body = errors.at(stamps[1:2]).body_std(rotation[1:2])
+    R = np.kron(np.eye(2), rotation[1])
+    np.testing.assert_allclose(body, np.sqrt(np.diag(R.T @ covariance @ R)))
+
+
 def test_body_errs_alike_from_everywhere():
     """Depend neither on place nor on speed without a line of sight."""
-    (covariance,) = MeasurementModel().covariance(np.ones((1, 3)), np.ones((1, 3)))
+    covariance = pose_noise(MeasurementModel().sensor, (1.0,) * 3, (1.0,) * 3)
     np.testing.assert_allclose(covariance, np.diag([2e-3] * 3 + [1e-2] * 3) ** 2)
 
 
