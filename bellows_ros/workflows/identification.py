@@ -9,8 +9,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import identifiability, reduction
-from bellows_ros.core.identification.given import given_std
-from bellows_ros.core.identification.quantities import KINDS, middle_of
+from bellows_ros.core.identification.quantities import given_std, KINDS, middle_of
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named

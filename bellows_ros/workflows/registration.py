@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import output_error
 from bellows_ros.core.parameters import checks
@@ -62,8 +63,8 @@ def _registered(
     if values.fit.method == 'least_squares':
         result.require_world()
     if result.scale and pose is not None:  # about the camera instead of the tool's world
-        camera = np.array(settings.in_world(pose).tag.camera if settings.tag else pose[:3])
         of_camera = np.array(values.measured.camera)
+        camera = pose[:3] + lie.quaternion_to_rotation(pose[3:]) @ of_camera
         package = replace(package, position=of_camera + (1.0 + result.scale) * (
             package.position - of_camera))
         pose = np.append(pose[:3] + result.scale * camera, pose[3:])

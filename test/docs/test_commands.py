@@ -28,8 +28,9 @@ def runnable():
     return [name for name, page in ALL.items() if with_mode(page, 'run', 'fails')]
 
 
-LONG = ('a_robot_and_a_tag', 'choosing', 'exciting', 'filter', 'formats', 'many_recordings', 'recording',
-        'several_cups', 'static_recordings', 'toss', 'tutorial', 'validation', 'with_a_camera')
+LONG = ('a_robot_and_a_tag', 'choosing', 'exciting', 'filter', 'formats', 'many_recordings',
+        'recording', 'several_cups', 'static_recordings', 'toss', 'tutorial', 'validation',
+        'with_a_camera')
 """Pages of which `make test-long` runs the commands."""
 
 
