@@ -35,6 +35,8 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
         settings = {**result.settings, **{
             name: check.settings[name] for check in result.checks for name in CERTAIN
             if name in check.settings}}
+        if settings.get('measured.model') == 'tag' and 'fit.free' in settings:
+            settings['fit.free'] = (*settings['fit.free'], 'scale')  # a tag of another size
         write_text(arguments.write_params, template_with(
             [PARAMETERS[name] for name in UNKNOWN if name not in settings], settings,
             [f'How to read {result.path}, as found by bellows info; check it.'],
