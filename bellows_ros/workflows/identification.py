@@ -203,14 +203,15 @@ class Identification(CommandResult):
         number = min(range(len(self.parts)), key=lambda n: float(np.sum(
             world.std if (world := self.parts[n].package_world) else 0.0)))
         estimates = self.verdict.found if self.verdict else {}
-        given = given_std(self.values)
+        stated = given_std(self.values)
         of_package = {freed.name: np.array(freed.std) for freed in self.fit.freed} | {
-            name: given[name] for name, (parameter, _) in FREE_PARAMETERS.items()
+            name: stated[name] for name, (parameter, _) in FREE_PARAMETERS.items()
             if parameter in estimates}
         for name, error in of_package.items():
             parameter, unit = FREE_PARAMETERS[name]
-            value = np.asarray(
-                estimates[parameter][0] if parameter in estimates else self.values[parameter])
+            given = np.asarray(self.values[parameter])
+            value = np.reshape(estimates[parameter][0], given.shape) if (
+                parameter in estimates) else given
             if name in ('mass', 'inertia'):
                 error = error * np.atleast_1d(value)[:len(error)]
             result[parameter] = value.tolist(), np.resize(

@@ -322,7 +322,7 @@ def _compared(
     recording: Recording, run: Run, first: int, last: int
 ) -> residuals.Comparison:
     """Return a free simulation with the measured poses of the package."""
-    measured = recording.tracked_package.between(
+    measured = recording.sharp_package.between(
         max(run.tool.stamps_ns[0], first), min(run.tool.stamps_ns[-1], last))
     return residuals.compare(
         resample(run.package, measured.stamps_ns),

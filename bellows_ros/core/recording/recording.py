@@ -482,6 +482,9 @@ class Report:
 MAX_BRIDGED_GAP = 0.15
 """Longest gap of the tool that interpolation bridges to 1 mm in a motion of 10 mm at 3 Hz, s."""
 
+MAX_BLURRED = 0.5
+"""Part of a pose's variance of blur, above which the pose does not rate a cup."""
+
 MIN_SEGMENT = 1.0
 """Shortest segment that is used, s."""
 
@@ -681,7 +684,7 @@ class Recording:
                 (self.aligned_tool, self.aligned_package),
                 (max(part.correlation for part in body) for body in self.ar1_noise), strict=True))
         if self.pose_errors:
-            valid = self.tracked_package.select(self.tracked_package.valid)
+            valid = self.sharp_package.select(self.sharp_package.valid)
             of_package = BodyNoise(
                 self.pose_errors.at(valid.stamps_ns).body_std(valid.rotation))
         elif self.report.package.timing.rate_hz < LOW_RATE_HZ:
@@ -703,6 +706,15 @@ class Recording:
         errors = self.settings.tag.errors(self.package_pose)
         return errors._replace(axes=self.settings.R_world_recorded @ errors.axes,
                                point=-self.alignment.origin_to_com)
+
+    @cached_property
+    def sharp_package(self) -> Trajectory:
+        """B as tracked, not valid where an image of a tag is blurred more than it errs at rest."""
+        poses, errors = self.tracked_package, self.pose_errors
+        if errors is None:
+            return poses
+        across = errors.at(poses.stamps_ns).of_motion[:, 3]
+        return replace(poses, valid=poses.valid & (across < MAX_BLURRED))
 
     def with_noise(self, std: Array) -> 'Recording':
         """Return the recording of a tag with median standard deviations (6,) of `pose_errors`."""
