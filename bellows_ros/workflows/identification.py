@@ -16,7 +16,7 @@ from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment
-from bellows_ros.core.recording.recording import Recording, TimeOffset
+from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
@@ -216,9 +216,17 @@ class Identification(CommandResult):
                 error = error * np.atleast_1d(value)[:len(error)]
             result[parameter] = value.tolist(), np.resize(
                 np.pad(error, (0, value.size - len(error))), value.shape), unit
-        if self.recordings:
+        if len(self.recordings) == len(self.parts):
             result |= self._frames(number)
         return result
+
+    def _final_world(self, number: int) -> PackageWorld | None:
+        """Return the pose of the package's world after the fit, where it is estimated."""
+        world = self.parts[number].package_world
+        if world is None or len(self.recordings) < len(self.parts):
+            return world
+        text = dict(self._frames(number))['recording.package_world'][0]
+        return world._replace(pose=alignment.pose_of(text))
 
     def _frames(self, number: int) -> Iterator[tuple[str, tuple[Any, Array, str]]]:
         """Yield the estimates of world, marker and clock from a recording."""
@@ -269,8 +277,8 @@ class Identification(CommandResult):
         static, consistency = self.static, self.consistency
         return (
             *(self.verdict.sentences if self.verdict else (NO_VERDICT,)),
-            *(text for part in self.parts
-              for text in world_sentence(part.name, part.package_world)),
+            *(text for number, part in enumerate(self.parts)
+              for text in world_sentence(part.name, self._final_world(number))),
             *self._clock_sentences(),
             *self._free_sentences(),
             *_standstill_sentences(self),
