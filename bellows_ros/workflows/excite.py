@@ -22,6 +22,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer, File, plan_messages, trajectory_files
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.results import with_units
+from bellows_ros.report.sentences import sentence
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import NO_FACTOR, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
@@ -31,11 +32,6 @@ MIN_DURATION = motion_design.REST + 3.0 * motion_design.RAMP
 """Shortest motion: a rest and three ramps, s."""
 MAX_DURATION = 120.0
 """Longest motion and longest hold, s."""
-
-
-NO_HOLD = (
-    'The motion has no hold, as no tilt is within the limits: a fit cannot tell how far the '
-    'rubber relaxes. Raise bending, or lower safety_factor.')
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +75,11 @@ class DesignedMotion(CommandResult):
         if motion_design.LOADS[-1] not in self.design.ratios:
             warnings += (NO_FACTOR,)
         if self.hold and not self.design.motion.hold:
-            warnings += (NO_HOLD,)
+            warnings += (sentence('planning', 'no_hold'),)
         limit = max(self.design.shares, key=lambda name: self.design.shares[name], default='')
         return warnings + tuple(
-            f'{label} is not identifiable with this arm and tracking: its expected error is '
-            f'{100.0 * error / abs(value):.2g} % of it. It would be with a noise of the tracking '
-            f'{_rounded_up(factor)} times lower, or a motion {_rounded_up(factor**2)} times '
-            f'longer; a higher limit of {limit} helps most.'
+            sentence('planning', 'unidentifiable', label=label, error=100.0 * error / abs(value),
+                     quieter=_rounded_up(factor), longer=_rounded_up(factor**2), limit=limit)
             for label, value, error in zip(
                 self.structure.labels, self.guess.tolist(), self.errors.tolist(), strict=True)
             if value and (factor := error / (MAX_RELATIVE_ERROR * abs(value))) > 1.0)

@@ -38,7 +38,7 @@ from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
 from bellows_ros.files.messages import POSE, TWIST
 from bellows_ros.files.trajectory_files import read_tum
-from bellows_ros.report.sentences import flip_warning
+from bellows_ros.report.sentences import flip_warning, sentence
 from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
@@ -57,11 +57,7 @@ START_DEVIATIONS = 3.0
 MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
 
-NO_FACTOR = ('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
-BEGINS_IN_MOTION = (
-    'The plan begins in motion: the package is assumed to hang as in a constant first '
-    'acceleration. Its swing from before is unknown.')
-ENDS_IN_MOTION = ('The plan ends in motion, so the swing after its end is unknown.')
+NO_FACTOR = sentence('planning', 'no_factor')
 
 
 MotionSource = File | Trajectory
@@ -225,8 +221,8 @@ class PlanReport(CommandResult):
             *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
         return (*source.notes, *checks.implausible(source.values), *filter(None, (
             safety, flip_warning(prediction.bending),
-            '' if source.begins_at_rest else BEGINS_IN_MOTION,
-            '' if prediction.ends_at_rest else ENDS_IN_MOTION,
+            '' if source.begins_at_rest else sentence('planning', 'begins_in_motion'),
+            '' if prediction.ends_at_rest else sentence('planning', 'ends_in_motion'),
             f'Outside the validity range: {"; ".join(self.outside)}.' if self.outside else '')))
 
     def as_json(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from bellows_ros.core.toss import landing, release_fit
 from bellows_ros.core.toss.release import HeldMotion, law_of, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import bags, File, messages, results
-from bellows_ros.report.sentences import flip_warning
+from bellows_ros.report.sentences import flip_warning, sentence
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
 import numpy as np
@@ -143,33 +143,26 @@ class TossResult(CommandResult):
         held, values = self.case.held, self.source.values
         lost_at = held.lost_before(self.case.switched)
         if lost_at is not None:
-            warnings.append(
-                f'The grip is lost {lost_at:.3f} s after the beginning, before the valve is '
-                f'switched at {self.case.switched:.3f} s. Move slower, or raise the vacuum.')
+            warnings.append(sentence(
+                'planning', 'lost_before', lost=lost_at, switched=self.case.switched))
         before = held.times <= self.toss.release_time
         angle = float(np.max(plan.bending(*(
             quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states)))))
         warnings += filter(None, [flip_warning(angle, 'flips_before_release')])
         if held.mode == 'delay' and not self.case.release.law[5]:
-            warnings.append(
-                'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
-                'the valve, whatever the load; release.tau has no effect.')
+            warnings.append(sentence('planning', 'no_lip'))
         if outside := outside_loads(
                 (values.cup.valid_mass, values.cup.valid_vacuum), values.package.mass,
                 values.vacuum.holding):
             warnings.append(f'Outside the validity range of the cup: {"; ".join(outside)}.')
         if landing.beyond_masses(values):
             lightest, heaviest = values.release.mass_range
-            warnings.append(
-                f'package.mass is {values.package.mass:.3g} kg, but release.* was '
-                f'identified with packages of {lightest:.3g} to {heaviest:.3g} kg: the release is '
-                'extrapolated, and its uncertainty enlarged. Identify it with drops of this mass.')
+            warnings.append(sentence('planning', 'beyond_masses', mass=values.package.mass,
+                                     lightest=lightest, heaviest=heaviest))
         if self.aim is not None and not self.reached:
             turned = ' in this orientation' if self.aim.angle else ''
-            warnings.append(
-                f'No release of this plan lands at the target{turned}: the best one is '
-                f'{self.aim.distance:.3g} m away, and the target is outside its 95 % ellipse. '
-                'Change the plan or the target.')
+            warnings.append(sentence(
+                'planning', 'out_of_reach', turned=turned, distance=self.aim.distance))
         return tuple(warnings)
 
 
