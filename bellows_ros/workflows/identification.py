@@ -16,6 +16,7 @@ from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment
+from bellows_ros.core.recording.measurement_model import measurement_model
 from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.errors import BellowsError
@@ -263,8 +264,13 @@ class Identification(CommandResult):
         noise = self.fit.noise_in_motion.get(number)
         if recording.settings.tag and noise is not None and (
                 tag := recording.with_noise(noise).settings.tag):
-            yield 'measured.noise', (list(tag.at_rest), np.zeros(4), 'm, m, rad, rad')
-            yield 'measured.blur', (list(tag.in_motion), np.zeros(4), 's^2/m, s^2 rad/m^2')
+            # World and marker absorb errors that belong to the view: none is below the stated.
+            stated = measurement_model(self.values)
+            for name, found, least, unit in (
+                    ('noise', tag.at_rest, stated.at_rest, 'm, m, rad, rad'),
+                    ('blur', tag.in_motion, stated.in_motion, 's^2/m, s^2 rad/m^2')):
+                yield f'measured.{name}', (
+                    np.maximum(found, least).tolist(), np.zeros(4), unit)
         if number < len(self.fit.delays) and abs(self.fit.delays[number]) < MAX_LATENCY and (
                 math.isfinite(self.fit.delays_std[number])):
             yield 'measured.latency', (
