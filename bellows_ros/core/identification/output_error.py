@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification.arrow import Arrow
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.diagnosis.candidates import (
-    fall_of,
     is_explained,
     likeliest_setting,
     scores,
@@ -94,9 +94,6 @@ MAX_REMAINING_SHARE = 0.2
 MAX_CHI2 = 1.2
 """Chi^2 per degree of freedom above this triggers a warning."""
 
-BLOCK_DURATION = 1.0
-"""Length (s) of the segments whose gradients are kept."""
-
 COMMON_WEIGHT = 10.0
 """Weight of the scatter common to all parameters, in segments of the recordings."""
 
@@ -167,12 +164,12 @@ def output_error(
     near = approach(problem, record, with_couplings=are_slow)
     if near.squares > MISFIT_CHI2 * near.residual_count and (
             setting := likeliest_setting(problem, other_start or start)):
-        return _fit(near, unmoved(near), iterations, named, (setting,))
+        return _fit(near, unmoved(near), iterations, named, given, (setting,))
     near = _extended(near, given, richer, stretch, record)
     (found, from_given), ends = _from_slow_poses(
         near, given, relaxation, record) if are_slow else _from_quick_poses(
         near, given, relaxation, record, other_start or start)
-    return _fit(found, from_given, iterations, named, rank(ends, given))
+    return _fit(found, from_given, iterations, named, given, rank(ends, given))
 
 
 def _extended(
@@ -209,9 +206,8 @@ def _tried(
     uncertain = {name: std for name, std in given.items() if name not in problem.places}
     wide = problem.freed(found.theta, {**more, **uncertain}, structure)
     _, H, g = system_of(wide, found.near(wide))
-    tested = place(wide)
-    rest = np.setdiff1d(np.arange(len(g)), tested)
-    if fall_of(H, g, rest, tested) <= MIN_SQUARED_DISTANCE:
+    rest = ~np.isin(np.arange(len(g)), place(wide))
+    if H.fall(g, rest | True) - H.fall(g, rest) <= MIN_SQUARED_DISTANCE:
         return found
     wide = problem.freed(found.theta, more, structure)
     end = minimise(wide, found.near(wide), report)
@@ -283,71 +279,92 @@ def with_given(found: Solution, given: Free, report: Report) -> tuple[Solution, 
     """
     Return the minimum near one with what was given free, by its standard deviations.
 
-    With what the rest adds to the covariance (m, m) of the unknowns, SI units. Where that leaves a
-    cause to look for, the minimum from the start with all that was given free, if it leaves less
-    and nothing is off by more than `SIGNIFICANT` times its standard deviation, or the search near
-    it ended at no plausible cup (`Solution.is_plausible`).
+    With what the rest adds to the covariance (s, s) of the shared unknowns, SI units. Where that
+    leaves a cause to look for, the minimum from the start with all that was given free, if it
+    leaves less and nothing is off by more than `SIGNIFICANT` times its standard deviation, or the
+    search near it ended at no plausible cup (`Solution.is_plausible`).
     """
     problem = found.problem
     more = {name: std for name, std in given.items() if name not in problem.places}
-    size = len(problem.units)
     near = near_with_given(found, more, report)
     if not more or is_explained(near[0], given):
         return near
     wide = problem.freed(problem.start, more)
     again = minimise(wide, report=report)
-    off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
-    if again.converged and (not near[0].is_plausible or np.all(off < SIGNIFICANT)
+    is_small = all(
+        np.all(np.abs(again.theta[place]) * np.sqrt(wide.weights[place]) < SIGNIFICANT)
+        for place in map(wide.places.__getitem__, more))
+    if again.converged and (not near[0].is_plausible or is_small
                             and again.squares <= near[0].squares):
         return again, unmoved(again)
     return near
 
 
 def unmoved(found: Solution) -> Array:
-    """Return no covariance (m, m) by what was given."""
-    return np.zeros((len(found.theta),) * 2)
+    """Return no covariance (s, s) by what was given."""
+    return np.zeros((found.problem.shared,) * 2)
 
 
 def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Solution, Array]:
     """
     Return the minimum near one with that part of `more` free which the recordings know better.
 
-    The rest stays as it was given. With a covariance as `with_given`.
+    The rest of what recordings share stays as it was given. With a covariance as `with_given`.
     """
-    problem = found.problem
+    problem, count = found.problem, found.problem.count
     wide = problem.freed(
         found.theta, {name: std for name, std in more.items() if name not in problem.places})
-    size = len(wide.units) - sum(wide.places[name].size for name in more)
     if not found.is_plausible:
         return found, unmoved(found)
-    start, std = found.near(wide), wide.weights[size:] ** -0.5
+    start = found.near(wide)
     parts, H, g = system_of(wide, start)
-    if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
+    if not np.all(np.isfinite(g)):  # what was given is so wrong that derivatives by it diverge
         return replace(found, converged=False), unmoved(found)
-    known = H - wide.prior(start.theta, 0.0)[0]
-    S = known[size:, size:] - known[size:, :size] @ np.linalg.lstsq(
-        known[:size, :size], known[:size, size:], rcond=None)[0]
+    tested = np.concatenate([np.empty(0, dtype=np.int64), *(
+        wide.places[name].ravel() for name in more if not KINDS[name].each)])
+    rest, std = np.setdiff1d(np.arange(wide.shared), tested), wide.weights[tested] ** -0.5
+    known = H.plus(-wide.prior(start.theta, 0.0)[0].shared).reduced
+    S = known[np.ix_(tested, tested)] - known[np.ix_(tested, rest)] @ np.linalg.lstsq(
+        known[np.ix_(rest, rest)], known[np.ix_(rest, tested)], rcond=None)[0]
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # what was given has 1
-    free = int(np.count_nonzero(values > 1.0))
-    fixed = vectors[:, :len(std) - free] / std[:, None]
-    fixing = np.zeros_like(H)
-    fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
-    again = minimise(replace(wide, fixing=fixing), start, report, (
-        parts, H + fixing, g + fixing @ (wide.start - start.theta)))
+    fixed = vectors[:, values <= 1.0] / std[:, None]
+    fixing = np.zeros((wide.shared,) * 2)
+    fixing[np.ix_(tested, tested)] = FIXED_INFORMATION * fixed @ fixed.T
+    slope = g.copy()
+    slope[:wide.shared] += fixing @ (wide.start - start.theta)[:wide.shared]
+    again = minimise(
+        replace(wide, fixing=fixing), start, report, (parts, H.plus(fixing), slope))
+    along, own = np.eye(len(g))[:wide.shared], np.full(wide.own.shape[1], True)
     if again.converged:
-        found, H = again, again.information - fixing
+        along[np.ix_(tested, tested)] = std[:, None] * vectors
+        held = along[:, tested[values <= 1.0]]
+        free = np.hstack([along[:, rest], along[:, tested[values > 1.0]]])
+        found, H = again, again.information.plus(-fixing)
     else:
         if len(wide.units) == len(problem.units):
             return found, unmoved(found)
-        free = 0
-    by = np.eye(len(H))
-    by[size:, size:] = std[:, None] * vectors[:, ::-1]  # the best known first
-    H, first = by.T @ H @ by, size + free
-    units = found.problem.units
-    moved = np.zeros((len(units), len(H) - first))
-    moved[:size] = -np.linalg.solve(H[:first, :first], H[:first, first:])[:size]
-    moved *= units[:, None]
+        by_given = np.concatenate([wide.places[name].ravel() for name in more])
+        held = np.eye(len(g))[:, by_given] * wide.weights[by_given] ** -0.5
+        free, own = along[:, rest], ~np.isin(wide.own[0], by_given)
+    held = np.vstack([held, np.zeros((len(g) - len(held), held.shape[1]))])
+    moved = np.zeros((found.problem.shared, held.shape[1]))
+    moved[:count] = np.transpose([
+        H.step_by(H.times(column), free[:wide.shared, :], own)[:count] for column in held.T]
+    ).reshape(count, -1) * wide.units[:count, None]
     return found, moved @ moved.T
+
+
+def _of_given(found: Solution, given: Free) -> Array:
+    """Return the covariance (s, s), SI units, that is of what was given and is free now."""
+    problem, H = found.problem, found.information
+    weights = np.zeros(len(found.theta))
+    for name in given.keys() & problem.places.keys():
+        if np.array_equal(given[name], problem.free[name]):
+            weights[problem.places[name]] = problem.weights[problem.places[name]]
+    C = H.covariance * problem.units[:problem.shared]
+    moved = H.carried @ C
+    return np.asarray(C.T @ (weights[:len(C), None] * C) + np.einsum(
+        'ros,ro,rot->st', moved, weights[problem.own], moved))
 
 
 def _open_ends(found: Solution, end: Solution) -> list[Solution]:
@@ -387,39 +404,39 @@ def _strengths(found: Solution, covariance: Array) -> tuple[Array, Array]:
     return found.problem.strengths(found.theta), covariance[np.ix_(place, place)]
 
 
-def covariance_of(found: Solution, noise: Array | None = None) -> tuple[Array, Array]:
+def covariance_of(
+    found: Solution, noise: Arrow | None = None
+) -> tuple[Array, Array, Array]:
     """
-    Return the covariance (m, m) of the unknowns, SI units, and what noise (m,) is of their errors.
+    Return the covariance (s, s) of the shared unknowns, and variances (m,) of all, SI units.
 
-    By the jackknife. Information that is noise (m, m) in the derivatives steers no step.
+    And what noise (m,) is of their errors. By the jackknife. Information that is noise in the
+    derivatives steers no step.
     """
-    directions = np.linalg.inv(np.linalg.cholesky(found.information)).T
+    problem, H = found.problem, found.information
+    directions = np.linalg.inv(np.linalg.cholesky(H.reduced)).T
     shares = np.zeros(len(directions))
     if noise is not None:
-        shares, turn = np.linalg.eigh(directions.T @ noise @ directions)
+        shares, turn = np.linalg.eigh(directions.T @ noise.along(H) @ directions)
         directions = directions @ turn
-    covariance = np.asarray(np.linalg.inv(found.information), dtype=np.float64)
-    scatter = _relative_variances(np.array([
-        gradient @ directions[part.places]
-        for segment, part in zip(found.problem.segments, found.parts, strict=True)
-        for gradient in _gradients_without(
-            covariance[np.ix_(part.places, part.places)], part, segment.period)]))
+    blocks = list(map(H.block, range(len(H.own))))
+    scatter = np.maximum(1.0, _relative_variances(np.concatenate([
+        _gradients_without(blocks[segment.measured.recording], part)
+        @ np.vstack([directions, -H.carried[segment.measured.recording] @ directions])
+        for segment, part in zip(problem.segments, found.parts, strict=True)])))
     wide = directions / (1.0 - np.clip(shares, 0.0, MAX_NOISE_SHARE))
-    covariance = (wide * np.maximum(scatter, 1.0)) @ wide.T
-    units = found.problem.units
-    return (np.asarray(covariance * np.outer(units, units)),
-            1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1)))
+    covariance = (wide * scatter) @ wide.T
+    variances = H.variances_with(covariance, float(np.median(scatter)))
+    of_noise = 1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1))
+    return (np.asarray(covariance * np.outer(*[problem.units[:problem.shared]] * 2)),
+            variances * problem.units**2, np.pad(of_noise, (0, problem.own.size)))
 
 
-def _gradients_without(
-    covariance: Array, part: WhitenedSegment, period: float
-) -> Iterator[Array]:
-    """Yield the gradient (q,) of each second of a segment at the minimum without that second."""
-    length = 6 * max(round(BLOCK_DURATION / period), 1)
-    for first in range(0, len(part.innovations), length):
-        J, r = part.jacobian[first:first + length], part.innovations[first:first + length]
-        leverage = MAX_LEVERAGE * (J.T @ J) @ covariance
-        yield np.asarray(np.linalg.solve(np.eye(len(leverage)) - leverage, J.T @ r))
+def _gradients_without(covariance: Array, part: WhitenedSegment) -> Array:
+    """Return the gradients (c, q) of each second of a segment at the minimum without it."""
+    leverage = MAX_LEVERAGE * part.information @ covariance
+    return np.asarray(np.linalg.solve(
+        np.eye(len(covariance)) - leverage, part.slope[..., None])[..., 0])
 
 
 def _relative_variances(influences: Array) -> Array:
@@ -439,18 +456,20 @@ def _relative_variances(influences: Array) -> Array:
 
 def _fit(
     found: Solution, from_given: Array, iterations: list[Iteration], named: Sequence[str],
-    reasons: tuple[Finding, ...],
+    given: Free, reasons: tuple[Finding, ...],
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
     problem = found.problem
     size, x = problem.count, problem.units * found.theta
-    covariance, identifiable, notes = _identifiable(found, from_given, named)
+    of_given = _of_given(found, given)
+    from_given = from_given + of_given
+    covariance, std, identifiable, notes = _identifiable(found, from_given, of_given, named)
     strengths, of_strengths = _strengths(found, covariance)
     (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
     ratio = np.array([-DEFAULT_RATIO, 1.0])
     if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
         notes.append(NOTES['r2_assumed'])
-    std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
+    std = np.where(identifiable, std, np.inf)
     nuisances = {name: place for name, place in problem.places.items()
                  if name not in OF_SPRING and (KINDS[name].each or name not in named)}
     residuals = found.residuals
@@ -464,7 +483,7 @@ def _fit(
         from_given=from_given[:size, :size],
         samples_used=len(residuals),
         samples_rejected=total - len(residuals),
-        condition_number=_condition(found.information[:size, :size]),
+        condition_number=_condition(found.information.shared[:size, :size]),
         weight=np.diag(found.courses[0].std ** -2),
         residual_rms=np.sqrt(np.mean(residuals**2, axis=0)),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
@@ -507,13 +526,18 @@ def _condition(information: Array) -> float:
 
 
 def _identifiable(
-    found: Solution, from_given: Array, named: Sequence[str]
-) -> tuple[Array, Mask, list[str]]:
-    """Return the covariance (m, m), SI units, what is identifiable, and notes on the rest."""
+    found: Solution, from_given: Array, of_given: Array, named: Sequence[str]
+) -> tuple[Array, Array, Mask, list[str]]:
+    """
+    Return the covariance (s, s) by recordings alone, without the part by what was given.
+
+    And standard errors (m,), SI units, what is identifiable, and notes on the rest.
+    """
     problem, size = found.problem, found.problem.count
-    covariance, shares = covariance_of(
+    covariance, variances, shares = covariance_of(
         found, noise_information(found) if found.converged else None)
-    std = np.sqrt(np.diag(covariance))
+    by_given, wide = np.pad(np.diag(of_given), (0, problem.own.size)), np.sqrt(variances)
+    std = np.sqrt(np.maximum(variances - by_given, 0.0))
     largest = np.full(len(std), np.inf)
     largest[:size] = MAX_RELATIVE_ERROR * problem.structure.sizes(
         found.cup.stiffness, found.cup.damping)
@@ -526,12 +550,13 @@ def _identifiable(
     identifiable = (std <= largest) & ~is_noise & ~is_overdamped & found.converged
     if found.converged:
         is_low = ~identifiable & (found.theta < ordinary) & np.isfinite(ordinary)
-        growth = np.maximum(_damped_std(found, ordinary, is_low) / std, 1.0)
-        covariance = covariance * np.outer(growth, growth)
-        std, errors = std * growth, errors * growth
+        growth = np.maximum(_damped_std(found, ordinary, is_low) / wide, 1.0)
+        covariance = covariance * np.outer(*[growth[:problem.shared]] * 2)
+        std = np.sqrt(np.maximum(variances * growth**2 - by_given, 0.0))
+        errors = std / (largest / MAX_RELATIVE_ERROR)
         identifiable &= std <= largest
     notes = list(_unidentifiable(problem, errors, shares, is_overdamped, identifiable[:size]))
-    total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
+    total = np.sqrt(std[:size]**2 + np.diag(from_given)[:size]) / largest[:size]
     vague = identifiable[:size] & (total > 1.0)
     notes += [NOTES['vague'].format(
         label=label, total=100.0 * MAX_RELATIVE_ERROR * both, alone=100.0 * error,
@@ -539,7 +564,7 @@ def _identifiable(
         for label, both, error, is_vague in zip(
             problem.structure.labels, total, errors, vague, strict=False) if is_vague]
     identifiable[:size] &= ~vague
-    return covariance, identifiable, notes
+    return covariance - of_given, std, identifiable, notes
 
 
 def _ordinary_damping(found: Solution) -> Array:
@@ -563,17 +588,17 @@ def _damped_std(found: Solution, ordinary: Array, is_low: Mask) -> Array:
     theta = np.where(is_low, ordinary, found.theta)
     parts, information, _ = system_of(found.problem, found.iterate._replace(theta=theta))
     damped = replace(found, theta=theta, parts=parts, information=information)
-    return np.sqrt(np.diag(covariance_of(damped)[0]))
+    return np.sqrt(covariance_of(damped)[1])
 
 
-def noise_information(found: Solution) -> Array:
+def noise_information(found: Solution) -> Arrow:
     """
-    Return the information (m, m) on the unknowns that is of noise, not of motion.
+    Return the information on the unknowns that is of noise, not of motion.
 
     Noise in the path shakes the simulated package, too. With some more of it, once with either
     sign, information of motion stays, and that of noise grows with the noise squared.
     """
-    size, differences = NOISE_FACTOR, list[Array]()
+    size, known, differences = NOISE_FACTOR, found.information, list[Arrow]()
     while len(differences) < 2:
         segments, draw = list[Segment](), np.random.default_rng(SEED)
         for segment, course in zip(found.problem.segments, found.courses, strict=True):
@@ -593,12 +618,14 @@ def noise_information(found: Solution) -> Array:
                 break
             courses = accepted(segments, courses, parts)
         if np.all(np.isfinite(g)):
-            differences.append((H - found.information) / size**2)
+            differences.append(H)
         elif size < MIN_NOISE_FACTOR:
-            return found.information
+            return known
         else:  # so much noise turns the package over
             size, differences = 0.5 * size, []
-    return np.asarray(np.mean(differences, axis=0))
+    return replace(known, **{
+        name: (np.mean([getattr(one, name) for one in differences], axis=0)
+               - getattr(known, name)) / size**2 for name in ('shared', 'coupling', 'own')})
 
 
 def _with_noise(

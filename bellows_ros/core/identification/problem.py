@@ -16,6 +16,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.identification import quantities, whitening
+from bellows_ros.core.identification.arrow import Arrow
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
 from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, Nodes, Segment
@@ -31,6 +32,9 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
+
+BLOCK_DURATION = 1.0
+"""Length (s) of the parts of a recording whose information is kept."""
 
 INITIAL_STD = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
 """
@@ -97,8 +101,8 @@ class WhitenedSegment(NamedTuple):
     Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the segment, the places (q,)
     of these among all m unknowns, the variance (N, 6) of each difference, that (6,) of the
     innovation of a pose's noise, the relative size (N, 6) of the noise and the part of its
-    variance that comes of motion, and the likeliest changes of the tool's path and first state of
-    the package.
+    variance that comes of motion, the likeliest changes of the tool's path and first state of the
+    package, and information (c, q, q) and slope (c, q) of each second.
     """
 
     innovations: Array
@@ -110,6 +114,8 @@ class WhitenedSegment(NamedTuple):
     of_motion: Array
     tool_change: Array
     start: State
+    information: Array
+    slope: Array
 
     @property
     def residuals(self) -> Array:
@@ -131,8 +137,9 @@ class Problem:
     """
     Recordings of one cup, and what is unknown.
 
-    The unknowns theta are those of the structure in units of their size, then the quantities of
-    `KINDS` that are free, one after the other, in theirs.
+    The m unknowns theta are those of the structure in units of their size, then the quantities of
+    `KINDS` that are free, in theirs: first those that all recordings share, s with those of the
+    structure, then those that each recording has of its own.
 
     Parameters
     ----------
@@ -146,8 +153,8 @@ class Problem:
         Standard deviation, SI units, of what else is free, by names of `KINDS`.
     slip_ns : int
         Stamp at which the package slips, if that is free.
-    fixing : ndarray (m, m), optional
-        More information on the start.
+    fixing : ndarray (s, s), optional
+        More information on the start of the shared unknowns.
 
     """
 
@@ -184,10 +191,22 @@ class Problem:
         """Places of free quantities among the unknowns: a row for each recording, or for all."""
         recordings = 1 + max(segment.measured.recording for segment in self.segments)
         shapes = {name: (recordings if KINDS[name].each else 1, KINDS[name].size)
-                  for name in self.free}
+                  for name in sorted(self.free, key=lambda name: KINDS[name].each)}
         ends = np.cumsum([self.count, *map(math.prod, shapes.values())])
         return {name: first + np.arange(math.prod(shape)).reshape(shape)
                 for first, (name, shape) in zip(ends, shapes.items(), strict=False)}
+
+    @cached_property
+    def own(self) -> Places:
+        """Places (R, o) of what each recording has of its own."""
+        recordings = 1 + max(segment.measured.recording for segment in self.segments)
+        return np.hstack([np.empty((recordings, 0), dtype=np.int64), *(
+            place for name, place in self.places.items() if KINDS[name].each)])
+
+    @property
+    def shared(self) -> int:
+        """Number s of unknowns that all recordings share."""
+        return len(self.units) - self.own.size
 
     def _of_all(self, of_cup: Array, of_free: Callable[[str], ArrayLike]) -> Array:
         """Return numbers (m,) of the cup's unknowns and of what is free, by its name."""
@@ -230,8 +249,8 @@ class Problem:
 
     @cached_property
     def uncoupled(self) -> Array:
-        """Directions (m, d) without couplings."""
-        directions = np.eye(len(self.start))
+        """Directions (s, d) of the shared unknowns without couplings."""
+        directions = np.eye(self.shared)
         if self.count <= 2 * STRUCTURES['diagonal'].size:
             return directions
         diagonal = [self.structure.parameters(*pair) / self.units[:self.count]
@@ -332,10 +351,12 @@ class Problem:
         inverse = symmetric_roots(self.ordinary_damping(K))[1]
         return float(np.linalg.eigvalsh(inverse @ P @ inverse)[-1])
 
-    def prior(self, theta: Array, forgetting: float) -> tuple[Array, Array]:
+    def prior(self, theta: Array, forgetting: float) -> tuple[Arrow, Array]:
         """Return information (m, m) and slope (m,) of the prior."""
-        H = np.diag(self.weights) + self.fixing
-        g = H @ (self.start - theta)
+        weights, own = self.weights[:self.shared], self.weights[self.own]
+        H, (recordings, count) = np.diag(weights) + self.fixing, self.own.shape
+        g = self.weights * (self.start - theta)
+        g[:len(H)] = H @ (self.start - theta)[:len(H)]
         size = self.count // 2
         K, P = self._matrices(theta)
         means = self._matrices(self.start)[0], self.ordinary_damping(K)
@@ -355,7 +376,8 @@ class Problem:
             slope = np.array([-DEFAULT_RATIO, 1.0]) * self.units[place] / std
             H[np.ix_(place, place)] += np.outer(slope, slope)
             g[place] -= slope * (r[1] - DEFAULT_RATIO * r[0]) / std
-        return H, g
+        return Arrow(H, np.zeros((recordings, count, len(H))), own[:, :, None] * np.eye(count),
+                     self.own), g
 
     def whitened(
         self, theta: Array, segment: Segment, course: Course, forgetting: float = 0.0
@@ -396,12 +418,17 @@ class Problem:
         correction = mean - initial_std**2 * slope[:len(mean)]
         with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
             variance = gains[:, :, -1] ** -2
+        length = max(round(BLOCK_DURATION / segment.period), 1)
+        seconds = [(J.reshape(-1, len(index)), r.ravel()) for J, r in (
+            (slopes[first:first + length], innovations[first:first + length])
+            for first in range(0, len(slopes), length))]
         return WhitenedSegment(
             innovations.ravel(), slopes.reshape(innovations.size, -1), index, variance,
             (1.0 - segment.measured.package_noise.correlation**2) * course.std**2,
             segment.errors.std[nodes.used], segment.errors.of_motion[nodes.used],
             first_order(change, segment.measured.tool_noise.correlation) + marker,
-            whitening.shifted(start, correction))
+            whitening.shifted(start, correction),
+            np.array([J.T @ J for J, _ in seconds]), np.array([J.T @ r for J, r in seconds]))
 
     def _integration_step(self, model: ModelTuple, factor: float) -> float:
         """Return the longest step (s) of the integrator, or refuse a cup that is too fast."""

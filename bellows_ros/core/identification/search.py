@@ -17,15 +17,15 @@ from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import usable_cores
+from bellows_ros.core.identification.arrow import Arrow
 from bellows_ros.core.identification.problem import (
     MIN_STRENGTH,
     Problem,
     symmetric_roots,
     WhitenedSegment,
 )
-from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, Segment
 from bellows_ros.core.identification.whitening import HUBER_STD
 from bellows_ros.core.model.cup_package import Cup
@@ -109,8 +109,11 @@ class Iterate(NamedTuple):
     courses: tuple[Course, ...]
 
 
-System = tuple[list[WhitenedSegment], Array, Array]
-"""The whitened segments, and information (m, m) and slope (m,) of the whole."""
+System = tuple[list[WhitenedSegment], Arrow, Array]
+"""The whitened segments without Jacobians, and information (m, m) and slope (m,) of the whole."""
+
+Directions = tuple[Array, Mask]
+"""Directions (s, d) of shared unknowns, and which of the own ones (o,) are in use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +131,7 @@ class Solution:
         The likeliest motion in each segment, and the noise of its poses.
     parts : list of WhitenedSegment
         The differences.
-    information : ndarray (m, m)
+    information : Arrow
         On the unknowns.
     converged : bool
         Whether it is a minimum.
@@ -139,7 +142,7 @@ class Solution:
     theta: Array
     courses: tuple[Course, ...]
     parts: list[WhitenedSegment]
-    information: Array
+    information: Arrow
     converged: bool
 
     @property
@@ -188,8 +191,7 @@ class Solution:
     def estimate(self, name: str) -> tuple[Array, Array]:
         """Return what is free by a name, SI units, with standard errors by its information."""
         place, units = self.problem.places[name].ravel(), self.problem.units
-        std = np.sqrt(np.diag(np.linalg.inv(self.information)))
-        return (units * self.theta)[place], (units * std)[place]
+        return (units * self.theta)[place], (units * np.sqrt(self.information.variances))[place]
 
     @property
     def is_plausible(self) -> bool:
@@ -285,7 +287,8 @@ def minimise(
 
     """
     if start is not None:
-        return _descended(problem, start, 0.0, np.eye(len(start.theta)), report, system)
+        everything = np.eye(problem.shared), np.full(problem.own.shape[1], True)
+        return _descended(problem, start, 0.0, everything, report, system)
     return root(approach(problem, report), report)
 
 
@@ -308,20 +311,21 @@ def approach(
     far off, a cup that does not swing explains most. Names that are held stay: the differences
     forget what they are known by.
     """
-    stay = [row for name in held for row in problem.places[name].ravel()]
-    everything, diagonal = (matrix[:, ~np.any(matrix[stay], axis=0)] for matrix in (
-        np.eye(len(problem.start)), problem.uncoupled))
-    each = [rows.ravel() for name, rows in problem.places.items()
-            if KINDS[name].each and name not in held]
+    stays = np.isin(np.arange(len(problem.start)), [
+        row for name in held for row in problem.places[name].ravel()])
+    own = ~stays[problem.own[0]]
+    everything, diagonal = (
+        matrix[:, ~np.any(matrix[stays[:problem.shared]], axis=0)]
+        for matrix in (np.eye(problem.shared), problem.uncoupled))
     start = first = as_measured(problem)
-    if each:
-        start = _descended(problem, start, FORGETTING_RATE, np.eye(len(problem.start))[
-            :, np.concatenate(each)], report).iterate
-    near = _descended(problem, start, FORGETTING_RATE, diagonal, report)
+    if own.any():
+        start = _descended(
+            problem, start, FORGETTING_RATE, (everything[:, :0], own), report).iterate
+    near = _descended(problem, start, FORGETTING_RATE, (diagonal, own), report)
     if with_couplings and diagonal.shape != everything.shape and not (
             near.squares < MISFIT_CHI2 * near.residual_count):
         near = _descended(problem, start._replace(courses=first.courses), FORGETTING_RATE,
-                          everything, report)
+                          (everything, own), report)
     return replace(near, converged=False)
 
 
@@ -331,7 +335,7 @@ def as_measured(problem: Problem) -> Iterate:
 
 
 def _descended(
-    problem: Problem, start: Iterate, forgetting: float, directions: Array, report: Report,
+    problem: Problem, start: Iterate, forgetting: float, directions: Directions, report: Report,
     system: System | None = None,
 ) -> Solution:
     """
@@ -346,9 +350,9 @@ def _descended(
         finite = [part._replace(
             innovations=np.nan_to_num(part.innovations, nan=DIVERGED), **{
                 name: np.nan_to_num(getattr(part, name), posinf=0.0)
-                for name in ('jacobian', 'variance')}) for part in parts]
+                for name in ('variance', 'information', 'slope')}) for part in parts]
         return Solution(problem, theta, accepted(segments, courses, parts), finite,
-                        np.eye(len(theta)), False)
+                        H.within(np.full(len(theta), False)), False)
     min_damping, tolerance, max_steps = (
         (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
         (0.0, TOLERANCE, MAX_STEPS))
@@ -449,37 +453,38 @@ def _moved_below(
 
 
 def _damped_step(
-    problem: Problem, theta: Array, H: Array, g: Array, damping: float, directions: Array
+    problem: Problem, theta: Array, H: Arrow, g: Array, damping: float, directions: Directions
 ) -> Array:
     """Return the step in some directions that no strength of relaxation takes below zero."""
-    step = g
+    step, (shared, own) = g, directions
     for _ in range(3):  # as each strength may be stopped by the step, too
-        D = directions
+        along = shared
         for place in problem.places.get('relaxation', ()):
             stopped = place[(problem.strengths(theta) <= MIN_STRENGTH) & ~(step[place] > 0.0)]
-            D = directions[:, ~np.any(directions[stopped], axis=0)]
-        step = D @ np.linalg.solve(D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
-    return np.asarray(step)
+            along = shared[:, ~np.any(shared[stopped], axis=0)]
+        step = H.damped(damping).step_by(g, along, own)
+        if 'relaxation' not in problem.places:
+            break
+    return step
 
 
-def _squared_length(problem: Problem, step: Array, H: Array) -> float:
+def _squared_length(problem: Problem, step: Array, H: Arrow) -> float:
     """
     Return the squared length of a step in standard errors, at some information.
 
     What is not identifiable may go on wandering: it does not decide over the others.
     """
-    covariance = np.linalg.inv(H)
-    identifiable = np.sqrt(np.diag(covariance)) < problem.max_std
-    if not identifiable.any():
-        return float(step @ H @ step)
-    part = step[identifiable]
-    return float(part @ np.linalg.solve(covariance[np.ix_(identifiable, identifiable)], part))
+    identifiable = np.sqrt(H.variances) < problem.max_std
+    part = np.where(identifiable | ~identifiable.any(), step, 0.0)
+    slope = H.times(part)
+    return float(part @ slope) - H.fall(slope, ~identifiable & identifiable.any())
 
 
 def system_of(problem: Problem, at: Iterate, forgetting: float = 0.0) -> System:
     """Return the whitened segments, and information and slope of the whole."""
     def whitened(segment: Segment, course: Course) -> WhitenedSegment:
-        return problem.whitened(at.theta, segment, course, forgetting)
+        part = problem.whitened(at.theta, segment, course, forgetting)
+        return part._replace(jacobian=part.jacobian[:0])  # its information needs little room
 
     if len(problem.segments) == 1:
         parts = [whitened(problem.segments[0], at.courses[0])]
@@ -487,13 +492,17 @@ def system_of(problem: Problem, at: Iterate, forgetting: float = 0.0) -> System:
         with ThreadPoolExecutor(usable_cores()) as threads:
             parts = list(threads.map(whitened, problem.segments, at.courses))
     H, g = problem.prior(at.theta, forgetting)
-    for part in parts:
-        H[np.ix_(part.places, part.places)] += part.jacobian.T @ part.jacobian
-        g[part.places] += part.jacobian.T @ part.innovations
+    s = problem.shared
+    for segment, part in zip(problem.segments, parts, strict=True):
+        number, more = segment.measured.recording, np.sum(part.information, axis=0)
+        H.shared[:] += more[:s, :s]
+        H.coupling[number] += more[s:, :s]
+        H.own[number] += more[s:, s:]
+        g[part.places] += np.sum(part.slope, axis=0)
     return parts, H, g
 
 
-def _anderson_step(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Array:
+def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]) -> Array:
     """
     Return the change after steps before this one, and how far the search went after each.
 
@@ -502,9 +511,11 @@ def _anderson_step(step: Array, H: Array, history: Sequence[tuple[Array, Array]]
     """
     if not history:
         return step
-    root = np.linalg.cholesky(H).T
     steps, changes = map(np.array, zip(*history, strict=True))
     differences = np.diff(np.vstack([steps, step]), axis=0)
-    weights = np.linalg.lstsq(root @ differences.T, root @ step, rcond=MIN_SINGULAR_VALUE)[0]
+    values, vectors = np.linalg.eigh(differences @ np.transpose(list(map(H.times, differences))))
+    used = values > MIN_SINGULAR_VALUE**2 * values[-1]
+    weights = vectors[:, used] @ (
+        vectors[:, used].T @ (differences @ H.times(step)) / values[used])
     weights *= min(1.0, MAX_ANDERSON_WEIGHT / max(np.abs(weights).max(), 1e-99))
     return np.asarray(step - weights @ (changes + differences))

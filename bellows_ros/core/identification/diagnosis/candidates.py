@@ -14,7 +14,7 @@ from dataclasses import replace
 from operator import itemgetter
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array, Places
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.causes import DISTINCT, Finding
@@ -100,22 +100,26 @@ def pulls(found: Solution, given: Free) -> dict[str, float]:
     Of mass and inertia only the ratio is known.
     """
     problem, sizes = found.problem, dict[str, float]()
-    covariance = np.linalg.inv(found.information - problem.fixing)
+    information = found.information.plus(-problem.fixing)
 
-    def pull(by: Array) -> float:
-        """Return that of a sum of the unknowns."""
-        prior = float(np.sum(by**2 / np.where(by != 0.0, problem.weights, 1.0)))
-        known = max(1.0 - float(by @ covariance @ by) / prior, MIN_KNOWN)
-        return abs(float(by @ found.theta)) / float(np.sqrt(prior * known))
+    def pull(value: Array, prior: Array, variance: Array) -> float:
+        """Return the largest deviation of values with variances before and after the fit."""
+        return float(np.max(np.abs(value) / np.sqrt(
+            prior * np.maximum(1.0 - variance / prior, MIN_KNOWN))))
 
     for name in problem.places.keys() & given.keys() - {'mass', 'inertia'}:
-        sizes[name] = max(map(pull, np.eye(len(found.theta))[problem.places[name].ravel()]))
+        place = problem.places[name].ravel()
+        sizes[name] = pull(
+            found.theta[place], 1.0 / problem.weights[place], information.variances[place])
     if {'mass', 'inertia'} <= problem.places.keys() & given.keys():
-        ratio = np.zeros(len(found.theta))
+        ratio = np.zeros(problem.shared)
         for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
             place = problem.places[name].ravel()
             ratio[place] = part * problem.units[place]
-        sizes['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(ratio)
+        weights = np.where(ratio != 0.0, problem.weights[:len(ratio)], 1.0)
+        sizes['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(
+            ratio @ found.theta[:len(ratio)], np.asarray(np.sum(ratio**2 / weights)),
+            ratio @ information.covariance @ ratio)
     return {name: size / MAX_PULL for name, size in sizes.items()}
 
 
@@ -165,17 +169,9 @@ def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
     """Return by how much the squares would fall with each quantity free."""
     wide = found.problem.freed(found.theta, quantities.weak_prior(names))
     _, H, g = system_of(wide, found.near(wide))
-    base = np.arange(len(found.theta))
-    return {name: fall_of(H, g, base, wide.places[name].ravel()) for name in names}
-
-
-def fall_of(H: Array, g: Array, base: Places, place: Places) -> float:
-    """Return by how much squares fall if unknowns at places are free beside those of a base."""
-    by_base = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([
-        H[np.ix_(base, place)], g[base]]))
-    slope = g[place] - H[np.ix_(place, base)] @ by_base[:, -1]
-    S = H[np.ix_(place, place)] - H[np.ix_(place, base)] @ by_base[:, :-1]
-    return float(slope @ np.linalg.solve(S, slope))
+    tested = {name: np.isin(np.arange(len(g)), wide.places[name]) for name in names}
+    base = ~np.any(list(tested.values()), axis=0)
+    return {name: H.fall(g, base | own) - H.fall(g, base) for name, own in tested.items()}
 
 
 def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:

@@ -1,0 +1,103 @@
+"""Own unknowns of recordings are eliminated one recording at a time, as a dense solve would."""
+
+from dataclasses import replace
+
+from bellows_ros.core.identification.problem import Problem
+from bellows_ros.core.identification.quantities import weak_prior
+from bellows_ros.core.identification.search import as_measured, Iterate, minimise, system_of
+from bellows_ros.core.identification.segments import Segment
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .test_output_error import AXISYMMETRIC, measured, scaled, TRUTH
+
+FREE = weak_prior(['time_offset', 'package_marker', 'length'])
+
+
+def problem_of(seeds, cup=TRUTH):
+    """Return the problem of recordings with three kinds of free quantities."""
+    return Problem(tuple(
+        Segment.of(replace(measured(seed, package_hz=60.0, duration=4.0), recording=number))
+        for number, seed in enumerate(seeds)), AXISYMMETRIC, cup, FREE)
+
+
+def dense(problem, at):
+    """Return information and slope of everything, by the whole Jacobian of all recordings."""
+    rows, residuals = [], []
+    for segment, course in zip(problem.segments, at.courses, strict=True):
+        part = problem.whitened(at.theta, segment, course)
+        J = np.zeros((len(part.innovations), len(at.theta)))
+        J[:, part.places] = part.jacobian
+        rows.append(J)
+        residuals.append(part.innovations)
+    J, r = np.vstack(rows), np.concatenate(residuals)
+    prior, slope = problem.prior(at.theta, 0.0)
+    H = np.diag(problem.weights)
+    H[:problem.shared, :problem.shared] = prior.shared
+    return J.T @ J + H, J.T @ r + slope
+
+
+@pytest.fixture(scope='module')
+def three():
+    """Return a problem of three recordings, and an iterate."""
+    problem = problem_of([1, 2, 3])
+    rng = np.random.default_rng(5)
+    start = as_measured(problem)
+    return problem, start._replace(theta=start.theta + 0.02 * rng.standard_normal(
+        len(start.theta)))
+
+
+def test_steps_and_variances_are_those_of_the_whole(three):
+    problem, at = three
+    H, g = dense(problem, at)
+    _, information, slope = system_of(problem, at)
+    assert_allclose(slope, g, rtol=1e-9, atol=1e-9 * np.abs(g).max())
+    assert_allclose(information.solve(g), np.linalg.solve(H, g), rtol=1e-7, atol=1e-9)
+    C = np.linalg.inv(H)
+    assert_allclose(information.variances, np.diag(C), rtol=1e-7)
+    assert_allclose(information.times(g), H @ g, rtol=1e-9, atol=1e-9 * np.abs(H @ g).max())
+    places = np.append(np.arange(problem.shared), problem.own[1])
+    size = np.sqrt(np.diag(C)[places])
+    assert_allclose(information.block(1) / np.outer(size, size),
+                    C[np.ix_(places, places)] / np.outer(size, size), atol=1e-7)
+
+
+def test_steps_along_some_directions_are_those_of_the_whole(three):
+    problem, at = three
+    H, g = dense(problem, at)
+    _, information, _ = system_of(problem, at)
+    along = np.random.default_rng(1).standard_normal((problem.shared, 3))
+    used = np.arange(problem.own.shape[1]) != 2
+    D = np.zeros((len(g), 3 + problem.own[:, used].size))
+    D[:problem.shared, :3] = along
+    D[problem.own[:, used].ravel(), np.arange(3, D.shape[1])] = 1.0
+    expected = D @ np.linalg.solve(D.T @ H @ D, D.T @ g)
+    assert_allclose(information.step_by(g, along, used), expected, rtol=1e-6, atol=1e-9)
+    without = np.ones(len(g), dtype=bool)
+    without[problem.places['length']] = without[problem.places['time_offset']] = False
+    part = np.ix_(without, without)
+    assert_allclose(information.fall(g, without),
+                    g[without] @ np.linalg.solve(H[part], g[without]), rtol=1e-7)
+
+
+def test_the_minimum_is_that_of_the_whole():
+    problem = problem_of([1, 2, 3], scaled(1.3))
+    found = minimise(problem)
+    assert found.converged
+    H, g = dense(problem, Iterate(found.theta, found.courses))
+    rest = np.linalg.solve(H, g) / np.sqrt(np.diag(np.linalg.inv(H)))
+    assert np.abs(rest).max() < 0.1
+
+
+def test_no_recording_has_columns_of_another_and_none_is_kept():
+    one, many = problem_of([1]), problem_of([1, *range(2, 8)])
+    sizes = []
+    for problem in (one, many):
+        start = as_measured(problem)
+        sizes.append(problem.whitened(
+            start.theta, problem.segments[0], start.courses[0]).jacobian.shape)
+        parts, information, _ = system_of(problem, start)
+        assert not any(part.jacobian.size for part in parts)
+        assert information.own.shape == (len(problem.segments), 7, 7)
+    assert sizes[0] == sizes[1]
