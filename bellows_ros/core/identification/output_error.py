@@ -24,7 +24,6 @@ from bellows_ros.core.identification.diagnosis.candidates import (
     scores,
     SIGNIFICANT,
 )
-from bellows_ros.core.identification.diagnosis.ranking import rank
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
 from bellows_ros.core.identification.problem import (
@@ -169,7 +168,12 @@ def output_error(
     (found, from_given), ends = _from_slow_poses(
         near, given, relaxation, record) if are_slow else _from_quick_poses(
         near, given, relaxation, record, other_start or start)
-    return _fit(found, from_given, iterations, named, given, rank(ends, given))
+    reasons: tuple[Finding, ...] = ()
+    if not is_explained(ends[0], given):
+        from bellows_ros.core.identification.diagnosis.ranking import rank  # what few fits need
+
+        reasons = rank(ends, given)
+    return _fit(found, from_given, iterations, named, given, reasons)
 
 
 def _extended(

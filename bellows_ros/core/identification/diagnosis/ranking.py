@@ -104,8 +104,6 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
         Standard deviations of the given quantities, SI units.
 
     """
-    if candidates.is_explained(ends[0], given_std):
-        return ()
     likely, unexplained = tuple[Finding, ...](), tuple[Finding, ...]()
     for end in ends:
         if likely and not end.is_plausible:
