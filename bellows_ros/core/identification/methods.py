@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares, reduction
+from bellows_ros.core.identification.diagnosis.candidates import MARKERS
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import given_std, weak_prior
@@ -212,7 +213,8 @@ def by_output_error(
         measured, structure, start, progress and partial(_report, progress), weak_prior(named),
         named, values.fit.relaxation, {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,
-        'off' if structure.places else _stretch(recordings, values.fit.stretch))
+        'off' if structure.places else _stretch(recordings, values.fit.stretch),
+        MARKERS if values.recording.marker == 'shared' else ())
 
 
 def _stretch(recordings: Sequence[Recording], wanted: str) -> str:

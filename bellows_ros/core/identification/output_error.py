@@ -115,6 +115,7 @@ def output_error(
     other_start: Cup | None = None,
     richer: Structure | None = None,
     stretch: str = 'off',
+    common: tuple[str, ...] = (),
 ) -> Fit:
     """
     Fit K and P so that the model, moved as the tool was, meets the package's poses.
@@ -144,6 +145,8 @@ def output_error(
         Structure that replaces the first one if its couplings are significant.
     stretch : str
         Whether the coefficients of stretch are free, as relaxation.
+    common : tuple of str, optional
+        Names of quantities that all recordings share, though others have their own.
 
     Raises
     ------
@@ -158,7 +161,8 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
-    problem = Problem(tuple(map(Segment.of, measured)), structure, start, free)
+    problem = Problem(
+        tuple(map(Segment.of, measured)), structure, start, free, common=common)
     are_slow = any(segment.is_slow for segment in problem.segments)
     near = approach(problem, record, with_couplings=are_slow)
     if near.squares > MISFIT_CHI2 * near.residual_count and (
@@ -325,7 +329,7 @@ def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Soluti
     if not np.all(np.isfinite(g)):  # what was given is so wrong that derivatives by it diverge
         return replace(found, converged=False), unmoved(found)
     tested = np.concatenate([np.empty(0, dtype=np.int64), *(
-        wide.places[name].ravel() for name in more if not KINDS[name].each)])
+        wide.places[name].ravel() for name in more if not wide.is_own(name))])
     rest, std = np.setdiff1d(np.arange(wide.shared), tested), wide.weights[tested] ** -0.5
     known = H.plus(-wide.prior(start.theta, 0.0)[0].shared).reduced
     S = known[np.ix_(tested, tested)] - known[np.ix_(tested, rest)] @ np.linalg.lstsq(

@@ -155,6 +155,8 @@ class Problem:
         Stamp at which the package slips, if that is free.
     fixing : ndarray (s, s), optional
         More information on the start of the shared unknowns.
+    common : tuple of str
+        Names of quantities that all recordings share, though others have their own.
 
     """
 
@@ -164,11 +166,16 @@ class Problem:
     free: Free
     slip_ns: int = 0
     fixing: Array | float = 0.0
+    common: tuple[str, ...] = ()
 
     def freed(self, theta: Array, more: Free, structure: Structure | None = None) -> 'Problem':
         """Return the problem from the cup of unknowns, with more that is free."""
         return replace(self, structure=structure or self.structure, guess=self.cup(theta),
                        free={**self.free, **more}, fixing=0.0)
+
+    def is_own(self, name: str) -> bool:
+        """Return whether each recording has a quantity of its own."""
+        return KINDS[name].each and name not in self.common
 
     @cached_property
     def first_cup(self) -> Cup:
@@ -190,8 +197,8 @@ class Problem:
     def places(self) -> Mapping[str, Places]:
         """Places of free quantities among the unknowns: a row for each recording, or for all."""
         recordings = 1 + max(segment.measured.recording for segment in self.segments)
-        shapes = {name: (recordings if KINDS[name].each else 1, KINDS[name].size)
-                  for name in sorted(self.free, key=lambda name: KINDS[name].each)}
+        shapes = {name: (recordings if self.is_own(name) else 1, KINDS[name].size)
+                  for name in sorted(self.free, key=self.is_own)}
         ends = np.cumsum([self.count, *map(math.prod, shapes.values())])
         return {name: first + np.arange(math.prod(shape)).reshape(shape)
                 for first, (name, shape) in zip(ends, shapes.items(), strict=False)}
@@ -201,7 +208,7 @@ class Problem:
         """Places (R, o) of what each recording has of its own."""
         recordings = 1 + max(segment.measured.recording for segment in self.segments)
         return np.hstack([np.empty((recordings, 0), dtype=np.int64), *(
-            place for name, place in self.places.items() if KINDS[name].each)])
+            place for name, place in self.places.items() if self.is_own(name))])
 
     @property
     def shared(self) -> int:
@@ -288,7 +295,7 @@ class Problem:
 
     def places_of(self, segment: Segment) -> dict[str, Places]:
         """Return where a segment's free quantities are, by name."""
-        return {name: rows[segment.measured.recording if KINDS[name].each else 0]
+        return {name: rows[segment.measured.recording if self.is_own(name) else 0]
                 for name, rows in self.places.items()}
 
     def index_of(self, segment: Segment) -> Places:

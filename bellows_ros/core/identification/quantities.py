@@ -223,8 +223,7 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
     """
     if not found:
         return recording
-    free = {name: rows[number if KINDS[name].each else 0]
-            for name, rows in found.items()}
+    free = {name: rows[number % len(rows)] for name, rows in found.items()}
     moves, tracked = np.array(recording.settings.moves_with_com, float), recording.tracked_package
     middle = middle_of(tracked)
     delay = round(float(free['time_offset'][0]) * NS_PER_S) if 'time_offset' in free else 0

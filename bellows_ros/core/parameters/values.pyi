@@ -172,6 +172,7 @@ class RecordingGroup:
     align_at_rest: bool
     rest_duration: float
     marker_std: tuple[float, ...]
+    marker: str
     clock_std: float
     start: float
     end: float

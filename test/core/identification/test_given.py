@@ -61,6 +61,21 @@ def test_a_frame_and_a_length_that_are_a_little_off_are_found_with_the_cup():
     assert np.abs(off(found)[1]).max() < 4.0
 
 
+def test_recordings_may_share_the_errors_of_a_marker():
+    turned, parts = exp_so3(np.array([6e-3, -4e-3, 0.0])), []
+    for number, seed in enumerate((7, 8)):
+        own = measured(seed, tool_hz=100.0, duration=5.0, **QUIET)
+        body = replace(own.package, rotation=own.package.rotation @ turned)
+        parts.append(replace(own, package=body, recording=number))
+    each, shared = (output_error(parts, AXISYMMETRIC, TRUTH, given=USUAL, common=common)
+                    for common in ((), candidates.MARKERS))
+    assert [len(fit.nuisances['package_marker']) for fit in (each, shared)] == [2, 1]
+    assert np.abs(off(shared)[1]).max() < 4.0
+    spread = np.ptp(each.nuisances['package_marker'][:, 3:], axis=0)
+    assert_allclose(each.nuisances['package_marker'][:, 3:].mean(axis=0),
+                    shared.nuisances['package_marker'][0, 3:], atol=spread.max() + 1e-3)
+
+
 def test_couplings_of_a_frame_that_is_off_are_within_their_errors():
     own, full = measured(8, tool_hz=125.0, duration=8.0, **QUIET), STRUCTURES['full']
     body = own.package
