@@ -17,7 +17,7 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-# No record, chunk or message of a sound recording is larger, whatever a damaged file claims.
+# Largest record, chunk or message of a sound recording; a damaged file may claim more.
 MAX_RECORD_BYTES = 256 * 2**20
 
 
@@ -46,7 +46,7 @@ class Message(NamedTuple):
 
 
 Stored = tuple[Channel, int, bytes]
-"""What `Message` has, of each of very many messages."""
+"""The fields of a `Message`, as a plain tuple for speed."""
 
 Wanted = Callable[[Channel], bool]
 
@@ -200,7 +200,7 @@ ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 ZstdError, ZstdFile = zstd.ZstdError, zstd.ZstdFile
 
 
-# What decompresses frames of a form, and what that raises where they are damaged.
+# Decompressor of each form of frames, and its exception for damaged ones.
 FRAMES: dict[str, tuple[Any, type[Exception]]] = {
     'zstd': (zstd.ZstdDecompressor, zstd.ZstdError),
     'lz4': (lz4.frame.LZ4FrameDecompressor, RuntimeError)}

@@ -112,7 +112,7 @@ def write_bag(
     if replace:
         require_replaceable(Path(path))
     with atomic.new_folder(path, replace) as folder:
-        # Of metadata.yaml, as ROS 2 Jazzy writes it, is version 9.
+        # ROS 2 Jazzy writes version 9 of metadata.yaml.
         writer = Writer(folder, version=9, storage_plugin=STORAGES[storage])
         if zstd:
             writer.set_compression(_ZSTD[storage], CompressionFormat.ZSTD)

@@ -1,8 +1,8 @@
 """
 Reading rosbag2 recordings: SQLite and MCAP, plain and zstd, by folder or by file.
 
-Files are not trusted: sizes are bounded, and whatever is wrong with one is a BellowsError that
-names the remedy. What a crashed recorder has left is read as far as possible, with a note.
+Files are not trusted: sizes are bounded, and every fault is a BellowsError that names the remedy.
+The recording of a crashed recorder is read as far as possible, with a note.
 
 A database (.db3) is opened read-only and immutable, its schema is not trusted, and the work done
 on it is bounded by its size, so that a damaged or hostile file ends in an error and not in an

@@ -31,7 +31,7 @@ DOWN = (0.0, 0.0, -STANDARD_GRAVITY)
 
 
 class Target(NamedTuple):
-    """A format: its writer, and what it cannot express."""
+    """A format: its writer, and the properties that it cannot express."""
 
     name: str
     write: Callable[..., str]
@@ -42,7 +42,7 @@ class Target(NamedTuple):
 
 
 def limits(target: Target, cup: Cup, gravity: tuple[float, float, float] = DOWN) -> list[str]:
-    """Return what a format cannot express, and what of this cup and gravity (m/s^2) it lacks."""
+    """Return properties that a format lacks: in general, of this cup, of gravity (m/s^2)."""
     gaps = [TABLES['sentences'][name] for name in target.limits]
     if target.whole:
         return gaps

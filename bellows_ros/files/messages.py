@@ -144,7 +144,7 @@ class Decoder:
 
 @lru_cache(maxsize=64)
 def _form(kind: str, names: tuple[str, ...]) -> tuple[struct.Struct, bytes, bytes]:
-    """Return the form of messages with these names, their first bytes, and those of the names."""
+    """Return the form of messages with some names, their first bytes, and the names' bytes."""
     layout = LAYOUTS[kind]
     data = head = with_number(HEAD, 1) if layout.in_list else HEAD
     data += bytes(_STRINGS_AT - _STAMP_AT)
@@ -430,7 +430,7 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
 
 def twist_stream(name: str, decoded: np.ndarray, frames: Frames) -> TwistStream:
     """
-    Return the usable twists, in the axes they were recorded in: of Odometry those of its child.
+    Return the usable twists in their recorded axes, which in Odometry are axes of its child.
 
     Parameters
     ----------

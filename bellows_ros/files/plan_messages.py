@@ -113,7 +113,7 @@ FieldTypes = tuple[tuple[str, str], ...]
 
 
 def _point(order: str, parts: tuple[int, ...]) -> FieldTypes:
-    """Return the fields of a point; each part's name with an n is that of its number of items."""
+    """Return the fields of a point; the field nX is the number of items of part X."""
     fields = [('sec', f'{order}i4'), ('nanosec', f'{order}u4')]
     for name, size, doubles in zip('cba', parts[::-1], (6, 6, 7), strict=True):
         fields[:0] = [(f'n{name}', f'{order}u4'), *[(name, f'({doubles},){order}f8')] * size]
@@ -182,7 +182,7 @@ def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) ->
 
 
 def _head(stamp_ns: int, frame_id: str, names: Sequence[str], points: int) -> bytes:
-    """Return what is before the points of a trajectory."""
+    """Return the bytes before the points of a trajectory."""
     head = with_number(_header(stamp_ns, frame_id), len(names))
     for name in names:
         head = with_text(head, name)

@@ -164,7 +164,7 @@ def _lines(path: File) -> NumberedRows:
 
 
 def _line_error(path: File, number: int, what: str) -> BellowsError:
-    """Return the error for a line that does not hold what it must."""
+    """Return the error for a faulty line."""
     return BellowsError(
         f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'.")
 
@@ -213,7 +213,7 @@ TIME = 1  # column
 
 Heads = Mapping[str, Sequence[str]]
 Columns = tuple[list[int], list[int], list[int]]
-"""Where the poses of a body are, the qualities of its markers, and their measured positions."""
+"""Columns of the poses of a body, of the qualities of its markers, and of their positions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +303,7 @@ def _bodies(path: Path, rows: Any, min_markers: int) -> tuple[MotiveBody, ...]:
 
 
 def _read_head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]:
-    """Return what the file says about itself, and its column heads, as wide as the row of axes."""
+    """Return the properties of the first row, and the column heads, as wide as the row of axes."""
     first = next(rows, [])
     if first and first[0].startswith('Format Version;'):
         raise BellowsError(
@@ -362,7 +362,7 @@ def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
             f"'{path}' has no rigid bodies. Export the take again with rigid bodies switched on.")
     found: dict[tuple[str, str, str], list[int]] = defaultdict(list)
     for number, (kind, owner, quantity, axis) in enumerate(columns):
-        # A marker's name (BODY:Marker1, BODY_1) begins with that of its body.
+        # A marker's name (BODY:Marker1, BODY_1) begins with the name of its body.
         fitting = [name for name in names if owner.startswith((f'{name}:', f'{name}_'))]
         body = owner if kind == 'Rigid Body' else max(fitting, key=len, default='')
         what = quantity if kind == 'Rigid Body Marker' else f'{quantity} {axis}'.strip()
