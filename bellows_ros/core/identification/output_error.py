@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.arrow import Arrow
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.diagnosis.candidates import (
     is_explained,
@@ -27,6 +26,7 @@ from bellows_ros.core.identification.diagnosis.candidates import (
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
 from bellows_ros.core.identification.problem import (
+    Arrow,
     DEFAULT_RATIO,
     Problem,
     RATIO_STD,

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import usable_cores
-from bellows_ros.core.identification.arrow import Arrow
 from bellows_ros.core.identification.problem import (
+    Arrow,
     MIN_STRENGTH,
     Problem,
     symmetric_roots,
