@@ -260,14 +260,21 @@ class LivePredictor:
 
     @property
     def is_ok(self) -> bool:
-        """Whether the package is held, predicted without an alarm, and gripped safely."""
+        """
+        Whether the package is held, predicted without an alarm, and gripped safely.
+
+        False, too, while cup or payload in use deviate from their parameters by more than these
+        may.
+        """
         if self.latest is not None:
             self.watch(self.latest)
         return self.is_ok_at(self.arrivals.newest_ns or 0)
 
     def is_ok_at(self, arrival_ns: int) -> bool:
         """Return `is_ok` at a time on the clock of arrivals."""
+        observer = self.package.observer
         return (self.state in ON_CUP and self.alarm is None and not self.is_above
+                and not (observer is not None and observer.departs_from_file)
                 and self.newest_ns >= self._unsafe_ns
                 and self.phase(arrival_ns) in ('predicting', 'settling'))
 
@@ -283,12 +290,18 @@ class LivePredictor:
 
     @property
     def alarm(self) -> Alarm | None:
-        """The unresolved alarm: a loss until the next package, others for 5 s."""
+        """
+        The unresolved alarm: a loss until the next package, others for 5 s.
+
+        An alarm after which the model in use deviates from package.* or cup.* by more than they
+        may stays until the deviation ends.
+        """
         if not self.alarms:
             return None
-        newest = self.alarms[-1]
+        newest, observer = self.alarms[-1], self.package.observer
         lasts = self.state == LOST if newest.cause == LOST else (
-            self.newest_ns - newest.stamp_ns < ALARM_DURATION_NS)
+            self.newest_ns - newest.stamp_ns < ALARM_DURATION_NS
+            or (observer is not None and observer.departs_from_file))
         return newest if lasts else None
 
     @property
@@ -301,12 +314,17 @@ class LivePredictor:
 
     def covariance(self, stamp_ns: int) -> Array | None:
         """
-        Return the 12 by 12 covariance of the newest prediction; None at other stamps.
+        Return the 12 by 12 covariance of a prediction; None if it is not available.
 
         Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s), in body axes.
+        Without measured poses it is available for the newest prediction, with them for the last
+        0.5 s.
         """
-        if self.latest is None or self.uncertainty is None or self.latest.stamp_ns != stamp_ns:
+        if self.latest is None or self.uncertainty is None:
             return None
+        if self.latest.stamp_ns != stamp_ns:
+            observer = self.package.observer
+            return None if observer is None else observer.covariance(stamp_ns)
         return self.uncertainty.covariance(self.latest)
 
     def phase(self, arrival_ns: int) -> str:

@@ -169,7 +169,7 @@ ALIKE = frozenset(('wear', 'payload'))
 """Causes told apart by damping only: an alarm has the sizes of both, whatever the odds."""
 
 MAX_ODDS = math.exp(14.0)
-"""Largest odds that an alarm states, a million."""
+"""Largest odds of a fault from the start, a lost package or a lost cup; of others 100."""
 
 LOG_SHARE_OF_NONE = math.log(0.1)
 """Logarithm of the prior share of causes without a signature, a disturbance among them."""
@@ -307,7 +307,8 @@ class Alarms:
         size, std = max(logs or parts[:1], key=lambda each: each[0] / each[1])
         if size < cause.least:
             return None
-        odds, cup = min(math.exp(min(lead, 20.0)), MAX_ODDS), -1
+        most = MAX_ODDS if likely.mean or best[1] < AT_START else MIN_CLEAR_ODDS
+        odds, cup = min(math.exp(min(lead, 20.0)), most), -1
         name = 'disturbance' if second == NONE else ALARM_CAUSES[second].name if (
             second < OF_CAUSE[CUP]) else self._of_cup(holding[second - OF_CAUSE[CUP]]).cause
         alarm = Alarm(stamp_ns, cause.name, size, std, name, odds, parts)

@@ -77,6 +77,9 @@ BIAS_WALK, WALK_ARM = 0.0003, 0.02
 LEAST_TOOL_NOISE = 5e-7, 2.5e-6
 """Least noise of the tool's position (m) and rotation: the filter's own steps err by as much."""
 
+TOOL_LATENCY = 5e-3
+"""Largest lateness of the tool's poses, s."""
+
 CAMERA_WALK_TIME = 300.0
 """Time (s) in which the frame of a camera drifts by `measured.offset_std`: mounts warm up."""
 
@@ -358,9 +361,16 @@ class Correction:
             estimate, track, stamp_ns, True, is_supported=estimate.is_supported)[1]
 
     def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
-        """Return an estimate at a sample of the tool, whose noise is in its twist at once."""
+        """
+        Return an estimate at a sample of the tool, whose noise is in its twist at once.
+
+        A latency between tool and camera may be that of the tool.
+        """
         P = estimate.covariance.copy()
         P[6:STATE, 6:STATE] += self._drive[0, :6, :6]
+        late = min(abs(estimate.theta[ekf.LATENCY - STATE]), TOOL_LATENCY)
+        lag = late * np.r_[estimate.body[2], estimate.body[3]]
+        P[:6, :6] += lag[:, None] * lag
         return estimate._replace(covariance=P)
 
     def body_at_end(self, estimate: Estimate, track: Track) -> State:

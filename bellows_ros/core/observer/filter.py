@@ -77,11 +77,11 @@ NO_MATRIX: Array = np.zeros((0, 0))
 MAX_CORRELATION = 0.97
 """Largest correlation of the noise of successive measurements."""
 
-VIEW_SPEED, STILL_AGING = 0.1, 0.03
-"""
-Speed of a tag (m/s) at which the memory of its errors is that of a body, and the part of this
-rate at rest: errors of a detected tag belong to the view.
-"""
+VIEW_LENGTH = 0.15
+"""Path of a tag over which the correlation of its errors falls to 1 / e, m."""
+
+STILL_TIME = 5.0
+"""Time in which the correlation of the errors of a tag at rest falls to 1 / e, s."""
 
 MODEL_ERROR_TIME = 0.05
 """
@@ -629,9 +629,10 @@ def predicted(
     T, Q, theta = identity_transition(), np.zeros((STATE, STATE)), theta.copy()
     model_error = memory[SHARE] * MODEL_ERROR_TIME**3
     age = (until_ns - now_ns) / NS_PER_S
-    if ages_by_view:
-        age *= STILL_AGING + t3.norm(body[2]) / VIEW_SPEED
     correlation = correlations(memory, age)
+    if ages_by_view:
+        of_view = math.exp(-age * (1.0 / STILL_TIME + t3.norm(body[2]) / VIEW_LENGTH))
+        correlation = of_view, of_view
     without_cup = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
     for i in range(STATE):
         without_cup[:, i, i] = 1.0

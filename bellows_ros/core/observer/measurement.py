@@ -38,7 +38,7 @@ where it is without load, beside what is not known of centre of mass and camera,
 stamps make of a tool that moves; the largest squared Mahalanobis distance, 0 if nothing is seen.
 """
 
-WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 0.3
+WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 0.1
 """Part of the noise's variance that has no memory."""
 
 JITTER = 2e-3

@@ -8,10 +8,10 @@ again, so that the outcome is that of measurements that came in order.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import deque
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
@@ -69,6 +69,9 @@ camera, cup and package are kept."""
 
 OF_CUP = frozenset(('leak', 'wear'))
 """Causes after which the cup is no longer the stated one."""
+
+MODEL_ROWS = np.array([*range(ekf.MASS, ekf.COM + 3), *CUP_ROWS])
+"""Rows of payload and cup that parameters state."""
 
 MAX_DEVIATION = 3.0
 """Standard deviations by which a cup may differ from the stated one without an alarm."""
@@ -213,9 +216,17 @@ class Observer:
         return self._correction.with_noise_of_sample(newest)
 
     def covariance(self, stamp_ns: int) -> Array | None:
-        """Return the covariance of the state (12, 12) at a stamp of the tool, if available."""
-        newest = self.estimate
-        return newest.covariance[:12, :12] if newest and newest.stamp_ns == stamp_ns else None
+        """Return the covariance of the state (12, 12) at a stamp of the last 0.5 s, or None."""
+        estimate, correction = self.estimate, self._correction
+        if estimate is None or not (
+                self._estimates[0].stamp_ns <= stamp_ns <= estimate.stamp_ns):
+            return None
+        if stamp_ns < estimate.stamp_ns:
+            before = self._estimates[bisect_right(
+                self._estimates, stamp_ns, key=lambda each: each.stamp_ns) - 1]
+            estimate = correction.with_noise_of_sample(correction.propagated(
+                before._replace(evidence=NO_EVIDENCE), self._track, stamp_ns))
+        return estimate.covariance[:STATE, :STATE]
 
     @property
     def payload(self) -> Payload | None:
@@ -389,13 +400,26 @@ class Observer:
                 alarm.cause in OF_CUP for alarm in self.alarms[self._first_alarm:]):
             return
         rows = np.arange(ekf.STIFFNESS, ekf.STIFFNESS + 6)
-        size, std = estimate.theta[rows - STATE], np.sqrt(estimate.covariance[rows, rows])
-        excess = np.abs(size) - MAX_DEVIATION * (correction.prior[rows] + std)
+        excess = self._excess(estimate, rows)
         if excess.max() > 0.0:
-            worst = int(excess.argmax())
-            factor = math.exp(size[worst])
-            self._raise(Alarm(estimate.stamp_ns, 'wear', abs(factor - 1.0),
-                              factor * float(std[worst]), 'payload', 1.0))
+            worst = rows[excess.argmax()]
+            factor = math.exp(estimate.theta[worst - STATE])
+            self._raise(Alarm(
+                estimate.stamp_ns, 'wear', abs(factor - 1.0),
+                factor * float(math.sqrt(estimate.covariance[worst, worst])), 'payload', 1.0))
+
+    def _excess(self, estimate: Estimate, rows: Any) -> Array:
+        """Return by how much an estimate deviates more than the stated numbers may."""
+        std = np.sqrt(estimate.covariance[rows, rows])
+        excess: Array = np.abs(estimate.theta[rows - STATE]) - MAX_DEVIATION * (
+            self._correction.prior[rows] + std)
+        return excess
+
+    @property
+    def departs_from_file(self) -> bool:
+        """Whether cup or payload in use deviate from the stated ones by more than they may."""
+        return bool(self._estimates) and bool(
+            self._excess(self._estimates[-1], MODEL_ROWS).max() > 0.0)
 
     # ---------------------------------------------------------- a lost package
 
