@@ -43,6 +43,9 @@ MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
 """Median of the jump along an axis per standard deviation of white noise: that of a normal
 distribution, times the norm of (1, -3, 3, -1) / 2."""
 
+MIN_HALF_TURN = 2.5
+"""Rotation in a step from which its vector may have either sign, rad."""
+
 PARTNER_STRENGTH = 0.5
 """Part of the threshold above which a jump may cancel another one."""
 
@@ -194,6 +197,7 @@ def find_flips(poses: Trajectory, second: Array) -> Outliers:
 def _jumps(poses: Trajectory) -> _Jumps:
     """Return the jumps from sample to sample; none over a long gap."""
     increments, steps = increments_of(poses), np.diff(poses.stamps_ns)
+    _cancel_half_turns(increments[1])
     period = float(np.median(steps))
     velocity = increments / steps[:, None]
     start, end = np.zeros((2, *increments.shape))  # from the continuation of each side
@@ -213,6 +217,21 @@ def _jumps(poses: Trajectory) -> _Jumps:
     longer = np.maximum(steps / period, 1.0) ** 2  # over a gap acceleration adds so much more
     return _Jumps(size, longer * np.maximum(THRESHOLD_FACTOR * surroundings, MIN_JUMP[:, None]),
                   np.median(np.abs(middle), axis=1))
+
+
+def _cancel_half_turns(rotation: Array) -> None:
+    """
+    Choose the rotation vectors (M, 3) of large steps so that consecutive ones cancel.
+
+    A rotation near 180 degrees has two vectors, and noise decides between them.
+    """
+    total = np.zeros(3)
+    for i in np.flatnonzero(np.linalg.norm(rotation, axis=1) > MIN_HALF_TURN):
+        vector = rotation[i]
+        other = vector * (1.0 - 2.0 * np.pi / np.linalg.norm(vector))
+        if np.linalg.norm(total + other) < np.linalg.norm(total + vector):
+            rotation[i] = other
+        total += rotation[i]
 
 
 def _surroundings(values: Array) -> Array:

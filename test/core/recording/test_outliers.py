@@ -97,6 +97,21 @@ def test_jumps_of_position_or_rotation_alone_are_enough(metres, radians):
     assert_array_equal(np.flatnonzero(~found_in(poses).good), np.arange(4000, 4006))
 
 
+@pytest.mark.parametrize('samples', [1, 2, 3, 6])
+@pytest.mark.parametrize('degrees', [90.0, 175.0, 180.0])
+def test_flips_of_a_symmetric_box_return(samples, degrees):
+    """Noise decides between the two rotation vectors of half a turn."""
+    poses, starts = recorded(17), np.arange(400, 4000, 400)
+    for k, start in enumerate(starts):
+        turn = np.zeros(3)
+        turn[k % 3] = np.radians(degrees)
+        poses = displaced(poses, slice(start, start + samples), np.zeros(3), turn, True)
+    found = found_in(poses)
+    assert found.steps == ()
+    assert_array_equal(np.flatnonzero(~found.good),
+                       (starts[:, None] + np.arange(samples)).ravel())
+
+
 @pytest.mark.parametrize('on_body', [False, True])
 def test_a_permanent_step_is_reported_and_only_its_sides_are_marked(on_body):
     found = found_in(displaced(recorded(16), slice(3000, None), np.array([0.03, 0, 0]),
