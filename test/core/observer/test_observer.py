@@ -115,7 +115,7 @@ def test_posterior_is_far_below_the_noise_of_the_camera():
                    error_of(made.body, body[k])[:6]))
         squares.append(np.square(errors[500:]).mean(axis=0))
     rms = np.sqrt(np.mean(squares, axis=0))
-    # a 25th and a 7th with a jitter of stamps that is estimated and not assumed: none is here
+    # 25 and 7 for a filter that assumes an exact model: this one allows for errors of the model
     assert (rms < np.repeat([2e-3 / 23, 1e-2 / 6], 3)).all()
 
 
