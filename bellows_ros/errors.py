@@ -116,12 +116,14 @@ MAX_NAME = 255
 
 def is_name(text: str) -> bool:
     """Return whether a text can be the name of a frame, joint or link in outputs; '' can."""
-    return len(text) <= MAX_NAME and (text.isprintable() or not text)
+    return len(text) <= MAX_NAME and text.isprintable()
 
 
 def require_names(names: Iterable[str], what: str) -> None:
     """Raise BellowsError for names of a kind with control characters, or too long ones."""
     for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f'{name} as name of a frame or joint')
         if not is_name(name):
             raise BellowsError(
                 f"A name of {what} is '{shown(name)}'; expected at most {MAX_NAME} printable "

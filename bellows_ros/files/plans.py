@@ -213,9 +213,6 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
             require_count(len(points), 'The plan')
             is_of_tool = hasattr(points[0], 'transforms')
             read = multi_dof(message) if is_of_tool else plan_messages.joint_plan(message)
-        for label in (read.frame_id, *read.names):
-            if not isinstance(label, str):
-                raise TypeError(f'{label} as name of a frame or joint')
         return read
     except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as error:
         missing = getattr(error, 'name', '')

@@ -113,6 +113,6 @@ def test_every_output_is_known_as_one():
                 outputs.setdefault(command, []).append(action.option_strings[0])
             elif action.metavar in ('FILE', 'BAG'):
                 assert action.type is Path, (command, action)
-    assert outputs['identify'] == ['--out', '--json', '--report']
+    assert outputs['identify'] == ['--out', '--out-cell', '--json', '--report']
     assert outputs['info'] == ['--write-params', '--json']
     assert set(COMMANDS) == set(outputs)

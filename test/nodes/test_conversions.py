@@ -23,7 +23,7 @@ BIG, LITTLE, XCDR2_BIG, XCDR2_LITTLE = 0, 1, 6, 7
 
 SECONDS = st.integers(-(2**31), 2**31 - 1)
 NAMES = st.text(
-    st.characters(blacklist_characters='\0', blacklist_categories=['Cs']), max_size=40)
+    st.characters(blacklist_categories=['C', 'Z'], whitelist_characters=' '), max_size=40)
 DOUBLES = st.lists(st.floats(width=64), min_size=85, max_size=85)
 
 

@@ -5,7 +5,8 @@ import subprocess
 import sys
 import time
 
-from bellows_ros.core.model.cup_package import Cup, package_of
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.parameters.values import Values
 from geometry_msgs.msg import PoseStamped
 import numpy as np

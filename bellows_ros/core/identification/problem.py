@@ -203,7 +203,10 @@ class Arrow:
     def fall(self, g: Array, used: Mask) -> float:
         """Return by how much the squares fall if the unknowns in use (m,) follow a slope (m,)."""
         slope = np.where(used, g, 0.0)
-        return float(slope @ self.within(used).solve(slope))
+        try:
+            return float(slope @ self.within(used).solve(slope))
+        except np.linalg.LinAlgError:  # of a simulation that diverges with these unknowns
+            return math.nan
 
     def step_by(self, g: Array, along: Array, used: Mask) -> Array:
         """Return the step (m,) by a slope along directions (s, d) and own unknowns in use (o,)."""
