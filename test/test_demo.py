@@ -56,13 +56,14 @@ def test_every_message_is_answered_within_the_noise(outcome):
         assert float(value) < LARGEST_ERROR[unit]
 
 
-def test_it_writes_the_pictures(outcome):
-    """Write pictures of a size that shows six axes, for paper and for the dark."""
-    from matplotlib.image import imread
-
+def test_it_writes_the_pictures(outcome, root):
+    """Write pictures that show six axes, for paper and for the dark, as the README's do."""
+    images = pytest.importorskip('PIL.Image')
     for name in ('demo.png', 'demo_dark.png'):
-        height, width = imread(outcome[1] / name).shape[:2]
-        assert width > 1200 and height > 900
+        new, shown = (images.open(path / name) for path in (outcome[1], root / 'docs' / 'images'))
+        assert new.width > 1200 and new.height > 900
+        texts = [re.sub(r'-?\d[\d.e+-]*', '#', each.text['Description']) for each in (new, shown)]
+        assert texts[0] == texts[1], 'run: make pictures'
 
 
 @pytest.mark.parametrize('missing', ['validation', 'package.yaml'])
