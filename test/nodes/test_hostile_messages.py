@@ -133,10 +133,17 @@ def test_messages_without_a_frame_are_told_once(graph, capfd):
             writer.publish(sound(kind))
         partner.send_pose(START + (k + 1) * MS, frame_id='')
         partner.wait(lambda: len(partner.poses) > k)  # noqa: B023
+    topics, log = ('tool_arm/pose', 'tool_arm/twist', 'vacuum/pressure', 'of plans'), []
+
+    def all_told():
+        log.append(capfd.readouterr().err)
+        return all(f'{topic} has no frame_id' in ''.join(log) for topic in topics)
+
+    partner.wait(all_told)
     partner.wait(lambda: is_idle(partner.predictor))
-    log = capfd.readouterr().err
-    for topic in ('tool_arm/pose', 'tool_arm/twist', 'vacuum/pressure', 'of plans'):
-        told = [line for line in log.splitlines() if f'{topic} has no frame_id' in line]
+    log.append(capfd.readouterr().err)
+    for topic in topics:
+        told = [line for line in ''.join(log).splitlines() if f'{topic} has no frame_id' in line]
         assert len(told) == 1 and 'Set header.frame_id' in told[0], (topic, log)
 
 
