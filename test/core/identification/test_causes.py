@@ -113,7 +113,8 @@ def test_a_soft_spring_that_is_not_noticed_leaves_a_stiffness_within_its_errors(
     assert np.all(np.abs(off) < 5.0 * np.diag(fitted.stiffness_std))
 
 
-@pytest.mark.parametrize(('seed', 'rate_hz'), [(502, 240.0), (703, 480.0)])
+@pytest.mark.parametrize(('seed', 'rate_hz'), [
+    pytest.param(502, 240.0, marks=pytest.mark.stress), (703, 480.0)])
 def test_a_centre_of_mass_aside_is_found_wherever_the_search_begins(seed, rate_hz):
     """With K and P: it is what is off by most of its standard deviations."""
     laboratory = faulty('centre of mass aside', seed, rate_hz=rate_hz)
@@ -219,7 +220,7 @@ def test_a_mass_that_moves_k_is_named_and_refused_where_no_inertia_is_that_far_o
     assert bool(verdict.refusals) == refused
 
 
-@pytest.mark.parametrize('seed', [62000, 62002])
+@pytest.mark.parametrize('seed', [pytest.param(62000, marks=pytest.mark.stress), 62002])
 def test_worlds_that_are_metres_apart_are_found(seed):
     """Find them from the closed form of a rigid cup, whether the lip is below the tool or not."""
     laboratory = faulty('two worlds far apart', seed)
