@@ -173,7 +173,8 @@ def test_a_gap_of_the_tool_refuses_no_cup():
 
 
 @pytest.mark.parametrize(('name', 'wrong', 'named'), [
-    ('recording.package_frame', 'lip', 'recording.package_frame'), ('cup.length', 0.46, 'length')])
+    pytest.param('recording.package_frame', 'lip', 'recording.package_frame',
+                 marks=pytest.mark.stress), ('cup.length', 0.46, 'length')])
 def test_a_wrong_setting_is_named_though_it_looks_like_rubber(root, known, name, wrong, named):
     """Name it before a relaxation that no rubber has."""
     values = resolve({**known, name: wrong, 'recording.end': 14.0}, ())
