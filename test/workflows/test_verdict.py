@@ -177,7 +177,7 @@ def test_a_gap_of_the_tool_refuses_no_cup():
                  marks=pytest.mark.stress), ('cup.length', 0.46, 'length')])
 def test_a_wrong_setting_is_named_though_it_looks_like_rubber(root, known, name, wrong, named):
     """Name it before a relaxation that no rubber has."""
-    values = resolve({**known, name: wrong, 'recording.end': 14.0}, ())
+    values = resolve({**known, name: wrong}, ())
     recordings = [load(root / 'bags' / 'identification', values)]
     said = verdict.verdict_of(None, recordings, values['cup.length'], values)
     assert (said.causing[0].name, said.causing[0].certain) == (named, True)
