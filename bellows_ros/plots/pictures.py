@@ -376,7 +376,7 @@ def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
     seconds, values, std = curves.seconds, curves.values, curves.std
     offset = values[:, :3] - curves.tool
     note = f'{report.source.path}; {BANDS}'
-    with style.picture('What the plan does to the package', note, theme) as (figure, colours):
+    with style.picture('Package and grip along the plan', note, theme) as (figure, colours):
         grid = {**style.BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.2}
         panels = figure.subplots(3, 2, sharex=True, gridspec_kw=grid).ravel()
         style.draw_series(panels[0], seconds, curves.tool, [colours.quiet] * 3)
@@ -449,7 +449,7 @@ def _draw_margins(panel: Any, margins: replay.Margins, colours: style.Theme) -> 
     top = max(4.0 * margins.least, 1.5 * factor)
     panel.set_ylim(0.0, top)
     if np.nanmax(margins.factors) > top:
-        panel.text(0.01, 0.98, f'above {top:.3g}: not shown', fontsize=7.5, va='top',
+        panel.text(0.99, 0.97, f'above {top:.3g}: not shown', fontsize=7.5, va='top', ha='right',
                    transform=panel.transAxes, color=colours.quiet)
 
 

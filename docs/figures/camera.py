@@ -17,7 +17,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 TOPICS = {'tool': '/tool_arm/pose', 'twist': '/tool_arm/twist', 'package': '/package/pose'}
 NOISE = 2e-3, 1e-2
-NOTE = 'camera alone: its newest pose, held; the two spikes are outliers of the recording'
+NOTE = 'camera alone: its newest pose, held; its spikes are outliers of the recording'
 BESIDE = 0.01
 """How far (m) beside its middle the package is gripped, as nobody has said."""
 
@@ -60,7 +60,7 @@ def errors(theme: Theme) -> Any:
     name = 'light' if theme is THEMES['light'] else 'dark'
     with picture('Error of the package, relative to the tool', NOTE, name, (9.0, 5.2)) as (
             figure, _):
-        panels = figure.subplots(2, 1, sharex=True, gridspec_kw={**BELOW_HEAD, 'top': 0.85})
+        panels = figure.subplots(2, 1, sharex=True, gridspec_kw={**BELOW_HEAD, 'top': 0.81})
         for panel, axis in zip(panels, (0, 4), strict=True):
             factor = DISPLAY_FACTORS[axis]
             for (label, estimate), colour in zip(found.items(), shown, strict=True):
