@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable
 from functools import partial
+import math
 from typing import Any
 
 from bellows_ros.core.parameters.values import Values
@@ -14,19 +15,17 @@ from bellows_ros.workflows import plot, replay
 from . import options
 from .console import Console, Progress
 
-WITHOUT_CUP = ('motion', 'spectra', 'path')
-ALL_TIMES = (float('-inf'), float('inf'))  # s
 MAX_SPEED = 100.0  # times real time
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Read, draw, write."""
-    needs_cup = arguments.what not in WITHOUT_CUP
+    needs_cup = arguments.what not in ('motion', 'spectra', 'path')
     values = options.read_settings(arguments, cup_for=console if needs_cup else None)
     has_cup = 'cup.stiffness' in values
     style.require_picture(
         arguments.out, style.FILMS if arguments.what == 'animation' else style.PICTURES)
-    if arguments.what == 'spectra' and (arguments.first, arguments.last) != ALL_TIMES:
+    if arguments.what == 'spectra' and (arguments.first > -math.inf or arguments.last < math.inf):
         raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
     if not 0.0 < arguments.speed <= MAX_SPEED:
         raise BellowsError(

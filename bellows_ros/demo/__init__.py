@@ -16,10 +16,6 @@ from bellows_ros.errors import BellowsError
 # DDS on Linux: domains 1 to 101 keep clear of the ports that the system hands out by itself.
 DOMAINS = 101
 PORTS = (7400, 7410)  # of domain 0: multicast discovery, the first participant's unicast
-PORTS_PER_DOMAIN = 250
-
-# Other settings that let discovery reach other machines.
-_DISCOVERY_VARIABLES = ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER')
 
 # Open until this process ends: two processes that search at once do not choose the same domain
 # before ROS occupies it.
@@ -28,7 +24,7 @@ _reserved: list[socket.socket] = []
 
 def isolate(log_folder: str) -> None:
     """Give this process and its children an unused ROS domain, on this machine only."""
-    for name in _DISCOVERY_VARIABLES:
+    for name in ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER'):
         os.environ.pop(name, None)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['ROS_DOMAIN_ID'] = str(unused_domain())
@@ -49,7 +45,7 @@ def unused_domain() -> int:
     """
     for offset in range(DOMAINS):
         domain = 1 + (os.getpid() + offset) % DOMAINS
-        probes = [_bound(socket.AF_INET, ('', port + PORTS_PER_DOMAIN * domain))
+        probes = [_bound(socket.AF_INET, ('', port + 250 * domain))
                   for port in PORTS]
         for probe in filter(None, probes):
             probe.close()

@@ -43,12 +43,9 @@ MILLI, MICRO = 1e3, 1e6
 MAX_ERROR = 2.0
 """Largest RMS error of a prediction in units of the measured noise; 1.0 for a right cup."""
 
-PAUSE_QUEUE = 10_000
-"""Length of the predictor's queues, messages: it may be paused for long on a busy machine."""
-
 RELIABLE = tuple(
     word for topic in ('pose', 'twist')
-    for setting in ('reliability:=reliable', f'depth:={PAUSE_QUEUE}')
+    for setting in ('reliability:=reliable', 'depth:=10000')  # it may be paused
     for word in ('-p', f'qos_overrides./tool_arm/{topic}.subscription.{setting}'))
 """Arguments by which the predictor takes part in an exchange without loss."""
 

@@ -60,9 +60,6 @@ STORAGE_SUFFIXES = ('.mcap', '.db3', '.zstd')  # last suffixes of storage files
 
 MAX_LISTED = 5
 
-MAX_NAME_LENGTH = 1000
-"""Letters in the name of a storage file, with its folders; any more are damage."""
-
 
 class Listing(NamedTuple):
     """
@@ -147,7 +144,7 @@ def _listed_files(folder: Path) -> Listing:
         raise _damaged(folder, "it has no 'rosbag2_bagfile_information'")
     names = information.get('relative_file_paths')
     if not isinstance(names, list) or not all(
-            isinstance(name, str) and 0 < len(name) <= MAX_NAME_LENGTH for name in names):
+            isinstance(name, str) and 0 < len(name) <= 1000 for name in names):
         raise _damaged(folder, 'relative_file_paths must be a list of file names')
     if not names:
         raise BellowsError(f"Recording '{folder}' is empty: its {METADATA} lists no files.")

@@ -18,8 +18,6 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
-# With zstd: chunks inside an MCAP file, messages in a database.
-_ZSTD = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +113,9 @@ def write_bag(
         # ROS 2 Jazzy writes version 9 of metadata.yaml.
         writer = Writer(folder, version=9, storage_plugin=STORAGES[storage])
         if zstd:
-            writer.set_compression(_ZSTD[storage], CompressionFormat.ZSTD)
+            writer.set_compression(  # chunks inside an MCAP file, messages in a database
+                CompressionMode.STORAGE if storage == 'mcap' else CompressionMode.MESSAGE,
+                CompressionFormat.ZSTD)
         try:
             with writer:
                 names = [(r.topic, r.type_name) for r in recorded]

@@ -26,15 +26,10 @@ import numpy as np
 
 # A recording of a topic may have so many messages: five hours at 500 Hz, some 1 GB once read.
 MAX_MESSAGES = 10_000_000
-# A message that is not a single pose or twist has at most so many bytes.
-MAX_PLAN_BYTES = 2**28
 # A compressed SQLite file is decompressed in memory, up to this size.
 MAX_DATABASE_BYTES = 2**30
 
 SQLITE_MAGIC = b'SQLite format 3\0'
-
-MIN_MESSAGE_BYTES = 16
-"""Bytes of the shortest message with a header: encoding, stamp, and the length of frame_id."""
 
 Stream = PoseStream | TwistStream
 
@@ -181,7 +176,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
             f"Recording '{path}' has no poses or twists on "
             f'{", ".join(sorted(wanted - read_topics)) or "any topic"}; there are: {recorded}.')
     sound = [message for message in stored
-             if MIN_MESSAGE_BYTES <= len(message.data) <= messages.MAX_MESSAGE_BYTES]
+             if 16 <= len(message.data) <= messages.MAX_MESSAGE_BYTES]  # of encoding and stamp
     if len(sound) < len(stored):
         bag.notes.append(f'{len(stored) - len(sound)} damaged messages are left out.')
     return sorted(sound, key=lambda message: message.log_time_ns), bag.notes
@@ -424,7 +419,7 @@ def _decompressed(topic: Channel, data: bytes) -> bytes:
     is_layout = topic.type_name in messages.MOTIONS
     with suppress(DamagedError):
         return bag_folder.decompressed(
-            'zstd', data, messages.MAX_MESSAGE_BYTES if is_layout else MAX_PLAN_BYTES)
+            'zstd', data, messages.MAX_MESSAGE_BYTES if is_layout else 2**28)
     return b''
 
 

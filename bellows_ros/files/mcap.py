@@ -31,7 +31,6 @@ MAGIC = b'\x89MCAP0\r\n'
 
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 _STATISTICS, _DATA_END = 0x0B, 0x0F
-_READ_KINDS = {0, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS}  # 0 is damage
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<HIqQ')  # channel, number, log time, publish time
 _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
@@ -40,8 +39,6 @@ _SKIP_STEP = 2**20
 
 MAX_INFLATED, MAX_INFLATION = 2**27, 30
 """Bytes of the decompressed content of a small file, and in addition per byte of a file."""
-
-_DAMAGE = (struct.error, UnicodeDecodeError, DamagedError)
 
 
 class _InflatingError(DamagedError):
@@ -80,7 +77,7 @@ def scan(
         yield from scanned.messages(file)
     except _InflatingError:
         raise
-    except _DAMAGE as error:
+    except (struct.error, UnicodeDecodeError, DamagedError) as error:
         named = isinstance(error, DamagedError)
         reason = str(error) if named else f'a record is damaged ({error})'
         if scanned.data_ended:
@@ -144,7 +141,7 @@ class _Scan:
         while kind != _FOOTER:
             head = _exactly(file, _RECORD_HEAD.size)
             kind, size = _RECORD_HEAD.unpack(head)
-            if kind not in _READ_KINDS:
+            if kind not in {0, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS}:
                 for at in range(0, size, _SKIP_STEP):
                     _exactly(file, min(size - at, _SKIP_STEP))
                     self._take(_SKIP_STEP)

@@ -374,12 +374,6 @@ def decode_bool(message: bytes) -> bool | None:
 Refused = dict[str, tuple[int, ...]]
 Frames = Sequence[tuple[str, ...]]
 
-MIN_QUATERNION_NORM = 1e-6
-"""Largest norm of a quaternion that counts as zero."""
-
-# No robot is further away (m), or faster (m/s, rad/s), than this; a damaged message may say so.
-MAX_VALUE = 1e6
-
 REASONS: Mapping[str, str] = {reason: text for table in tomllib.loads(
     Path(__file__).with_name('refusals.toml').read_text()).values()
     for reason, text in table.items()}
@@ -419,7 +413,7 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
     with np.errstate(over='ignore', invalid='ignore'):  # infinite where the square overflows
         norm = np.linalg.norm(poses[:, 3:], axis=1)
     unusable = {
-        'zero_quaternion': norm < MIN_QUATERNION_NORM,
+        'zero_quaternion': norm < 1e-6,
         'not_unit': np.abs(norm - 1.0) > UNIT_TOLERANCE}
     used, names, refused = _drop_invalid(decoded, poses, poses[:, :3], frames, unusable)
     return PoseStream(
@@ -461,7 +455,7 @@ def _drop_invalid(
         'malformed': decoded['frame'] < 0,
         'zero_stamp': decoded['stamp'] == 0,
         'nan': ~finite,
-        'out_of_range': finite & (np.abs(lengths) > MAX_VALUE).any(axis=1),
+        'out_of_range': finite & (np.abs(lengths) > 1e6).any(axis=1),
         **unusable}
     usable = np.arange(len(decoded))
     refused: Refused = {}

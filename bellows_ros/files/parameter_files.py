@@ -7,7 +7,6 @@ decimal point.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from fnmatch import fnmatchcase
 import math
 from os.path import commonprefix
 from pathlib import Path
@@ -25,11 +24,7 @@ import yaml
 NODES = ('identifier', 'predictor')
 _SECTION = 'ros__parameters'
 _INDENT = '  '
-_WIDTH = 97
 _ROW = 6  # items of a list on one line
-
-# Parameters of every ROS node, without effect on the calculation.
-_ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.*')
 
 # Units of the rows of K and P as comments: linear and angular columns.
 _ROW_UNITS = {
@@ -86,7 +81,8 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     values: dict[str, Value] = {}
     for keys, section in _sections(file, content, node):
         for name, value, where in _flattened(section, keys):
-            if any(fnmatchcase(name, form) for form in _ROS_PARAMETERS):
+            if name in ('use_sim_time', 'start_type_description_service') or (
+                    name.startswith('qos_overrides.')):
                 continue
             try:
                 checked = validate(name, value)
@@ -211,7 +207,7 @@ def _body(values: Mapping[str, Value]) -> Iterator[str]:
 
 def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterator[str]:
     """Yield the lines of one parameter: its sentence, its value, and units in every line."""
-    for line in textwrap.wrap(parameter.description, _WIDTH - len(indent)):
+    for line in textwrap.wrap(parameter.description, 97 - len(indent)):
         yield f'{indent}# {line}'
     unit = f'  # {parameter.unit}' if parameter.unit else ''
     if isinstance(value, tuple) and len(value) > _ROW:

@@ -148,7 +148,6 @@ STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
 PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, ROBOT_TRAJECTORY, DISPLAY_TRAJECTORY)
 """Types of messages that are plans."""
-MAX_URDF_BYTES = 2**26
 
 
 class NoArmError(BellowsError):
@@ -326,7 +325,7 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
         raise NoArmError(
             'The input has joint positions, but not the link of the tool tip. Set tool_link.')
     if urdf:
-        return read_arm(read_text(urdf, MAX_URDF_BYTES, 'URDF'), tool_link)
+        return read_arm(read_text(urdf, 2**26, 'URDF'), tool_link)
     if recording:
         for topic, _, data in messages_of(recording, (DESCRIPTION,)):
             if topic.name.endswith('robot_description'):

@@ -188,9 +188,6 @@ def _text(value: Any, indent: str) -> str:
     return json.dumps(value, allow_nan=False)
 
 
-TOOLS = ('numpy', 'scipy', 'numba', 'rosbags')
-
-
 def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ()) -> dict[str, Any]:
     """
     Return the files and versions that a result depends on; equal files give equal digests.
@@ -217,7 +214,7 @@ def versions() -> dict[str, str | None]:
     """Return the versions of this package, of Python, and of the numerical libraries."""
     installed: dict[str, str | None] = {
         'bellows_ros': __version__, 'python': platform.python_version()}
-    for name in TOOLS:
+    for name in ('numpy', 'scipy', 'numba', 'rosbags'):
         installed[name] = None
         with suppress(metadata.PackageNotFoundError):
             installed[name] = metadata.version(name)

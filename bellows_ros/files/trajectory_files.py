@@ -197,7 +197,6 @@ def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequenc
 
 # ------------------------------------------------------------------------------------- Motive
 
-MIN_MARKER_QUALITY = 0.99  # appendix H
 MIN_MARKERS = 3  # of a rigid body, for a pose
 METRES = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0254}  # m
 # In some languages of Windows with P.M., or without.
@@ -205,8 +204,6 @@ START_FORMS = [f'%Y-%m-%d {time}' for time in (
     '%I.%M.%S.%f %p', '%H.%M.%S.%f', '%I.%M.%S %p', '%H.%M.%S')]
 SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units',
             'Capture Start Time')
-MAX_FRAME_TIME = 1e9  # s, of the time of a frame
-HEAD_ROWS = 12  # in which the table must begin
 POSE_COLUMNS = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W',
                 'Position X', 'Position Y', 'Position Z')
 TIME = 1  # column
@@ -283,7 +280,7 @@ def _bodies(path: Path, rows: Any, min_markers: int) -> tuple[MotiveBody, ...]:
               for row in rows if any(row))
     table = dict(zip(needed, numbers(path, frames, range(len(needed))).T, strict=True))
     seconds = table[TIME]
-    if not len(seconds) or not np.all(np.abs(seconds) < MAX_FRAME_TIME):
+    if not len(seconds) or not np.all(np.abs(seconds) < 1e9):  # s
         raise BellowsError(f"'{path}' has no frames, or frames without a time in s.")
     stamps = _start_ns(about) + np.rint(seconds * NS_PER_S).astype(np.int64)
     bodies = []
@@ -291,7 +288,7 @@ def _bodies(path: Path, rows: Any, min_markers: int) -> tuple[MotiveBody, ...]:
         pose = np.column_stack([table[c] for c in pose_columns])
         present, markers = np.isfinite(pose).all(axis=1), np.full(len(pose), min_markers)
         if qualities:
-            markers = np.sum([table[c] >= MIN_MARKER_QUALITY for c in qualities], axis=0)
+            markers = np.sum([table[c] >= 0.99 for c in qualities], axis=0)  # (appendix H)
         elif len(positions) >= MIN_MARKERS:
             markers = np.sum([np.isfinite(table[c]) for c in positions], axis=0)
         enough = markers >= min_markers
@@ -312,7 +309,7 @@ def _read_head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], H
     # By name, as a take's own name or notes may hold commas.
     about = {name: first[first.index(name) + 1] for name in SETTINGS if name in first[:-1]}
     above: dict[str, list[str]] = {}
-    for _, row in zip(range(HEAD_ROWS), rows, strict=False):
+    for _, row in zip(range(12), rows, strict=False):
         if row[:1] == ['Frame'] and 'Format Version' in about:
             width = len(row)
             heads = {label: (cells + [''] * width)[:width] for label, cells in above.items()}

@@ -42,20 +42,8 @@ TIMEOUT = 5.0
 POLL_PERIOD = 0.05
 """Longest wait for a callback before a condition is checked again, s."""
 
-LEAD_TIME = 0.2
-"""Time from the start to the first message, s."""
-
-CLOCK_PERIOD_NS = 10_000_000
-"""Shortest time between two messages on /clock, ns of the recording."""
-
 START_TIMEOUT = 90.0
 """Longest wait for each step of the predictor's start; without a cache it compiles first, s."""
-
-PROBES = 20
-"""Number of answers after which the predictor is warm."""
-
-PROBE_LEAD_NS = 3_600 * NS_PER_S
-"""Time by which the stamps of probes precede the recording, ns."""
 
 STAMP = slice(4, 12)
 """Position of the stamp in a CDR message that begins with its header, bytes."""
@@ -101,7 +89,7 @@ class Player:
         self, progress: Progress, announce: Callable[[str, Message], None], rate: float = 1.0
     ) -> None:
         """Publish each message when it is due, after a call with its name."""
-        start = time.monotonic() + LEAD_TIME
+        start = time.monotonic() + 0.2  # s
         for message in self.messages:
             elapsed = (message.log_time_ns - self.first_ns) / NS_PER_S
             while (remaining := start + elapsed / rate - time.monotonic()) > 0.0:
@@ -165,7 +153,7 @@ def play(
 
         def tell_time(_: str, message: Message) -> None:
             nonlocal clock_ns
-            if clock_out and message.log_time_ns - clock_ns >= CLOCK_PERIOD_NS:
+            if clock_out and message.log_time_ns - clock_ns >= 10_000_000:
                 clock_ns = message.log_time_ns
                 seconds, nanoseconds = divmod(clock_ns, NS_PER_S)
                 clock_out.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
@@ -263,7 +251,8 @@ def _connect(
     announced before poses, and announcements arrive in order: an answered pose implies that the
     predictor receives twists. The reset makes it forget the probes.
     """
-    probe_stamps = count(player.first_ns - PROBE_LEAD_NS, round(POLL_PERIOD * NS_PER_S))
+    # an hour earlier
+    probe_stamps = count(player.first_ns - 3_600 * NS_PER_S, round(POLL_PERIOD * NS_PER_S))
 
     def wait(
         failure: str, done: Callable[[], bool], meanwhile: Callable[[], None] = require_alive,
@@ -285,5 +274,5 @@ def _connect(
     reset = player.node.create_client(Trigger, 'predictor/reset')
     wait('does not appear', lambda: reset.service_is_ready() and all(
         each.get_subscription_count() for each in player.publishers.values()))
-    wait('does not answer', lambda: len(answers) >= PROBES, probe)
+    wait('does not answer', lambda: len(answers) >= 20, probe)
     wait('does not answer its reset', reset.call_async(Trigger.Request()).done)

@@ -146,10 +146,6 @@ class GuardedNode(Node):
         return super().create_timer(timer_period_sec, self.guarded(callback), *more, **options)
 
 
-STOP_TIMEOUT = 0.25
-"""Longest wait for the end of stopped work, s; a compiler cannot be stopped."""
-
-
 class Worker:
     """
     A thread that works on requests one after the other, during the live prediction.
@@ -202,7 +198,8 @@ class Worker:
             self._pending.clear()
             self.stop[0] = True
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self._running is None, STOP_TIMEOUT)
+            # a compiler cannot be stopped
+            self._changed.wait_for(lambda: self._running is None, timeout=0.25)
 
     def close(self) -> None:
         """End the thread."""

@@ -17,8 +17,6 @@ from ..core.parameters.values import Values
 from ..errors import BellowsError, shown
 
 QOS_PREFIX = 'qos_overrides.'
-ATOMIC_PREFIXES = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')
-"""Parameters with these prefixes change together or not at all within one call."""
 
 
 def ros_parameter(name: str, value: object) -> Parameter:
@@ -121,7 +119,8 @@ class TableNode(GuardedNode):
         result = self.set_parameters_atomically(parameter_list)
         if result.successful:
             return [result] * len(parameter_list)
-        together = [p for p in parameter_list if p.name.startswith(ATOMIC_PREFIXES)]
+        together = [p for p in parameter_list if p.name.startswith(
+            ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.'))]
         common = self.set_parameters_atomically(together)
         return [common if p in together else self.set_parameters_atomically([p])
                 for p in parameter_list]

@@ -40,15 +40,6 @@ from ..files.messages import pack
 QUEUE = 500
 """Length of each queue, messages: the longest bridged gap, 0.5 s, at 1 kHz."""
 
-MAX_LATENESS_NS = 1_000_000_000
-"""Largest lag of a late stamp behind an extrapolated one, ns; a larger lag is another clock's."""
-
-MAX_FACTOR = 1000.0
-"""Largest published safety factor; many plots cannot show infinity."""
-
-NOMINAL_SUFFIX = '_nominal'
-"""Suffix of the frame at the unloaded position of the lip."""
-
 
 class Predicting:
     """
@@ -239,7 +230,7 @@ class Outputs:
 
     def _make_deflection(self, now: Prediction) -> bytes:
         """Return the lip relative to its place without load."""
-        frame_id = self._shared.values.frames.lip + NOMINAL_SUFFIX
+        frame_id = self._shared.values.frames.lip + '_nominal'
         return pack(
             messages.POSE, (frame_id,), now.stamp_ns,
             *load.deflection(self._shared.live.model, now)[0], *load.deflection_rotation(now))
@@ -252,7 +243,7 @@ class Outputs:
         On other topics stamps never go back behind an extrapolated one.
         """
         stamp_ns = prediction.stamp_ns
-        self._is_late = 0 <= self._extrapolated_ns - stamp_ns < MAX_LATENESS_NS
+        self._is_late = 0 <= self._extrapolated_ns - stamp_ns < 1_000_000_000  # of one clock
         if not self._is_late:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
         self._is_due = not (
@@ -270,7 +261,8 @@ class Outputs:
             if factors and self._safety.subscribed:
                 self._safety.publish(pack(
                     messages.VECTOR, self._frame('lip'), prediction.stamp_ns,
-                    *(min(factor, MAX_FACTOR) for factor in (*factors, min(factors)))))
+                    # many plots cannot show infinity
+                    *(min(factor, 1000.0) for factor in (*factors, min(factors)))))
         if self._is_late:
             return
         self._odometry.send(prediction)
@@ -292,12 +284,7 @@ class Outputs:
 
 
 NAMESPACE = 'bellows_ros'
-MARKER_PERIOD_NS = 40_000_000
-"""Shortest period of markers, ns."""
 
-METRES_PER_NEWTON = 0.005
-CUP_WIDTH = 0.04
-ARROW_WIDTH = (0.006, 0.012, 0.015)
 CARDBOARD = (0.76, 0.6, 0.42, 0.8)
 RUBBER = (0.2, 0.3, 0.8, 0.9)
 FORCE = (0.9, 0.2, 0.1, 1.0)
@@ -310,23 +297,23 @@ class Markers:
     def __init__(self, values: Values) -> None:
         """Make the box, the cup and the arrow."""
         self._box = marker(0, Marker.CUBE, load.equivalent_box(values))
-        self._cup = marker(1, Marker.LINE_LIST, (CUP_WIDTH, 0.0, 0.0))
+        self._cup = marker(1, Marker.LINE_LIST, (0.04, 0.0, 0.0))
         self._places: list[Vector] = [
             (x, y, z) for x, y, z in conversion.places_of(values)[:, :3].tolist()]
-        self._force = marker(2, Marker.ARROW, ARROW_WIDTH)
+        self._force = marker(2, Marker.ARROW, (0.006, 0.012, 0.015))
         self._array = MarkerArray(markers=[self._box, self._cup, self._force])
         self._last_ns = 0
 
     def is_due(self, stamp_ns: int) -> bool:
         """Return whether the next markers are due."""
-        return not 0 <= stamp_ns - self._last_ns < MARKER_PERIOD_NS
+        return not 0 <= stamp_ns - self._last_ns < 40_000_000  # 25 a second
 
     def fill(self, frame: str, model: kernels.ModelTuple, prediction: Prediction) -> MarkerArray:
         """Return the markers of a prediction; grey while the tool is extrapolated."""
         self._last_ns = prediction.stamp_ns
         lip = load.lip_position(model, prediction)
         R_world_package = rotation_matrix(prediction.quaternion_xyzw)
-        tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
+        tip = add_scaled(lip, 0.005, apply(R_world_package, prediction.force))  # m/N
         self._box.pose = Pose(
             position=point(prediction.position), orientation=Quaternion(
                 **dict(zip('xyzw', prediction.quaternion_xyzw, strict=True))))
@@ -371,8 +358,6 @@ def point(position: Sequence[float]) -> Point:
     return Point(x=x, y=y, z=z)
 
 
-VALVE_TIME_PERIOD_NS = 200_000_000
-"""Period of release/at, ns."""
 BLUE = (0.36, 0.29, 0.62, 0.9)
 
 
@@ -421,7 +406,7 @@ class Tossing:
                 if self._markers.subscribed:
                     path = flight_path(model, landing.toss, flight.PATH_POINTS)
                     self._markers.publish(_landing_markers(landing, path, frame_id))
-        if (self._at.subscribed and now_ns - self._valve_time_ns >= VALVE_TIME_PERIOD_NS
+        if (self._at.subscribed and now_ns - self._valve_time_ns >= 200_000_000
                 and not self._worker.is_busy):
             self._valve_time_ns = now_ns
             self._worker.submit('aim', self._publish_valve_time, model, held, frame_id)

@@ -49,21 +49,6 @@ from ..errors import BellowsError, shown
 from ..report import health
 from ..report.sentences import alarm_sentence
 
-TICK = 0.02
-"""Time (s) between two checks for missing messages; each costs as much as a message."""
-
-PAUSE_NS = 40_000_000
-"""A tick this late (ns) after the last shows that the process paused: messages are waiting."""
-
-MAX_TWIST_WAIT_NS = 40_000_000
-"""This long (ns) after the newest pose none waits for its twist any longer."""
-
-ENCODED = LAYOUTS.keys() - {TRANSFORMS}
-"""Types of which a subscription takes the bytes."""
-
-MAX_CLOCK_OFFSET_NS = 500_000_000
-"""If the node's clock differs by more (ns), the valve is switched at the newest pose."""
-
 
 class Pipeline(Predicting):
     """
@@ -118,7 +103,8 @@ class Pipeline(Predicting):
         self.observing = Observing(self)
         self._apply()
         release_compiler()
-        node.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # s; each costs as much as a message
+        node.create_timer(0.02, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def new_counts(self) -> Counter[str]:
         """Return fresh starts by reason, poses, and those without a twist, since the last call."""
@@ -216,7 +202,7 @@ class Pipeline(Predicting):
     def switch_valve(self, on: bool) -> None:
         """Process a message of the valve, which has no stamp."""
         stamp_ns, newest_ns = self.node.get_clock().now().nanoseconds, self.live.newest_ns
-        if abs(stamp_ns - newest_ns) > MAX_CLOCK_OFFSET_NS:  # stamps are of another clock
+        if abs(stamp_ns - newest_ns) > 500_000_000:  # stamps are of another clock
             stamp_ns = newest_ns
         self.change(self.live.on_valve, on, stamp_ns)
 
@@ -240,14 +226,14 @@ class Pipeline(Predicting):
         """Predict for waiting poses when no more messages arrive, and bridge a pause."""
         before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
         # After a pause of this process what waits comes first; not twice.
-        self._was_late = not self._was_late and self._ticked_ns - before_ns > PAUSE_NS
+        self._was_late = not self._was_late and self._ticked_ns - before_ns > 40_000_000
         if self._is_compiling and len(self._compiled) > 1:
             self.use_values()
         if not self.node.is_active or self._was_late:
             return
         live = self.live
         if live.pairing.waiting and (
-                self._ticked_ns - (live.arrivals.newest_ns or 0) >= MAX_TWIST_WAIT_NS):
+                self._ticked_ns - (live.arrivals.newest_ns or 0) >= 40_000_000):
             self.publish(live.flush)
         if live.arrivals.newest_ns == self._arrival_at_last_tick:
             self.publish(live.coast, self._ticked_ns)
@@ -358,7 +344,7 @@ class SensorInput:
         self._subscription = node.create_subscription(
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
-            on_publishers=on_publishers, raw=type_name(kind) in ENCODED)
+            on_publishers=on_publishers, raw=type_name(kind) in LAYOUTS.keys() - {TRANSFORMS})
         self.topic = str(self._subscription.topic_name)
 
     def note(self, stamp_ns: int | None = None) -> int:

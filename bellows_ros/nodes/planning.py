@@ -44,17 +44,8 @@ MAX_REQUEST_LEAD = 10.0
 MAX_PLAN_LEAD = 3600.0
 """A plan stamped further ahead (s) has the stamp of another clock."""
 
-MAX_PENDING_REQUESTS = 4
-"""Requests that may wait for an answer; more are refused."""
-
-SWITCH_INTERVAL = 5e-5
-"""The live prediction gets the interpreter back from an answer within this time (s)."""
-
 TAIL = 2.0
 """Time (s) after the end of a plan that is predicted."""
-
-DELIVERY_TIME = 4e-4
-"""Wait (s) after a prediction before a plan is predicted anew: its listeners come first."""
 
 MAX_STEERED_DURATION = 60.0
 """Longest motion (s) that is steered live; its splines hold the interpreter."""
@@ -93,7 +84,7 @@ class Answers:
         """Start the thread."""
         self._node, self._what, self._warm_up, self._refuse = node, what, warm_up, refuse
         self.worker, self.is_warm = Worker(node, what), False
-        sys.setswitchinterval(SWITCH_INTERVAL)
+        sys.setswitchinterval(5e-5)  # s; the live prediction waits no longer
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe; messages with many points are handled as bytes."""
@@ -241,7 +232,7 @@ class Planning:
 
     def _predict_rest(self, tracker: PlanTracker, now: Prediction) -> None:
         """Predict the rest of a plan from a live state, once that has been delivered."""
-        time.sleep(DELIVERY_TIME)
+        time.sleep(4e-4)  # s; the listeners of the prediction come first
         self._publish(PlanSimulation(
             self._live.model, self._pipeline.load.grip, tracker.rest(now), now.body, 0.0,
             self._coarse, self.plans.worker.stop), now.stamp_ns)
@@ -283,7 +274,7 @@ class Planning:
     def _on_request(self, request: Header) -> None:
         """Answer a request for the package at a stamp, in a thread."""
         worker = self.plans.worker
-        if worker.pending(int) < MAX_PENDING_REQUESTS:
+        if worker.pending(int) < 4:
             worker.submit(stamp_to_ns(request.stamp), self._predict_at, stamp_to_ns(request.stamp))
             return
         self._node.get_logger().warning(

@@ -30,8 +30,6 @@ from ..report import health
 
 REPORT_PERIOD = 1.0
 
-ANY_BACKWARD_JUMP = Duration(nanoseconds=-1)
-
 CUP_DEFAULTS = {
     'cup.stiffness': 'cup.stiffness K of (4.78)',
     'cup.damping': 'cup.damping P of (4.79)',
@@ -80,7 +78,8 @@ class PredictorNode(ManagedNode):
         self._failure, self.is_active = '', False
         self.diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
-            JumpThreshold(min_forward=None, min_backward=ANY_BACKWARD_JUMP, on_clock_change=True),
+            JumpThreshold(
+                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True),
             post_callback=self.guarded(self._on_clock_jump))
         self.create_timer(REPORT_PERIOD, lambda: self.diagnostics.report(),
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -255,9 +254,6 @@ class PredictorNode(ManagedNode):
             self.pipeline.use_values()
 
 
-ERROR_LINES = ('prediction', 'load')
-"""Diagnostics lines whose errors are logged as errors, not as warnings."""
-
 LOG_DELAY, LOG_INTERVAL = 5.0, 30.0
 """Seconds that a fault must last before it is logged, and before it is logged again."""
 
@@ -345,7 +341,7 @@ class Diagnostics:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
         elif now >= self._due.setdefault(key, now + after):
             self._due[key] = now + LOG_INTERVAL
-            if line.level == health.Level.ERROR and line.name in ERROR_LINES:
+            if line.level == health.Level.ERROR and line.name in ('prediction', 'load'):
                 self._node.get_logger().error(shown(line.message, MAX_MESSAGE))
             else:  # another line of code: rclpy refuses a second severity from one
                 self._node.get_logger().warning(shown(line.message, MAX_MESSAGE))

@@ -24,8 +24,6 @@ FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 SIZE, DPI = (8.0, 4.5), 80
 TAIL_SHOWN = 0.5
 """Time after the end of a steered motion that is shown, s."""
-VIEW = {'elev': 14.0, 'azim': -60.0}
-PLAN_VIEW = {'elev': 13.0, 'azim': -42.0}
 
 FLOOR_LINES = 0.1
 """Distance of the lines on the floor, m."""
@@ -168,7 +166,7 @@ def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
         centre = np.array([0.0, 0.0, -0.15 * half])
     space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d', computed_zorder=False)
     space.set_axis_off()
-    space.view_init(**(PLAN_VIEW if view.shows_tilt else VIEW))
+    space.view_init(*((13.0, -42.0) if view.shows_tilt else (14.0, -60.0)))
     reach = np.full(3, half)
     if view.shows_tilt:
         margin = np.max(scene.box) * np.array([0.75, 0.75, 0.6])

@@ -233,9 +233,6 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
 GAP_PERIODS = 3.0
 """A line is interrupted where samples are missing for this many periods."""
 
-MIN_SPAN = (2.0,) * 3 + (0.1,) * 3
-"""mm and degrees that an axis shows at least, so that noise at rest does not look like motion."""
-
 
 def prediction_figure(
     seconds: Array, comparison: residuals.Comparison, title: str, note: str, theme: str = 'light'
@@ -272,7 +269,7 @@ def prediction_figure(
         title, note, theme, (style.Line('measured', 'measured', 3.6, times, measured),
                              style.Line('predicted', 'predicted', 0.9, times, predicted)),
         style.Line('predicted minus measured', 'error', 0.6, times, predicted - measured), titles)
-    for panel, least in zip(figure.axes[::2], MIN_SPAN, strict=True):
+    for panel, least in zip(figure.axes[::2], (2.0,) * 3 + (0.1,) * 3, strict=True):  # mm and deg
         low, high = panel.get_ylim()
         lack = 0.5 * max(0.0, least - (high - low))
         panel.set_ylim(low - lack, high + lack)
@@ -352,7 +349,6 @@ def with_gaps(seconds: Array, values: Array) -> Array:
 # ---------------------------------------------------------------------------------------- plans
 
 WIDE = (9.4, 4.2)  # inches
-WIDE_PANEL = {'top': 1.0 - 0.9 / WIDE[1], 'bottom': 0.52 / WIDE[1]}
 BANDS = 'bands: two standard deviations'
 
 
@@ -427,7 +423,8 @@ def margin_figure(margins: replay.Margins, note: str, theme: str = 'light') -> A
     """
     note = f'{note}; {BANDS}'
     with style.picture('How firmly the grip holds', note, theme, WIDE) as (figure, colours):
-        panel = figure.subplots(gridspec_kw={**style.BELOW_HEAD, **WIDE_PANEL})
+        panel = figure.subplots(gridspec_kw={
+            **style.BELOW_HEAD, 'top': 1.0 - 0.9 / WIDE[1], 'bottom': 0.52 / WIDE[1]})
         _draw_margins(panel, margins, colours)
         panel.set_xlim(margins.seconds[0], margins.seconds[-1])
         style.name_panel(panel, 'safety factor', 'time (s)')
@@ -543,9 +540,6 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
     return figure
 
 
-WIDE_TOSS = (11.0, 7.2)
-
-
 def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
     """
     Draw a toss.
@@ -572,7 +566,7 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
             f'{toss.landing_time:.3f} s at x {x:.3f} m, y {y:.3f} m ± {spread[0]:.1f}, '
             f'{spread[1]:.1f} mm')
     title = f'Toss of {Path(result.source.path).name}'
-    with style.picture(title, note, theme, WIDE_TOSS) as (figure, colours):
+    with style.picture(title, note, theme, (11.0, 7.2)) as (figure, colours):
         reach = np.vstack([tool.position, path[:, :3]])
         spans = np.ptp(reach, axis=0) + 0.3
         grid = figure.add_gridspec(

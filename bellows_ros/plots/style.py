@@ -24,8 +24,6 @@ import numpy as np
 
 DPI = 150
 SAME_BYTES: dict[Any, Any] = {'svg.hashsalt': 'bellows_ros'}
-INLINE: dict[Any, Any] = {**SAME_BYTES, 'svg.fonttype': 'none', 'path.simplify_threshold': 0.5}
-"""Text of a page stays text, and points of a line closer than half a point (1/72 in) merge."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,8 @@ def inline_svg(figure: Any) -> str:
     import matplotlib
 
     data = io.StringIO()
-    with matplotlib.rc_context(INLINE):
+    with matplotlib.rc_context({  # text stays text, and close points of a line become one
+            **SAME_BYTES, 'svg.fonttype': 'none', 'path.simplify_threshold': 0.5}):
         figure.savefig(data, format='svg', metadata=dict.fromkeys(
             ('Creator', 'Date', 'Format', 'Type')))
     svg = re.sub(

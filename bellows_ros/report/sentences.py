@@ -58,7 +58,7 @@ def sentence(room: str, code: str, **numbers: Any) -> str:
         If the code or a field is unknown.
 
     """
-    return _FORMATTER.vformat(texts(room)[code], (), numbers)
+    return _Sentence().vformat(texts(room)[code], (), numbers)
 
 
 def flip_warning(angle: float, code: str = 'flips', begin: float = 0.0) -> str:
@@ -111,9 +111,6 @@ class _Sentence(Formatter):
             return listed([self.format_field(item, format_spec) for item in value])
         factor, name = SENTENCE_UNITS.get(unit, (1, ''))
         return f'{factor * value:{form}} {name}'.rstrip()
-
-
-_FORMATTER = _Sentence()
 
 
 def alarm_sentence(alarm: 'Alarm') -> str:

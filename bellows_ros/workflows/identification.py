@@ -36,9 +36,6 @@ if TYPE_CHECKING:  # what a plain identification does without
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
 
-CUP_PARAMETERS = ('cup.stiffness', 'cup.damping', 'cup.length')
-"""Parameters that are always in the cup file."""
-
 CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.stretch', 'cup.layout')
 """Parameters in the cup file unless they have the default: K and P depend on them."""
 
@@ -54,9 +51,6 @@ NO_VERDICT = (
 UNKNOWN_STD = 1e9
 """Standard error in parameter files of an entry that is not identifiable."""
 
-NARROWED_BELOW = 0.95
-"""Ratio below which a standard error with standstills, over that without, is mentioned."""
-
 FREE_PARAMETERS = {
     'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
     'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
@@ -65,15 +59,6 @@ FREE_PARAMETERS = {
 CELL_PREFIXES = ('package.', 'recording.', 'topics.', 'tool_pose.', 'tool_twist.', 'gravity.',
                  'measured.', 'filter.', 'vacuum.')
 """Prefixes of the parameters of a cell and its package."""
-
-OF_RUN = ('package.files', 'recording.start', 'recording.end')
-"""Parameters of a run with these prefixes."""
-
-MAX_LATENCY = 0.5
-"""Largest offset of two clocks that is a latency of measured.latency, s."""
-
-MAX_NAMED = 6
-"""Largest number of parameters named in a sentence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +151,8 @@ class Identification(CommandResult):
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of the cup file: the cup with standard errors and validity."""
         values = {
-            name: value for name, value in self.cup_values().items() if name in CUP_PARAMETERS
+            name: value for name, value in self.cup_values().items()
+            if name in ('cup.stiffness', 'cup.damping', 'cup.length')
             or name in CUP_EXTRAS and value != table.PARAMETERS[name].default}
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
@@ -177,8 +163,8 @@ class Identification(CommandResult):
         """Return the parameters of the cell file: the given cell and package, and estimates."""
         given = {
             name: value for name, value in self.values.items()
-            if name.startswith(CELL_PREFIXES) and name not in OF_RUN
-            and value != table.PARAMETERS[name].default}
+            if name.startswith(CELL_PREFIXES) and value != table.PARAMETERS[name].default
+            and name not in ('package.files', 'recording.start', 'recording.end')}
         found = {name: each for name, each in self.found.items() if name != 'cup.length'}
         errors = {
             f'{name}_std': std.tolist() for name, (_, std, _) in found.items()
@@ -271,7 +257,7 @@ class Identification(CommandResult):
                     ('blur', tag.in_motion, stated.in_motion, 's^2/m, s^2 rad/m^2')):
                 yield f'measured.{name}', (
                     np.maximum(found, least).tolist(), np.zeros(4), unit)
-        if number < len(self.fit.delays) and abs(self.fit.delays[number]) < MAX_LATENCY and (
+        if number < len(self.fit.delays) and abs(self.fit.delays[number]) < 0.5 and (  # s
                 math.isfinite(self.fit.delays_std[number])):
             yield 'measured.latency', (
                 is_measured(self.values) * self.values.measured.latency - self.fit.delays[number],
@@ -397,8 +383,8 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
     standstills, static = result.fit.standstills, result.static
     if standstills is None or static is None:
         return
-    ratios = sorted(zip(standstills.narrowed.tolist(), result.fit.labels, strict=True))[:MAX_NAMED]
-    parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in ratios if ratio < NARROWED_BELOW]
+    ratios = sorted(zip(standstills.narrowed.tolist(), result.fit.labels, strict=True))[:6]
+    parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in ratios if ratio < 0.95]
     narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}' if parts
                 else 'they change no standard error')
     yield (f'{standstills.count} standstills are part of the fit (chi^2 per degree of freedom '

@@ -50,9 +50,6 @@ CAUSE_TESTS = 'testing possible causes'
 MAX_PAGE_RECORDINGS = 20
 """Most recordings shown in a report."""
 
-REGISTRATION_NAMES = {'time_offset', 'package_world'}
-"""Names in fit.free for which there is a parameter, too."""
-
 RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
 """Parameters that need the recordings themselves, not only their statistics."""
 
@@ -145,7 +142,7 @@ def resolved(settings: Mapping[str, Any]) -> Values:
 
 def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     """Yield what is wrong with parameters together, if it is, and what to do about it."""
-    free = sorted(set(values.fit.free) - REGISTRATION_NAMES)
+    free = sorted(set(values.fit.free) - {'time_offset', 'package_world'})
     names = f'fit.free: {", ".join(free)}: '
     yield (free and values.fit.method == 'least_squares',
            f'{names}they need fit.method: output_error. Set it.')

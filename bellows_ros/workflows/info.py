@@ -31,20 +31,11 @@ from bellows_ros.files.bags import accepted_types, Contents, read_contents, Topi
 from bellows_ros.workflows.recordings import fact_sentence, remark_sentences, within_interval
 import numpy as np
 
-REST_FRACTION = 0.9
-"""Part of the initial standstill that is set as recording.rest_duration."""
-
 MIN_HOLD, MIN_TILT = 4.0, 0.1
 """A tilt (rad) beyond which a hold of this time (s) shows how rubber creeps."""
 
 IMPLAUSIBLE_DISTANCE, MAX_CHANGE = (0.3, 10.0), 0.05
 """Range (m) of distances from tool to package that no cup has, if they change by more (m)."""
-
-ROUGH_COM = 0.03
-"""Depth of a centre of mass below the lip for a rough pose of a marker, m."""
-
-STATED_ELSEWHERE = ('tool_z', 'repeated_poses')
-"""Faults of poses that checks or warnings of a topic state."""
 
 MAX_FRAMES = 20
 """Frames of transforms that are named."""
@@ -58,11 +49,9 @@ PACKAGE_WORDS = frozenset(
     'aruco apriltag'.split())
 
 MAX_DISTANCE = 1.0  # m, between tool and package
-MAX_RELATIVE_CHANGE = 0.25  # of the distance, between its quartiles, of a package that is held
 MAX_UPRIGHT_TILT, MAX_HANGING_ROTATION = np.deg2rad([1.0, 10.0])
 """Tilt (rad) of a tool that is upright, and the rotation of a package that its weight explains."""
 
-HANGING_ANGLE = np.deg2rad(40.0)  # from straight down, of what hangs below
 SAMPLES = 2000  # at which two streams are compared
 TWIST_WINDOW = 0.05  # s, over which a twist is compared with the change of the poses
 MIN_SHIFT, MIN_ROTATION = 2e-3, 5e-3  # m and rad in that time: a smaller motion is not compared
@@ -343,7 +332,7 @@ def _registration_settings(
     R = alignment.world_rotation(pair.world if pair else 'z_up')
     error = conventions.convention_sentence(tool, package, path) or ' '.join(
         fact_sentence(fact, tool, package) for fact in facts_of(tool, package, R)
-        if fact.code not in STATED_ELSEWHERE)
+        if fact.code not in ('tool_z', 'repeated_poses'))
     separate = '' if error else _why_separate(pair, tool, package)
     if separate:
         settings |= {
@@ -363,7 +352,8 @@ def _registration_settings(
         remarks += more
     notes[:] = [error, *notes] if error else notes + remarks  # an error makes remarks doubtful
     return rest_s, () if error else checks_of(
-        tool, package, R, THESIS_LENGTH + ROUGH_COM, bool(separate),
+        # m, a rough depth of the centre of mass
+        tool, package, R, THESIS_LENGTH + 0.03, bool(separate),
         bool(settings.get('recording.align_at_rest')))
 
 
@@ -408,7 +398,8 @@ def _initial_rest(
         (f'No tilt is held for {MIN_HOLD:g} s, so how far the rubber creeps (cup.relaxation) is '
          'not seen. Hold one still for 5 to 10 s in addition.',
          longest_hold(tool) < MIN_HOLD)) if applies]
-    duration = max(0.1, float(np.floor(10.0 * REST_FRACTION * rest.seconds) / 10.0))
+    # 90 % of the standstill, to 0.1 s
+    duration = max(0.1, float(np.floor(10.0 * 0.9 * rest.seconds) / 10.0))
     settings = {'recording.align_at_rest': aligned, 'recording.rest_duration': duration}
     return rest.seconds, settings, [
         *notes, *(() if separate else remark_sentences(rest.remarks))]
@@ -461,11 +452,11 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     down = {name: -float(alignment.world_rotation(name)[2] @ start) for name in alignment.WORLDS}
     lowest = max(down, key=lambda name: down[name])
     one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2  # else places tell nothing
-    below = one_frame and distance > 0.0 and down[lowest] > distance * np.cos(HANGING_ANGLE)
+    below = one_frame and distance > 0.0 and down[lowest] > distance * np.cos(np.deg2rad(40.0))
     world = lowest if below else 'z_up'
     low, quarter, most, high = np.percentile(distances, (1, 25, 75, 99))  # without tracking jumps
     constant = one_frame and distance < MAX_DISTANCE and (
-        most - quarter < MAX_RELATIVE_CHANGE * distance) and (
+        most - quarter < 0.25 * distance) and (  # of a package on a cup the distance varies little
         distance < IMPLAUSIBLE_DISTANCE[0] or high - low < MAX_CHANGE)
     why_tool = [*_name_reason(tool.name, TOOL_WORDS)]
     why_package = [*_name_reason(package.name, PACKAGE_WORDS)]

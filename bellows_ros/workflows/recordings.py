@@ -40,9 +40,6 @@ OTHER_TOPICS = ' If the topics of recordings differ, give each a file in package
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 """Settings for reading whole recordings: plans, standstills, validations."""
 
-ARRAYS = ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
-"""The arrays of streams with an entry per message."""
-
 MIN_POSES = 20
 """Number of poses of each body from which their faults are looked for."""
 
@@ -143,7 +140,9 @@ def within_interval(streams: Mapping[str, Any], values: Mapping[str, Any]) -> di
         return dict(streams)
     masks = interval_masks([stream.stamps_ns for stream in streams.values()], values)
     return {role: replace(stream, **{
-        name: getattr(stream, name)[mask] for name in ARRAYS if hasattr(stream, name)
+        name: getattr(stream, name)[mask]
+        for name in ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
+        if hasattr(stream, name)
     }) for (role, stream), mask in zip(streams.items(), masks, strict=True)}
 
 

@@ -40,14 +40,8 @@ from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
 
-CAUSES_IN_VALUES = 'mass', 'inertia'
-"""Causes of which `implausible` parameters say so without a recording."""
-
 MAX_LISTED = 3
 """Validity ranges named in a warning."""
-
-IDENTITY_POSE = np.array([0.0] * 6 + [1.0])
-"""Pose of the package's world in that of the tool where both are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,7 +390,7 @@ def validated(values: Values, recording: Recording) -> Replay:
         raise UnstableError(' '.join([*_mass_hint(values, recording), str(error)])) from None
     warnings = [
         *(finding_sentence(cause, values) for cause in corrected(recording)[0]
-          if cause.name not in CAUSES_IN_VALUES),
+          if cause.name not in ('mass', 'inertia')),
         *recording.report.warnings, *validation.warnings]
     valid = conversion.parameter_envelope(values)
     outside = validity_range.beyond(
@@ -550,7 +544,7 @@ def observed(
     """
     stream = bags.read_streams(bag, {'measured': topic})['measured']
     assert isinstance(stream, PoseStream)
-    estimated, pose = recording.report.package_world, IDENTITY_POSE
+    estimated, pose = recording.report.package_world, np.eye(7)[6]
     if world := values.recording.package_world:
         pose = estimated.pose if estimated else pose_of(world)
     else:

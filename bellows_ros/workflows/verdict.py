@@ -29,12 +29,6 @@ MAX_SIMULATED = 50_000
 UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
 
-MAX_RMS_TO_NOISE = 3.0
-"""Largest error of a free simulation, times the noise, whatever the standard errors allow."""
-
-MAX_RMS_TO_MOTION = 0.01
-"""Error of a free simulation, in the motion, that never refuses a cup."""
-
 DRAWS, SIGMAS = 5, 3.0
 """Cups drawn from the standard errors, and how many standard deviations are allowed."""
 
@@ -44,16 +38,9 @@ LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_wo
 CLOCK_RATE = 'rate of the clocks (ppm)'
 """Name of an estimated quantity that is no parameter."""
 
-NOTABLE = 0.5
-"""Standard deviations of what was given by which a fit changes it, at least, to say so."""
-
 MAX_PULL = 5.0
 """Standard deviations by which a fit may change centre of mass or length: a cup that is otherwise
 than the model seems to be longer."""
-
-AT_NOISE = 1.1
-"""A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
-be left all the same: filters take a part of quick motions, not of the output error."""
 
 
 class Simulated(NamedTuple):
@@ -79,7 +66,7 @@ class Simulated(NamedTuple):
         if not self.all_identifiable:
             return np.asarray(allowed)
         return np.asarray(np.minimum(allowed, np.maximum(
-            MAX_RMS_TO_NOISE * self.noise, MAX_RMS_TO_MOTION * self.motion)))
+            3.0 * self.noise, 0.01 * self.motion)))
 
     @property
     def sentence(self) -> str:
@@ -152,7 +139,8 @@ class FitVerdict(NamedTuple):
     def is_at_noise(self) -> bool:
         """Whether free simulations are as good as the poses."""
         return bool(self.simulated) and all(
-            (simulated.rms <= AT_NOISE * simulated.noise).all() for simulated in self.simulated)
+            # as good as noise
+            (simulated.rms <= 1.1 * simulated.noise).all() for simulated in self.simulated)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -350,7 +338,7 @@ def _found(
         'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1)))}
     pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
              for name in parameters if name in free and name in std}
-    if max(pulls.values(), default=0.0) <= NOTABLE:
+    if max(pulls.values(), default=0.0) <= 0.5:  # standard deviations
         return {}
     changes = {name: f'{1e3 * np.linalg.norm(free[name]):.2g} mm' for name in pulls}
     if 'inertia' in pulls:

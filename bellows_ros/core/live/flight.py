@@ -26,19 +26,13 @@ from bellows_ros.core.toss.release import HeldMotion, Toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-EXTRA_TIME = 0.05
-"""The cup lets go at most this much (s) later than without a load, or not at all."""
 AIM_TIME = 0.4
 """How far ahead (s) a release for the target is searched."""
 AIM_SPACING, AIM_CANDIDATES = 0.01, 1
 """Spacing (s) of that scan, and how many of its times are refined."""
-STEP_FACTOR = 2.0
-"""Steps are so many times as long as elsewhere: the landing is within 0.02 mm, 0.2 mrad."""
 MAX_AIM_STEPS = 100_000
 """Most integration steps of that time; and of any other answer:"""
 MAX_TOSS_STEPS = 2_000_000
-COVARIANCE_PERIOD = 10
-"""The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
 ROOT_STEP = 0.01
 """Step of the covariance of a later state, s."""
@@ -109,7 +103,8 @@ class Flight:
         self._grip_now = grip or (lambda: of_values)
         self.has_size = min(values.package.size) > 0.0
         self._release = release.release_of(values) if self.has_size else release.NO_FLIGHT
-        self._ahead = release.latest_release(release.law_of(values)) + EXTRA_TIME
+        # later than without a load, s
+        self._ahead = release.latest_release(release.law_of(values)) + 0.05
         self._factor = release_factor(values)
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
         self._by_progress = np.zeros(6)
@@ -292,10 +287,10 @@ class Flight:
             From it to the covariance (12, 12) of its state, in body axes.
 
         """
-        longest = STEP_FACTOR * _longest_step(model)
+        longest = 2.0 * _longest_step(model)  # the landing is within 0.02 mm and 0.2 mrad
         if not self.has_size or self.state or self._ahead > MAX_SUBSTEPS * longest:
             return None  # so many steps would hold up the poses
-        is_due = self._count % COVARIANCE_PERIOD == 0
+        is_due = self._count % 10 == 0  # the covariance is renewed in every tenth landing
         plan = self._future(prediction, 0.0)
         hanging = adapted(model, prediction.tool, prediction.body)
 

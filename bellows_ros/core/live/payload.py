@@ -24,10 +24,6 @@ from numpy.typing import ArrayLike
 MAX_SUBSTEPS = 10_000
 """Most substeps of one advance; more means a cup too stiff or a time too long: diverged."""
 
-REACH_FACTOR = 3.0
-"""No lip is displaced further than this many times the length of the cup and what the package's
-weight shifts it by in the softest direction."""
-
 MIN_STEP = 1e-6
 """A model that needs shorter integration steps (s) cannot be predicted live."""
 
@@ -69,7 +65,7 @@ def prepared(
             A = equilibrium.nominal_system_matrix(model)
             _require_slow(A)
             modes = modes_of(equilibrium.nominal_system_matrix((model[0][:4], *model[1:])))
-            reach = REACH_FACTOR * (cup.length + equilibrium.sag(model))
+            reach = 3.0 * (cup.length + equilibrium.sag(model))  # the weight shifts no lip farther
             return model, equilibrium.largest_step(model, A), reach, modes
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(

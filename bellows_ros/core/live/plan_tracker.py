@@ -34,8 +34,6 @@ MAX_DEVIATION = 0.05
 
 POSE_STD, TWIST_STD = 5e-5, 0.005
 """Standard deviations of the tool's pose (m) and twist (m/s) from those of the driven plan."""
-RATE_DRIFT = 0.05
-"""Standard deviation of the change of a driver's rate within one second."""
 START_STD = 0.5
 """Standard deviation of the rate of a driver that has not moved yet."""
 GATE = 4.0
@@ -306,7 +304,7 @@ class PlanTracker:
             reach = MAX_RATE * elapsed + SEARCH_TIME
             return (max(0.0, time - SEARCH_TIME), min(time + reach, self._end)), (
                 time, rate, variance, 0.0, rate_variance)
-        drift = RATE_DRIFT**2 * elapsed
+        drift = 0.05**2 * elapsed  # rate changes by 5 % within one second
         variance += elapsed * (2.0 * covariance + elapsed * (rate_variance + drift / 3.0))
         covariance += elapsed * (rate_variance + 0.5 * drift)
         time = min(time + rate * elapsed, self._end)

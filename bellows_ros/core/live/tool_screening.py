@@ -52,12 +52,6 @@ MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
 
-COAST_AFTER_NS = 20_000_000
-"""Pauses (ns) between poses shorter than this are ignored ..."""
-
-COAST_PERIODS = 4
-"""... as are pauses shorter than this many periods of the poses ..."""
-
 MAX_BURST_NS = 100_000_000
 """... and recurring pauses up to this (ns), which separate bursts."""
 
@@ -182,7 +176,7 @@ class ToolArrivals:
     def silent_ns(self, now_ns: int, period_ns: int) -> int:
         """Return for how long no pose came, 0 as long as that is usual at the poses' period."""
         silent_ns = 0 if self.newest_ns is None else now_ns - self.newest_ns
-        usual_ns = max(COAST_AFTER_NS, COAST_PERIODS * period_ns, 3 * self._pause_ns // 2)
+        usual_ns = max(20_000_000, 4 * period_ns, 3 * self._pause_ns // 2)
         return silent_ns if silent_ns > usual_ns else 0
 
 

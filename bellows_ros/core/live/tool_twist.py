@@ -36,17 +36,8 @@ MAX_QUEUE = 256
 MAX_BRACKET_NS = 30_000_000
 """Longest time (ns) between twists that is interpolated."""
 
-MAX_TWISTS = 32
-"""Most twists that wait."""
-
 PAIRED_RUN, UNPAIRED_RUN = 2, 3
 """Consecutive poses with a twist, and without, after which poses wait, and no longer wait."""
-
-SMOOTHING = 0.1
-"""Weight of a new period in the mean period, so that one lost twist hardly changes it."""
-
-MAX_PERIOD_RATIO = 1.5
-"""Poses do not wait for twists that are rarer than one in this many poses."""
 
 
 class Pairing:
@@ -72,7 +63,7 @@ class Pairing:
     def clear(self) -> None:
         """Drop all that waits."""
         self._poses: deque[PoseSample] = deque()
-        self._twists: deque[TwistSample] = deque(maxlen=MAX_TWISTS)
+        self._twists: deque[TwistSample] = deque(maxlen=32)
         self._before: TwistSample | None = None
         self._newest_ns = self._last_emitted_ns = -1
         self._pose_period_ns = self._twist_period_ns = 0.0
@@ -140,7 +131,8 @@ class Pairing:
         while self._poses:
             pose = self._poses[0]
             twist = self._twist_of(pose.stamp_ns)
-            sparse = self._twist_period_ns > MAX_PERIOD_RATIO * self._pose_period_ns > 0
+            # twists for fewer than two of three poses
+            sparse = self._twist_period_ns > 1.5 * self._pose_period_ns > 0
             if twist is None and self.expect and not sparse:
                 overdue = (self._newest_ns - pose.stamp_ns > MAX_WAIT_NS
                            or len(self._poses) > MAX_QUEUE)
@@ -197,7 +189,8 @@ class Pairing:
 
 def smoothed(mean: float, value: float) -> float:
     """Return a running mean with a new value; a gap or a leap counts as twice the mean."""
-    return mean + SMOOTHING * (min(value, 2.0 * mean) - mean) if mean else value
+    # one lost twist hardly changes the mean
+    return mean + 0.1 * (min(value, 2.0 * mean) - mean) if mean else value
 
 
 HISTORY = 5
@@ -205,9 +198,6 @@ HISTORY = 5
 
 ROTATION_LEVER = 0.1
 """Distance (m) that counts as much as a rotation by 1 rad."""
-
-MIN_DETERMINANT = 1e-4
-"""Of the normal matrix in units of the time spanned; three even samples have 0.06."""
 
 
 @kernel
@@ -266,7 +256,7 @@ def slope_weights(
     nearly singular, as of two samples or of two bursts, the slope is that of the fitted line.
     """
     determinant = n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
-    if determinant < MIN_DETERMINANT:
+    if determinant < 1e-4:  # three even samples have 0.06
         return (-s1 / (n * s2 - s1 * s1), n / (n * s2 - s1 * s1), 0.0)
     return ((s3 * s2 - s1 * s4) / determinant, (n * s4 - s2 * s2) / determinant,
             (s1 * s2 - n * s3) / determinant)
@@ -281,14 +271,8 @@ LATER_POSES = 2
 FORGETTING = 0.98
 """Forgetting factor: about 50 comparisons count, 1 s."""
 
-MIN_COMPARISONS = 20
-"""Comparisons before the first verdict."""
-
 MAX_MISFIT = 0.25
 """Twists are wrong if the poses leave this fraction of their mean square unexplained."""
-
-MIN_SQUARED_SPEED = 1e-3
-"""Mean square speed (m^2/s^2) below which noise dominates and there is no verdict."""
 
 MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
 """Largest jerk of an arm (m/s^3), and tolerance of a position in addition (m)."""
@@ -436,8 +420,8 @@ class ToolMotion:
         """Whether measured twists fit: 'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
         energy, *misfit = self._squares
         weight = (1.0 - FORGETTING ** self._compared) / (1.0 - FORGETTING)
-        if self._compared < MIN_COMPARISONS or not (
-                MIN_SQUARED_SPEED * weight < energy < math.inf):
+        if self._compared < 20 or not (  # a first verdict takes 20 comparisons
+                1e-3 * weight < energy < math.inf):  # (m/s)^2; noise dominates below
             return 'unknown'
         chosen, other = misfit if self._in_world else misfit[::-1]
         if not chosen > MAX_MISFIT * energy:

@@ -49,12 +49,6 @@ import numpy as np
 STEP_NS = 4_000_000
 """Shortest step (ns) of the sensitivities; the package's modes are slow against it."""
 
-DOUBLINGS = 15
-"""Doublings of the horizon for the stationary covariance: 2^15 samples."""
-
-TERMS = 14
-"""Of the series of exp, of matrices whose norm is at most a half."""
-
 COASTING_STD = np.tile(np.repeat([5.0, 25.0], 3), 2)
 """Standard deviations (m/s^2, rad/s^2) of what an unobserved arm may do, for pose and twist."""
 
@@ -270,7 +264,7 @@ def noise_root(
     direct[6:12], by_pose[6:12] = tool_twist, tool_pose
     transition, gain = propagation(A, period)
     root: Array = gain @ (by_pose + A @ direct) * noise
-    for _ in range(DOUBLINGS):
+    for _ in range(15):  # a horizon of 2^15 samples
         root = np.linalg.qr(np.hstack([root, transition @ root]).T)[1].T
         transition = transition @ transition
     return np.asarray(np.hstack([root, direct * noise]))
@@ -280,7 +274,7 @@ def expm(M: Array) -> Array:
     """Return exp(M) by its series after halving, to rounding; SciPy's takes 0.3 s to load."""
     halvings = max(0, math.frexp(float(np.abs(M).sum(axis=1).max()))[1] + 1)
     term = result = np.eye(len(M))
-    for k in range(1, TERMS):
+    for k in range(1, 14):  # the norm is at most a half
         term = term @ M / (k * 2.0 ** halvings)
         result = result + term
     return np.asarray(np.linalg.matrix_power(result, 2 ** halvings))
@@ -309,9 +303,6 @@ SPAN_NS = 100_000_000
 
 UNOBSERVED_MOTION = 0.5, 1.0, 5.0, 25.0
 """What a tool may do before it is observed: m/s, rad/s, m/s^2, rad/s^2."""
-
-NEGLIGIBLE_SHIFT, NEGLIGIBLE_ANGLE = 1e-3, 5e-3
-"""Errors (m, rad) below this are negligible."""
 
 MIN_DECAY_RATE, MIN_FREQUENCY = 0.1, 1.0
 """Smallest decay rate (1/s) and frequency (rad/s) assumed of any package."""
@@ -405,8 +396,9 @@ class Settling:
     def _duration_ns(self, error: Unsettled) -> int:
         """Return the time (ns) until an error is negligible."""
         swing = 1.0 / self.modes.frequency
-        ratio = max(1.0, (error.shift + swing * error.speed) / NEGLIGIBLE_SHIFT,
-                    (error.rotation + swing * error.rate) / NEGLIGIBLE_ANGLE)
+        # m and rad that are negligible
+        ratio = max(1.0, (error.shift + swing * error.speed) / 1e-3,
+                    (error.rotation + swing * error.rate) / 5e-3)
         return round(NS_PER_S * math.log(ratio) / self.modes.decay)
 
 

@@ -172,8 +172,6 @@ def substeps_of(durations: Array, longest_step: float) -> Stamps:
     return np.maximum(1, np.ceil(durations / longest_step - 1e-9)).astype(np.int64)
 
 
-_LOADS = 8
-_ITERATIONS = 50
 _MAX_MOVE = 0.3  # m or rad, of one iteration
 _DIFFERENCE = 1e-6  # m or rad
 
@@ -192,7 +190,7 @@ def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = Non
         If there is none: the cup is too soft for the package in this tool pose.
 
     """
-    start, loads = resting_on_tool(model, ORIGIN), _LOADS
+    start, loads = resting_on_tool(model, ORIGIN), 8
     if guess is not None:
         shift = t3.apply_transposed(t3.rotation_matrix(tool[1]), t3.subtract(guess[0], tool[0]))
         rotation = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), guess[1])
@@ -216,7 +214,7 @@ def _loaded(
     for load in range(1, loads + 1):
         now = (model[0], model[1], t3.scale(load / loads, gravity))
         size = math.inf
-        for _ in range(_ITERATIONS):  # Newton's
+        for _ in range(50):  # Newton's
             for j in range(6):
                 rotation, back = t3.unit(j - 3, _DIFFERENCE), t3.unit(j - 3, -_DIFFERENCE)
                 up = _unbalance(now, displaced(body, t3.unit(j, _DIFFERENCE), rotation))

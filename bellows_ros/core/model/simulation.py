@@ -53,10 +53,6 @@ def require_steps(steps: float, max_steps: int = MAX_INTEGRATION_STEPS) -> None:
             'package.mass and package.inertia, whose fastest mode sets the step.')
 
 
-MAX_NEWTON_STEPS, MAX_NEWTON_STEP = 30, 0.1
-"""Most steps of the search for steady motion, and the largest (m, rad)."""
-
-
 def steady_start(
     model: ModelTuple, tool: 'Trajectory | ToolRows', guess: State | None = None
 ) -> State:
@@ -96,13 +92,13 @@ def steady_start(
         return np.ravel(kernels.body_acceleration(model, first, state)) - needed
 
     offset, shifts = np.zeros(6), 1e-6 * np.eye(6)
-    for _ in range(MAX_NEWTON_STEPS):
+    for _ in range(30):
         J = np.column_stack([
             (unbalance(offset + h) - unbalance(offset - h)) / 2e-6 for h in shifts])
         if not abs(np.linalg.det(J)) > 0.0:
             break
         step = np.linalg.solve(J, unbalance(offset))
-        offset -= step * min(1.0, MAX_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
+        offset -= step * min(1.0, 0.1 / max(float(np.abs(step).max()), 1e-300))
         if np.abs(step).max() < 1e-10:
             return equilibrium.adapted(model, first, with_offset(offset)[0])
     raise UnstableError(

@@ -302,12 +302,6 @@ def common_structure(one: Structure, other: Structure) -> Structure:
     return next(s for s in STRUCTURES.values() if s.contains(one) and s.contains(other))
 
 
-MOMENTS_WITHIN = 1e-3
-"""How far (relative) the largest principal moment may be above the sum of the other two.
-
-The rounded figures of a thin plate's data sheet may be so.
-"""
-
 ROUNDING = 1e-12
 """Relative size of eigenvalues below which they are rounding errors, 1."""
 
@@ -421,7 +415,8 @@ def check_inertia(inertia: Array) -> None:
     require_symmetric(inertia, 'package.inertia')
     moments = np.linalg.eigvalsh(inertia)
     shown = ', '.join(f'{moment:.6g}' for moment in moments)
-    if moments[0] <= 0.0 or (moments[2] > (moments[0] + moments[1]) * (1.0 + MOMENTS_WITHIN)):
+    # a thin plate's data are rounded
+    if moments[0] <= 0.0 or (moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-3)):
         raise BellowsError(
             f'No body has this package.inertia: its principal moments are {shown} kg m^2; '
             'expected all above zero, and the largest at most the sum of the other two. Check '
@@ -436,9 +431,6 @@ MAX_MASS = 50.0
 
 GYRATION = (0.01, 0.3, 1.0)
 """Radii of gyration of packages: the smallest, the largest usual and the largest plausible, m."""
-
-LEAD = 11_340.0
-"""Density of lead, the largest plausible density of a package, kg/m^3."""
 
 INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 """Other units of moments of inertia, and their number in 1 kg m^2."""
@@ -481,7 +473,8 @@ def unit_doubts(
 
 def too_dense(mass: float, gyration: float) -> str:
     """Return a question if a package (kg, m) would be denser than a ball of lead, else ''."""
-    least = float(np.sqrt(1.2) * (3.0 * mass / (4.0 * np.pi * LEAD)) ** (1 / 3))
+    # the density of lead, kg/m^3, is the largest of a package
+    least = float(np.sqrt(1.2) * (3.0 * mass / (4.0 * np.pi * 11_340.0)) ** (1 / 3))
     return '' if gyration >= least else (
         f'package.inertia has a radius of gyration of {gyration:.3g} m; even a ball of lead of '
         f'{mass:g} kg has {least:.3g} m. Is package.mass in kg, and package.inertia in kg m^2?')

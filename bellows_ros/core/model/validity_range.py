@@ -39,9 +39,6 @@ MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
 MIN_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
 """Bands reach at least this high (Hz), and are exceeded by a frequency this many times higher."""
 
-LOAD_MARGIN = 0.1
-"""Relative margin of mass and vacuum about their ranges in the fit."""
-
 DOWN, UP = (Context(prec=6, rounding=mode) for mode in (ROUND_FLOOR, ROUND_CEILING))
 ROUNDING_MODES = {
     'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
@@ -236,7 +233,7 @@ def _loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> list[tupl
             ('mass', mass, 1.0, 'kg'), ('vacuum', vacuum, 1e-3, 'kPa')), strict=True):
         low, high = np.asarray(range_).tolist()
         if high > 0.0 and value > 0.0:
-            half = 0.5 * (high - low) + LOAD_MARGIN * 0.5 * (high + low)
+            half = 0.5 * (high - low) + 0.05 * (high + low)  # a margin of 10 %
             seen = f'{scale * low:.4g}' + (f' to {scale * high:.4g}' if low < high else '')
             found.append((abs(value - 0.5 * (low + high)) / half,
                           f'the {name} is {scale * value:.4g} {unit}, seen {seen}'))

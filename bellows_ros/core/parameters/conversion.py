@@ -16,9 +16,6 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-BENDING_BY_MASS = (0.30, 0.03)
-"""Relative change of the bending stiffness per kg, of a cup without and with stretch, 1/kg."""
-
 STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
 """Relative change of the diagonal of K per vacuum, of a bellows by finite elements, 1/Pa."""
 
@@ -77,7 +74,8 @@ def stiffness_std(values: Values) -> Array:
         low, high = values.get(name, (0.0, 0.0))
         return max(low - value, value - high, 0.0) if high > 0.0 and value > 0.0 else 0.0
 
-    by_mass = BENDING_BY_MASS[any(values.get('cup.stretch', ()))]
+    # relative change per kg, without and with stretch
+    by_mass = (0.30, 0.03)[any(values.get('cup.stretch', ()))]
     more = distance(values.get('vacuum.holding', 0.0), 'cup.valid_vacuum') * STIFFNESS_BY_VACUUM
     more[3:5] += by_mass * distance(values.get('package.mass', 0.0), 'cup.valid_mass')
     return np.asarray(np.hypot(std, np.diag(K * more)))

@@ -28,9 +28,6 @@ SETTLED_ANGLE = math.radians(0.5)
 SETTLING_TIME, MAX_TAIL = 2.0, 30.0
 """... for this time (s); the wait ends at the latest this long (s) after the end."""
 
-TAIL_STEP = 4e-3
-"""Longest integration step (s) after the end, where only the swing matters ..."""
-
 COARSE_STEP_FACTOR = 3.0
 """... or this multiple of the normal step, if shorter: still accurate to 1e-4."""
 
@@ -222,7 +219,8 @@ class PlanSimulation:
 
     def _simulate_decay(self, ceiling: float) -> float:
         """Continue after the end; return the time (s) until the package has settled."""
-        h = max(self._longest, min(TAIL_STEP, COARSE_STEP_FACTOR * self._longest))
+        # only the swing matters
+        h = max(self._longest, min(4e-3, COARSE_STEP_FACTOR * self._longest))
         return float(self._run(
             _simulate_decay, self._end[1], simulation.row_state(self._inputs[0][-1]), self._body,
             self._seconds, (h, math.ceil(self._tail / h)),

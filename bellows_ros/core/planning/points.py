@@ -32,8 +32,6 @@ MAX_GAP_NS = 10_000_000
 JUMP_TOLERANCE = (1e-3, 1e-2)
 """Points closer than this (m, rad) are no jump, however short the time."""
 
-MIN_FITTED_POINTS = 20
-"""Number of points from which rates must integrate to the steps, whatever explains a misfit."""
 MAX_MISFIT = 0.5
 """Largest RMS deviation of the integrated rates from the steps, relative to these."""
 SAME_WAY = 0.5
@@ -336,7 +334,8 @@ def require_consistent(
     lengths = np.linalg.norm(steps, axis=1)
     goes_on = (np.sum(steps[1:] * steps[:-1], axis=1) > SAME_WAY * lengths[1:] * lengths[:-1]) & (
         lengths[1:] * lengths[:-1] > 0.0)
-    reason = 'are of another motion' if len(rates) >= MIN_FITTED_POINTS else ''
+    # too few points may hide the motion
+    reason = 'are of another motion' if len(rates) >= 20 else ''
     if goes_on.any() and not rates[1:-1][goes_on].any():
         reason = 'are zero where the motion goes on'
     readings = [(text, misfit(factor * rates)) for text, factor in MISREADINGS]

@@ -39,9 +39,6 @@ SPACING, SNAP_TOLERANCE, RELATIVE_SNAP_TOLERANCE = 0.005, 100.0, 0.1
 (m/s^4), or this part of it."""
 SUBDIVISION = 5
 """Smoothing uses points this many times closer ..."""
-SMOOTHED_PART, MAX_SMOOTHING = 0.12, 0.2
-"""... over this part of its duration, but no longer than this (s): a longer time makes the rest so
-quick that a cup with errors of 5 % swings, a shorter one the tool jerk."""
 
 RATE_PER_STEP = 0.4
 """Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
@@ -58,8 +55,6 @@ FADE_TIME = 0.02
 
 MIN_RESIDUAL_SWING = planning.SETTLED_ANGLE
 """Swing of the package above which a mode is shaped, rad."""
-MERGE_TOLERANCE = 0.05
-"""Relative difference of the frequencies of modes that are shaped as one."""
 ALLOWED_TIME = 1.0
 """Longest duration of a shaper, s; that of the plan where it is longer."""
 TAIL = 2.0
@@ -336,7 +331,8 @@ def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
     if is_smooth(curve):
         return rows, 0.0
     fine = (len(rows) - 1) * SUBDIVISION
-    box = round(0.25 * fine * min(SMOOTHED_PART, MAX_SMOOTHING / duration)) | 1  # has a middle
+    # More time makes the rest so quick that a cup with errors of 5 % swings, less the tool jerk.
+    box = round(0.25 * fine * min(0.12, 0.2 / duration)) | 1  # has a middle
     reach = 2 * (box - 1)
     quick = curve(np.linspace(0.0, duration, fine + 1 - 2 * reach))
     smooth = np.pad(quick, ((reach, reach), (0, 0)), mode='edge')
@@ -415,7 +411,7 @@ def to_shape(modes: Sequence[SwingMode]) -> list[SwingMode]:
     for mode in modes:
         if mode.swing <= MIN_RESIDUAL_SWING:
             continue
-        if groups and mode.frequency < (1.0 + MERGE_TOLERANCE) * groups[-1][-1].frequency:
+        if groups and mode.frequency < 1.05 * groups[-1][-1].frequency:  # shaped as one
             groups[-1].append(mode)
         else:
             groups.append([mode])

@@ -36,9 +36,6 @@ class Remark(NamedTuple):
 DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of gravity in a world with z up."""
 
-PARALLEL_SINE = 1e-12
-"""Sine below which two directions are parallel."""
-
 # The rotation part of A_H_M (4.1): Motive's y is up, and its x points the other way.
 R_WORLD_MOTIVE = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
@@ -46,17 +43,9 @@ WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
 
 # Fewer valid samples than this, or a smaller part of what the rate gives, make no standstill.
 MIN_SAMPLES_AT_REST, MIN_PART_AT_REST = 10, 0.5
-# A mean over the standstill leaves out what is further from the median than this many robust
-# standard deviations.
-TRIM_DEVIATIONS = 5.0
-# A beginning at rest: over how long (s) poses are averaged, how far (m, rad) and how many times
-# the noise's second differences a body moves at least, how long (s) it stands still for an
-# alignment, and how much of a recording (s) is its beginning.
+# A beginning at rest: over how long (s) poses are averaged, and how long (s) a body stands still.
 START_SECONDS = 0.2
-STILL_POSITION, STILL_ROTATION = 1e-3, 5e-3
-STILL_DEVIATIONS = 3.0
 MIN_REST = 0.5
-BEGINNING_SECONDS = 20.0
 # Marker frames are turned against each other if by more than this (rad), and by more than this
 # part of the tool's tilt, with which a package bends the cup.
 MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT = np.deg2rad(1.5), 0.5
@@ -267,8 +256,7 @@ class Rest(NamedTuple):
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
     """Return how both bodies begin, from where both are measured; poses in the world, z up."""
     begin, _ = common_span(tool, package)
-    spans = [body.between(begin, begin + int(BEGINNING_SECONDS * NS_PER_S))
-             for body in (tool, package)]
+    spans = [body.between(begin, begin + 20 * NS_PER_S) for body in (tool, package)]
     if not all(body.valid.any() for body in spans):
         return Rest(0.0, (0.0, 0.0), 0.0)
     R, still = zip(*(_beginning(body.select(body.valid)) for body in spans), strict=True)
@@ -282,12 +270,12 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
     reference = _median_rotation(start.rotation)
     moves = np.zeros(len(body), dtype=bool)
     for change, smallest in (
-            (body.position - np.median(start.position, axis=0), STILL_POSITION),
-            (lie.log_so3(reference.T @ body.rotation), STILL_ROTATION)):
+            (body.position - np.median(start.position, axis=0), 1e-3),  # m, rad
+            (lie.log_so3(reference.T @ body.rotation), 5e-3)):
         size = np.linalg.norm(change, axis=1)
         # Second differences are of the noise alone, also where the body moves at once.
         noise = np.median(np.abs(np.diff(size, 2))) if len(size) > 2 else 0.0
-        moves |= size > smallest + STILL_DEVIATIONS * noise
+        moves |= size > smallest + 3.0 * noise  # second differences are of the noise alone
     # A jump of tracking is over at once, a motion is not.
     lasting = moves & np.roll(moves, -max(1, len(start) // 4))
     return reference, float(
@@ -305,7 +293,8 @@ def _is_typical(deviation: Array) -> Mask:
     """Return where no axis deviates by more than its typical deviation times a factor."""
     typical = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
     # Without noise the median is nothing but rounding: then all that is tiny is typical.
-    return np.asarray(np.all(np.abs(deviation) <= TRIM_DEVIATIONS * typical + 1e-6, axis=1))
+    # robust deviations
+    return np.asarray(np.all(np.abs(deviation) <= 5.0 * typical + 1e-6, axis=1))
 
 
 def levelling(direction: ArrayLike) -> Array:
@@ -318,7 +307,7 @@ def levelling(direction: ArrayLike) -> Array:
     down = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
     axis = np.cross(down, DOWN)
     sine, cosine = float(np.linalg.norm(axis)), float(down @ DOWN)
-    if sine < PARALLEL_SINE:
+    if sine < 1e-12:
         return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
     return np.asarray(lie.exp_so3(axis / sine * np.arctan2(sine, cosine)))
 
@@ -328,12 +317,6 @@ ROTATION_RATE_HZ, ROTATION_SAMPLES = 50.0, 15
 
 MIN_CORRELATION = 0.3
 """Correlation of these rotations at which two clocks are aligned: of others it is below 0.2."""
-
-MIN_PEAK_RATIO, MAX_LAGS = 0.9, 3
-"""Part of the largest correlation at which another lag may be the true one, and how many may."""
-
-MIN_ROTATION_STD = 0.01
-"""Standard deviation of these rotations (rad) below which bodies hardly turn."""
 
 
 def rotation_correlation(
@@ -358,7 +341,7 @@ def rotation_correlation(
         rotation = rotation if one_world else np.linalg.norm(rotation, axis=1, keepdims=True)
         rotation -= rotation.mean(axis=0)
         size = float(np.linalg.norm(rotation))
-        if size < MIN_ROTATION_STD * np.sqrt(len(rotation)):
+        if size < 0.01 * np.sqrt(len(rotation)):  # rad; bodies hardly turn
             return np.empty(0), np.empty(0)
         rotations.append(rotation / size)
     count, before = sum(map(len, rotations)) - 1, len(rotations[1]) - 1
@@ -386,8 +369,8 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
     largest = float(np.max(correlation, initial=0.0))
     if largest >= MIN_CORRELATION:
         is_peak = correlation >= np.maximum(np.roll(correlation, 1), np.roll(correlation, -1))
-        highest = np.argsort(-correlation * is_peak)[:MAX_LAGS]
-        return sorted(lags[highest[correlation[highest] >= MIN_PEAK_RATIO * largest]].tolist(),
+        highest = np.argsort(-correlation * is_peak)[:3]
+        return sorted(lags[highest[correlation[highest] >= 0.9 * largest]].tolist(),
                       key=abs)
     first, last = common_span(tool, package)
     if not len(lags) and first < last:
@@ -396,10 +379,6 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
         'The stamps of tool and package cannot be aligned: the two do not turn alike at any '
         f'offset (correlation {largest:.2f}). Check the topics, or turn the tool more.')
 
-
-START_RATE_HZ, SLOW_PART = 50.0, 0.5
-"""Poses per second for the start value, and the part used: the slowest, of which the cup yields
-least."""
 
 MIN_ROTATION = 0.02
 """Smallest rotation (rad) between two poses that determines the rotation between the worlds."""
@@ -519,7 +498,7 @@ def motion_sentence(theta: Array, std: Array | None = None) -> str:
 def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory]:
     """Return valid poses of both at common stamps, the slowest ones."""
     first, last = common_span(tool, package)
-    count = int((last - first) / NS_PER_S * START_RATE_HZ)
+    count = int((last - first) / NS_PER_S * 50.0)  # Hz
     if count < 20:
         raise BellowsError(
             'The poses of tool and package overlap too little to estimate '
@@ -531,7 +510,7 @@ def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Traje
     sizes = [np.linalg.norm(change, axis=1)
              for change in (np.gradient(hand.position, axis=0), rotation)]
     speed = sum(size / max(float(np.median(size)), 1e-9) for size in sizes)
-    slow = (speed <= np.quantile(speed, SLOW_PART)) & hand.valid & eye.valid
+    slow = (speed <= np.quantile(speed, 0.5)) & hand.valid & eye.valid  # the slower half
     return hand.select(slow), eye.select(slow)
 
 

@@ -22,17 +22,6 @@ MAX_DISTANCE = 2.0
 REACH, MAX_CHANGE = (0.01, 0.5), 0.25
 """Distances (m) of a package on a cup, and by which part they vary at most."""
 
-MAX_MOTION_RATIO = 0.4
-"""Part of the motion of the package in the tool that is left with another order, at most ..."""
-
-MAX_HANGING_TILT, MIN_OTHER_TILT = 0.2, 0.5
-"""... or how far from hanging it is at most where it hangs, and beyond which it does not (see
-`motion_in_tool`): poses of two worlds come near to hanging by chance."""
-
-
-MAX_PATH_RATIO, MAX_PATH_LENGTH = 100.0, 20.0
-"""Ratio of the paths of two bodies that move together, and a path (m) no tool travels."""
-
 MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
 """How alike two bodies turn at least in another order of their quaternions, and which part of the
 difference is left then at most: read with w first, a turn is the inverse one in world axes."""
@@ -84,15 +73,16 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     motions = [motion_in_tool(bodies, each) for each in orders]
     best = min(range(4), key=lambda i: sum(motions[i]))
     (moves, tilt), (moves_read, tilt_read) = motions[best], motions[0]
-    upright = moves < moves_read and tilt < MAX_HANGING_TILT and MIN_OTHER_TILT < tilt_read
-    return orders[best] if moves < MAX_MOTION_RATIO * moves_read or upright else units
+    upright = moves < moves_read and tilt < 0.2 and 0.5 < tilt_read  # rad
+    # another order must fit clearly better
+    return orders[best] if moves < 0.4 * moves_read or upright else units
 
 
 def _of_two_worlds(bodies: Sequence[Trajectory]) -> tuple[Convention, Convention]:
     """Return the conventions with which two bodies move and turn alike, each in its world."""
     lengths = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
                for body in bodies]
-    units = [Convention(x > MAX_PATH_RATIO * min(lengths) or min(lengths) > MAX_PATH_LENGTH)
+    units = [Convention(x > 100.0 * min(lengths) or min(lengths) > 20.0)  # no tool travels 20 m
              for x in lengths]
     turns = [[lie.log_so3(R[len(R) // 2].T @ R) for R in (body.rotation, reordered(body.rotation))]
              for body in bodies]  # from the middle of the path

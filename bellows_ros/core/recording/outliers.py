@@ -43,20 +43,8 @@ MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
 """Median of the jump along an axis per standard deviation of white noise: that of a normal
 distribution, times the norm of (1, -3, 3, -1) / 2."""
 
-MIN_HALF_TURN = 2.5
-"""Rotation in a step from which its vector may have either sign, rad."""
-
-PARTNER_STRENGTH = 0.5
-"""Part of the threshold above which a jump may cancel another one."""
-
-MAX_REMAINDER, NOISE_REMAINDER = 0.4, 0.5
-"""Remainder of jumps that cancel: part of the first one, and part of its threshold."""
-
 MAX_EXCURSION = 2.0
 """Longest excursion, s."""
-
-MAX_END_EXCURSION = 1.0
-"""Longest excursion between a jump and an end, or a long gap, s."""
 
 MIN_EXCURSION_SAMPLES = 15
 """Number of samples that an excursion may have at any rate."""
@@ -70,18 +58,8 @@ MIN_RUN = 3
 SIDE_SAMPLES = 6
 """Samples on each side of repeated poses, or of a lasting step, that are compared."""
 
-MIN_LASTING_PART = 0.5
-"""Part of a lasting step that lines through the samples on its two sides show."""
-
-LASTING_MISFITS = 3.0
-"""Lasting step over the RMS misfit of the lines: of a swing that a line does not follow, it is
-smaller."""
-
 SIDES = slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)
 """Samples before and after a jump."""
-
-CATCH_UP_FACTOR = 1.5
-"""Ratio of the step at the end of a frozen pose to the steps around it."""
 
 ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
 """Steps (m, rad) of a moving body: at least so many times the smallest, which is rounding."""
@@ -89,9 +67,6 @@ ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
 
 FLIP_NEIGHBOURS = 8
 """Poses before and after a pose of a tag with which its two solutions are compared."""
-
-MIN_FLIP = 0.15
-"""Smallest rotation from these neighbours of a flip, rad."""
 
 
 class LastingStep(NamedTuple):
@@ -188,7 +163,7 @@ def find_flips(poses: Trajectory, second: Array) -> Outliers:
     stated, mirrored = (np.median([
         np.linalg.norm(log_so3(inverse @ R), axis=1) for R in neighbours], axis=0)
         for inverse in (first, np.linalg.inv(second)))
-    good = ~((stated > MIN_FLIP) & (mirrored < 0.5 * stated))
+    good = ~((stated > 0.15) & (mirrored < 0.5 * stated))  # rad
     flips = int(np.count_nonzero(~good))
     _exclude(good, _frozen(poses))
     return Outliers(good, (), flips, dict.fromkeys(QUANTITIES, np.zeros(3)))
@@ -226,7 +201,7 @@ def _cancel_half_turns(rotation: Array) -> None:
     A rotation near 180 degrees has two vectors, and noise decides between them.
     """
     total = np.zeros(3)
-    for i in np.flatnonzero(np.linalg.norm(rotation, axis=1) > MIN_HALF_TURN):
+    for i in np.flatnonzero(np.linalg.norm(rotation, axis=1) > 2.5):  # rad
         vector = rotation[i]
         other = vector * (1.0 - 2.0 * np.pi / np.linalg.norm(vector))
         if np.linalg.norm(total + other) < np.linalg.norm(total + vector):
@@ -247,7 +222,7 @@ def _surroundings(values: Array) -> Array:
 def _paired(poses: Trajectory, jumps: _Jumps) -> tuple[list[slice], list[LastingStep]]:
     """Return the excursions between jumps that cancel, and the lasting steps."""
     strength, seconds = jumps.strength, poses.seconds
-    edges = np.flatnonzero(strength >= PARTNER_STRENGTH).tolist()
+    edges = np.flatnonzero(strength >= 0.5).tolist()  # may cancel another jump
     cuts = np.flatnonzero(np.diff(seconds) > max(
         LONG_GAP, LONG_GAP_SAMPLES * float(np.median(np.diff(seconds)))))
     ends = np.concatenate([[0], cuts + 1, [len(poses)]])
@@ -283,8 +258,8 @@ def _excursion(
         total = _forms(poses, jumps, i, direction > 0)
         first, sizes = total.copy(), np.linalg.norm(total[:, 0], axis=1)
         allowed = np.where(
-            sizes >= jumps.threshold[:, i], MAX_REMAINDER * sizes, 0.0
-        ) + NOISE_REMAINDER * jumps.threshold[:, i]
+            sizes >= jumps.threshold[:, i], 0.4 * sizes, 0.0
+        ) + 0.5 * jumps.threshold[:, i]
         for j in edges[k + 1:] if direction > 0 else edges[:k][::-1]:
             if not within[0] < j < within[1] - 1 or abs(j - i) > MIN_EXCURSION_SAMPLES and (
                     abs(seconds[j] - seconds[i]) > MAX_EXCURSION):
@@ -309,7 +284,7 @@ def _forms(poses: Trajectory, jumps: _Jumps, i: int, before: bool) -> Array:
 def _to_an_end(i: int, first: int, last: int, seconds: Array) -> slice | None:
     """Return the shorter part between a jump and an end of its part, if it is short enough."""
     before, after = float(seconds[i] - seconds[first]), float(seconds[last - 1] - seconds[i + 1])
-    if min(before, after) >= MAX_END_EXCURSION:
+    if min(before, after) >= 1.0:  # s
         return None
     return slice(first, i + 1) if before < after else slice(i + 1, last)
 
@@ -328,9 +303,9 @@ def _lasts(poses: Trajectory, jumps: _Jumps, i: int) -> bool:
     seen, misfit = (np.linalg.norm(part.reshape(-1, 2, 3), axis=2) for part in (
         lines[1][1] - lines[0][1], misfit))
     sizes = np.linalg.norm(jumps.size[:, i], axis=1)
-    least = np.maximum(jumps.threshold[:, i], MIN_LASTING_PART * sizes)
+    least = np.maximum(jumps.threshold[:, i], 0.5 * sizes)
     return bool(np.any(seen[0] >= np.maximum(
-        least, LASTING_MISFITS * np.sqrt(np.mean(misfit**2, axis=0)))))
+        least, 3.0 * np.sqrt(np.mean(misfit**2, axis=0)))))  # a swing has at most 2
 
 
 def _exclude(good: Mask, runs: Iterable[slice]) -> None:
@@ -388,7 +363,7 @@ def _frozen(poses: Trajectory) -> list[slice]:
             continue  # at rest, recorded coarsely
         typical = np.median(lengths[:, np.concatenate(beside)], axis=1)
         excess = (last - first + 1) * typical if k == len(moves) else (
-            lengths[:, moves[k]] - CATCH_UP_FACTOR * typical)
+            lengths[:, moves[k]] - 1.5 * typical)  # a catch-up step is larger
         if np.any(excess > MIN_JUMP):
             frozen.append(slice(first + 1, last + 2))
     return frozen

@@ -31,12 +31,6 @@ AUTOMATIC_HALF_WINDOW = 1 / 12
 MAX_LATERAL_OFFSET, MAX_LATERAL_COM, MAX_REPEAT_FRACTION, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
 # So many poses in a row that are lost are interpolated, if it is no longer than this (s).
 MAX_DROPOUT, MAX_DROPOUT_TIME = 2, 0.01
-# A step that a slow camera sees at least as often as the rest (%) in the motion is none.
-MOTION_PERCENTILE = 99.0
-# A step (m, rad) between slow poses that no error with a memory makes, as of a detector of tags.
-MIN_SLOW_STEP = (0.1, 0.5)
-# A step that the motion makes within so many deviations of the stamps' jitter is none.
-STEP_JITTERS = 10.0
 # More steps than that are noise with tails and a memory: no package slips so often.
 MAX_POSE_STEPS = 6
 
@@ -285,7 +279,8 @@ def lasting_steps(report: StreamReport) -> list[LastingStep]:
     poses, time = report.recorded, report.timing
     moved, typical = np.linalg.norm(increments_of(poses), axis=2), np.zeros(2)
     if time.rate_hz < LOW_RATE_HZ:  # then a body moves far between two poses
-        typical = np.maximum(np.percentile(moved, MOTION_PERCENTILE, axis=1), MIN_SLOW_STEP)
+        # a frequent step, or one of an error with a memory (m, rad), is none
+        typical = np.maximum(np.percentile(moved, 99.0, axis=1), (0.1, 0.5))
 
     def exceeds_motion(step: LastingStep) -> bool:
         """Return whether a step is larger than what is frequent, and than jitter there makes."""
@@ -293,6 +288,6 @@ def lasting_steps(report: StreamReport) -> list[LastingStep]:
         speed = moved[:, around.start:around.stop - 1].sum(axis=1) / (
             np.ptp(poses.stamps_ns[around]) / NS_PER_S)
         return not any(np.all(step[1:] < limit) for limit in (
-            typical, STEP_JITTERS * time.jitter_s * speed))
+            typical, 10.0 * time.jitter_s * speed))
 
     return list(filter(exceeds_motion, report.outliers.steps))

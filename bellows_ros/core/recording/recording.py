@@ -49,17 +49,11 @@ PLACES = 8
 """Interpolation points between two tool poses that represent all others."""
 
 
-CLIP_DEVIATIONS = 5.0
-"""Residuals are clipped at this many typical deviations, so that outliers do not count."""
-
 LOW_RATE_HZ = 100.0
 """Rate of poses below which polynomials do not follow the motion on a cup."""
 
 REST_PART, MIN_SAMPLES_AT_REST = 0.9, 10
 """Part of a standstill whose poses count as at rest, and the fewest that determine noise."""
-
-WIDE_WINDOW, MIN_NOISE_RATIO = 0.06, 1.15
-"""Time (s) over which poses are compared for correlated noise, and by how much more is seen."""
 
 MIN_STRIDE_HZ, MIN_STILL, MIN_CORRELATION = 200.0, 100, 0.2
 """Rate of poses from which a stride is longer than a sample; fewest poses of a body that is still,
@@ -157,7 +151,7 @@ def _at_rest(poses: Trajectory) -> Array:
 
 def _clipped(residuals: Array) -> Array:
     """Return residuals (N, 6) in which outliers do not count."""
-    limit = CLIP_DEVIATIONS * MAD_TO_STD * np.median(np.abs(residuals), axis=0)
+    limit = 5.0 * MAD_TO_STD * np.median(np.abs(residuals), axis=0)
     return np.clip(residuals, -limit, limit)
 
 
@@ -197,7 +191,7 @@ def ar1_noise_of(
         if kept > MIN_CORRELATION and later < 0.5 * kept * (1.0 + kept):
             part = float(np.sqrt(ripple_part(kept) / ripple_part(0.0)))
             return AR1Noise(noise.position / part, kept), AR1Noise(noise.rotation / part, kept)
-    stride = max(round(WIDE_WINDOW * rate_hz / (2 * HALF_WINDOW)), 1)
+    stride = max(round(0.06 * rate_hz / (2 * HALF_WINDOW)), 1)  # samples in 0.06 s
     try:
         wide = noise_of(poses.select(slice(None, None, stride))) if stride > 1 else noise
     except UndeterminedError:
@@ -210,7 +204,7 @@ def ar1_noise_of(
     def fitted(one: float, other: float) -> AR1Noise:
         """Return the noise that is seen so in neighbours and in poses a stride apart."""
         ratio = other / one if one > 0.0 else 1.0
-        at = int(np.argmin(np.abs(ratios - ratio))) if ratio > MIN_NOISE_RATIO else 0
+        at = int(np.argmin(np.abs(ratios - ratio))) if ratio > 1.15 else 0  # chance makes less
         return AR1Noise(one / float(sizes[at, 0]), float(ar1[at]))
 
     return fitted(noise.position, wide.position), fitted(noise.rotation, wide.rotation)
@@ -382,7 +376,7 @@ class StreamReport:
     def stamp_resolution(self) -> float:
         """Resolution of rounded or repeated stamps, s; 0 if they are fine enough."""
         count, stamps_ns = len(self.recorded), self.recorded.stamps_ns
-        if self.repeated_stamps > STAMP_NOISE_PART * count:
+        if self.repeated_stamps > 0.05 * count:  # fewer add no noise in motion
             return float(np.median(np.diff(stamps_ns))) / trajectory.NS_PER_S
         return resolution(stamps_ns)
 
@@ -444,10 +438,6 @@ class TimeOffset(NamedTuple):
         return {**self._asdict(), 'unit': 's'}
 
 
-STAMP_NOISE_PART = 0.05
-"""Part of the poses that may have repeated stamps without more noise in motion."""
-
-
 @dataclass(frozen=True, eq=False)
 class Report:
     """
@@ -478,12 +468,6 @@ class Report:
     package_world: PackageWorld | None = None
     scale: float = 1.0
 
-
-MAX_BRIDGED_GAP = 0.15
-"""Longest gap of the tool that interpolation bridges to 1 mm in a motion of 10 mm at 3 Hz, s."""
-
-MAX_BLURRED = 0.5
-"""Part of a pose's variance of blur, above which the pose does not rate a cup."""
 
 MIN_SEGMENT = 1.0
 """Shortest segment that is used, s."""
@@ -645,7 +629,8 @@ class Recording:
         """
         stamps, common = self.aligned_tool.stamps_ns, self.measured_tool.stamps_ns
         stamps = stamps[self.aligned_tool.valid & (stamps >= common[0]) & (stamps <= common[-1])]
-        cuts = np.flatnonzero(np.diff(stamps) > MAX_BRIDGED_GAP * trajectory.NS_PER_S)
+        # 1 mm in a motion of 10 mm at 3 Hz
+        cuts = np.flatnonzero(np.diff(stamps) > 0.15 * trajectory.NS_PER_S)
         spans = [Span(first, last, slice(*np.searchsorted(common, [first, last + 1]).tolist()))
                  for first, last in zip(stamps[np.append(0, cuts + 1)].tolist(),
                                         stamps[np.append(cuts, -1)].tolist(), strict=True)]
@@ -714,7 +699,7 @@ class Recording:
         if errors is None:
             return poses
         across = errors.at(poses.stamps_ns).of_motion[:, 3]
-        return replace(poses, valid=poses.valid & (across < MAX_BLURRED))
+        return replace(poses, valid=poses.valid & (across < 0.5))  # of the variance
 
     def with_noise(self, std: Array) -> 'Recording':
         """Return the recording of a tag with median standard deviations (6,) of `pose_errors`."""

@@ -21,16 +21,10 @@ from numpy.typing import ArrayLike
 
 from .trajectory import checked_stamps, frozen, NS_PER_S, PoseStream, Trajectory
 
-# A step of more than this many periods is a gap: at least one sample is missing. Jitter of the
-# stamps adds to it, as many of its standard deviations as here.
+# A step of more than this many periods is a gap: at least one sample is missing.
 GAP_PERIODS = 1.5
-GAP_DEVIATIONS = 3.0
-# Steps within this part of the period count as uniform; `savgol` allows twice as much
-# (`UNIFORMITY_TOLERANCE`), measured from the mean step instead of the period estimated here.
-COPY_TOLERANCE = 0.005
-# Number of averaged steps, and range of their mean in typical steps; a mean mostly outside shows
-# bursts: half the samples may be lost, but none comes twice.
-BURST_STEPS = 20
+# Range of the mean of steps in typical steps; a mean mostly outside shows bursts: half the
+# samples may be lost, but none comes twice.
 MEAN_RANGE = (0.8, 2.5)
 # Standard deviation of a normal distribution per median absolute deviation.
 MAD_TO_STD = 1.4826
@@ -40,9 +34,6 @@ MAX_RELATIVE_JITTER = 0.1
 
 SAMPLES_BESIDE_GAP = 30
 """Number of samples compared on both sides of a gap."""
-
-MAX_DEVIATION_RATIO = 0.8
-"""Product of the squared deviations of position and rotation below which stamps are replaced."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +80,7 @@ class Timing:
     @property
     def longest_step_ns(self) -> int:
         """Longest time between samples that is not a gap, ns."""
-        return int(NS_PER_S * (GAP_PERIODS / self.rate_hz + GAP_DEVIATIONS * self.jitter_s))
+        return int(NS_PER_S * (GAP_PERIODS / self.rate_hz + 3.0 * self.jitter_s))
 
 
 def timing(stamps_ns: Stamps) -> Timing:
@@ -122,7 +113,8 @@ def timing(stamps_ns: Stamps) -> Timing:
     period = _period(steps)
     jitter = MAD_TO_STD * float(np.median(np.abs(steps - period)))
     slots = np.maximum(np.rint(steps / period), 1.0)
-    uniform = bool(np.all(np.abs(steps / (slots * period) - 1.0) <= COPY_TOLERANCE))
+    # half of the tolerance of `savgol`
+    uniform = bool(np.all(np.abs(steps / (slots * period) - 1.0) <= 0.005))
     result = Timing(NS_PER_S / period, jitter / NS_PER_S, uniform, ())
     long = np.flatnonzero(steps > result.longest_step_ns)
     return replace(result, gaps=tuple(
@@ -181,7 +173,7 @@ def _period(steps: Stamps) -> float:
     which average that out, knows it better. Of stamps in pairs or bursts only the mean over many
     steps is the period.
     """
-    count = min(BURST_STEPS, max(len(steps) // 4, 1))
+    count = min(20, max(len(steps) // 4, 1))  # steps of a mean
     typical = _typical_value(steps)
     mean = _typical_value(np.convolve(steps, np.ones(count), 'valid')) / count
     return typical if MEAN_RANGE[0] * typical <= mean <= MEAN_RANGE[1] * typical else mean
@@ -254,7 +246,8 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
     size = max(round(recorded.rate_hz / 12.0), 8)  # samples of a polynomial
     before, after = (
         _deviation(stream, stamps, size) for stamps in (stream.stamps_ns, sampled))
-    if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < MAX_DEVIATION_RATIO:
+    # clearly smoother in position and rotation
+    if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < 0.8:
         return stream, None
     delay = (stream.stamps_ns - sampled) / NS_PER_S
     return replace(stream, stamps_ns=sampled), ArrivalStamps(

@@ -27,8 +27,6 @@ MAX_ROTATION = 0.75 * pi
 # Samples processed at a time: the working arrays stay in the processor's cache, and memory is
 # bounded.
 BLOCK = 4096
-# Quartics through exactly five poses give the twists beside gaps.
-BRIDGE_HALF_WINDOW, BRIDGE_ORDER = 2, 4
 
 
 def weights(half_window: int, order: int, rate_hz: float) -> Array:
@@ -267,7 +265,7 @@ def bridged(poses: Trajectory) -> Trajectory:
     """Return poses with gaps bridged by cubics that meet poses and twists on both sides."""
     if poses.valid.all():
         return poses
-    quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
+    quartic = savgol(poses, 2, 4)  # exactly through five poses
     valid = quartic.select(quartic.valid)
     if not len(valid):
         return poses

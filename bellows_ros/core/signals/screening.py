@@ -32,8 +32,6 @@ BACKWARD_RUN = 5
 """Consecutive backward stamps, increasing among themselves, that mean a clock set back."""
 
 LEAP_NS = 20_000_000
-LEAP_PERIODS = 4
-"""Lead (periods) over earlier stamps relative to arrival that makes a stamp a leap."""
 
 
 class PoseSample(NamedTuple):
@@ -131,7 +129,7 @@ class StampScreen:
         if step_ns > LONGEST_GAP_NS:
             return self._accepted > 0 and 2 * lead_ns > step_ns
         return self._accepted >= 10 and (
-            lead_ns > max(LEAP_NS, LEAP_PERIODS * self.period_ns))
+            lead_ns > max(LEAP_NS, 4 * self.period_ns))
 
     def _judge_backward(self, stamp_ns: int) -> str:
         """Refuse stamps that go back until this persists."""

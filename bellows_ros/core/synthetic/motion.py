@@ -23,7 +23,6 @@ HOLD_MOVE = 1.0
 """Time (s) in which an oscillation fades into its hold."""
 
 MOTION_KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
-TRANSLATION_AXES = ('x', 'y', 'z')
 
 MAX_DURATION = 3600.0
 """Longest motion, s."""
@@ -383,7 +382,7 @@ def _sines(settings: Settings) -> list[tuple[float, ...]]:
     parts = list[tuple[float, ...]]()
     for offset, name, unit in ((0, 'position', 'm'), (3, 'rotation', 'rad')):
         block = settings.block(name)
-        for index, axis in enumerate(TRANSLATION_AXES):
+        for index, axis in enumerate(('x', 'y', 'z')):
             lines, default = block.block(axis), () if axis not in block else None
             amplitude = lines.numbers('amplitude', unit, default=default)
             frequency = lines.numbers(

@@ -11,8 +11,6 @@ from bellows_ros.core.model.kernels import PackageTuple, State
 
 ROTATION_PER_STEP, MAX_FLIGHT_STEP = 0.01, 0.02
 """Rotation (rad) per integration step of the flight, and the longest step (s)."""
-MIN_FLIGHT_STEP = 1e-5
-"""The shortest step (s): whatever turns faster is no package."""
 COARSE_ROTATION_PER_STEP = 0.1
 """As `ROTATION_PER_STEP`, where 0.01 mrad is accurate enough, as of a landing."""
 
@@ -98,7 +96,8 @@ def _body_rate_after(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> V
 def flight_step(body: State, rotation_per_step: float) -> float:
     """Return how long (s) a step of the flight may be."""
     rate = math.sqrt(t3.dot(body[3], body[3]))
-    return max(MIN_FLIGHT_STEP, min(MAX_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
+    # whatever turns faster is no package
+    return max(1e-5, min(MAX_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
 
 
 @kernel

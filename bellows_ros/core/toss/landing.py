@@ -29,8 +29,6 @@ EXTRAPOLATION = 2.0
 """Relative growth of the law's standard deviations per factor e of mass beyond its range, from
 real drops of lighter and heavier packages (docs/toss.md)."""
 
-SCAN = 4e-3
-"""Spacing of the release times in the scan, s."""
 TOLERANCE = 1e-6
 """Accuracy of the best release time, s."""
 
@@ -227,7 +225,7 @@ class Aim(NamedTuple):
 
 def aim(
     held: HeldMotion, release: Release, target: tuple[float, float], rotation: Array | None = None,
-    until: float = math.inf, scan: float = SCAN, candidates: int = CANDIDATES,
+    until: float = math.inf, scan: float = 4e-3, candidates: int = CANDIDATES,
 ) -> Aim:
     """
     Return the time of the valve with which the package lands nearest to a target.

@@ -36,9 +36,6 @@ import numpy as np
 MAX_RELEASE_WAIT = 2.0
 """Longest time (s) from the valve to letting go."""
 
-MAX_HELD_STEPS = 1_000_000
-"""Most steps of the package held along a plan, each of which is kept."""
-
 RELEASE_NAMES = tuple(f'release.{name}' for name in (
     'delay', 'tau', 'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking'))
 """The numbers of the law of release, in the order of `Law`."""
@@ -47,12 +44,6 @@ LAW_STEP = 0.1
 DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(RELEASE_NAMES)
 """Steps of differences by shift (m), rotation (rad), linear and angular twist (m/s, rad/s), and by
 the numbers of the law of release (standard deviations)."""
-
-OPENING_STEP = 1e-3
-"""Longest integration step (s) of a cup that opens."""
-
-MAX_TAUS = 6.0
-"""A cup that does not open lets go within the delay and this many tau."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
 """Stands for an unknown radius or vacuum: the cup lets go after the delay, or at the suction with
@@ -211,7 +202,7 @@ def find_release(
     """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
     model, grip, release, switched = switching
     law, (rows, seconds, until, max_step) = release.law, ahead
-    max_step = min(max_step, OPENING_STEP) if law[5] > 0.0 else max_step
+    max_step = min(max_step, 1e-3) if law[5] > 0.0 else max_step  # s
     above = -1.0  # margin of the suction, not computed before the valve
     for k in range(len(seconds) + 1):
         if start >= until:
@@ -393,7 +384,7 @@ class HeldMotion:
         self._longest = equilibrium.largest_step(model)
         durations = np.diff(starts[:count])
         counts = equilibrium.substeps_of(durations, self._longest)
-        simulation.require_steps(float(counts.sum()), MAX_HELD_STEPS)
+        simulation.require_steps(float(counts.sum()), 1_000_000)  # each is kept
         start = start or simulation.steady_start(model, tool)
         self.start = start = equilibrium.adapted(model, row_state(rows[0]), start)
         size = int(counts.sum()) + 1
@@ -542,7 +533,7 @@ def latest_release(law: Law) -> float:
     delay, tau, _, blow_off, _, opening, _, sticking = law
     if opening > 0.0 and blow_off > sticking:
         return delay + tau * math.log((1.0 + blow_off) / (blow_off - sticking))
-    return delay + MAX_TAUS * tau
+    return delay + 6.0 * tau  # the suction is then 0.2 %
 
 
 def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:

@@ -36,31 +36,12 @@ import numpy as np
 MIN_DROPS = 3
 """Minimum number of drops."""
 
-FREE_FALL_BELOW = 3.0
-"""Specific force below which a package falls, m/s^2."""
-MIN_FALL = 0.012
-"""Minimum duration of a fall, s."""
-
-IMPACT_ACCELERATION = 80.0
-"""Specific force of a landing, above the 30 m/s^2 of a cup that opens, m/s^2."""
-
-TIME_BEFORE_VALVE = 0.15
-"""Duration before the valve that is part of a drop, s."""
 TIME_AFTER_FALL = 0.3
 """Duration after the beginning of the fall that is part of a drop, s."""
 
-MAX_FALL_DELAY = 1.0
-"""Longest time from the valve to the fall, s."""
-MAX_START_DELAY = 0.01
-"""Longest time from the valve to the first pose, s."""
-
 REST_TOLERANCE = (1e-3, 0.01)
 """Largest displacement and rotation of a body at rest, m and rad."""
-RECOIL_FACTOR = 3.0
-"""Multiple of `REST_TOLERANCE` for a tool at rest, which recoils as the package parts."""
 
-WINDOW = 1.0 / 60.0
-"""Half the duration of the polynomials that give velocities, s."""
 ORDER = 3
 """Order of the polynomials that give velocities."""
 
@@ -72,8 +53,6 @@ VELOCITY_SCALE = 40.0
 PRIOR_SCATTER = {0: 2.5e-3, 2: 0.01}
 """Prior standard deviation between drops of the delay (s) and of the impulse (N s), by index."""
 
-OFFSET_STD = np.repeat([1e-3, 0.02], 3)
-"""Prior standard deviations of the package's pose on the lip, m and rad."""
 STATE_STD = np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
 """Prior standard deviations of the first state: pose and twist, m, rad, m/s and rad/s."""
 
@@ -105,12 +84,8 @@ MAX_RELATIVE_STD, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 
 """A number is identifiable if its standard error is less than this part of it, or of one that is
 small; one that is given without a standard deviation is exact to this part."""
 
-FIRST_DROPS = 12
-"""Approximate number of drops from which the kind of law is chosen."""
 MAX_ITERATIONS = 20
 """Maximum number of Gauss-Newton steps of a fit."""
-STATE_UPDATE_STEPS = 5
-"""Number of steps after which the derivatives by the state of a drop are computed anew."""
 
 MAX_NUISANCE = 30.0
 """Largest nuisance parameter of a drop, in prior standard deviations."""
@@ -317,7 +292,8 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
         raise UndeterminedError(
             f'The release needs {MIN_DROPS} or more usable drops, got {len(drops)}. Record more.')
     has_grip = drops[0].grip[1] > 0.0
-    subset = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // FIRST_DROPS)]
+    # about 12 drops choose the kind of law
+    subset = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // 12)]
     fall = float(np.median([_fall(drop) - drop.valve for drop in subset]))
     closed = np.array(given)
     closed[[0, 1]] = (max(fall - 0.02, 1e-3), 0.01) if has_grip else (fall, 0.0)
@@ -393,7 +369,7 @@ def _fall(drop: Drop) -> float:
 
 def half_window(seconds: Array) -> int:
     """Return half the samples that a velocity is taken from, of samples at times (s)."""
-    return max(2, round(WINDOW / float(np.median(np.diff(seconds)))))
+    return max(2, round(1.0 / 60.0 / float(np.median(np.diff(seconds)))))  # s
 
 
 def _derivative(values: Array, seconds: Array, order: int, ends: Any) -> Array:
@@ -424,11 +400,11 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
     n = half_window(seconds)
     if len(seconds) > 2 * n:
         felt = np.linalg.norm(_derivative(position, seconds, 2, 'edge') - gravity, axis=1)
-        impact = np.flatnonzero(felt > IMPACT_ACCELERATION)
-        free = felt[:max(impact[0] - n, 0) if len(impact) else None] < FREE_FALL_BELOW
+        impact = np.flatnonzero(felt > 80.0)  # m/s^2; a cup that opens has 30
+        free = felt[:max(impact[0] - n, 0) if len(impact) else None] < 3.0  # m/s^2
         edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0)).reshape(-1, 2)
         for first, end in edges[::-1]:
-            if seconds[end - 1] - seconds[first] >= MIN_FALL:
+            if seconds[end - 1] - seconds[first] >= 0.012:  # s
                 return int(first), int(end - 1)
     raise UndeterminedError('no tracked fall follows')
 
@@ -625,7 +601,7 @@ class _DropFit:
         """Return errors over their sizes, and the nuisance parameters, which are to be small."""
         errors = self.drop.errors(self._predicted(law, nuisance)[1])
         if self.drop.stands:
-            errors[[0, 1, 2, 6, 7, 8]] -= (OFFSET_STD * nuisance[-6:])[:, None]
+            errors[[0, 1, 2, 6, 7, 8]] -= (np.repeat([1e-3, 0.02], 3) * nuisance[-6:])[:, None]
         return np.concatenate([
             np.nan_to_num(errors / self.sizes, nan=1e6).clip(-1e6, 1e6).ravel(), nuisance])
 
@@ -639,7 +615,7 @@ class _DropFit:
             changed = law + 1e-3 * SCALES * np.eye(8)[k]
             J[:, i] = (self.residuals(changed, self.nuisance) - residuals) / 1e-3
         J[:, n:n + scatter_count] = J[:, :n] @ (self._scatter / SCALES[:, None])[list(self.free)]
-        if self._count % STATE_UPDATE_STEPS == 0:
+        if self._count % 5 == 0:  # derivatives by the state hardly change
             self._by_state = np.transpose([
                 (self.residuals(law, self.nuisance + change) - residuals) / 1e-3
                 for change in 1e-3 * np.eye(m)[scatter_count:]])
@@ -706,7 +682,7 @@ def drops_of(
     """
     drops, left_out = list[Drop](), list[str]()
     for number, valve_ns in enumerate(valves_ns):
-        later_ns = valve_ns + round((MAX_FALL_DELAY + TIME_AFTER_FALL) * NS_PER_S)
+        later_ns = valve_ns + round((1.0 + TIME_AFTER_FALL) * NS_PER_S)  # a fall begins within 1 s
         until_ns = min([later_ns, *valves_ns[number + 1:number + 2]])
         try:
             drops.append(_drop(recording, model, grip or NO_GRIP, valve_ns, until_ns))
@@ -723,7 +699,7 @@ def _drop(
     package = _tracked(recording.aligned_package, valve_ns, until_ns)
     tool = _tracked(recording.aligned_tool, valve_ns, int(package.stamps_ns[-1]))
     before = slice(0, max(int(np.searchsorted(package.stamps_ns, valve_ns)), 1))
-    stands = _stands(tool, RECOIL_FACTOR) and _stands(package.select(before))
+    stands = _stands(tool, 3.0) and _stands(package.select(before))  # it recoils
     if not stands:  # the tool is measured at the common stamps
         package = _tracked(recording.measured_package, valve_ns, until_ns)
     after = int(np.searchsorted(package.stamps_ns, valve_ns))
@@ -752,11 +728,12 @@ def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
     """Return poses from before a valve to a stamp, as far as none is missing."""
     stamps_ns = poses.stamps_ns
     at, end = (int(np.searchsorted(stamps_ns, ns)) for ns in (valve_ns, until_ns))
-    begin = int(np.searchsorted(stamps_ns, valve_ns - round(TIME_BEFORE_VALVE * NS_PER_S)))
+    # s before the valve
+    begin = int(np.searchsorted(stamps_ns, valve_ns - round(0.15 * NS_PER_S)))
     wrong = np.flatnonzero(~poses.valid)
     begin = max([begin, *(wrong[wrong < at][-1:] + 1)])
     end = min([end, *wrong[wrong >= at][:1]])
-    if begin >= end or (stamps_ns[begin] - valve_ns) / NS_PER_S > MAX_START_DELAY:
+    if begin >= end or (stamps_ns[begin] - valve_ns) / NS_PER_S > 0.01:  # s
         raise UndeterminedError('tool or package was not tracked then')
     return poses.select(slice(begin, end))
 
