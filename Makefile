@@ -52,16 +52,12 @@ bench-quick: $(VENV)/ready  ## whether something takes twice as long as it shoul
 	@$(BIN)/python -m benchmarks.quick
 
 .PHONY: test-long
-test-long: $(VENV)/ready  ## run what is too much for the suite: repetitions, all short benchmarks
+test-long: $(VENV)/ready  ## run what is too much for the suite: repetitions, damaged files, all short benchmarks
 	@$(BIN)/python -m pytest -m stress $(ARGS)
 
 .PHONY: mutants
 mutants: $(VENV)/ready  ## change 40 lines of core at random, and print the changes that no test notices
 	@$(BIN)/python -m test.mutants $(ARGS)
-
-.PHONY: stress
-stress: $(VENV)/ready  ## damage files, kill writers, fill disks, attack nodes for an hour, or ARGS='--minutes 5'
-	@$(BIN)/python -m test.stress $(ARGS)
 
 .PHONY: lint
 lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict, hadolint

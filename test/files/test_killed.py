@@ -1,13 +1,18 @@
 """A process that is killed at any moment leaves whole outputs, or none."""
 
+from contextlib import contextmanager
 import json
 from pathlib import Path
+import resource
+import signal
 import subprocess
 import sys
 
+from bellows_ros.errors import BellowsError
 import pytest
 
 from . import killed_writers
+from .killed_writers import content, whole, WRITERS
 
 ROOT = Path(__file__).parents[2]
 KILLS = 6  # of each kind
@@ -17,7 +22,7 @@ pytestmark = pytest.mark.timeout(400)
 
 @pytest.fixture(scope='module')
 def killed(tmp_path_factory):
-    """Kill writers of every kind, and provide what they left; `make stress` does more."""
+    """Kill writers of every kind, and provide what they left."""
     folder = str(tmp_path_factory.mktemp('k'))
     done = subprocess.run(
         [sys.executable, '-m', killed_writers.__name__, folder, '7', str(KILLS)],
@@ -40,3 +45,31 @@ def test_kills_leave_nothing_torn(killed):
 
 def test_the_kills_find_what_is_written_carelessly(killed):
     assert killed['careless'].get('torn', 0) >= 1, killed['careless']
+
+
+@contextmanager
+def room_for(size):
+    """Let no file grow beyond a size, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize('is_replaced', [False, True])
+@pytest.mark.parametrize('name', [name for name in WRITERS if name != 'careless'])
+def test_a_full_disk_leaves_the_old_output_or_none(name, is_replaced, tmp_path):
+    contents, _ = whole(tmp_path, name)
+    for size in (0, 100, max(map(len, contents[1].values())) - 1):
+        place = tmp_path / f'{size}'
+        place.mkdir()
+        if is_replaced:
+            WRITERS[name](place / name, 0)
+        with pytest.raises(BellowsError, match='cannot be written'), room_for(size):
+            WRITERS[name](place / name, 1)
+        assert content(place / name) == (contents[0] if is_replaced else None)
+        assert [path.name for path in place.iterdir()] == [name] * is_replaced

@@ -1,12 +1,6 @@
-"""Plans as `ros2 topic echo` prints them, and damages of them."""
+"""Plans as `ros2 topic echo` prints them."""
 
-from copy import deepcopy
 import json
-
-BAD = (
-    float('inf'), float('nan'), -1, 2**31, 2**62, 2**63, 10**400, 1e308, -1e308, 0.5, True, None,
-    '', 'x', '1e5', [], [[]], {})
-"""What stands in place of something."""
 
 
 def cartesian(times_ns, poses, twists):
@@ -43,26 +37,3 @@ def plan_messages(count=4):
             'positions': [pose['translation']['x'], 0.0, 0.0], 'velocities': [],
             'accelerations': [], 'effort': [], 'time_from_start': at,
         } for pose, at in zip(poses, times, strict=True)]}}))
-
-
-def places_in(content, keys=()):
-    """Yield the keys that lead to each part of nested content; of points only the third's."""
-    if keys:
-        yield keys
-    parts = content.items() if isinstance(content, dict) else (
-        enumerate(content) if isinstance(content, list) else ())
-    for key, part in parts:
-        if len(keys) != 1 or key in (2, 'stamp', 'frame_id'):
-            yield from places_in(part, (*keys, key))
-
-
-def damaged_at(content, keys, value):
-    """Return content with a value in place of a part of it, or without that part."""
-    found = part = deepcopy(content)
-    for key in keys[:-1]:
-        part = part[key]
-    if value is ...:
-        del part[keys[-1]]
-    else:
-        part[keys[-1]] = value
-    return found

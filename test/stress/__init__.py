@@ -1,1 +1,0 @@
-"""Damage, kills and full disks for as long as one likes: `python -m test.stress --minutes 5`."""

@@ -1,0 +1,259 @@
+"""Damaged and hostile files of every reader: refused in words, or read with finite numbers."""
+
+from functools import partial
+import json
+import math
+
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.signals.trajectory import PoseStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import safe_yaml
+from bellows_ros.files.bag_writer import as_messages, write_bag
+from bellows_ros.files.bags import read_contents, topics
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
+from bellows_ros.files.trajectory_files import read_motive, read_tum
+from bellows_ros.workflows.compare import compare_files
+from bellows_ros.workflows.identification import save
+from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.info import info
+from bellows_ros.workflows.plan import read_plan
+from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
+import pytest
+
+from ..core.planning.test_arm import URDF
+from ..files.yaml_plans import plan_messages
+
+POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
+PERIOD_NS = 10_000_000
+STAMPS = 1_760_000_000_000_000_000 + PERIOD_NS * np.arange(60)
+ROLES = {'tool_pose': '/tool', 'package_pose': '/box', 'tool_twist': '/twist'}
+ATTEMPTS = 20  # of each seed
+VALUES = (
+    math.nan, math.inf, -1, 0, 10**30, 1e308, -1e-320, None, True, '', [], {}, [[1.0]], [1] * 500,
+    'a' * 5000, '9' * 400, "'", '\0', '\x1b[2J', ' ', '\n', '#', '&a', '*a', '1:30', 'sqlite3',
+    'FILE', '/etc/passwd', ['../bag.mcap'], '\u202e', '\U0001f600')
+
+pytestmark = pytest.mark.timeout(600)
+of_seeds = pytest.mark.parametrize('seed', [
+    0, *(pytest.param(seed, marks=pytest.mark.stress) for seed in range(1, 40))])
+
+
+def refused(named, read, *arguments):
+    """Return whether a file is refused, in words that name something."""
+    try:
+        read(*arguments)
+    except BellowsError as error:
+        assert 10 < len(str(error)) < 3000 and named in str(error)
+        return True
+    return False
+
+
+def damaged(rng, whole):
+    """Return bytes with a few bits turned, or a block of them overwritten, lost or doubled."""
+    data = bytearray(whole)
+    at, size = int(rng.integers(len(data))), int(rng.integers(1, 400))
+    kind = rng.integers(5)
+    if kind == 0:
+        for place in rng.integers(len(data), size=rng.integers(1, 20)):
+            data[place] ^= 1 << rng.integers(8)
+    elif kind == 1:
+        data[at:at + size] = rng.bytes(len(data[at:at + size]))
+    elif kind == 2:
+        del data[at:at + size]
+    elif kind == 3:
+        data[at:at] = data[at:at + size]
+    else:
+        del data[at:]
+    return bytes(data)
+
+
+def replaced(rng, content):
+    """Replace some value in nested content, or leave it out; return the content."""
+    if not isinstance(content, dict | list) or not content or rng.random() < 0.1:
+        return VALUES[rng.integers(len(VALUES))]
+    keys = list(content) if isinstance(content, dict) else range(len(content))
+    key = keys[rng.integers(len(keys))]
+    if rng.random() < 0.1:
+        del content[key]
+    else:
+        content[key] = replaced(rng, content[key])
+    return content
+
+
+def scrambled(rng, text, nested):
+    """Return a text with a value or words of it replaced, or with its bytes damaged."""
+    if nested and rng.random() < 0.5:
+        return json.dumps(replaced(rng, json.loads(nested)))
+    if rng.random() < 0.3:
+        return damaged(rng, text.encode()).decode(errors='replace')
+    cells = text.split(' ')
+    for _ in range(rng.integers(1, 4)):
+        other = (str(VALUES[rng.integers(len(VALUES))]), cells[rng.integers(len(cells))])
+        cells[rng.integers(len(cells))] = other[rng.integers(2)]
+    return ' '.join(cells)
+
+
+def require_finite(found):
+    """Require numbers in nested content to be finite."""
+    if isinstance(found, dict | list | tuple):
+        for item in found.values() if isinstance(found, dict) else found:
+            require_finite(item)
+    assert not isinstance(found, float) or math.isfinite(found)
+
+
+def recorded():
+    """Return topic, type, stamps and values of a tool, a package below it, and a twist."""
+    t = 1e-9 * (STAMPS - STAMPS[0])
+    angle = 0.3 * (1.0 - np.cos(3.0 * t))
+    poses = np.column_stack([
+        0.1 * np.sin(4.0 * t), 0.1 * np.cos(3.0 * t), 1.0 + 0.0 * t, 0.0 * t, 0.0 * t,
+        np.sin(angle / 2), np.cos(angle / 2)])
+    return (
+        ('/tool', POSE, STAMPS, poses),
+        ('/box', POSE, STAMPS, poses - [0.0, 0.0, 0.08, 0.0, 0.0, 0.0, 0.0]),
+        ('/twist', TWIST, STAMPS, np.gradient(poses[:, :6], t, axis=0)))
+
+
+def arrays(stream):
+    """Return stamps and numbers of a stream."""
+    names = ('position', 'rotation') if isinstance(stream, PoseStream) else ('linear', 'angular')
+    return [stream.stamps_ns, *(getattr(stream, name) for name in names)]
+
+
+def read_again(bag, good, has_checksums):
+    """Read a recording: finite, counted, and with checksums never changed without a word."""
+    found = read_contents(bag, ROLES)
+    counted = {topic.name: topic.messages for topic in topics(bag)}
+    info(bag)
+    lost = 0
+    for role, stream in found.streams.items():
+        left_out = sum(map(len, stream.refused.values()))
+        assert len(stream) + left_out == counted[ROLES[role]]
+        assert all(np.all(np.isfinite(array)) for array in arrays(stream))
+        assert np.all(np.diff(stream.stamps_ns) > 0)
+        lost += left_out
+    if has_checksums and not (found.notes or found.problems or lost):
+        for role in ROLES:
+            pairs = zip(arrays(found.streams[role]), arrays(good.streams[role]), strict=True)
+            assert all(np.array_equal(*pair) for pair in pairs)
+
+
+@of_seeds
+@pytest.mark.parametrize('zstd', [False, True])
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_damaged_recordings(storage, zstd, seed, tmp_path):
+    """Damage the storage, which has checksums in MCAP, and then the metadata."""
+    rng, bag = np.random.default_rng(seed), tmp_path / 'bag'
+    write_bag(bag, [as_messages(*own) for own in recorded()], storage, zstd)
+    (stored,) = (path for path in bag.iterdir() if path.suffix != '.yaml')
+    sound, good = stored.read_bytes(), read_contents(bag, ROLES)
+    for _ in range(ATTEMPTS):
+        stored.write_bytes(damaged(rng, sound))
+        refused(str(bag), read_again, bag, good, storage == 'mcap')
+    stored.write_bytes(sound)
+    file = bag / 'metadata.yaml'
+    text = file.read_text()
+    nested = json.dumps(safe_yaml.load(file))
+    for _ in range(ATTEMPTS):
+        file.write_text(scrambled(rng, text, nested), errors='replace')
+        refused(str(bag), read_again, bag, good, storage == 'mcap')
+
+
+STRANGE = {
+    'in pairs': lambda rng, s: s // (2 * PERIOD_NS) * 2 * PERIOD_NS + np.arange(len(s)) % 2 * 1000,
+    'in bursts': lambda rng, s: np.maximum.accumulate(s + rng.choice([0, 90_000_000], len(s))),
+    'jittering': lambda rng, s: s + rng.integers(0, 3 * PERIOD_NS, len(s)),
+    'some ahead': lambda rng, s: s + rng.choice([0, 0, 0, 5_000_000_000], len(s)),
+    'set back': lambda rng, s: s - (np.arange(len(s)) > rng.integers(len(s))) * 2_000_000_000,
+    'repeated': lambda rng, s: s // (3 * PERIOD_NS) * 3 * PERIOD_NS,
+    'anything': lambda rng, s: rng.integers(0, 2**62, len(s)),
+    'three': lambda rng, s: s[:3] + rng.integers(0, 10**10, 3)}
+
+
+@of_seeds
+@pytest.mark.parametrize('stamps', STRANGE)
+def test_strange_stamps_and_values(stamps, seed, tmp_path):
+    """Describe and prepare what a faulty driver records."""
+    rng = np.random.default_rng(seed)
+    values = resolve({
+        'topics.tool_pose': '/tool', 'topics.package_pose': '/box', 'cup.length': 0.05,
+        'topics.tool_twist': '/twist', 'package.mass': 2.0, 'package.com': (0.0, 0.0, -0.03),
+        'package.inertia': (0.01, 0.01, 0.01, 0.0, 0.0, 0.0), 'recording.package_frame': 'com'})
+
+    def prepare(bag):
+        format_json(info(bag).as_json())
+        found = load(bag, values)
+        for body in (found.tool, found.package):
+            assert all(np.all(np.isfinite(x)) for x in (body.position, body.rotation, body.twist))
+
+    for number in range(2):
+        bag, messages = tmp_path / f'bag{number}', []
+        for topic, kind, good_stamps, good in recorded():
+            strange_ns = np.asarray(STRANGE[stamps](rng, good_stamps))
+            some, rows = good[:len(strange_ns)].copy(), rng.integers(len(strange_ns), size=5)
+            some[rows, rng.integers(some.shape[1])] = rng.choice([np.nan, np.inf, 0.0, 1e300])
+            messages.append(as_messages(
+                topic, kind, strange_ns, some, ('world', '', 'x' * 3000)[rng.integers(3)]))
+        write_bag(bag, messages)
+        refused('', prepare, bag)
+
+
+TUM = '# time x y z qx qy qz qw\n' + ''.join(
+    f'{1.7e9 + 0.01 * k:.4f} 0.1 0.2 {0.3 + 1e-3 * k:.4f} 0 0 0 1\n' for k in range(30))
+MOTIVE = (
+    'Format Version,1.23,Take Name,x,Capture Start Time,2021-05-11 02.31.05.250 PM,'
+    'Rotation Type,Quaternion,Length Units,Meters,Coordinate Space,Global\n\n'
+    ',Type' + ',Rigid Body' * 7 + '\n,Name' + ',box' * 7 + '\n,ID' + ',1' * 7 + '\n'
+    ',' + ',Rotation' * 4 + ',Position' * 3 + '\nFrame,Time (Seconds),X,Y,Z,W,X,Y,Z\n'
+    + ''.join(f'{k}, {0.01 * k}, 0, 0, 0, 1, {1e-3 * k}, 1, 2\n' for k in range(30)))
+
+
+def plan_in(file):
+    """Read a plan, also of joints, and return its positions."""
+    urdf = file.with_name('arm.urdf')
+    urdf.write_text(URDF)
+    return read_plan(file, resolve({'tool_link': 'tool'}), str(urdf)).tool.position.tolist()
+
+
+def simulated(root, file):
+    """Simulate a motion file, and return the positions that are recorded."""
+    out = file.with_name('out')
+    simulate_recording(
+        read_parameters(root / 'bags/cup.yaml'), safe_yaml.load(file), out, replace=True)
+    stream = read_contents(out, {'tool_pose': '/tool_arm/pose'}).streams['tool_pose']
+    return stream.position.tolist()
+
+
+@pytest.fixture(scope='module')
+def texts(root, tmp_path_factory):
+    """Give text and reader of each kind of file."""
+    fit = tmp_path_factory.mktemp('fit') / 'whole.json'
+    save(identify({
+        **read_parameters(root / 'bags/package.yaml'), 'fit.method': 'least_squares',
+        'bags': [str(root / 'bags/validation')]}), None, fit)
+    return {
+        'motion.tum': (TUM, read_tum), 'take.csv': (MOTIVE, read_motive),
+        'predictor.yaml': ((root / 'config/predictor.yaml').read_text(), read_parameters),
+        'cup.yaml': ((root / 'bags/cup.yaml').read_text(), read_parameters),
+        **{f'{kind}.yaml': (json.dumps(plan), plan_in) for kind, plan in plan_messages().items()},
+        'motion.yaml': ((root / 'bags/static.yaml').read_text(), partial(simulated, root)),
+        'fit.json': (fit.read_text(), lambda file: json.dumps(
+            compare_files(fit, file).as_json(), default=list))}
+
+
+@of_seeds
+@pytest.mark.parametrize('name', [
+    'motion.tum', 'take.csv', 'predictor.yaml', 'cup.yaml', 'multi.yaml', 'path.yaml',
+    'joints.yaml', 'motion.yaml', 'fit.json'])
+def test_scrambled_texts(name, seed, texts, tmp_path):
+    """Tables, parameters, plans, motions and results of a fit."""
+    (text, read), rng, file = texts[name], np.random.default_rng(seed), tmp_path / name
+    file.write_text(text)
+    read(file)
+    nested = json.dumps(safe_yaml.load(file)) if file.suffix in ('.yaml', '.json') else ''
+    for _ in range(5 if name == 'motion.yaml' else ATTEMPTS):
+        file.write_text(scrambled(rng, text, nested), errors='replace')
+        refused('', lambda: require_finite(read(file)))
