@@ -25,14 +25,8 @@ from bellows_ros.core.signals.screening import PoseSample, why_no_pose
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.signals.transforms import Chain
 from bellows_ros.errors import BellowsError, shown
-from bellows_ros.files import File, plan_messages, read_text, safe_yaml
+from bellows_ros.files import bags, File, plan_messages, read_text, safe_yaml
 from bellows_ros.files.bag_folder import Channel
-from bellows_ros.files.bags import (
-    decoded,
-    DISPLAY_TRAJECTORY,
-    messages_of,
-    ROBOT_TRAJECTORY,
-)
 from bellows_ros.files.plan_messages import JointPlan, MULTI_DOF, ns_of, PATH, PlanMessage
 import numpy as np
 
@@ -59,8 +53,8 @@ def read_transforms(path: File) -> list[Transform]:
 
     """
     transforms, parents = list[Transform](), dict[str, str]()
-    for topic, _, data in messages_of(path, (TF,)):
-        for each in decoded(data, TF).transforms:
+    for topic, _, data in bags.messages_of(path, (TF,)):
+        for each in bags.decoded(data, TF).transforms:
             child, parent = (name.lstrip('/') for name in (
                 each.child_frame_id, each.header.frame_id))
             if parents.setdefault(child, parent) != parent:
@@ -146,7 +140,7 @@ def _frames_to_root(parents: Mapping[str, str], frame: str, of: str) -> list[str
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
-PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, ROBOT_TRAJECTORY, DISPLAY_TRAJECTORY)
+PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, bags.ROBOT_TRAJECTORY, bags.DISPLAY_TRAJECTORY)
 """Types of messages that are plans."""
 
 
@@ -168,7 +162,7 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
         """Return the plans in a message."""
         if channel.type_name == MULTI_DOF:
             return [plan_messages.decode_multi_dof(data)]
-        message = decoded(data, channel.type_name, channel.definition)
+        message = bags.decoded(data, channel.type_name, channel.definition)
         if channel.type_name in (PATH, JOINTS):
             read = path_points if channel.type_name == PATH else plan_messages.joint_plan
             return [read(message)]
@@ -179,7 +173,7 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
                 f'The definition of {channel.type_name} in the recording has no field '
                 f"'{error.name}'. Record the plan as a JointTrajectory.") from None
 
-    return [(channel.name, plan) for channel, _, data in messages_of(path, PLAN_TYPES, topic)
+    return [(channel.name, plan) for channel, _, data in bags.messages_of(path, PLAN_TYPES, topic)
             for plan in plans_of(channel, data)]
 
 
@@ -264,7 +258,7 @@ def recorded_joints(path: File, arm: Arm) -> PlanMessage:
         If there are none, or they lack a joint of the arm.
 
     """
-    messages = [decoded(data, STATES) for _, _, data in messages_of(path, (STATES,))]
+    messages = [bags.decoded(data, STATES) for _, _, data in bags.messages_of(path, (STATES,))]
     useful = [m for m in messages if set(arm.moving) <= set(m.name)
               and len(m.position) == len(m.name)]
     if not useful:
@@ -327,9 +321,9 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
     if urdf:
         return read_arm(read_text(urdf, 2**26, 'URDF'), tool_link)
     if recording:
-        for topic, _, data in messages_of(recording, (DESCRIPTION,)):
+        for topic, _, data in bags.messages_of(recording, (DESCRIPTION,)):
             if topic.name.endswith('robot_description'):
-                return read_arm(decoded(data, DESCRIPTION).data, tool_link)
+                return read_arm(bags.decoded(data, DESCRIPTION).data, tool_link)
     raise NoArmError(
         'Joints are given, and the arm is not: there is no /robot_description. Give its urdf.')
 

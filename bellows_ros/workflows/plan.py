@@ -16,16 +16,8 @@ from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, model_tuple
 from bellows_ros.core.model.grip import Grip, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.checks import with_chosen_cup
-from bellows_ros.core.parameters.conversion import (
-    cup_of,
-    grip_of,
-    package_of,
-    parameter_envelope,
-    tip_of,
-    uncertain_of,
-)
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.limits import Fastest, fastest
 from bellows_ros.core.planning.plan_prediction import MAX_TAIL, PlanPrediction, PlanSimulation
@@ -118,12 +110,13 @@ class Source:
     @cached_property
     def model(self) -> ModelTuple:
         """Cup, package and gravity, as the kernels take them."""
-        return model_tuple(cup_of(self.values), package_of(self.values), self.gravity)
+        values = self.values
+        return model_tuple(conversion.cup_of(values), conversion.package_of(values), self.gravity)
 
     @cached_property
     def grip(self) -> Grip | None:
         """Grip of the cup; None if unknown."""
-        return grip_of(self.values)
+        return conversion.grip_of(self.values)
 
 
 class Curves(NamedTuple):
@@ -290,9 +283,9 @@ def plan(
                 'The shortest safe time cannot be found, because the plan begins or ends in '
                 'motion. Give a plan from rest to rest.')
         shortest = fastest(
-            uncertain_of(values), model, grip, source.tool, float(values.safety.least))
+            conversion.uncertain_of(values), model, grip, source.tool, float(values.safety.least))
     outside = prediction.outside(
-        parameter_envelope(values), values.package.mass, values.vacuum.holding)
+        conversion.parameter_envelope(values), values.package.mass, values.vacuum.holding)
     return PlanReport(source, prediction, std, outside, shortest, seek_fastest)
 
 
@@ -300,7 +293,7 @@ def _deviations(
     values: Values, model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> Array:
     """Return the standard deviations of a function of the model; 0 if all parameters are exact."""
-    _, parts = contributions(uncertain_of(values), model, compute)
+    _, parts = contributions(conversion.uncertain_of(values), model, compute)
     return np.asarray(np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(model))
 
 
@@ -400,7 +393,7 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
         return _source_of_plan(plans.plan_in_yaml(content, os.fspath(file)), values, urdf, '')
     if file.suffix.lower() in TEXT:
         tool = plan_of(*read_tum(file), name=f"'{file}'").trajectory()
-        return Source(at_tip(tool, tip_of(values)), '')
+        return Source(at_tip(tool, conversion.tip_of(values)), '')
     read = plans.plans_in(file, topic)
     if read:
         notes = ([f"'{file}' has {len(read)} plans; using the first, on {read[0][0]}."]
@@ -416,14 +409,14 @@ def _source_of_plan(
     """Return a plan of points of the tool or of an arm's joints."""
     stamps = read.times_ns + (read.stamp_ns or START_NS)
     if isinstance(read, plan_messages.JointPlan):
-        arm = plans.arm_of(urdf, values.tool_link, recording).with_tip(tip_of(values))
+        arm = plans.arm_of(urdf, values.tool_link, recording).with_tip(conversion.tip_of(values))
         tool, joints = plan_of_joints(arm, read.names, stamps, *read[4:])
         return Source(tool, arm.root, joints=joints)
     tool = plan_of(stamps, read.poses, read.twists, read.accelerations,
                    values.tool_twist.frame).trajectory()
     moves = (*read.names, '')[0]
     if moves != values.frames.package:
-        tool = at_tip(tool, tip_of(values))
+        tool = at_tip(tool, conversion.tip_of(values))
     return Source(tool, read.frame_id, moves=moves)
 
 
@@ -470,9 +463,9 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
         name = f"Poses '{poses.name}'"
         motion, rates, axes = _with_rates(
             motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
-    tool = at_tip(_checked_motion(motion, rates, axes, name), tip_of(values))
+    tool = at_tip(_checked_motion(motion, rates, axes, name), conversion.tip_of(values))
     return Source(tool, poses.frame_id, contents.notes,
-                  recorded=at_tip(poses.trajectory(), tip_of(values)))
+                  recorded=at_tip(poses.trajectory(), conversion.tip_of(values)))
 
 
 def with_fitted_start(
@@ -584,7 +577,7 @@ def write_prediction(
     """
     frame, axes = source.frame_id or 'world', source.values.tool_twist.frame
     stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
-    tip = trajectory.from_tip(tool, tip_of(source.values))
+    tip = trajectory.from_tip(tool, conversion.tip_of(source.values))
     plan = plan_messages.plan_message(tip, 0, frame, 'tool', axes)
     package = plan_messages.plan_message(
         simulation.ToolRows(stamps, states).trajectory(), start, frame,

@@ -12,17 +12,10 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.cup_package import mean_square
 from bellows_ros.core.parameters.checks import implausible, Settings
 from bellows_ros.core.parameters.conversion import parameter_std, uncertain_of
+from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands, Limits, NO_LIMIT, read_rates, stretched
 from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.planning.points import joint_excess, timed
-from bellows_ros.core.planning.steering import (
-    ALLOWED_TIME,
-    hanging,
-    METHODS,
-    steer,
-    Steered,
-    tool_above,
-)
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, results, safe_yaml
@@ -103,7 +96,7 @@ class SteerReport(CommandResult):
     source: Source
     method: str
     motions: Mapping[str, SteeredMotion]
-    steered: Steered
+    steered: steering.Steered
     time_scale: float
     limit: str
     uncertain: bool
@@ -111,7 +104,7 @@ class SteerReport(CommandResult):
     @property
     def notes(self) -> tuple[str, ...]:
         """Return notes on the motion."""
-        steered, allowed = self.steered, max(ALLOWED_TIME, self.source.duration)
+        steered, allowed = self.steered, max(steering.ALLOWED_TIME, self.source.duration)
         is_short = steered.residual <= SETTLED_ANGLE
         shaping = {'zv': 'shaped_less', self.method: 'shaped', 'inverse': ''}.get(
             steered.method, 'unchanged' if is_short else 'unchanged_too_long')
@@ -181,8 +174,8 @@ def steer_plan(
         to.
 
     """
-    if method not in METHODS:
-        raise BellowsError(f"method is '{method}'; expected one of {', '.join(METHODS)}.")
+    if method not in steering.METHODS:
+        raise BellowsError(f"method is '{method}'; expected one of {', '.join(steering.METHODS)}.")
     bounds = read_limits(
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
     source = plan_with_cup(path, settings, urdf, topic)
@@ -190,14 +183,15 @@ def steer_plan(
     bound = bool(limits) or source.joints is not None
     scale, limit = _slowdown(source, method, of_package, bounds) if bound else (1.0, '')
     reference = timed(source.tool, scale)
-    steered = steer(model, reference, method, of_package)
+    steered = steering.steer(model, reference, method, of_package)
     arrival = float((reference if method == 'inverse' else steered.tool).seconds[-1])
     motions = {method: _effect(source, steered.tool, steered.package, arrival)}
     with suppress(UnstableError):  # as planned the package falls over: the method stands alone
-        planned = tool_above(model, source.tool) if of_package else source.tool
-        motions['as planned'] = _effect(source, planned, hanging(model, planned), source.duration)
+        planned = steering.tool_above(model, source.tool) if of_package else source.tool
+        motions['as planned'] = _effect(
+            source, planned, steering.hanging(model, planned), source.duration)
         if method == 'inverse':
-            other = steer(model, reference, 'zvd', of_package)
+            other = steering.steer(model, reference, 'zvd', of_package)
             motions['zvd'] = _effect(
                 source, other.tool, other.package, float(other.tool.seconds[-1]))
     return SteerReport(
@@ -247,7 +241,7 @@ def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> 
                 'workspace.')
 
     def motion(scale: float) -> tuple[Trajectory, float, tuple[float, str]]:
-        tool = steer(source.model, timed(source.tool, scale), method, of_package).tool
+        tool = steering.steer(source.model, timed(source.tool, scale), method, of_package).tool
         factor = math.inf
         if grip is not None and limits.safety_factor > 0.0:
             factor = PlanSimulation(source.model, grip, tool, tail=TAIL).safety(1.0)

@@ -6,15 +6,10 @@ import shutil
 import subprocess
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.model import kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import resting_on_tool, static_equilibrium
 from bellows_ros.core.model.grip import least_factors
-from bellows_ros.core.model.kernels import (
-    advance,
-    body_acceleration,
-    lip_relative_to_tool,
-    lip_wrench,
-)
 from bellows_ros.core.model.simulation import body_row, row_state, state_row
 from bellows_ros.core.model.structure import composed
 from bellows_ros.errors import BellowsError
@@ -118,11 +113,11 @@ def test_step_wrench_and_safety_factor_are_the_kernels_bit_for_bit(library, size
         body = body_row(rows[0], resting_on_tool(model, tool))
         out, f = np.empty(rows.shape[1]), np.empty(6)
         library.step(pointer(rows), ctypes.c_double(0.004), 3, pointer(out))
-        assert out.tolist() == flat(advance(model, body, tool, later, 0.004, 3))
+        assert out.tolist() == flat(kernels.advance(model, body, tool, later, 0.004, 3))
         library.wrench(pointer(rows), pointer(f))
-        wrench = lip_wrench(model, tool, body)
+        wrench = kernels.lip_wrench(model, tool, body)
         assert f.tolist() == flat(wrench)
-        lip = lip_relative_to_tool(model[1][1], tool, body)
+        lip = kernels.lip_relative_to_tool(model[1][1], tool, body)
         factors = least_factors(library.grip, model[0], *lip, body[4:], *wrench)
         assert library.factor(pointer(rows)) == min(factors[:2])
 
@@ -138,7 +133,8 @@ def test_rest_is_where_nothing_accelerates(library):
         expected = static_equilibrium(model, still)
         found = body_row(out, expected)
         assert flat(found) == flat(expected)
-        np.testing.assert_allclose(flat(body_acceleration(model, still, found)), 0.0, atol=1e-8)
+        rates = kernels.body_acceleration(model, still, found)
+        np.testing.assert_allclose(flat(rates), 0.0, atol=1e-8)
     assert library.rest(pointer(tool), ctypes.c_double(1000.0), pointer(out)) == 1
 
 

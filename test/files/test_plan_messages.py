@@ -1,14 +1,7 @@
 """Plans as CDR against the serialiser of rosbags, and damaged ones refused."""
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.plan_messages import (
-    decode_multi_dof,
-    encode_multi_dof,
-    encode_path,
-    MULTI_DOF,
-    PATH,
-    PlanMessage,
-)
+from bellows_ros.files import plan_messages
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -22,10 +15,10 @@ def message(parts=(1, 1, 1), count=5, frame='base', names=('tool',)):
     rng = np.random.default_rng(count)
     poses, twists, rates = rng.normal(size=(count, 7)), *rng.normal(size=(2, count, 6))
     times = np.arange(count) * 1_234_567_891
-    theirs = made.built(MULTI_DOF, ((((17, 5), frame), list(names), [
+    theirs = made.built(plan_messages.MULTI_DOF, ((((17, 5), frame), list(names), [
         (parts[0] * [(p[:3], p[3:])], parts[1] * [(v[:3], v[3:])], parts[2] * [(a[:3], a[3:])],
          divmod(int(t), 10**9)) for t, p, v, a in zip(times, poses, twists, rates, strict=True)])))
-    ours = PlanMessage(
+    ours = plan_messages.PlanMessage(
         17_000_000_005, frame, tuple(names), times, poses, twists if parts[1] else None,
         rates if parts[2] else None)
     return ours, theirs
@@ -36,11 +29,11 @@ def message(parts=(1, 1, 1), count=5, frame='base', names=('tool',)):
 @pytest.mark.parametrize('names', [('tool',), (), ('tool0_tip',)])
 def test_is_what_rosbags_reads_and_writes(parts, frame, names):
     ours, theirs = message(parts, 5, frame, names)
-    plain = bytes(TYPES.serialize_cdr(theirs, MULTI_DOF))
-    assert encode_multi_dof(ours) == plain
-    swapped = bytes(TYPES.serialize_cdr(theirs, MULTI_DOF, little_endian=False))
+    plain = bytes(TYPES.serialize_cdr(theirs, plan_messages.MULTI_DOF))
+    assert plan_messages.encode_multi_dof(ours) == plain
+    swapped = bytes(TYPES.serialize_cdr(theirs, plan_messages.MULTI_DOF, little_endian=False))
     for data in (plain, swapped):
-        found = decode_multi_dof(data)
+        found = plan_messages.decode_multi_dof(data)
         assert (found.stamp_ns, found.frame_id, found.names) == (17_000_000_005, frame, names)
         assert_array_equal(found.times_ns, ours.times_ns)
         assert_array_equal(found.poses, ours.poses)
@@ -55,7 +48,8 @@ def test_is_what_rosbags_reads_and_writes(parts, frame, names):
 def test_path_is_what_rosbags_reads(frame):
     poses = np.random.default_rng(0).normal(size=(4, 7))
     times = np.arange(4) * 700_000_000
-    found = TYPES.deserialize_cdr(encode_path(3_500_000_000, frame, times, poses), PATH)
+    data = plan_messages.encode_path(3_500_000_000, frame, times, poses)
+    found = TYPES.deserialize_cdr(data, plan_messages.PATH)
     assert found.header.frame_id == frame and found.header.stamp.sec == 3
     stamps = [p.header.stamp.sec * 10**9 + p.header.stamp.nanosec for p in found.poses]
     assert_array_equal(stamps, 3_500_000_000 + times)
@@ -70,9 +64,9 @@ def test_path_is_what_rosbags_reads(frame):
     lambda data: data[:60], lambda data: data[:-30], lambda data: b'\7\7' + data[2:],
     lambda data: data[:12] + b'\xff\xff\xff\x7f' + data[16:], lambda data: b''])
 def test_damaged_messages_are_refused(spoil):
-    data = encode_multi_dof(message()[0])
+    data = plan_messages.encode_multi_dof(message()[0])
     with pytest.raises(BellowsError):
-        decode_multi_dof(spoil(data))
+        plan_messages.decode_multi_dof(spoil(data))
 
 
 @pytest.mark.parametrize(('parts', 'count', 'figures'), [
@@ -81,7 +75,7 @@ def test_damaged_messages_are_refused(spoil):
 def test_other_than_one_thing_is_refused(parts, count, figures):
     _, theirs = message(parts, count)
     with pytest.raises(BellowsError, match=figures):
-        decode_multi_dof(bytes(TYPES.serialize_cdr(theirs, MULTI_DOF)))
+        plan_messages.decode_multi_dof(bytes(TYPES.serialize_cdr(theirs, plan_messages.MULTI_DOF)))
 
 
 def test_two_names_and_velocities_of_some_points_alone_are_refused():
@@ -91,4 +85,5 @@ def test_two_names_and_velocities_of_some_points_alone_are_refused():
     uneven.points[3].velocities = []
     for theirs, figures in ((twice, r'\b1\b'), (uneven, None)):
         with pytest.raises(BellowsError, match=figures):
-            decode_multi_dof(bytes(TYPES.serialize_cdr(theirs, MULTI_DOF)))
+            plan_messages.decode_multi_dof(
+                bytes(TYPES.serialize_cdr(theirs, plan_messages.MULTI_DOF)))

@@ -8,16 +8,9 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.grip import Margin
 from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.errors import BellowsError
+from bellows_ros.plots import pictures
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import bellows_rings, FRAMES_PER_SECOND, write_animation
-from bellows_ros.plots.pictures import (
-    deflection_figure,
-    margin_figure,
-    motion_figure,
-    path_figure,
-    residual_figure,
-    spectra_figure,
-)
 from bellows_ros.plots.style import THEMES
 from bellows_ros.workflows.replay import Margins
 import numpy as np
@@ -52,13 +45,13 @@ def draw_all(motion, loads, theme):
         np.linspace(0.0, 2.0, 40), np.full((40, 2), [2.2, 3.0]), np.full((40, 2), 0.1),
         Margin(0.9, 'slip', 1.234), 1.5)
     return {
-        'margin': margin_figure(margins, 'note', theme),
-        'motion': motion_figure(motion, 'note', theme),
-        'path': path_figure(motion, 'note', theme),
-        'spectra': spectra_figure(
+        'margin': pictures.margin_figure(margins, 'note', theme),
+        'motion': pictures.motion_figure(motion, 'note', theme),
+        'path': pictures.path_figure(motion, 'note', theme),
+        'spectra': pictures.spectra_figure(
             spectra, 'note', theme, Spectrum(frequency, np.full((40, 6), 1e-12))),
-        'deflection': deflection_figure(loads, 'note', theme),
-        'residual': residual_figure(loads, 'note', theme)}
+        'deflection': pictures.deflection_figure(loads, 'note', theme),
+        'residual': pictures.residual_figure(loads, 'note', theme)}
 
 
 @pytest.mark.parametrize('theme', THEMES)

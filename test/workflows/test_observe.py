@@ -1,12 +1,6 @@
 """A recording with a camera: what it adds to the prediction."""
 
-from bellows_ros.core.geometry.lie import (
-    exp_so3,
-    inverse_transform,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import pose_of
@@ -29,13 +23,13 @@ CALIBRATED = {'measured.camera_std': (0.3e-3, 1e-3), 'measured.marker_std': (0.3
 ROLES = {'tool': 'tool_arm/pose', 'twist': 'tool_arm/twist', 'package': 'package/pose'}
 CAMERA = 'camera/box'
 SEEN = {'tool': ROLES['tool'], 'package': ROLES['package'], 'camera': CAMERA}
-T_WORLD_CAMERA = transform(exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
+T_WORLD_CAMERA = lie.transform(lie.exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
 
 
 def poses(role, stamps_ns, position, rotation, frame_id='world'):
     """Give poses to record."""
     return as_messages('/' + SEEN[role], POSE, stamps_ns,
-                       np.hstack([position, rotation_to_quaternion(rotation)]), frame_id)
+                       np.hstack([position, lie.rotation_to_quaternion(rotation)]), frame_id)
 
 
 def of(streams, *roles):
@@ -46,7 +40,7 @@ def of(streams, *roles):
 
 def text_of(T):
     """Give a pose as a parameter."""
-    return ' '.join(map(str, [*T[:3, 3], *rotation_to_quaternion(T[:3, :3])]))
+    return ' '.join(map(str, [*T[:3, 3], *lie.rotation_to_quaternion(T[:3, :3])]))
 
 
 @pytest.fixture(scope='module')
@@ -57,7 +51,7 @@ def filmed(root, known, true_cup, tmp_path_factory):
     rng = np.random.default_rng(1)
     which = np.arange(12, len(package.stamps_ns), 12)
     position = package.position[which] + rng.normal(size=(len(which), 3)) * NOISE[0]
-    turns = exp_so3(rng.normal(size=(len(which), 3)) * NOISE[1])
+    turns = lie.exp_so3(rng.normal(size=(len(which), 3)) * NOISE[1])
     position[20::20] += 0.2  # wild ones
     folder = tmp_path_factory.mktemp('filmed') / 'bag'
     write_bag(folder, [
@@ -111,12 +105,12 @@ def test_calibration_leads_to_where_the_camera_is(filmed):
     settings = resolve(values.replaced({
         'measured.camera_std': (0.03, 0.05), 'measured.latency_std': 0.05}))
     recording = load(bag, settings)
-    settings = settings.replaced({'recording.package_world': text_of(transform(
-        exp_so3(np.array([0.02, -0.01, 0.03])), np.array([0.015, -0.01, 0.005])))})
+    settings = settings.replaced({'recording.package_world': text_of(lie.transform(
+        lie.exp_so3(np.array([0.02, -0.01, 0.03])), np.array([0.015, -0.01, 0.005])))})
     found = seen_in(bag, recording, settings).parameters
     world = pose_of(found['recording.package_world'])
     at = recording.measured_package.position
-    error = at @ quaternion_to_rotation(world[3:]).T + world[:3] - at
+    error = at @ lie.quaternion_to_rotation(world[3:]).T + world[:3] - at
     std = found['measured.camera_std'][0]  # what noise of 2 mm and 10 mrad leaves in 13 s
     assert np.linalg.norm(error, axis=1).max() < np.sqrt(chi2.ppf(0.95, 3)) * std
     assert 0.0 < std < 2.5e-3
@@ -157,7 +151,7 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
         both = np.kron(np.eye(2), R)
         noise = (both @ np.diag(np.square(sizes)) @ both.T).ravel()
         own = streams['camera']
-        rows = np.hstack([o + own.position @ R.T, rotation_to_quaternion(R @ own.rotation)])
+        rows = np.hstack([o + own.position @ R.T, lie.rotation_to_quaternion(R @ own.rotation)])
         data = [encoded(POSE_COVARIANCE, ns, row, covariance=noise if i != 100 else np.nan * noise)
                 for i, (ns, row) in enumerate(zip(own.stamps_ns, rows, strict=True))]
         write_bag(tmp_path / name, [
@@ -174,7 +168,7 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
     np.testing.assert_allclose(even, by_values, rtol=1e-9)
     uneven = seen('uneven', known * [1, 5, 1, 1, 1, 1])
     assert np.abs(uneven / even - 1.0).max() > 0.03
-    apart = seen('apart', known * [1, 5, 1, 1, 1, 1], inverse_transform(T_WORLD_CAMERA), **{
+    apart = seen('apart', known * [1, 5, 1, 1, 1, 1], lie.inverse_transform(T_WORLD_CAMERA), **{
         'recording.package_world': text_of(T_WORLD_CAMERA)})
     np.testing.assert_allclose(apart, uneven, rtol=1e-3)
 

@@ -3,14 +3,7 @@
 from dataclasses import replace
 import json
 
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    inverse_transform,
-    log_so3,
-    quaternion_to_rotation,
-    transform,
-)
+from bellows_ros.core.geometry import lie
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
@@ -23,7 +16,7 @@ import pytest
 
 from .two_clocks import rewritten
 
-T_BASE_MOCAP = transform(exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
+T_BASE_MOCAP = lie.transform(lie.exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
 
 
 STANDSTILLS = {
@@ -50,14 +43,14 @@ def bag(root, true_cup, tmp_path_factory):
     """Return the usual motion and three tilted standstills in two worlds, the tool 4 ms late."""
     folder = tmp_path_factory.mktemp('two_worlds')
     simulate_recording(true_cup, STANDSTILLS, folder / 'static')
-    T = inverse_transform(T_BASE_MOCAP)
+    T = lie.inverse_transform(T_BASE_MOCAP)
 
     def seen(role, stream):
         """Return a stream as a driver, or as motion capture gives it."""
         if role == 'package_pose':
             return replace(
-                stream, frame_id='mocap', position=T[:3, 3] + apply(T[:3, :3], stream.position),
-                rotation=T[:3, :3] @ stream.rotation)
+                stream, frame_id='mocap', rotation=T[:3, :3] @ stream.rotation,
+                position=T[:3, 3] + lie.apply(T[:3, :3], stream.position))
         return replace(stream, frame_id='base', stamps_ns=stream.stamps_ns + 4_000_000)
 
     return rewritten((root / 'bags/identification', folder / 'static'), folder / 'both', seen)
@@ -74,11 +67,11 @@ def test_the_transform_and_the_cup_are_found_together(result, true_cup):
     """Find the transform to 0.1 mm and 0.2 mrad where the package is, and K to a percent."""
     (part,) = result.parts
     pose, std = part.package_world
-    found = transform(quaternion_to_rotation(pose[3:]), pose[:3])
-    middle = inverse_transform(T_BASE_MOCAP) @ [0.45, -0.1, 0.53, 1.0]
+    found = lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3])
+    middle = lie.inverse_transform(T_BASE_MOCAP) @ [0.45, -0.1, 0.53, 1.0]
     off = np.concatenate([
         ((found - T_BASE_MOCAP) @ middle)[:3],
-        log_so3(found[:3, :3] @ T_BASE_MOCAP[:3, :3].T)])
+        lie.log_so3(found[:3, :3] @ T_BASE_MOCAP[:3, :3].T)])
     assert np.all(np.abs(off) < 4.0 * std)
     assert np.all(std < [2.5e-5] * 3 + [5e-5] * 3)
     K = np.reshape(true_cup['cup.stiffness'], (6, 6))

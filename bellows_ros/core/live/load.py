@@ -11,14 +11,8 @@ from bellows_ros.core.live.uncertainty import Prediction, STILL, Uncertainty
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
 from bellows_ros.core.model.validity_range import Distance, distance
+from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import ESTIMATE
-from bellows_ros.core.parameters.conversion import (
-    cup_of,
-    gravity_of,
-    grip_of,
-    package_of,
-    parameter_envelope,
-)
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -99,7 +93,7 @@ class Load:
         self._values = values
         self.set_pressure(pressure)
         self.required = float(values.safety.least)
-        self._envelope = parameter_envelope(values)
+        self._envelope = conversion.parameter_envelope(values)
         self._clear()
 
     def _clear(self) -> None:
@@ -112,7 +106,7 @@ class Load:
         """Store the absolute pressure (Pa) in the cup, if it is measured."""
         self.pressure = pressure
         below = None if pressure is None else self._values.vacuum.ambient - pressure
-        self.grip = grip_of(self._values, below)
+        self.grip = conversion.grip_of(self._values, below)
 
     @property
     def has_envelope(self) -> bool:
@@ -246,7 +240,8 @@ def check_live(values: Values) -> None:
         raise BellowsError(
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
             'seven numbers, from the file that bellows identify wrote.')
-    model = prepared(cup_of(values), package_of(values), gravity_of(values))[0]
+    cup, package = conversion.cup_of(values), conversion.package_of(values)
+    model = prepared(cup, package, conversion.gravity_of(values))[0]
     load = Load(values, values.vacuum.ambient)  # compiled even if no vacuum is measured yet
     try:
         with np.errstate(all='ignore'):

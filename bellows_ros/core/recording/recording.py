@@ -17,15 +17,7 @@ from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.recording.alignment import Alignment, Remark, rest_of, world_rotation
 from bellows_ros.core.recording.measurement_model import MeasurementModel, PoseErrors
 from bellows_ros.core.recording.outliers import Outliers
-from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.resampling import (
-    ArrivalStamps,
-    cubic,
-    MAD_TO_STD,
-    resample,
-    resolution,
-    Timing,
-)
+from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.signals.savgol import savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, shown, UndeterminedError
@@ -151,7 +143,7 @@ def _at_rest(poses: Trajectory) -> Array:
 
 def _clipped(residuals: Array) -> Array:
     """Return residuals (N, 6) in which outliers do not count."""
-    limit = 5.0 * MAD_TO_STD * np.median(np.abs(residuals), axis=0)
+    limit = 5.0 * resampling.MAD_TO_STD * np.median(np.abs(residuals), axis=0)
     return np.clip(residuals, -limit, limit)
 
 
@@ -162,7 +154,7 @@ def noise_of(poses: Trajectory) -> Noise:
     It is the median size of what a local polynomial leaves of each sample, so that outliers do
     not count. Noise-free recordings give what rounding leaves. Errors as those of `ripple`.
     """
-    scale = MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of the fit
+    scale = resampling.MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of the fit
     return Noise(*(float(scale * np.median(part))
                    for part in np.hsplit(np.abs(ripple(poses)[0]), 2)))
 
@@ -268,7 +260,7 @@ def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) ->
     step_s = step_ns / trajectory.NS_PER_S
     first, second = (np.pad(weights, ((0, 0), ends)) for ends in ((0, 1), (1, 0)))
     s = np.quantile(fractions, (np.arange(PLACES) + 0.5) / PLACES)[:, None]
-    value, slope = cubic(s, step_s * first[1], second[0] - first[0], step_s * second[1])
+    value, slope = resampling.cubic(s, step_s * first[1], second[0] - first[0], step_s * second[1])
     parts = np.stack([first[0] + value, slope / step_s, np.tile(first[2], (PLACES, 1))])
     return np.asarray(parts.reshape(3, -1) / np.sqrt(PLACES))
 
@@ -361,11 +353,11 @@ class StreamReport:
     """
 
     recorded: PoseStream
-    timing: Timing
+    timing: resampling.Timing
     outliers: Outliers
     overlapping_gap: int = 0
     interpolated: int = 0
-    arrivals: ArrivalStamps | None = None
+    arrivals: resampling.ArrivalStamps | None = None
 
     @cached_property
     def repeated_stamps(self) -> int:
@@ -378,7 +370,7 @@ class StreamReport:
         count, stamps_ns = len(self.recorded), self.recorded.stamps_ns
         if self.repeated_stamps > 0.05 * count:  # fewer add no noise in motion
             return float(np.median(np.diff(stamps_ns))) / trajectory.NS_PER_S
-        return resolution(stamps_ns)
+        return resampling.resolution(stamps_ns)
 
     @property
     def stamp_std(self) -> float:
@@ -579,8 +571,9 @@ class Recording:
     @cached_property
     def tool(self) -> Trajectory:
         """Tool tip E in the world, filtered, with body twists of the filter."""
-        return resample(self.filters[0].filtered, self.measured_tool.stamps_ns,
-                        self.report.tool.timing.longest_step_ns)
+        return resampling.resample(
+            self.filters[0].filtered, self.measured_tool.stamps_ns,
+            self.report.tool.timing.longest_step_ns)
 
     @cached_property
     def package(self) -> Trajectory:

@@ -7,14 +7,8 @@ from bellows_ros.core.model.cup_package import model_with
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import cup_wrench
 from bellows_ros.core.model.structure import composition, UPPER
+from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.parameters.conversion import (
-    cup_of,
-    grip_of,
-    parameter_std,
-    parameter_vector,
-    places_of,
-)
 from bellows_ros.errors import BellowsError
 from hypothesis import given, settings, strategies
 import numpy as np
@@ -71,7 +65,7 @@ def test_the_composed_wrench_is_the_sum_over_the_cups(seed, count, relaxes):
     each = one_by_one(one, layout, o, R, twist, strains)
     force = each[:, :3].sum(axis=0)
     moment = (each[:, 3:] + np.cross(layout, each[:, :3])).sum(axis=0)
-    f, m = cup_wrench(cup_of(values).as_tuple, *kernel_arguments(o, R, twist, strains))
+    f, m = cup_wrench(conversion.cup_of(values).as_tuple, *kernel_arguments(o, R, twist, strains))
     scale = np.abs(each[:, :3]).sum()
     assert_allclose(f, force, rtol=0.0, atol=1e-12 * scale)
     assert_allclose(m, moment, rtol=0.0, atol=1e-12 * scale)
@@ -82,8 +76,8 @@ def test_the_composed_wrench_is_the_sum_over_the_cups(seed, count, relaxes):
 def test_the_margin_is_that_of_the_worst_cup(seed, count, relaxes):
     """Of each cup's own wrench, by the second implementation, to 1e-9; and it is named."""
     values, one, layout, o, R, twist, strains = case(seed, count, relaxes)
-    grip, arguments = grip_of(values), kernel_arguments(o, R, twist, strains)
-    cup = cup_of(values).as_tuple
+    grip, arguments = conversion.grip_of(values), kernel_arguments(o, R, twist, strains)
+    cup = conversion.cup_of(values).as_tuple
     peel, slip, peeling, slipping = least_factors(grip, cup, *arguments, (), ())
     each = np.array([safety_factors(grip[:3], tuple(w[:3]), tuple(w[3:]))
                      for w in one_by_one(one, layout, o, R, twist, strains)])
@@ -97,20 +91,21 @@ def test_a_cup_that_does_not_hold_leaves_stiffness_and_margin():
     values = resolve({**PACKAGE, 'cup.layout': FOUR, 'cup.open': [2], 'cup.lip_radius': 0.02,
                       'vacuum.holding': 6e4})
     left = resolve({**PACKAGE, 'cup.layout': FOUR[:6] + FOUR[9:]})
-    assert_allclose(cup_of(values).stiffness, cup_of(left).stiffness, rtol=1e-15)
-    assert grip_of(values)[3][:, 3].tolist() == [0.0, 1.0, 3.0]
-    assert mode_name(grip_of(values), 1, 2).startswith('slip of cup 3 at x -0.06 m')
+    found, expected = (conversion.cup_of(each).stiffness for each in (values, left))
+    assert_allclose(found, expected, rtol=1e-15)
+    assert conversion.grip_of(values)[3][:, 3].tolist() == [0.0, 1.0, 3.0]
+    assert mode_name(conversion.grip_of(values), 1, 2).startswith('slip of cup 3 at x -0.06 m')
 
 
 def test_the_covariance_is_that_of_one_cups_entries():
     """The composed entries vary as one cup's do, by the same linear map."""
     values = resolve({**PACKAGE, 'cup.layout': FOUR, 'cup.stiffness_std': 10.0 * np.ones(36)})
-    places, rng = places_of(values), np.random.default_rng(3)
-    cup, numbers = cup_of(values), parameter_vector(values)
+    places, rng = conversion.places_of(values), np.random.default_rng(3)
+    cup, numbers = conversion.cup_of(values), conversion.parameter_vector(values)
     model = (cup.as_tuple, (2.0, (0.0,) * 3, (1.0,) * 9, (1.0,) * 9), (0.0,) * 3)
     assert_allclose(
         np.array(model_with(model, numbers, places)[0][2]), np.array(cup.as_tuple[2]), rtol=1e-14)
-    step = parameter_std(values)[:21] * rng.standard_normal(21)
+    step = conversion.parameter_std(values)[:21] * rng.standard_normal(21)
     other = model_with(model, numbers + np.append(step, np.zeros(31)), places)[0][2]
     K = np.block([[np.reshape(other[0], (3, 3)), np.reshape(other[1], (3, 3))],
                   [np.reshape(other[1], (3, 3)).T, np.reshape(other[2], (3, 3))]])
@@ -127,4 +122,4 @@ def test_the_covariance_is_that_of_one_cups_entries():
     (FOUR, [0, 1, 2, 3], 'open')])
 def test_refuses_what_is_no_gripper(layout, open_cups, figures):
     with pytest.raises(BellowsError, match=rf'cup\.{figures}'):
-        cup_of(resolve({**PACKAGE, 'cup.layout': layout, 'cup.open': open_cups}))
+        conversion.cup_of(resolve({**PACKAGE, 'cup.layout': layout, 'cup.open': open_cups}))

@@ -1,13 +1,6 @@
 """An arm by its URDF against products of matrices and finite differences."""
 
-from bellows_ros.core.geometry.lie import (
-    exp_so3,
-    inverse_transform,
-    log_se3,
-    log_so3,
-    rpy_rotation,
-    transform,
-)
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.points import plan_of_joints
 from bellows_ros.errors import BellowsError
@@ -37,13 +30,13 @@ ARM = read_arm(URDF, 'tool')
 def by_hand(q):
     """Return the pose of the tool as the specification of URDF has it."""
     def pose(xyz, rpy=(0, 0, 0)):
-        return transform(rpy_rotation(np.array(rpy, dtype=float)), xyz)
+        return lie.transform(lie.rpy_rotation(np.array(rpy, dtype=float)), xyz)
 
     turn, slide, spin = q
     return (
         pose([0.1, 0, 0.5], (0, 0, 1.2)) @ pose([0, 0, 0.3], (0.3, -0.2, 0.1))
-        @ transform(exp_so3([0, 0, turn]), np.zeros(3)) @ pose([0.2, 0, 0]) @ pose([0, slide, 0])
-        @ transform(exp_so3(np.array([1, 1, 0]) / np.sqrt(2) * spin), np.zeros(3))
+        @ lie.transform(lie.exp_so3([0, 0, turn]), np.zeros(3)) @ pose([0.2, slide, 0])
+        @ lie.transform(lie.exp_so3(np.array([1, 1, 0]) / np.sqrt(2) * spin), np.zeros(3))
         @ pose([0, 0, -0.1], (3.14159265, 0, 0)))
 
 
@@ -62,7 +55,7 @@ def test_twist_is_the_slope_of_the_pose():
     before, after = (ARM.tool(q + side * h * rate)[0] for side in (-1, 1))
     R_T = np.swapaxes(T[:, :3, :3], -1, -2)
     v = np.einsum('nij,nj->ni', R_T, after[:, :3, 3] - before[:, :3, 3]) / (2 * h)
-    w = log_so3(np.swapaxes(before[:, :3, :3], -1, -2) @ after[:, :3, :3]) / (2 * h)
+    w = lie.log_so3(np.swapaxes(before[:, :3, :3], -1, -2) @ after[:, :3, :3]) / (2 * h)
     assert_allclose(twist, np.hstack([v, w]), atol=1e-8)
 
 
@@ -157,7 +150,7 @@ def test_a_joint_that_mimics_another_moves_with_it():
     assert_allclose(T[:, 2, 3], height + tilt, atol=1e-12)
     for k in range(3):
         step = 1e-6 * np.eye(3)[k]
-        moved = log_se3(inverse_transform(arm.tool(q - step)[0]) @ arm.tool(q + step)[0])
+        moved = lie.log_se3(lie.inverse_transform(arm.tool(q - step)[0]) @ arm.tool(q + step)[0])
         assert_allclose(moved / 2e-6, arm.jacobian(q)[:, :, k], atol=1e-7)
     with pytest.raises(BellowsError, match="mimics 'none'"):
         read_arm(PALLETISER.replace('joint="lift" multi', 'joint="none" multi'), 'tool')
@@ -176,10 +169,10 @@ def test_an_arm_that_cannot_tilt_says_so(kind):
     arm = read_arm(urdf, 'tool' if kind == 'palletiser' else 'l3')
     at = np.zeros((1, 3))
     T = arm.tool(at)[0]
-    tilted = T @ transform(exp_so3(np.array([0.0, 0.1, 0.0])), np.zeros(3))
+    tilted = T @ lie.transform(lie.exp_so3(np.array([0.0, 0.1, 0.0])), np.zeros(3))
     with pytest.raises(BellowsError, match='cannot tilt.* 5.7 degrees.* zvd'):
         arm.positions(tilted, at)
     assert_allclose(arm.positions(T, at + 0.1), at, atol=1e-8)
     if kind == 'palletiser':
         with pytest.raises(BellowsError, match='cannot reach'):
-            arm.positions(transform(T[:, :3, :3], T[:, :3, 3] + [5.0, 0.0, 0.0]), at)
+            arm.positions(lie.transform(T[:, :3, :3], T[:, :3, 3] + [5.0, 0.0, 0.0]), at)

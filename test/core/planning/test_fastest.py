@@ -1,13 +1,7 @@
 """The shortest safe time against an exhaustive scan; standard deviations against Monte Carlo."""
 
 
-from bellows_ros.core.model.cup_package import (
-    contributions,
-    Cup,
-    model_tuple,
-    model_with,
-    perturbed,
-)
+from bellows_ros.core.model import cup_package
 from bellows_ros.core.parameters.conversion import parameter_std, parameter_vector, uncertain_of
 from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
@@ -19,7 +13,7 @@ import pytest
 from .. import plans
 from ..plans import CUP, GRIP, Move, PACKAGE
 
-MODEL = model_tuple(CUP, PACKAGE, 9.81)
+MODEL = cup_package.model_tuple(CUP, PACKAGE, 9.81)
 VALUES = plans.VALUES.replaced({
     'cup.stiffness_std': 0.01 * CUP.stiffness.ravel(),
     'cup.damping_std': 0.05 * CUP.damping.ravel(),
@@ -50,7 +44,8 @@ def smallest(model, plan, scale):
 
 def lower_end(values, model, plan, scale):
     """Return the smallest safety factor minus two standard deviations."""
-    _, parts = contributions(uncertain_of(values), model, lambda m: smallest(m, plan, scale))
+    _, parts = cup_package.contributions(
+        uncertain_of(values), model, lambda m: smallest(m, plan, scale))
     return smallest(model, plan, scale) - 2 * np.linalg.norm(parts)
 
 
@@ -69,7 +64,8 @@ def test_is_that_of_an_exhaustive_scan(plan, count):
 @pytest.mark.parametrize('least', [1.2, 1.27])
 def test_finds_the_window_below_a_resonance(least):
     """Faster than the resonance is safe again, in a window of time scales however narrow."""
-    model = model_tuple(Cup(CUP.stiffness, 0.3 * CUP.damping, CUP.length), PACKAGE, 9.81)
+    cup = cup_package.Cup(CUP.stiffness, 0.3 * CUP.damping, CUP.length)
+    model = cup_package.model_tuple(cup, PACKAGE, 9.81)
     plan = shake(0.005)
     scales = np.geomspace(0.1, 2.0, 300)
     truth = np.array([smallest(model, plan, scale) for scale in scales])
@@ -88,9 +84,9 @@ def test_nothing_helps_a_package_that_is_too_heavy():
 
 
 def test_each_number_is_changed_in_its_place():
-    names = [name for name, _, _ in perturbed(uncertain_of(VALUES), MODEL)]
+    names = [name for name, _, _ in cup_package.perturbed(uncertain_of(VALUES), MODEL)]
     assert len(names) == 12 + 1 + 3 + 3
-    for name, up, down in perturbed(uncertain_of(VALUES), MODEL):
+    for name, up, down in cup_package.perturbed(uncertain_of(VALUES), MODEL):
         if name == 'package.com[y]':
             assert_allclose((up[1][1], down[1][1]), [(0, 5e-4, -0.03), (0, -5e-4, -0.03)])
             assert up[0] == down[0] == MODEL[0]
@@ -118,9 +114,9 @@ def test_standard_deviations_are_those_of_monte_carlo(count, within):
         found = run.with_model(model).predict().summary()
         return np.array([found[name] for name in names])
 
-    _, parts = contributions(uncertain_of(VALUES), MODEL, figures)
+    _, parts = cup_package.contributions(uncertain_of(VALUES), MODEL, figures)
     rng = np.random.default_rng(8)
     std = parameter_std(VALUES)
     draws = parameter_vector(VALUES) + std * rng.standard_normal((count, 52))
-    spread = np.std([figures(model_with(MODEL, numbers)) for numbers in draws], axis=0)
+    spread = np.std([figures(cup_package.model_with(MODEL, numbers)) for numbers in draws], axis=0)
     assert_allclose(np.linalg.norm(parts, axis=0), spread, rtol=within)

@@ -1,15 +1,7 @@
 """Scores, portmanteau test and spectra against definitions, and noise of known colour."""
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.signals.residuals import (
-    interpolated,
-    portmanteau,
-    relative_coordinates,
-    score,
-    SEGMENT_S,
-    Spectrum,
-    spectrum,
-)
+from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -22,7 +14,7 @@ from scipy.stats import gamma, kstest
 def test_statistic_is_that_of_ljung_and_box():
     """Meet Q = n (n + 2) sum of r_k^2 / (n - k), written out, and its tail as a gamma's."""
     e = np.random.default_rng(1).normal(size=(200, 2))
-    found = portmanteau(e, 7)
+    found = residuals.portmanteau(e, 7)
     for channel in range(2):
         x, total = e[:, channel], 0.0
         for k in range(1, 8):
@@ -41,7 +33,7 @@ def test_white_noise_has_uniform_probabilities(missing):
     rng = np.random.default_rng(2)
     e = rng.normal(size=(400, 600))
     e[rng.random(400) < missing] = np.nan
-    p = portmanteau(e, 10).p_value
+    p = residuals.portmanteau(e, 10).p_value
     assert kstest(p, 'uniform').pvalue > 0.01
 
 
@@ -49,7 +41,7 @@ def test_coloured_noise_is_found_and_small_but_certain_colour_is_nearly_white():
     """Weigh how coloured a channel is, not only how sure that is."""
     e = np.random.default_rng(4).normal(size=(100_000, 3))
     e[1:] += [0.02, 0.3, 0.0] * e[:-1]
-    found = portmanteau(e)
+    found = residuals.portmanteau(e)
     assert found.p_value[0] < 1e-3
     assert found.verdicts == ('nearly white', 'coloured', 'white')
     # three standard errors of one white channel
@@ -59,7 +51,7 @@ def test_coloured_noise_is_found_and_small_but_certain_colour_is_nearly_white():
 def test_too_few_residuals_are_refused():
     """Ask for more samples than lags."""
     with pytest.raises(BellowsError):
-        portmanteau(np.zeros((20, 6)))
+        residuals.portmanteau(np.zeros((20, 6)))
 
 
 def test_spectrum_integrates_to_the_mean_square():
@@ -67,7 +59,7 @@ def test_spectrum_integrates_to_the_mean_square():
     rng = np.random.default_rng(5)
     x = rng.normal(size=(20_000, 1)) * 3.0
     x[rng.random(20_000) < 0.1] = np.nan
-    found = spectrum(x, 100.0)
+    found = residuals.spectrum(x, 100.0)
     power = found.density.sum(axis=0) * (found.frequency[1] - found.frequency[0])
     assert_allclose(power, 9.0, rtol=0.03)
     # flat: the density of white noise is 2 s^2 / rate
@@ -77,8 +69,8 @@ def test_spectrum_integrates_to_the_mean_square():
 @pytest.mark.parametrize(('count', 'rate_hz'), [(5000, 360.0), (4999, 125.5), (150, 360.0)])
 def test_spectrum_is_that_of_scipy(count, rate_hz):
     values = np.cumsum(np.random.default_rng(8).standard_normal((count, 2)), axis=0)
-    found = spectrum(values, rate_hz)
-    length = min(count, round(SEGMENT_S * rate_hz))
+    found = residuals.spectrum(values, rate_hz)
+    length = min(count, round(residuals.SEGMENT_S * rate_hz))
     frequency, density = welch(
         values - values.mean(axis=0), rate_hz, 'hann', length, detrend=False, axis=0)
     assert_allclose(found.frequency, frequency, rtol=1e-12)
@@ -91,21 +83,21 @@ def test_a_motion_with_lost_samples_has_no_power_elsewhere():
     motion = np.sin(2 * np.pi * 2.0 * t)[:, None]
     lost = np.where(np.random.default_rng(9).random(4000) < 0.02, np.nan, t)
     seen = np.where(np.isfinite(lost)[:, None], motion, np.nan)
-    filled = interpolated(seen)
+    filled = residuals.interpolated(seen)
     assert_allclose(filled, motion, atol=5e-3)  # (omega h)^2 / 2 for two lost in a row
-    found = spectrum(filled, 200.0)
+    found = residuals.spectrum(filled, 200.0)
     assert found.density[found.frequency > 5.0].max() < 1e-5 * found.density.max()
     straight = np.column_stack([t, 1.0 - t])
-    assert_allclose(interpolated(np.where(np.isfinite(lost)[:, None], straight, np.nan))[1:-1],
-                    straight[1:-1], atol=1e-12)
+    found = residuals.interpolated(np.where(np.isfinite(lost)[:, None], straight, np.nan))
+    assert_allclose(found[1:-1], straight[1:-1], atol=1e-12)
     with pytest.raises(BellowsError):
-        interpolated(np.full((10, 2), np.nan))
+        residuals.interpolated(np.full((10, 2), np.nan))
 
 
 def test_band_holds_the_middle_of_the_power():
     """Cut 5 % of a flat spectrum from either end; know nothing of one without power."""
     frequency = np.arange(1.0, 101.0)
-    found = Spectrum(frequency, np.column_stack([np.ones(100), np.zeros(100)]))
+    found = residuals.Spectrum(frequency, np.column_stack([np.ones(100), np.zeros(100)]))
     low, high = found.band(0.9)
     assert (low[0], high[0]) == (5.0, 95.0)
     assert np.isnan(low[1]) and np.isnan(high[1])
@@ -114,7 +106,7 @@ def test_band_holds_the_middle_of_the_power():
 def test_scores_of_a_sine_that_is_a_tenth_too_small():
     t = np.arange(1000) / 1000
     measured = np.sin(2 * np.pi * t)[:, None] * np.arange(1.0, 7.0)
-    result = score(measured, 0.9 * measured)
+    result = residuals.score(measured, 0.9 * measured)
     assert_allclose(result.rms, 0.1 * np.sqrt(0.5) * np.arange(1.0, 7.0), rtol=1e-12)
     assert_allclose(result.largest, 0.1 * np.arange(1.0, 7.0), rtol=1e-12)
     assert_allclose(result.nrmse, 0.1, rtol=1e-12)
@@ -123,9 +115,9 @@ def test_scores_of_a_sine_that_is_a_tenth_too_small():
 
 def test_an_axis_that_does_not_move_has_no_nrmse_and_no_sample_no_score():
     measured = np.zeros((10, 6))
-    assert np.all(np.isnan(score(measured, measured + 1.0).nrmse))
+    assert np.all(np.isnan(residuals.score(measured, measured + 1.0).nrmse))
     with pytest.raises(BellowsError):
-        score(measured[:0], measured[:0])
+        residuals.score(measured[:0], measured[:0])
 
 
 def test_relative_coordinates_do_not_depend_on_the_world():
@@ -135,10 +127,10 @@ def test_relative_coordinates_do_not_depend_on_the_world():
     phi, d = 0.5 * rng.standard_normal((5, 3)), rng.standard_normal((5, 3))
     tool = Trajectory(stamps, o, R)
     package = Trajectory(stamps, o + np.einsum('nij,nj->ni', R, d), R @ exp_so3(phi))
-    assert_allclose(relative_coordinates(tool, package), np.hstack([d, phi]), atol=1e-14)
+    assert_allclose(residuals.relative_coordinates(tool, package), np.hstack([d, phi]), atol=1e-14)
 
 
 def test_different_stamps_are_refused():
     R, o = np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3))
     with pytest.raises(BellowsError):
-        relative_coordinates(Trajectory([0, 1], o, R), Trajectory([0, 2], o, R))
+        residuals.relative_coordinates(Trajectory([0, 1], o, R), Trajectory([0, 2], o, R))

@@ -7,13 +7,7 @@ from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.conversion import tip_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import Arm, Joint
-from bellows_ros.core.signals.trajectory import (
-    at_tip,
-    from_tip,
-    PoseStream,
-    streams_at_tip,
-    TwistStream,
-)
+from bellows_ros.core.signals import trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -28,7 +22,7 @@ TIP = tip_of(Values({'tool_pose.offset': '0.02 -0.01 0.15 1 0 0 0'}))
 def motion():
     """Give a motion of E, and that of the flange of which E is the tip."""
     tool = ShakenTool(np.random.default_rng(3), 1.3, 0.05, 0.3).trajectory(1.5, 250.0)
-    return tool, from_tip(tool, TIP)
+    return tool, trajectory.from_tip(tool, TIP)
 
 
 def test_the_flange_moves_as_its_poses_say(motion):
@@ -38,7 +32,7 @@ def test_the_flange_moves_as_its_poses_say(motion):
     slope = (flange.position[2:] - flange.position[:-2]) / 0.008
     velocity = np.einsum('nij,nj->ni', flange.rotation, flange.twist[:, :3])
     assert_allclose(velocity[1:-1], slope, atol=5e-3)
-    again = at_tip(flange, TIP)
+    again = trajectory.at_tip(flange, TIP)
     assert_allclose(again.position, tool.position, atol=1e-12)
     assert_allclose(again.twist, tool.twist, atol=1e-10)
 
@@ -55,9 +49,9 @@ def test_recorded_streams_become_those_of_the_tip(motion, in_world):
     """The same as with streams of E, in the same kind of axes."""
     tool, flange = motion
     linear, angular = twists_of(flange, in_world)
-    poses, twists = streams_at_tip(
-        PoseStream('p', 'world', flange.stamps_ns, flange.position, flange.rotation),
-        TwistStream('t', 'world', flange.stamps_ns, linear, angular), TIP, in_world)
+    poses, twists = trajectory.streams_at_tip(
+        trajectory.PoseStream('p', 'world', flange.stamps_ns, flange.position, flange.rotation),
+        trajectory.TwistStream('t', 'world', flange.stamps_ns, linear, angular), TIP, in_world)
     expected = twists_of(tool, in_world)
     assert_allclose(poses.position, tool.position, atol=1e-12)
     assert_allclose(poses.rotation, tool.rotation, atol=1e-12)
