@@ -1,7 +1,6 @@
 """Measurements as tables in Markdown."""
 
 from collections.abc import Callable, Mapping
-import math
 from typing import Any
 
 from .live import BARE
@@ -16,9 +15,7 @@ MEBI = 2**20
 
 def tables(results: Mapping[str, Any]) -> dict[str, Table]:
     """Return the tables of what was measured, by name."""
-    return {
-        name: make(results[name.partition('.')[0]])
-        for name, make in _TABLES.items() if name.partition('.')[0] in results}
+    return {name: make(results[name]) for name, make in _TABLES.items() if name in results}
 
 
 def markdown(table: Table) -> str:
@@ -69,19 +66,10 @@ def _offline(section: Mapping[str, Any]) -> Table:
         ('output-error fit', f'{_time(error)} per recorded second', '')]
 
 
-def _camera(section: Mapping[str, Any]) -> Table:
-    """Return the errors of all ways to know where the package is, and below the camera's noise."""
-    noise = section['noise']
-    return [('', 'position', 'rotation', 'below the noise'), *(
-        (name, f'{1e3 * row["position"]:.3g} mm', f'{math.degrees(row["rotation"]):.3g} deg',
-         ', '.join(f'{noise[what] / row[what]:.2g} times' for what in noise))
-        for name, row in section['errors'].items())]
-
-
 _TABLES: Mapping[str, Make] = {
     'step': _times('one step'), 'node': _node, 'offline': _offline, 'startup': _times('start'),
-    'plans': _times('a plan of 1 s at 1 kHz', 'processor time, median'), 'camera': _camera,
-    'camera.cost': _times('500 Hz, a camera of 30 Hz')}
+    'plans': _times('a plan of 1 s at 1 kHz', 'processor time, median'),
+    'camera': _times('500 Hz, a camera of 30 Hz')}
 
 
 def _time(seconds: float) -> str:

@@ -17,7 +17,7 @@ from benchmarks.worlds import line
 import numpy as np
 import pytest
 
-NEEDED = {'node': 'rclpy', 'camera': 'rclpy', 'startup': 'rclpy'}
+NEEDED = {'node': 'rclpy', 'startup': 'rclpy'}
 
 
 @pytest.mark.stress
