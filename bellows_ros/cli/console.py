@@ -61,7 +61,7 @@ class Console:
     Parameters
     ----------
     out : text stream
-        For what the command is asked for.
+        For the requested output.
     err : text stream
         For notes, warnings, errors and progress.
 
@@ -270,8 +270,8 @@ def run_guarded(work: Callable[[Console], int]) -> int:
 
     An error ends as a message, and so do signals that would end this process at once: they raise
     what Ctrl-C does, so that all is removed. Once, as they often come twice, to a process and to
-    its group: the second must not stop that. They are noted, too: what is raised in a callback of
-    a library is lost, and the command ends where it prints next.
+    its group: the second must not stop that. They are noted, too: an exception in a callback of a
+    library is lost, and the command ends where it prints next.
     """
     ended = list[int]()
     first = 0.0

@@ -112,7 +112,7 @@ def read_settings(
         With `params`, files of which later ones override earlier ones, and `overrides`, each
         'name=value'; `tool_link`, if there is one, overrides both.
     node : str, optional
-        Only what a file holds for this node.
+        Only the part of a file for this node.
     cup_for : Console, optional
         Warns at the end if there is no cup among them.
 

@@ -23,8 +23,8 @@ def configure_process(is_node: bool = False) -> None:
     Keep linear algebra to one thread, and free arrays at once; call it before NumPy is imported.
 
     More threads only contend: on two busy cores least squares takes two to seven times as long
-    with them. And by itself glibc soon keeps the memory of freed arrays, a tenth of what a long
-    recording needs, and more with an arena per thread. Settings of the user prevail.
+    with them. And by itself glibc soon keeps the memory of freed arrays, a tenth of the memory of
+    a long recording, and more with an arena per thread. Settings of the user prevail.
     """
     warnings.simplefilter('ignore', UnitWarning)  # commands and nodes ask in their own output
     for variable in ('OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):

@@ -137,7 +137,7 @@ def require_folder_target(path: File, follow: bool = False) -> Path:
     path : path
         The output to be.
     follow : bool
-        Whether a link stands for what it leads to.
+        Whether a link stands for its target.
 
     Raises
     ------

@@ -119,7 +119,7 @@ def require_no_input(path: File, inputs: Iterable[File]) -> None:
     Raises
     ------
     BellowsError
-        If it would replace or change what is read.
+        If it would replace or change an input.
 
     """
     for name in inputs:
@@ -207,7 +207,7 @@ def decompressed(form: str, data: bytes, limit: int, cut: bool = False) -> bytes
     """
     Decompress frames of a form that hold no more than a number of bytes together.
 
-    Of data that is cut short, what there is.
+    Truncated data give the part that is there.
 
     Raises
     ------

@@ -123,7 +123,7 @@ def topics(path: File, notes: list[str] | None = None) -> list[TopicCount]:
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     notes : list of str, optional
-        Gets what is missing in the recording, or contradicts its metadata.
+        Gets missing parts of the recording, and contradictions to its metadata.
 
     Raises
     ------
@@ -200,17 +200,16 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
         rosbag2 folder, or a bare .mcap or .db3 file.
     wanted : mapping of role to topic
         A role ending in 'twist' is read as twists, any other as poses, and 'measured' as poses
-        with their covariances where messages have them. Topics are those of the
-        recording; a leading '/' may be left out. A role whose topic is '' is left out of the
-        result.
+        with their covariances where messages have them. Topics are as recorded; a leading '/' may
+        be left out. A role whose topic is '' is left out of the result.
 
     Returns
     -------
     Contents
         Poses from PoseStamped, PoseWithCovarianceStamped, TransformStamped and Odometry; twists
-        from TwistStamped and Odometry, whose twists are in the axes of its child frame. Stamps are
-        those of the headers. What was left out is in `refused` of a stream, with indices into the
-        topic's messages in the order they were recorded in. A role has a problem where the
+        from TwistStamped and Odometry, whose twists are in the axes of its child frame. Stamps
+        come from the headers. Messages left out are in `refused` of a stream, with indices into
+        the topic's messages in the order they were recorded in. A role has a problem where the
         recording lacks its topic, or the topic has another type or nothing usable.
 
     Raises
@@ -276,7 +275,7 @@ MOVEIT_TYPES = {
     'trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory',
     DISPLAY_TRAJECTORY: 'string model_id\nmoveit_msgs/RobotTrajectory[] trajectory'}
 """Definitions of types that rosbags does not know, for recordings without definitions: the first
-fields, which are those of all releases."""
+fields, common to all releases."""
 
 
 def decoded(data: bytes, type_name: str, definition: str = '') -> Any:
@@ -358,7 +357,7 @@ class _Collector:
             self._decode()
 
     def _decode(self) -> None:
-        """Decode what was taken, unless it is too much."""
+        """Decode the collected messages, unless they are too many."""
         self._count += len(self._times)
         if self._count > MAX_MESSAGES:
             raise BellowsError(f"Topic '{self.topic.name}' has more than {MAX_MESSAGES} messages. "
@@ -384,7 +383,7 @@ class _Collector:
 
 
 def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -> Stream:
-    """Return the stream of a role, from its messages, or raise what is wrong."""
+    """Return the stream of a role, from its messages, or raise its fault."""
     filled = [each for each in collectors if bag.counts[each.topic]]
     if len(filled) > 1:
         raise BellowsError(

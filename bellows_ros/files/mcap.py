@@ -60,8 +60,8 @@ def scan(
     counts : dict
         Filled while reading: every topic, and at the end its number of messages.
     notes : list of str
-        Filled while reading: what was lost because the recording was not closed, or the state of
-        its summary.
+        Filled while reading: losses because the recording was not closed, or the state of its
+        summary.
     stored_bytes : int
         Size of the file, compressed if it is.
 
@@ -135,7 +135,7 @@ class _Scan:
         """
         Yield the records of each chunk, and others one by one; check that the file is whole.
 
-        Of a record at which the file ends, what there is of it.
+        A truncated record gives the part that is there.
         """
         kind = -1
         while kind != _FOOTER:
@@ -166,7 +166,7 @@ class _Scan:
             raise _InflatingError('its content is far larger than the file')
 
     def _read_other(self, kind: int, body: bytes) -> None:
-        """Read what is no message; refuse a file whose statistics count others."""
+        """Read a record that is no message; refuse a file with other counts in its statistics."""
         if kind == _SCHEMA:
             (number,) = struct.unpack_from('<H', body)
             type_name, end = _text(body, 2)
@@ -215,7 +215,7 @@ def _chunk_data(body: bytes) -> bytes:
     """
     Return the decompressed records of a chunk, checked against its size and its checksum.
 
-    Of one that is cut short, what there is.
+    A truncated chunk gives the part that is there.
     """
     (size,), (compression, at) = struct.unpack_from('<16xQ', body), _text(body, 28)
     (stored_size,) = struct.unpack_from('<Q', body, at)

@@ -48,8 +48,8 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
         YAML file.
     node : str, optional
         'identifier' or 'predictor': only what ROS would give a node of that name is read, in the
-        file's order, later values over earlier ones. Without it, what is there for either, which
-        must not contradict itself.
+        file's order, later values over earlier ones. Without it, the values for either, which must
+        not contradict itself.
 
     Returns
     -------

@@ -68,7 +68,7 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
     Raises
     ------
     BellowsError
-        If it is damaged, has several joints or names, or points that differ in what they have.
+        If it is damaged, has several joints or names, or points with different fields.
 
     """
     reader = Reader(data)
@@ -201,7 +201,7 @@ def require_frame(frame_id: str, values: Values) -> None:
     Raises
     ------
     BellowsError
-        If plan.frame names another one, or the frame is that of the tool, the lip or the package.
+        If plan.frame names another one, or the frame is the tool's, the lip's or the package's.
 
     """
     wanted = values.plan.frame

@@ -1,12 +1,11 @@
 """
 Plans and tool motions from files: messages of several types in recordings, or YAML.
 
-What comes out are points as `plan_messages.PlanMessage` has them; whether an arm can move so, and
-what lies between the points, is not decided here.
+The results are points as `plan_messages.PlanMessage` has them, unchecked and not interpolated.
 
 Transforms are a tree of frames on /tf and /tf_static, whose links may come at different times and
-rates: those of the moving link next to the wanted frame count, and the others are interpolated
-there, as live.
+rates: the stamps of the moving link next to the wanted frame count, and other links are
+interpolated there.
 """
 
 from collections import Counter

@@ -4,15 +4,15 @@ Trajectories as text: TUM files, motions with velocities, programs, and exports 
 TUM has a pose per line, `time x y z qx qy qz qw`, in s and m, with blanks between; evo and many
 SLAM tools take it.
 
-Of Motive's CSV exports (formats 1.2 to 1.25) the tracked poses of rigid bodies are read. A pose is
-left out where its cells are blank, and where fewer markers of its body are seen than a rigid body
-needs. A marker is seen where its quality is at least 0.99 (appendix H); in an export without
+The tracked poses of rigid bodies are read from Motive's CSV exports (formats 1.2 to 1.25). A pose
+is left out where its cells are blank, and where fewer markers of its body are seen than a rigid
+body needs. A marker is seen where its quality is at least 0.99 (appendix H); in an export without
 qualities, where its measured position is not blank. (The positions of a 'Rigid Body Marker' say
-nothing about that: they are where the body expects its markers, and always there.)
-Their layout: a row of settings, name and value in turn; a blank row; rows for Type, Name, ID,
-since format 1.25 Parent, and quantity; the row of axes, which begins with Frame and Time (Seconds)
-and, where the take has one, TimeCode; then a row per frame. These heads identify columns, so
-their order does not matter.
+nothing about that: they are where the body expects its markers, and always there.) Their layout: a
+row of settings, name and value in turn; a blank row; rows for Type, Name, ID, since format 1.25
+Parent, and quantity; the row of axes, which begins with Frame and Time (Seconds) and, where the
+take has one, TimeCode; then a row per frame. These heads identify columns, so their order does not
+matter.
 """
 
 from array import array

@@ -46,7 +46,7 @@ def descriptor(parameter: table.Parameter, read_only: bool) -> interfaces.Parame
 
 class TableNode(GuardedNode):
     """
-    A node whose parameters are those of the table.
+    A node with the parameters of the table.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class AtomicParameterService(ParameterService):
     """
     The parameter services of a node, with its own `set_parameters`.
 
-    The service of rclpy sets one parameter after the other, whatever the node, and answers nothing
+    The service of rclpy sets one parameter after the other, and answers nothing
     to a request that holds a type that does not exist.
     """
 

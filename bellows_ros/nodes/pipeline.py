@@ -61,7 +61,7 @@ class Pipeline(Predicting):
     Attributes
     ----------
     compiler : subprocess.Popen or None
-        Compiles, on a machine where nothing is, what a camera needs.
+        Compiles the kernels for a camera on a machine without them.
     pose_in, twist_in : SensorInput
         The second is None where the poses are Odometry, which has the twists.
     compute : deque
@@ -579,7 +579,7 @@ class Observing:
             if compiler := self._pipeline.compiler:
                 compiler.wait()
             self.warm_up(self._live.model)
-        gc.freeze()  # as `spin` does: what a compiler leaves is never looked at again
+        gc.freeze()  # as `spin` does: the compiler's garbage is never scanned again
         self.is_ready = True
 
     def warm_up(self, model: ModelTuple) -> None:

@@ -66,7 +66,7 @@ class Answers:
     warm_up : callable
         Compiles what answers, in the thread, once a possible publisher appears.
     refuse : callable
-        Takes what is refused, and the BellowsError that explains it.
+        Takes the refused subject, and the BellowsError that explains it.
 
     Attributes
     ----------
@@ -93,11 +93,11 @@ class Answers:
             raw=kind is MultiDOFJointTrajectory)
 
     def submit(self, work: Callable[..., None], *content: Any) -> None:
-        """Answer by some work, instead of what was to be answered before."""
+        """Answer by some work, instead of a pending one."""
         self.worker.submit(self._what, self._attempt, work, *content)
 
     def _attempt(self, work: Callable[..., None], *content: Any) -> None:
-        """Do some work; refuse what cannot be answered, unless nobody waits for it any more."""
+        """Do some work; refuse an unanswerable request, unless nobody waits for it any more."""
         try:
             work(*content)
         except BellowsError as error:
@@ -363,7 +363,7 @@ class PlanReader:
         return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[4:])
 
     def _require_frame(self, frame_id: str) -> None:
-        """Refuse a plan in another frame than that of the tool's poses."""
+        """Refuse a plan in another frame than the tool's poses."""
         plan_messages.require_frame(frame_id, self._pipeline.values)
         frame = self._pipeline.live.frame_id
         if frame and frame_id not in ('', frame):

@@ -151,7 +151,7 @@ class PredictorNode(ManagedNode):
         return super().on_shutdown(state)
 
     def release_resources(self) -> None:
-        """Log the final counts, end the threads, and destroy what was made to be configured."""
+        """Log the final counts, end the threads, and destroy the configured parts."""
         if self.pipeline:
             self.get_logger().info(health.summary(self.pipeline.live))
             if self.pipeline.compiler:

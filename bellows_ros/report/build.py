@@ -140,7 +140,7 @@ def identification_report(result: identification.Identification) -> str:
         strict=True))
     for recording in result.recordings:
         sections.append(_simulated(parameters[recording.name], recording))
-    origin = dict(result.as_json()['provenance'])  # and of what the fit has not seen
+    origin = dict(result.as_json()['provenance'])  # and of recordings outside the fit
     origin['recordings'] = [
         *origin['recordings'],
         *results.provenance([each.bag for each in result.validations])['recordings']]

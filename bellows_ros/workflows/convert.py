@@ -215,7 +215,7 @@ def bodies_in_recording(
     names : sequence of str
         Topics to convert; all with poses where left out.
     millimetres, w_first : bool
-        Of what the recorded ones are.
+        Unit and order of the recorded numbers.
 
     Raises
     ------

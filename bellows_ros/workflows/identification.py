@@ -28,7 +28,7 @@ from bellows_ros.workflows.static import length_sentence, StaticResult
 from bellows_ros.workflows.verdict import FitVerdict
 import numpy as np
 
-if TYPE_CHECKING:  # what a plain identification does without
+if TYPE_CHECKING:  # not needed by a plain identification
     from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.compare import ComparedFits
     from bellows_ros.workflows.replay import Replay
@@ -71,7 +71,7 @@ class Identification(CommandResult):
     fit : Fit
         K and P with their uncertainty.
     excitation : Excitation
-        What is identifiable from the recordings.
+        Identifiability by the recordings.
     values : mapping
         All parameters of the run, as they were given.
     parts : tuple of ReducedRecording
@@ -87,8 +87,7 @@ class Identification(CommandResult):
     validations : tuple of Replay
         Recordings that the fit has not seen, simulated with its cup.
     verdict : FitVerdict or None
-        What the cup is worth, and whether what was given is right; None where no recording itself
-        was at hand.
+        Quality of the cup and of the given quantities; None if no recording itself was at hand.
     failed : tuple of Failed
         Recordings that were left out.
     assumed : tuple of str
@@ -182,7 +181,7 @@ class Identification(CommandResult):
         """
         Estimates beside K and P by parameters: value, standard errors and unit.
 
-        Clock, marker and world are those of the recording with the best known world.
+        Clock, marker and world come from the recording with the best known world.
         """
         result = dict[str, tuple[Any, Any, str]]()
         if not self.fit.converged:
@@ -300,7 +299,7 @@ class Identification(CommandResult):
             yield from offset_sentence(bag, offset)
 
     def _fit_warnings(self) -> tuple[str, ...]:
-        """Return the warnings of the fit and its equations, unless what is wrong causes them."""
+        """Return the warnings of the fit and its equations, unless a found fault causes them."""
         causes = self.verdict.diagnosis.findings[:1] if self.verdict else ()
         if any(cause.material for cause in causes):
             return ()
@@ -462,7 +461,7 @@ def _products(units: Any) -> list[list[str]]:
 
 
 def excitation_json(excitation: identifiability.Excitation) -> dict[str, Any]:
-    """Return what is identifiable from recordings, for a JSON file; null is unknown."""
+    """Return the identifiability by the recordings, for a JSON file; null is unknown."""
     units = parameter_units(structure_named(excitation.structure))
     return {
         'structure': excitation.structure,

@@ -1,9 +1,8 @@
 """
 Identify a cup: recordings in, K and P with their uncertainty out.
 
-Every recording is reduced to what a fit needs of it, and the fit is made of what they are reduced
-to. Who reads them, one after the other, processes or a cluster, makes no difference. What needs
-the recordings themselves gets them here.
+Every recording is reduced to the statistics of a fit, in this process, in others or on a cluster,
+with the same result. Checks that need the recordings themselves get them here.
 """
 
 from collections.abc import Container, Iterator, Mapping, Sequence
@@ -34,12 +33,12 @@ from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
 from bellows_ros.workflows.workers import on_cores, on_dask
 import numpy as np
 
-if TYPE_CHECKING:  # what a plain identification does without
+if TYPE_CHECKING:  # not needed by a plain identification
     from bellows_ros.workflows.compare import ComparedFits
     from bellows_ros.workflows.replay import Replay
 
 Poses = Mapping[str, PoseStream]
-"""Of tool and package."""
+"""Poses of tool and package."""
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Fractions of the work at which the fit begins and ends, for the progress."""
@@ -141,7 +140,7 @@ def resolved(settings: Mapping[str, Any]) -> Values:
 
 
 def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
-    """Yield what is wrong with parameters together, if it is, and what to do about it."""
+    """Yield contradictions of parameters, and their remedies."""
     free = sorted(set(values.fit.free) - {'time_offset', 'package_world'})
     names = f'fit.free: {", ".join(free)}: '
     yield (free and values.fit.method == 'least_squares',
@@ -273,8 +272,8 @@ def _identify(
     """
     Fit the recordings; return the result.
 
-    `effective` are the parameters `values` with the length that standstills have given. What is
-    estimated of the package or the cup's length replaces what was given, in the recordings, too.
+    `effective` are the parameters `values` with the length that standstills have given. Estimates
+    of the package or the cup's length replace the given values, in the recordings, too.
     """
     progress('fitting', FIT_BEGINS)
     length = static.length if static and values.static.length else None

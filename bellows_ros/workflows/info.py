@@ -378,7 +378,7 @@ def _initial_rest(
     """
     Return the duration of the initial standstill, the settings from it, and remarks.
 
-    Of bodies in two worlds, distance and relative rotation mean nothing.
+    Distance and relative rotation of bodies in two worlds mean nothing.
     """
     R = alignment.world_rotation(pair.world)
     tool, package = (alignment.in_world(poses.trajectory(), R)
@@ -481,7 +481,7 @@ def _twist_of(
     """
     Return the topic whose velocity matches the tool's poses, and whether it is in degrees.
 
-    Where the tool hardly moves, it is the topic with the stamps of the tool's poses.
+    If the tool hardly moves, it is the topic with the stamps of the tool's poses.
     """
     matches = {name: _twist_match(tool, twist) for name, twist in twists.items()}
     compared = [(error, frame, name) for name, (error, frame, _) in matches.items() if frame]
@@ -524,7 +524,7 @@ def _twist_match(tool: PoseStream, twist: TwistStream) -> tuple[float, str, bool
         return np.nan, '', in_degrees
     in_world, in_tool = (_rms(integrated(rates) - shift) / _rms(shift)
                          for rates in (linear, apply(body.rotation, linear)))
-    # Where the tool does not turn both agree; then the usual one is meant.
+    # Without rotation of the tool both agree; then the usual one is meant.
     error, frame = (in_world, 'world') if in_world <= 1.2 * in_tool else (in_tool, 'tool')
     return error, frame, in_degrees
 

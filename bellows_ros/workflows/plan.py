@@ -472,7 +472,7 @@ def with_fitted_start(
     tool: Trajectory, measured: Trajectory
 ) -> tuple[Trajectory, tuple[float, float]]:
     """
-    Return a motion whose first two poses and twists are those of a quintic through measured poses.
+    Return a motion with its first two poses and twists from a quintic through measured poses.
 
     The quintic is fitted by position and rotation vector to the first `START_WINDOW`. The largest
     standard errors of the first acceleration, m/s^2 and rad/s^2, are infinite for fewer than
@@ -561,7 +561,7 @@ def write_prediction(
     path : path
         Folder to make.
     source : Source
-        The plan, whose frame and parameters are those of the motion.
+        The plan, with the frame and parameters of the motion.
     tool : Trajectory
         Of E, with body twists.
     states : array (N, 13)

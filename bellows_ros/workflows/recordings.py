@@ -110,7 +110,7 @@ def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> l
     all_stamps : sequence of int arrays
         ns, in any order; the parameters count from the first of all.
     values : mapping
-        With these parameters, s; an end of 0, or left out, is that of the recording.
+        With these parameters, s; an end of 0, or left out, is the recording's end.
 
     Raises
     ------

@@ -366,7 +366,7 @@ def replay(
 
 
 def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
-    """Return the warnings; what a camera shows explains the errors, instead of a mean stretch."""
+    """Return the warnings; findings of a camera explain the errors, instead of a mean stretch."""
     if camera is None:
         return free.warnings
     losses = [seconds for seconds, alarm in camera.alarms if alarm.cause == 'lost']
@@ -437,7 +437,7 @@ def predicted_live(
     """
     Send a recording's tool messages through the predictor and compare with its package poses.
 
-    Messages are those of `tool_messages`, if given. Tool poses that are marked as tracking
+    Messages are `tool_messages`, if given. Tool poses that are marked as tracking
     outliers are left out, and counted. With signals the package is predicted while it is held.
 
     Raises
@@ -474,7 +474,7 @@ def tool_messages(recording: Recording, values: Values) -> Messages:
     numbers[~is_twist, :3] = poses.position
     numbers[~is_twist, 3:] = lie.rotation_to_quaternion(poses.rotation)
     if twists is not None:
-        axes = R_model_tool  # from recorded axes to those of tool_twist.frame
+        axes = R_model_tool  # from recorded axes to the axes of tool_twist.frame
         if values.tool_twist.frame == 'tool':
             axes = recording.alignment.R_tool_markers_tool.T
         numbers[is_twist, :3] = lie.apply(axes, twists.linear)
@@ -607,9 +607,9 @@ def _calibrated(
     calibration : Calibration or None
         In the world of the model.
     pose : ndarray (7,)
-        Of the camera's world in that of the model, as it was given.
+        Given pose of the camera's world in the model's world.
     R_model_tool : ndarray (3, 3)
-        From the world of the tool to that of the model.
+        From the world of the tool to the world of the model.
 
     """
     if calibration is None:

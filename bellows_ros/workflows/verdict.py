@@ -1,4 +1,4 @@
-"""What a cup is worth, what explains what noise does not, and whether it is refused."""
+"""Quality of a cup, causes of residuals beyond the noise, and whether the cup is refused."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -33,7 +33,8 @@ DRAWS, SIGMAS = 5, 3.0
 """Cups drawn from the standard errors, and how many standard deviations are allowed."""
 
 LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_world'})
-"""What recordings tell apart from K and P. Not mass and inertia, which scale with them."""
+"""Quantities that recordings separate from K and P; not mass and inertia, which scale with
+them."""
 
 CLOCK_RATE = 'rate of the clocks (ppm)'
 """Name of an estimated quantity that is no parameter."""
@@ -91,7 +92,7 @@ class Simulated(NamedTuple):
 
 class FitVerdict(NamedTuple):
     """
-    Free simulations of recordings of the fit, and what was found to be otherwise.
+    Free simulations of recordings of the fit, and deviations from given quantities.
 
     A misfit beyond the noise refuses a cup of the output error, whose chi^2 per degree of freedom
     is given, from their median; None for others.
@@ -104,11 +105,11 @@ class FitVerdict(NamedTuple):
     expected: Free = MappingProxyType({})
     """Standard deviations, SI units, of what output error may correct beside K and P."""
     log_inertia_ratio: float = 0.0
-    """Logarithm of inertia over mass as estimated by the fit, relative to what was given."""
+    """Logarithm of inertia over mass as estimated by the fit, relative to the given ratio."""
     found: Mapping[str, tuple[Array, str, float]] = MappingProxyType({})
     """
     Parameters of package and cup by the fit, where it has changed one notably, by how much, and in
-    standard deviations: first what it has changed by most of these.
+    standard deviations, the largest change first.
     """
 
     @property
@@ -122,7 +123,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def causing(self) -> list[causes.Finding]:
-        """What is wrong, the likeliest first, but after it what is off no more than expected."""
+        """Causes, the likeliest first, then deviations no larger than expected."""
         alone = self.diagnosis.findings
         first = alone if alone and alone[0].is_fact else alone[:1]
         findings = [*first, *self.diagnosis.besides]
@@ -132,7 +133,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The likeliest cause, where there is one, and what the cup is worth."""
+        """The likeliest cause, if there is one, and the quality of the cup."""
         return (*self.cause, *self.doubts, *(simulated.sentence for simulated in self.simulated))
 
     @property
@@ -144,7 +145,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on what the fit has corrected, of which the mass may be wrong instead."""
+        """Sentences on corrections by the fit; the mass may be wrong instead."""
         sentences = []
         if abs(self.log_inertia_ratio) >= causes.MATERIAL:
             sentences.append(
@@ -161,7 +162,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def cause(self) -> tuple[str, ...]:
-        """Sentences about what explains most, and what is wrong beside it, or none."""
+        """Sentences about the main cause and further ones, or none."""
         if not self.diagnosis.findings:
             return ()
         first, *others = self.causing
@@ -248,7 +249,7 @@ class FitVerdict(NamedTuple):
 
 
 def _is_within(finding: causes.Finding, std: Free) -> bool:
-    """Return whether a cause is no larger than three standard deviations of what was given."""
+    """Return whether a cause is no larger than three standard deviations of the given value."""
     if finding.name not in std or not len(finding.theta):
         return False
     limit = SIGMAS * std[finding.name]
@@ -287,7 +288,7 @@ def verdict_of(
     if facts := causes.facts(tested, length):
         besides: tuple[causes.Finding, ...] = ()
         right = [causes.corrected(each)[1] for each in tested]
-        with suppress(BellowsError):  # what is wrong cannot be corrected
+        with suppress(BellowsError):  # the fault cannot be corrected
             besides = methods.by_output_error(right, simulated).causes
         return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts, tuple(
             cause for cause in besides if cause.likely and all(
@@ -304,7 +305,7 @@ def verdict_of(
 def _judged(
     verdict: FitVerdict, fit: Fit, tested: Sequence[Recording], length: float, values: Values
 ) -> FitVerdict:
-    """Return a verdict with free simulations of recordings, and with what a fit has corrected."""
+    """Return a verdict with free simulations of recordings, and with the corrections of a fit."""
     log_inertia_ratio = float(  # one of the three moments may hardly be known
         np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
         'inertia' in fit.nuisances) else 0.0

@@ -112,8 +112,8 @@ def compile_aside(function: Callable[..., object], *arguments: object) -> subpro
     """
     Start a process that calls a function of a module, so that its machine code comes on disk.
 
-    A compiler in a thread would hold the interpreter for seconds. Where the process fails, the
-    kernels are compiled at their first call, as without it.
+    A compiler in a thread would hold the interpreter for seconds. If the process fails, the
+    kernels are compiled at their first call.
     """
     process = subprocess.Popen(
         [sys.executable, '-P', '-c', ASIDE], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,

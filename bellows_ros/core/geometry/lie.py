@@ -349,7 +349,7 @@ def transform(R: Array, o: ArrayLike) -> Array:
     R : array (..., 3, 3)
         Rotation ``R_a_b``.
     o : array (..., 3)
-        Origin of b in a, m; leading axes broadcast against those of R.
+        Origin of b in a, m; leading axes broadcast against the leading axes of R.
 
     Returns
     -------

@@ -41,14 +41,14 @@ _longest_step = lru_cache(maxsize=1)(largest_step)
 
 
 class Landing(NamedTuple):
-    """Where the package would land if the valve were switched at a prediction."""
+    """Landing of the package if the valve is switched at a prediction."""
 
     stamp_ns: int
-    """Of the prediction."""
+    """Stamp of the prediction."""
     toss: Toss
     """Times are s since then."""
     covariance: Array
-    """Of position on the floor and rotation vector, in world axes (6, 6)."""
+    """Covariance of position on the floor and rotation vector, in world axes (6, 6)."""
 
 
 def _after_now(tool: ToolRows | None) -> tuple[Array, Array]:
@@ -80,7 +80,8 @@ class Flight:
         a plan, with the progress on the plan changed by a number of its standard deviations. After
         it the tool keeps its twist.
     grip : callable, optional
-        Returns the grip of the held package, as `grip_of` does; that of the values when left out.
+        Returns the grip of the held package, as `grip_of` does; the grip of the values when left
+        out.
 
     Attributes
     ----------
@@ -274,8 +275,7 @@ class Flight:
         """
         Return the landing if the valve were switched now and the tool moved on as planned.
 
-        One derivative is renewed each time: all of them take as long as what they are used for
-        hardly changes.
+        One derivative is renewed each time: all of them take as long as their use hardly changes.
 
         Parameters
         ----------

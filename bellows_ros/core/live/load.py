@@ -72,8 +72,8 @@ class Load:
     Parameters
     ----------
     values : mapping
-        Parameters by name: those of `grip_of`, vacuum.ambient, safety.least, package.mass,
-        envelope.*.
+        Parameters by name: the ones that `grip_of` reads, vacuum.ambient, safety.least,
+        package.mass, envelope.*.
     pressure : float, optional
         Absolute pressure in the cup, as last measured, Pa.
 
@@ -116,7 +116,7 @@ class Load:
     def watch_force(
         self, model: ModelTuple, prediction: Prediction
     ) -> tuple[float, float] | None:
-        """Record the safety factors of a prediction; return those of the worst cup."""
+        """Record the safety factors of a prediction; return the factors of the worst cup."""
         if self.grip is None:
             return None
         f, m = prediction.force, prediction.moment

@@ -48,7 +48,7 @@ def prepared(
     cup: Cup, package: Package, gravity: ArrayLike
 ) -> tuple[ModelTuple, float, float, Modes]:
     """
-    Return the model of a cup and a package, and what is derived from it.
+    Return the model of a cup and a package, and quantities derived from it.
 
     The longest stable integration step (s), the largest plausible displacement of the lip (m), and
     the modes.
@@ -168,7 +168,7 @@ class LivePayload:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
 
     def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
-        """Restart from rest at the next tool sample, with what the observer shall keep."""
+        """Restart from rest at the next tool sample, with estimates that the observer keeps."""
         if self.observer is not None:
             self.observer.forget(kept)
         self.sample = None

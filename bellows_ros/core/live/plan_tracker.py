@@ -4,9 +4,9 @@ Tracking of a plan while the tool drives it: the tool's place on the plan, and t
 Drivers start late, run scaled, pause and wait, so the plan is anchored to the tool and not to the
 clock. The progress along the plan (s) and its rate are a continuous state with a covariance: a
 Kalman filter predicts both, and each pose and twist of the tool corrects them by the motion of the
-plan there. Where the plan stands or creeps, the poses do not determine the progress: it goes on at
-its rate, and its variance grows. Where the tool is not near its predicted place, the plan is
-searched. Pure code, no ROS.
+plan there. During standstills and slow parts of the plan, the poses do not determine the progress:
+it goes on at its rate, and its variance grows. If the tool is not near its predicted place, the
+plan is searched. Pure code, no ROS.
 """
 
 import math
@@ -33,7 +33,7 @@ MAX_DEVIATION = 0.05
 """Largest distance of a tool that follows the plan, m."""
 
 POSE_STD, TWIST_STD = 5e-5, 0.005
-"""Standard deviations of the tool's pose (m) and twist (m/s) from those of the driven plan."""
+"""Standard deviations of the tool's pose (m) and twist (m/s) from the driven plan."""
 START_STD = 0.5
 """Standard deviation of the rate of a driver that has not moved yet."""
 GATE = 4.0
@@ -63,11 +63,11 @@ class PlanProgress(NamedTuple):
     time: float
     """s of the plan."""
     rate: float
-    """Of the driver, relative to the plan."""
+    """Rate of the driver, relative to the plan."""
     variance: float
-    """Of the time, s^2."""
+    """Variance of the time, s^2."""
     covariance: float
-    """Of time and rate, s."""
+    """Covariance of time and rate, s."""
     rate_variance: float
 
 
@@ -149,8 +149,8 @@ def search(
     """
     Return the time (s) between two at which the plan is nearest to the tool, and the step (s).
 
-    Of places as near as each other the one in the tool's direction, then that nearer to the
-    expected time.
+    Among equally near places, the place in the tool's direction is preferred, then the one nearer
+    to the expected time.
     """
     low, high = ends
     count = min(max(int((high - low) / SEARCH_STEP), 1), MAX_SEARCH_STEPS)

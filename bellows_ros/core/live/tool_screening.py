@@ -1,11 +1,10 @@
 """
 Screening of the tool's poses and twists: a state machine over stamps, frames and values.
 
-Each pose is accepted, refused with a reason, or accepted as a fresh start with a reason. What
-looks wrong once is refused; what goes on in a consistent way is believed after a short run, so
-that the predictor comes back by itself when a clock was set, a recording starts again, a driver
-changes its frame or a tool was moved while nobody saw it. Of two tools on one topic the one that
-came first is followed.
+Each pose is accepted, refused with a reason, or accepted as a fresh start with a reason. A single
+implausible pose is refused; a consistent run of them is believed, so that the predictor comes back
+by itself when a clock was set, a recording starts again, a driver changes its frame or a tool was
+moved while nobody saw it. Of two tools on one topic the one that came first is followed.
 """
 
 import math
@@ -35,7 +34,7 @@ SHIFT_TOLERANCE, ROTATION_TOLERANCE = 0.05, 0.3
 """Tolerance (m, rad) of a pose about where an arm could be."""
 
 MAX_ACCELERATION, JUMP_TOLERANCE = (100.0, 1000.0), (0.02, 0.2)
-"""Of an arm (m/s^2, rad/s^2), and tolerance of a pose in addition (m, rad)."""
+"""Acceleration of an arm (m/s^2, rad/s^2), and tolerance of a pose in addition (m, rad)."""
 
 SUSPECT_ACCELERATION, SUSPECT_TOLERANCE = (40.0, 400.0), (0.015, 0.15)
 """The same, for doubting the arm's motion or the tracker."""
@@ -44,10 +43,10 @@ SUSPICION_AFTER_JUMPS = 0.2
 """Fraction of that limit at which doubt begins after refused poses."""
 
 JITTER = 0.025
-"""Largest error (s) of stamps; those of arrival come in bursts."""
+"""Largest error (s) of stamps; stamps of arrival come in bursts."""
 
 MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
-"""To a complete stop within one sample (m/s^2, rad/s^2), and its noise (m, rad)."""
+"""Deceleration to a stop within one sample (m/s^2, rad/s^2), and its noise (m, rad)."""
 
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
@@ -192,7 +191,7 @@ class Frame:
     """
 
     def __init__(self) -> None:
-        """Take whatever frame comes next."""
+        """Take any next frame."""
         self.name: str | None = None
         self._other: str | None = None
         self._first_ns = self._last_ns = -1
@@ -238,7 +237,7 @@ class Screen(StampScreen):
         self.reset()
 
     def reset(self) -> None:
-        """Take whatever stamp and frame come next."""
+        """Take any next stamp and frame."""
         self.frame = Frame()
         self.forget_motion()
 
@@ -287,7 +286,7 @@ class Screen(StampScreen):
     def _judge(
         self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion, arrival_ns: int | None
     ) -> str:
-        """Return what the first of the checks says that says anything."""
+        """Return the reason of the first check that fails, or ''."""
         if reason := screening.why_no_pose(o, q):
             return reason
         if stamp_ns <= 0:

@@ -175,7 +175,7 @@ class Pairing:
             for a, b in zip(before[1:], after[1:], strict=True)))
 
     def _note_late(self, stamp_ns: int) -> None:
-        """Wait for twists again when those of poses that went on alone come, only later."""
+        """Wait for twists again when twists of released poses come later."""
         if self._newest_ns - stamp_ns <= MAX_WAIT_NS and any(
                 abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist):
             self._count(True)
@@ -252,8 +252,8 @@ def slope_weights(
     """
     Return the row of the inverse normal matrix of a quadratic fit that yields its slope at s = 0.
 
-    The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. Where it is
-    nearly singular, as of two samples or of two bursts, the slope is that of the fitted line.
+    The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. If the
+    matrix is nearly singular, as of two samples or of two bursts, a line is fitted.
     """
     determinant = n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
     if determinant < 1e-4:  # three even samples have 0.06
@@ -289,7 +289,7 @@ def misfits(
     q: Quaternion, linear: Vector, angular: Vector, v: Vector, w: Vector
 ) -> tuple[float, float, float]:
     """
-    Return the squares of the body twist (v, w) and of what the measured one differs by from it.
+    Return the squares of the body twist (v, w) and of the measured twist's deviation from it.
 
     The measured twist (linear, angular) is taken to be in axes of the world, then of the tool;
     rotations are weighed by the lever.
@@ -316,9 +316,9 @@ def with_measured_twist(
     """
     Return the tool with a measured twist, and how far it is from where the twists lead.
 
-    As a fraction of what any arm does, as a fraction of what is not suspect, and as a shift (m)
-    and an angle (rad). The shift between two poses differs from the mean of both velocities times
-    the time by at most what the largest jerk makes of it, j t^3 / 12.
+    The deviation is relative to the largest of an arm, relative to the limit of suspicion, and a
+    shift (m) and an angle (rad). The shift between two poses differs from the mean of both
+    velocities times the time by at most j t^3 / 12, with the largest jerk j.
     """
     R_before, R = t3.rotation_matrix(before[1]), t3.rotation_matrix(q)
     v, w = linear, angular
@@ -348,7 +348,7 @@ class ToolMotion:
     Parameters
     ----------
     in_world : bool
-        Whether twists are in axes of the world, else in those of the frame.
+        Whether twists are in axes of the world, else in axes of the frame.
 
     """
 
@@ -374,7 +374,7 @@ class ToolMotion:
         self._squares: tuple[float, ...] = 0.0, 0.0, 0.0  # as of `misfits`
 
     def pose(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> PoseSample:
-        """Return the pose of E for that of the frame, in the world, m."""
+        """Return the pose of E from the pose of the frame, in the world, m."""
         q = t3.normalised(quaternion_xyzw)
         if self._tip is not None:
             position = t3.add(position, t3.apply(t3.rotation_matrix(q), self._tip[0]))
@@ -432,7 +432,7 @@ class ToolMotion:
 def _at_tip(
     twist: TwistSample, lever: Vector, rotation: Quaternion, q: Quaternion, in_world: bool
 ) -> TwistSample:
-    """Return the twist of E, in axes as before, from that of a frame with E at lever and turn."""
+    """Return the twist of E, in axes as before, from a frame with E at lever and rotation."""
     R_tip, v, w = t3.rotation_matrix(rotation), twist.linear, twist.angular
     if in_world:
         lever = t3.apply(t3.rotation_matrix(q), t3.apply_transposed(R_tip, lever))

@@ -6,20 +6,20 @@ it was at the start:
 
 - each uncertain entry of K and P drives a sensitivity of the state along the real motion, as the
   wrench is linear in it (4.67);
-- noise of the tool's pose, white from sample to sample, gives a constant part: that of a linear
-  system driven for a long time;
+- noise of the tool's pose, white from sample to sample, gives a constant part, the covariance of a
+  linear system in steady state;
 - while the tool is extrapolated its unknown acceleration is added;
-- what a start under a moving tool was off by is followed as it swings out.
+- the initial error under a moving tool is followed as it swings out.
 
 Rotation of the axes during the motion is neglected. All in body axes: displacement, rotation,
 linear and angular twist. Every part is kept as a root (12, n), whose product with its transpose is
-the covariance: positive semidefinite, whatever is rounded. Without a stable rest of the package
+the covariance: positive semidefinite in spite of rounding. Without a stable rest of the package
 there is none (`available`). The internal strains of a cup that relaxes are 12 states more; noise
 of the tool is too quick for them.
 
-A package is started at rest, hanging from its tool. Where the tool moves then, or where its poses
-are thrown about later as no arm moves, the prediction is wrong by an amount that dies away with
-the package's modes. Until then it settles (`Settling`).
+A package is started at rest, hanging from its tool. If the tool moves then, or if its poses jump
+later as no arm moves, the prediction is wrong by an amount that dies away with the package's
+modes. Until then it settles (`Settling`).
 """
 
 from collections.abc import Callable, Sequence
@@ -147,8 +147,8 @@ class Uncertainty:
         """
         Return the covariance of a prediction (12, 12): pose, then twist, in body axes.
 
-        Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s). Predictions are
-        to be given in the order of their stamps.
+        The state is displacement (m), rotation (rad), linear and angular twist (m/s, rad/s).
+        Predictions are to be given in the order of their stamps.
         """
         root = self.root(prediction)
         return np.asarray(root @ root.T)
@@ -302,7 +302,7 @@ SPAN_NS = 100_000_000
 """Time (ns) after a start, in two halves, in which the tool's motion is estimated."""
 
 UNOBSERVED_MOTION = 0.5, 1.0, 5.0, 25.0
-"""What a tool may do before it is observed: m/s, rad/s, m/s^2, rad/s^2."""
+"""Motion of an unobserved tool: m/s, rad/s, m/s^2, rad/s^2."""
 
 MIN_DECAY_RATE, MIN_FREQUENCY = 0.1, 1.0
 """Smallest decay rate (1/s) and frequency (rad/s) assumed of any package."""
@@ -312,9 +312,9 @@ class Modes(NamedTuple):
     """How a package moves a little about its rest."""
 
     decay: float
-    """Of the mode that dies away slowest, 1/s."""
+    """Decay rate of the least damped mode, 1/s."""
     frequency: float
-    """Of the slowest mode, rad/s."""
+    """Frequency of the slowest mode, rad/s."""
     compliance: tuple[float, float, float]
     """Shift (m) and rotation (rad) by 1 m/s^2 of the tool, and rotation by 1 rad/s^2 of it."""
 
@@ -338,7 +338,7 @@ class Settling:
     now : Unsettled or None
         None where it has died away.
     modes : Modes
-        Of the package, to be set first; with those of another one a running decay keeps its end.
+        Modes of the package, to be set first; a running decay keeps its end when they change.
 
     """
 
@@ -409,7 +409,7 @@ def motion_through(
     """
     Return speed (m/s), rate (rad/s) at the start, and accelerations (m/s^2, rad/s^2).
 
-    Of quadratics through three poses, s and t seconds after the start.
+    They follow from quadratics through three poses, s and t seconds after the start.
     """
     v, a = quadratic(
         t3.subtract(middle[0], start[0]), t3.subtract(end[0], start[0]), s, t)

@@ -32,7 +32,7 @@ def resting_on_tool(model: ModelTuple, tool: State) -> State:
 
 
 def adapted(model: ModelTuple, tool: State, body: State) -> State:
-    """Return a state with internal strains, those of long rest if new, if the cup relaxes."""
+    """Return a state with the internal strains of a cup that relaxes, at first of long rest."""
     if len(body[4:]) == len(model[0][4:]):
         return body
     plain: State = body[0], body[1], body[2], body[3]
@@ -180,8 +180,8 @@ def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = Non
     """
     Return the state in which the package hangs at rest from a tool at rest (3.9).
 
-    The load is put on in steps from the nominal pose, each solved by Newton's method, so that of
-    several equilibria the one that a real cup reaches is found; or at once from a guess of the
+    The load is put on in steps from the nominal pose, each solved by Newton's method, so that
+    among several equilibria the equilibrium of a real cup is found; or at once from a guess of the
     package at rest. The search is in tool axes: the tool's pose in the world does not matter.
 
     Raises

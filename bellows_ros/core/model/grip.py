@@ -1,7 +1,7 @@
 """
 Safety factors of a vacuum grip against peel and slip.
 
-Holding is that of each cup, by its own wrench: a gripper of several has the smallest factor of its
+Each cup holds by its own wrench: a gripper of several has the smallest factor of its
 cups, whose K_1 and P_1 are solved from the sums (see `structure`).
 The vacuum presses the package on a lip with V = pressure below ambient times effective area (N).
 The wrench (f, m) of the cup on the package is that at S in S axes, so f_z > 0 pulls the package
@@ -62,7 +62,7 @@ def safety_factors(grip: tuple[float, float, float], f: Vector, m: Vector) -> tu
 
 @kernel
 def one_of(M: Blocks, places: Array) -> Blocks:
-    """Return the blocks of one cup from those of the gripper, the inverse of `composed`."""
+    """Return the blocks of one cup from the gripper's, the inverse of `composed`."""
     n = float(len(places))
     oo = t3.scale_matrix(1.0 / n, M[0])
     total, squares = ZERO, t3.scale_matrix(0.0, M[0])
@@ -90,7 +90,7 @@ def wrench_at(
     """
     Return the wrench of one cup of a gripper on the package, at its lip in S axes.
 
-    It stands at a; pose and twist are those of S, and the internal strains of the gripper.
+    The cup stands at a; pose and twist are of S, and the internal strains of the gripper.
     """
     o = t3.add(o, t3.subtract(t3.apply(R, a), a))
     return kernels.cup_wrench(one, o, R, t3.add(v, t3.cross(w, a)), w, strains_at(strains, a))
@@ -113,7 +113,7 @@ def least_factors(
     """
     Return the smallest safety factors of all cups against peel and slip, and whose they are.
 
-    Pose and twist are those of S in E, as `cup_wrench` takes them, and (f, m) its wrench.
+    Pose and twist are of S in E, as `cup_wrench` takes them, and (f, m) is its wrench.
     """
     if len(grip) == 3:
         peel, slip = safety_factors(grip, f, m)
@@ -152,7 +152,7 @@ def factors_along(model: ModelTuple, grip: Grip, tool: Array, body: Array) -> Ar
     """
     Return safety factors (N, 2), as in `MODES`, and whose they are (N, 2).
 
-    Of rows (N, 13) of tool and package; those of cups are their rows in the grip.
+    Motions are rows (N, 13) of tool and package; cups are named by their rows in the grip.
     """
     out = np.empty((len(tool), 4))
     for k in range(len(tool)):

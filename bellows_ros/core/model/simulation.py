@@ -59,8 +59,8 @@ def steady_start(
     """
     Return the package in steady motion at a plan's first point: at rest where the tool is.
 
-    Where the tool moves, the package hangs as if the plan's first acceleration had lasted: it
-    moves with the tool like one body. The search at rest starts from a guess.
+    Under a moving tool the package hangs as under the plan's first acceleration for a long time:
+    both move like one body. The search at rest starts from a guess.
 
     Raises
     ------

@@ -4,9 +4,10 @@ Structures of K and P: which entries are free, which are tied, and how equal cup
 A new structure is one entry in `STRUCTURES`: methods, tables and exports follow.
 
 Cup i of a gripper stands at a_i in E, and its lip at a_i in S. Its strain (3.18) and twist are
-linear in those of a cup at the origin, h_i = A_i h and v_i = A_i v, A_i = [[I, -a_i^], [0, I]], as
-(I + R^T)(R - I) a = (R - R^T) a. So K = sum A_i^T K_1 A_i and P = sum A_i^T P_1 A_i are one cup of
-the same kernel, exactly, at any rotation and in motion. Holding is that of each cup: see `grip`.
+linear in strain and twist of a cup at the origin, h_i = A_i h and v_i = A_i v, A_i = [[I, -a_i^],
+[0, I]], as (I + R^T)(R - I) a = (R - R^T) a. So K = sum A_i^T K_1 A_i and P = sum A_i^T P_1 A_i
+are one cup of the same kernel, exactly, at any rotation and in motion. Each cup holds by itself:
+see `grip`.
 
 Checks of parameter values: a 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz,
 ixy, ixz, iyz]; units are SI.

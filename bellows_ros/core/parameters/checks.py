@@ -336,8 +336,8 @@ class Settings:
     path : str
         Where the block stands, for messages: '' or 'tool.outliers', for instance.
     where : callable, optional
-        From the names that lead to a setting to what errors on it begin with, as its line; that
-        of the values where they have one.
+        From the names that lead to a setting to what errors on it begin with, as its line; the
+        values' own where they have one.
 
     Raises
     ------

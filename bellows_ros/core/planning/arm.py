@@ -41,7 +41,7 @@ class Joint(NamedTuple):
     """Name of the joint that this one mimics, with its range and speed; '' if it moves itself."""
     ratio: float = 1.0
     offset: float = 0.0
-    """Position by that of its drive: ratio times it, and an offset, rad or m."""
+    """Position from the drive's position: ratio times it, and an offset, rad or m."""
 
 
 class Arm(NamedTuple):
@@ -51,7 +51,7 @@ class Arm(NamedTuple):
     Parameters
     ----------
     root, tool_link : str
-        Links; poses of the tool are those of `tool_link` in `root`.
+        Links; poses of the tool are of `tool_link` in `root`.
     joints : tuple of Joint
 
     """
@@ -85,7 +85,7 @@ class Arm(NamedTuple):
         Raises
         ------
         BellowsError
-            If one is missing; `of` names what has the joints.
+            If one is missing; `of` names the owner of the joints.
 
         """
         missing = [name for name in self.moving if name not in names]

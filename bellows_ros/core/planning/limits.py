@@ -31,7 +31,7 @@ SPACING_NS = 1_000_000
 MAX_STRETCH, MIN_STRETCH, STRETCH_RESOLUTION = 20.0, 1.02, 1.001
 """The time is sought up to this factor, in steps of at least this factor, and to this factor."""
 STEEPNESS = 4
-"""What is asked of the tool falls at most with so many powers of the time more than for a rigid
+"""Largest additional power of the time with which demands on the tool fall, relative to a rigid
 package: the inverse differentiates the package's motion twice more, and smooths it."""
 
 NO_LIMIT = 1e12
@@ -61,7 +61,7 @@ class Limits(NamedTuple):
     """Corners (3,) of the workspace of the tool tip, m."""
     safety_factor: float
     joint_acceleration: float = NO_LIMIT
-    """Of each joint of the arm, rad/s^2 or m/s^2; their speeds are in its URDF."""
+    """Largest acceleration of each joint, rad/s^2 or m/s^2; speeds are in the URDF."""
 
 
 NO_LIMITS = Limits(
@@ -72,7 +72,8 @@ def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float
     """
     Return the largest speed, acceleration and jerk, and the angular ones, SI, as in `RATES`.
 
-    Of rotations (N, 3, 3) to the world and body twists (N, 6) a step (s) apart, by differences.
+    They are differences of rotations (N, 3, 3) to the world and body twists (N, 6) a step (s)
+    apart.
     """
     rates = [apply(rotation, part) for part in (twist[:, :3], twist[:, 3:])]
     sizes = [np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / step ** order

@@ -41,7 +41,7 @@ Extremes = tuple[Array, Array, Array]
 """Peaks (8, 3) as in `PlanPrediction`; time and value of each at the two samples before (8, 4);
 and the range of the lip's shift and rotation vector with the largest twist (6, 3)."""
 Watch = tuple[Extremes, float, Mask]
-"""What is kept; a load above which, and a flag (1,) with which, a simulation ends."""
+"""Results to keep; a load above which, and a flag (1,) with which, a simulation ends."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Passed to the kernel if the grip is unknown; the loads are then not used."""
@@ -140,7 +140,7 @@ class PlanSimulation:
     tail : float
         Longest time (s) simulated after the end.
     longest : float
-        Longest step of the integration (s); that of the model when left out.
+        Longest step of the integration (s); the model's start when left out.
     stop : bool array (1,)
         Ends the work with a BellowsError as soon as another thread sets it to true.
 
@@ -227,7 +227,7 @@ class PlanSimulation:
             (self._extremes, ceiling, self._stop)))
 
     def _run(self, simulate: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a kernel does; raise where it diverges or another thread has stopped it."""
+        """Return the result of a kernel; raise if it diverges or another thread has stopped it."""
         try:
             result = simulate(self._model, self._grip or UNKNOWN_GRIP, *arguments)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan

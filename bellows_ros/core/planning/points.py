@@ -58,8 +58,8 @@ def plan_of(
         Position (m) and quaternion xyzw of E in the world.
     twist, acceleration : array (N, 6), optional
         Velocity of the tool tip and angular velocity (m/s, rad/s), and their rates of change. Left
-        out, twists are those of a cubic spline from rest to rest. With accelerations the tool
-        moves along quintic polynomials between points, without along cubic ones.
+        out, twists follow from a cubic spline from rest to rest. With accelerations the tool moves
+        along quintic polynomials between points, without along cubic ones.
     twist_frame : {'world', 'tool'}
         Axes of both.
     name : str
@@ -189,7 +189,7 @@ def curve_of(motion: Trajectory) -> Any:
     """
     Return a motion as cubic Hermite polynomials in time, s since its first point.
 
-    Of position and quaternion, (..., 7); the latter is of unit length at the motion's points.
+    The values are position and quaternion, (..., 7), of unit length at the motion's points.
     """
     return scipy.interpolate.CubicHermiteSpline(motion.seconds, *_path(motion))
 
@@ -381,7 +381,7 @@ def joint_path(arm: Arm, tool: Trajectory, guess: Array) -> JointPath:
     Parameters
     ----------
     arm : Arm
-        Tool poses are those of its tool link in its root.
+        Tool poses are of its tool link in its root.
     tool : Trajectory
         N points with body twists.
     guess : array (N, M)

@@ -56,7 +56,7 @@ FADE_TIME = 0.02
 MIN_RESIDUAL_SWING = planning.SETTLED_ANGLE
 """Swing of the package above which a mode is shaped, rad."""
 ALLOWED_TIME = 1.0
-"""Longest duration of a shaper, s; that of the plan where it is longer."""
+"""Longest duration of a shaper, s, or the plan's duration if that is longer."""
 TAIL = 2.0
 """Duration after a shaped motion in which its residual swing is sought, s."""
 
@@ -103,7 +103,7 @@ def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw
     Return the tool with the twist at which the cup causes these rates of the package.
 
     D1(H) v1 = f_spring(H) - f_needed at S1 (3.27, 3.33) is solved for the relative twist. The
-    internal strains of a cup that relaxes are those of the tool here, by its motion.
+    internal strains of a cup that relaxes belong to the tool here, by its motion.
     """
     cup, package, _ = model
     l1 = cup[0]
@@ -175,7 +175,7 @@ def _invert_kernel(
 
 def relaxation_rates(model: ModelTuple) -> Array:
     """
-    Return the rates (1/s) at which the cup relaxes under a wrench: those of P^-1 K.
+    Return the rates (1/s) at which the cup relaxes under a wrench: the eigenvalues of P^-1 K.
 
     With internal strains: of P dh/dt = -K (h + sum_b r_b (h - z_b)), dz_b/dt = (h - z_b) / tau_b.
 
@@ -262,7 +262,7 @@ def _reference_states(rows: Array, duration: float, count: int) -> Array:
     """
     Return states of B, and the rates of its body twist (2 count + 1, 19).
 
-    Of a quintic spline through evenly spaced poses (N, 7), from rest to rest.
+    The reference is a quintic spline through evenly spaced poses (N, 7), from rest to rest.
     """
     still: Any = [(1, np.zeros(7)), (2, np.zeros(7))]
     spline = scipy.interpolate.make_interp_spline(
@@ -346,8 +346,8 @@ def is_smooth(curve: Any) -> bool:
     """
     Return whether a motion from rest to rest, as `curve_of` makes it, is C^4.
 
-    Where it is not, the change of the fourth derivative from one point to the next does not become
-    smaller with their distance.
+    Otherwise the change of the fourth derivative between neighbours does not become smaller with
+    their distance.
     """
     duration = float(curve.x[-1])
     count = round(duration / max(SPACING, float(np.median(np.diff(curve.x)))))
@@ -388,7 +388,7 @@ def impulses(modes: Sequence[SwingMode], method: str) -> tuple[Array, Array]:
     """
     Return delays (s) and sizes, of sum 1, of the ZV or ZVD shaper of some modes (M,).
 
-    k = exp(-zeta pi / sqrt(1 - zeta^2)) is what is left of a swing after half a period.
+    k = exp(-zeta pi / sqrt(1 - zeta^2)) is the remaining part of a swing after half a period.
     """
     delays, sizes = np.zeros(1), np.ones(1)
     for mode in modes:
@@ -521,8 +521,8 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     """
     Return the motion of the package hanging rigidly below the tool, at rest at both ends.
 
-    Where the tool tilts, so that it hangs differently at both, the one becomes the other with
-    four continuous derivatives.
+    If the tool tilts, the relative pose changes from the first to the last with four continuous
+    derivatives.
     """
     T_E = lie.transform(tool.rotation[[0, -1]], tool.position[[0, -1]])
     rests = [simulation.rest(model, row) for row in simulation.tool_rows(tool)[[0, -1]]]

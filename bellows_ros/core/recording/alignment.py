@@ -2,15 +2,15 @@
 From recorded marker frames to tool tip E, lip S and centre of mass B (4.1-4.13).
 
 A motion capture system gives poses of marker bodies whose axes are turned against E and S, and the
-package hangs a little beside the cup's axis. At rest the axes of E and S are those of the world,
-and S lies below E: what differs from that at the standstill at the beginning is taken out, by
-constant rigid transformations of each body. Poses that need no such correction go through the
-same transformations, with the identity in them.
+package hangs a little beside the cup's axis. At rest the axes of E and S are parallel to the
+world's, and S lies below E: deviations at the first standstill are removed by constant rigid
+transformations of each body. Poses that need no such correction go through the same
+transformations, with the identity in them.
 
 The offset of two clocks follows from when two bodies turn alike.
 
-Where tool and package are tracked in two worlds, the transform between these brings the package's
-poses into the frame of the tool's before anything else is done with them.
+If tool and package are tracked in two worlds, the package's poses are first transformed into the
+frame of the tool's poses.
 """
 
 from collections.abc import Mapping
@@ -41,7 +41,7 @@ R_WORLD_MOTIVE = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
 """From axes of a recording to those with z up, by the value of recording.world."""
 
-# Fewer valid samples than this, or a smaller part of what the rate gives, make no standstill.
+# Minimum number of valid samples of a standstill, and their minimum part by the rate.
 MIN_SAMPLES_AT_REST, MIN_PART_AT_REST = 10, 0.5
 # A beginning at rest: over how long (s) poses are averaged, and how long (s) a body stands still.
 START_SECONDS = 0.2
@@ -59,14 +59,14 @@ class Alignment:
     Parameters
     ----------
     R_tool_markers_tool : array (3, 3)
-        From axes of the tool E to those its pose is recorded in (4.4); the origins are the same.
+        From axes of the tool E to those its pose is recorded in (4.4); the origins coincide.
     R_package_markers_lip : array (3, 3)
         From axes of the lip S to those the package's pose is recorded in (4.5).
     origin_to_com : array (3,)
         From the origin of the recorded package pose to the centre of mass B, in axes of S, m.
     lateral_offset : array (3,)
-        What was taken out of the position of the lip (4.10), in axes of S, which at rest are
-        those of E, m; z is 0. `origin_to_com` has it in.
+        Correction of the position of the lip (4.10), in axes of S, at rest parallel to E, m; z is
+        0; included in `origin_to_com`.
 
     """
 
@@ -124,7 +124,7 @@ class MeanPose(NamedTuple):
 
 def world_rotation(world: str, gravity_direction: ArrayLike = DOWN) -> Array:
     """
-    Return the rotation (3, 3) from axes of a recording to those of a world A whose z is up.
+    Return the rotation (3, 3) from axes of a recording to axes of a world A whose z is up.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def aligned_at_rest(
 
     """
     origin = np.zeros(3) if package_frame == 'lip' else -np.asarray(com, dtype=np.float64)
-    # (4.6) at rest, where the axes of E, S and the world are the same.
+    # (4.6) at rest, with parallel axes of E, S and the world.
     E_o_S = package.position + origin - tool.position
     if float(np.linalg.norm(E_o_S[:2])) >= -E_o_S[2]:
         raise BellowsError(
@@ -301,8 +301,8 @@ def levelling(direction: ArrayLike) -> Array:
     """
     Return the smallest rotation (3, 3) that turns a direction to -z.
 
-    Poses of a world in which gravity has that direction become those of one whose z is up; where
-    it points to z, the half turn is about x.
+    Poses of a world with that direction of gravity become poses of a world whose z is up; for a
+    gravity along z, the half turn is about x.
     """
     down = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
     axis = np.cross(down, DOWN)
@@ -402,8 +402,8 @@ def closed_form(
     """
     Return a first guess (7,) of the pose of the package's world in the tool's.
 
-    The slowest poses are taken for those of one rigid body (hand and eye) whose frames have the
-    same axes.
+    The slowest poses count as poses of one rigid body (hand and eye) whose frames have the same
+    axes.
 
     Parameters
     ----------
@@ -434,7 +434,7 @@ def hand_eye(
     """
     Return first guesses of the pose (7,) of the package's world, and of the marker's alignment.
 
-    The slowest poses are taken for those of one rigid body.
+    The slowest poses count as poses of one rigid body.
 
     Parameters
     ----------

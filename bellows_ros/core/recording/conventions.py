@@ -35,7 +35,7 @@ class Convention(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What is wrong, as in 'The poses of x are ...'."""
+        """The fault, as in 'The poses of x are ...'."""
         return ' and '.join([*['in millimetres'] * self.millimetres,
                              *['of quaternions with w first'] * self.w_first])
 

@@ -40,7 +40,7 @@ MIN_SAMPLES = 30
 """Number of jumps below which none stands out."""
 
 MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
-"""Median of the jump along an axis per standard deviation of white noise: that of a normal
+"""Median of the jump along an axis per standard deviation of white noise: 0.6745 of a normal
 distribution, times the norm of (1, -3, 3, -1) / 2."""
 
 MAX_EXCURSION = 2.0
@@ -124,7 +124,7 @@ def increments_of(poses: Trajectory | PoseStream) -> Array:
 
 def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     """
-    Find the poses of a stream that are not those of the body.
+    Find the poses of a stream that do not belong to the body.
 
     Parameters
     ----------

@@ -283,7 +283,7 @@ def lasting_steps(report: StreamReport) -> list[LastingStep]:
         typical = np.maximum(np.percentile(moved, 99.0, axis=1), (0.1, 0.5))
 
     def exceeds_motion(step: LastingStep) -> bool:
-        """Return whether a step is larger than what is frequent, and than jitter there makes."""
+        """Return whether a step is larger than frequent steps and the effect of jitter."""
         around = slice(max(step.before - 5, 0), step.before + 6)
         speed = moved[:, around.start:around.stop - 1].sum(axis=1) / (
             np.ptp(poses.stamps_ns[around]) / NS_PER_S)

@@ -1,8 +1,8 @@
 """
 A recording after reading and preparation: the input of everything that follows.
 
-It is never changed. What is expensive and asked for more than once, such as its noise or the
-statistics of a fit, is computed when it is first asked for and kept with it.
+A recording is never changed. Expensive results, such as its noise or the statistics of a fit, are
+computed at their first use and kept.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -98,7 +98,7 @@ def ripple(poses: Trajectory) -> tuple[Array, Array]:
 
 
 def ripple_part(ar1: Array | float) -> Array:
-    """Return the variance of the ripple of first-order noise over that of the noise."""
+    """Return the variance of the ripple of first-order noise over the variance of the noise."""
     residue = -weights(HALF_WINDOW, ORDER, 1.0)[0]
     residue[HALF_WINDOW] += 1.0
     steps = np.arange(len(residue))
@@ -110,7 +110,7 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
     """
     Return the standard deviations (6,) of poses at a uniform rate, in body axes, m and rad.
 
-    Of first-order noise that keeps a part of itself from pose to pose. Errors as of `ripple`.
+    The noise is of first order, with this correlation from pose to pose. Errors as of `ripple`.
     """
     residuals, rotation = ripple(poses)
     residuals[:, :3] = apply(np.swapaxes(rotation, 1, 2), residuals[:, :3])
@@ -119,7 +119,7 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
 
 
 def noise_at_rest(poses: Trajectory) -> 'BodyNoise':
-    """Return the noise of poses of a body at rest: with a memory, that of fewer poses."""
+    """Return the noise of poses of a body at rest: correlated poses count as fewer."""
     moved = _at_rest(poses)
     kept = max(_correlation(moved, 1), 0.0)
     count = max(len(moved) * (1.0 - kept) / (1.0 + kept), 2.0)
@@ -151,8 +151,8 @@ def noise_of(poses: Trajectory) -> Noise:
     """
     Estimate the white noise of poses at a uniform rate.
 
-    It is the median size of what a local polynomial leaves of each sample, so that outliers do
-    not count. Noise-free recordings give what rounding leaves. Errors as those of `ripple`.
+    It is the median residual of a local polynomial, so that outliers do not count. Noise-free
+    recordings give their rounding. Errors as of `ripple`.
     """
     scale = resampling.MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of the fit
     return Noise(*(float(scale * np.median(part))
@@ -172,9 +172,9 @@ def ar1_noise_of(
     """
     Return the noise of positions (m) and of rotations (rad) of poses at a uniform rate.
 
-    It is white, or correlated over the time that makes the noise of poses a stride apart as much
-    larger than that of neighbours, which is given, as it is. Where poses come too slowly for that,
-    it is correlated as while the body is still, unless it swings then.
+    It is white, or has the correlation time that explains the ratio of the noise of poses a stride
+    apart to the given noise of neighbours. Of slow poses the correlation is estimated while the
+    body is still, unless it swings then.
     """
     rate_hz = trajectory.NS_PER_S / float(np.median(np.diff(poses.stamps_ns)))
     if LOW_RATE_HZ < rate_hz < MIN_STRIDE_HZ and len(still) > MIN_STILL:
@@ -250,7 +250,7 @@ def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) ->
     Parameters
     ----------
     measured_ns, wanted_ns : int ndarray (N,), (M,)
-        Stamps at a uniform rate of what was filtered, and those that it was brought to, ns.
+        Uniform stamps of the filtered motion, and the stamps it was interpolated at, ns.
     weights : ndarray (3, 2n+1)
         Of the filter.
 
@@ -320,7 +320,7 @@ class PrepareSettings:
         return (lip or self.align_at_rest, lip or self.align_at_rest, lip)
 
     def in_world(self, pose: Array) -> 'PrepareSettings':
-        """Return the settings for a package whose world has a pose (7,) in that of the tool."""
+        """Return the settings for a package whose world has a pose (7,) in the tool's world."""
         x, y, z, *q = pose.tolist()
         return replace(self, tag=self.tag and self.tag.moved((x, y, z), tuple(q)))
 
@@ -348,7 +348,7 @@ class StreamReport:
     interpolated : int
         Poses lost or marked, one or two in a row, that the filter has interpolated.
     arrivals : ArrivalStamps or None
-        What the recorded stamps were, if they were replaced by those of the sampling.
+        What the recorded stamps were, if they were replaced by the times of sampling.
 
     """
 
@@ -420,7 +420,7 @@ class PackageWorld(NamedTuple):
 
 
 class TimeOffset(NamedTuple):
-    """Time by which the stamps of the tool are behind those of the package, and its error, s."""
+    """Time by which the stamps of the tool are behind the package's, and its error, s."""
 
     value: float
     std: float
@@ -485,7 +485,7 @@ class Filter:
 
     @property
     def stamps_ns(self) -> Stamps:
-        """Of the filtered poses, ns."""
+        """Stamps of the filtered poses, ns."""
         return self.poses.stamps_ns[self.half_window:-self.half_window]
 
     @property
@@ -531,8 +531,8 @@ class Recording:
         any; where poses or twists are missing or wrong, samples are not valid.
     tracked_package : Trajectory
         B aligned but not filtered, from start to end, at the stamps at which it was measured.
-        Where these are uniform, what is missing is there, too, and not valid. Where they are not,
-        nothing is interpolated: nobody knows how it moved between the poses of a slow camera.
+        Uniform stamps include missing ones, which are not valid. Others are not interpolated: the
+        motion between the poses of a slow camera is unknown.
     alignment : Alignment
         From the recorded frames to E and B.
     report : Report
@@ -597,12 +597,12 @@ class Recording:
 
     @property
     def valid(self) -> Mask:
-        """Where both filtered poses can be used (N,)."""
+        """Samples (N,) with usable filtered poses of both bodies."""
         return self.tool.valid & self.package.valid
 
     @property
     def whole(self) -> Mask:
-        """Where both filters have windows without gaps and outliers (N,)."""
+        """Samples (N,) with windows of both filters free of gaps and outliers."""
         of_tool, of_package = (
             body.is_whole_at(self.measured_tool.stamps_ns) for body in self.filters)
         return of_tool & of_package

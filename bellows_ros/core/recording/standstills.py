@@ -121,7 +121,7 @@ def _standstill(
     Return a standstill of its samples.
 
     Creep is fitted as c exp(-t / tau_2) beside a rest pose, with the longer time of the model of
-    relaxing rubber. Where it is significant, the rest pose replaces the mean.
+    relaxing rubber. If it is significant, the rest pose replaces the mean.
     """
     every = np.arange(len(package))
     at_rest, hanging = _means(tool, [every]), _means(package, [every])
@@ -130,7 +130,8 @@ def _standstill(
                       _error(relative, stamps_ns, noise), payload)
     design = np.stack([np.ones(len(every)), np.exp(-package.seconds / RELAXATION_TIMES[1])], 1)
     rest, creep = np.linalg.lstsq(design, relative, rcond=None)[0]
-    spread = np.sqrt(len(every) * np.diag(np.linalg.inv(design.T @ design)))  # to that of a mean
+    # over the error of a mean
+    spread = np.sqrt(len(every) * np.diag(np.linalg.inv(design.T @ design)))
     error = _error(relative - design @ [rest, creep], stamps_ns, noise)
     chi2 = np.sum((creep / (spread[1] * np.repeat(error, 3))) ** 2)
     if chi2 < CREEP_CHI2 or spread[0] > MAX_SPREAD:
@@ -206,7 +207,7 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
     Return the standard errors of the mean of relative poses (N, 6).
 
     Those of noise, or those that the means over short blocks show by their scatter where that is
-    more: what is left of the swinging counts, too.
+    more: residual swing counts, too.
     """
     blocks = (stamps_ns - stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
     starts = np.unique(blocks, return_index=True)[1]

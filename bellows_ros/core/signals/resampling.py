@@ -2,11 +2,11 @@
 Rates and gaps of stamps; trajectories at other stamps, on SO(3) x R^3, never extrapolated.
 
 The filter needs uniform samples. Stamps that are uniform but for their rounding keep their samples
-as they are; others are interpolated along geodesics. What lies in a gap gets an interpolated pose,
-so that arrays stay finite, and is invalid.
+as they are; others are interpolated along geodesics. Samples in a gap get interpolated poses, so
+that arrays stay finite, and are invalid.
 
 Poses that come over a network in bursts are late by some time each, so that a moving body seems to
-go to and fro. Where a sensor samples uniformly, how late each pose came follows from all stamps.
+go to and fro. If a sensor samples uniformly, the delay of each pose follows from all stamps.
 Whether it does, the poses tell: at the times of sampling their motion is smoother.
 """
 
@@ -407,7 +407,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
     Parameters
     ----------
     trajectory : Trajectory
-        Poses as recorded, with what is wrong marked invalid.
+        Poses as recorded, with faulty ones marked invalid.
     timing : Timing
         Of its stamps.
 

@@ -218,8 +218,8 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
     ----------
     values : ndarray (N, C)
         At a uniform rate; their mean is taken out. NaN where a sample is missing: it counts as
-        zero, and the density is scaled up for the missing power. That is right for what
-        is white; see `interpolated` for the rest.
+        zero, and the density is scaled up for the missing power. That is right for white signals;
+        see `interpolated` for others.
     rate_hz : float
         Samples per second.
     segment_s : float

@@ -283,7 +283,7 @@ def first_order(inputs: Array, ar1: float) -> Array:
     """
     Return y (N, C) with y_k = ar1 y_{k-1} + inputs_k, and y_0 = inputs_0.
 
-    `scipy.signal.lfilter` does the same, but takes 0.4 s and 50 MB to load.
+    `scipy.signal.lfilter` would take 0.4 s and 50 MB to load.
 
     Parameters
     ----------

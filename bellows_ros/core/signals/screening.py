@@ -3,8 +3,8 @@ Checks of stamps and poses, live and recorded.
 
 Stamps are judged by a state machine over header stamps and times of arrival. A stamp that is wrong
 once is refused; one that goes on in a consistent way is believed after a short run: then a clock
-was set, or a recording has started again. Recorded messages are judged by the same, but with
-hindsight: where a clock was set back, the stamps before and after overlap, and as few messages as
+was set, or a recording has started again. Recorded messages are judged by the same machine with
+hindsight: if a clock was set back, the stamps before and after overlap, and as few messages as
 possible are left out.
 """
 
@@ -199,8 +199,8 @@ def _first_is_smaller_loss(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps])
     """
     Return whether the first of two parts loses the overlapping stamps.
 
-    Where it costs both about as much, as after a clock was set back, the shorter part decides:
-    that is the same for all topics of a recording, as chance is not.
+    At about equal costs, as after a clock was set back, the shorter part decides: unlike chance,
+    it agrees for all topics of a recording.
     """
     costs = np.count_nonzero(one[0]), np.count_nonzero(other[0])
     if max(costs) > 2 * min(costs):

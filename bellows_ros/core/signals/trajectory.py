@@ -2,8 +2,8 @@
 Recorded streams and trajectories: stamped poses and twists.
 
 All check themselves once, on construction, and are read-only from then on.
-Stamps are integer nanoseconds throughout; only their differences become seconds. Where
-tool_pose.offset is set, the tool tip E is at that pose in the frame that is recorded or received.
+Stamps are integer nanoseconds throughout; only their differences become seconds. With
+tool_pose.offset, the tool tip E is at that pose in the recorded or received frame.
 """
 
 from collections.abc import Mapping

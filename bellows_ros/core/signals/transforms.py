@@ -152,7 +152,7 @@ def interpolated_pose(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSampl
 
 
 def warm_up() -> None:
-    """Compile what a pose from moving and fixed links needs."""
+    """Compile the kernels for a pose from moving and fixed links."""
     chain, q = Chain('world', 'tool'), (0.0, 0.0, 0.0, 1.0)
     for stamp_ns in range(5):
         parent, child = ('world', 'base', 'tool')[stamp_ns % 2:][:2]

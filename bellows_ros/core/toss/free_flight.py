@@ -96,7 +96,7 @@ def _body_rate_after(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> V
 def flight_step(body: State, rotation_per_step: float) -> float:
     """Return how long (s) a step of the flight may be."""
     rate = math.sqrt(t3.dot(body[3], body[3]))
-    # whatever turns faster is no package
+    # a package does not rotate faster
     return max(1e-5, min(MAX_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
 
 

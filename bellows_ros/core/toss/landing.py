@@ -36,7 +36,7 @@ CANDIDATES = 8
 """Number of the best times in the scan that are refined."""
 
 SECOND_ORDER = 'release, second order'
-"""What the law of release contributes beside the first derivatives."""
+"""Second-order contribution of the law of release."""
 
 ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 """Standard deviations to the edge of the ellipse that holds 95 % in a plane."""
@@ -51,11 +51,11 @@ class Contributions(NamedTuple):
     parts: Array
     """Derivative times standard deviation (M, 6), m and rad."""
     correlation: Array
-    """Of the numbers (M, M)."""
+    """Correlation of the numbers (M, M)."""
 
     @property
     def covariance(self) -> Array:
-        """Of `landing_error` (6, 6)."""
+        """Covariance of `landing_error` (6, 6)."""
         return np.asarray(self.parts.T @ self.correlation @ self.parts)
 
     def of(self, prefix: str) -> tuple[Array, Array]:
@@ -177,7 +177,7 @@ class MonteCarlo(NamedTuple):
 
     @property
     def covariance(self) -> Array:
-        """Of `landing_error` (6, 6)."""
+        """Covariance of `landing_error` (6, 6)."""
         return np.cov(self.errors.T)
 
 
@@ -241,7 +241,7 @@ def aim(
     rotation : array (3, 3), optional
         R_world_package wanted at landing; an angle counts as the way of the farthest corner.
     until : float
-        The latest time, s; that of the plan's end when left out.
+        The latest time, s; the plan's end when left out.
     scan, candidates : float, int
         Step (s) of the scan, and how many of the best times are refined.
 

@@ -7,13 +7,12 @@ bellows, whose axial force at a stretch y along the lip's z, from the cup length
 
     F = F0 s - max(0, F0 - K_z y) + F0 (max(0, y) / L)^2,
 
-that of suction, of folds in contact and of open bellows, with damping of its own. While it holds
+the sum of suction, of folds in contact and of open bellows, with its own damping. While it holds
 (s = 1) that is K_z y; without an opening (L = 0) it stays so: the cup keeps its length.
-The wrench is that of the cup's kernel, with the cup length at which its axial force is F.
-The package is let go at the first instant, not before the valve, at which the lip's load is that
-of its suction V0 s and of what sticks, or more. A blow-off pulse pushes it along -z of S. It
-flies without air, and lands when a corner of its box is at the floor's height, measured against
-gravity.
+The cup's kernel gives the wrench, for the cup length at which its axial force is F.
+The package is let go at the first instant after the valve at which the lip's load reaches its
+suction V0 s and its sticking. A blow-off pulse pushes it along -z of S. It flies without air, and
+lands when a corner of its box is at the floor's height, measured against gravity.
 """
 
 import math
@@ -47,15 +46,15 @@ the numbers of the law of release (standard deviations)."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
 """Stands for an unknown radius or vacuum: the cup lets go after the delay, or at the suction with
-which the lip no longer sticks, whatever the load."""
+which the lip no longer sticks, under any load."""
 
 Law = tuple[float, float, float, float, float, float, float, float]
 """Delay (s) from the valve to the fall of suction, its time constant tau (s), impulse of the
 blow-off (N s); blow-off b; force F0 that closes the bellows (N), stretch L at which open bellows
-pull as much (m), 0 for none; damping of the open bellows along z (N s/m), 0 for that of the cup;
-and what the lip sticks with. b and the last as a part of the suction that holds."""
+pull as much (m), 0 for none; damping of the open bellows along z (N s/m), 0 for the cup's damping;
+and the sticking of the lip. Blow-off and sticking are parts of the holding suction."""
 NO_LAW: Law = (0.0,) * 8
-"""Of a cup that lets go at once."""
+"""Law of a cup that lets go at once."""
 
 
 @kernel
@@ -179,11 +178,11 @@ class Release(NamedTuple):
     law: Law
     box: free_flight.Box
     height: float
-    """Of the floor, from the world's origin against gravity, m."""
+    """Height of the floor, from the world's origin against gravity, m."""
 
 
 NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
-"""Of a package whose flight does not count."""
+"""Release of a package without a flight."""
 
 Switching = tuple[ModelTuple, Grip, Release, float]
 """Model and grip of the held package, its release, and when the valve is switched (s)."""
@@ -281,8 +280,8 @@ def toss_along(
     Return when it is let go (s), the state after that, when it lands (s), and the state then.
 
     Tool and package are those at the start (s); the valve is switched at a time, or was before.
-    Times are -1 where it is not let go in time, and the first state is that of then, or where it
-    never lands; below the floor it lands at once.
+    Times are -1 without a release in time, with the last state first, or without a landing; below
+    the floor it lands at once.
     """
     (_, package, gravity), _, release, _ = switching
     released, body = find_release(switching, start, tool, body, ahead)

@@ -1,14 +1,13 @@
 """
 Identification of the law of release from drops and tosses of packages of one or more masses.
 
-The poses from before each valve until the package has fallen are compared with those of the
-law: its free numbers are common to all drops; each has an instant of its own, and of the state
-before it an offset of the package on the lip where it hangs at rest, else the whole state. The
-sum of squares of positions, of velocities as a local polynomial has them, and of rotations is the
-smallest (Gauss-Newton, damped; the numbers of each drop are eliminated). Standard errors come from
-the scatter between drops, by the gradient of each, and from the model error across masses: the
-first are enlarged by a factor with which the drops of each mass, predicted by a fit to the others,
-deviate as much as stated.
+The poses from before each valve until the package has fallen are compared with the law's: its free
+numbers are common to all drops; each drop has its own instant, and its own offset of the package
+on the lip at rest, else its own initial state. The sum of squares of positions, of velocities as a
+local polynomial has them, and of rotations is the smallest (Gauss-Newton, damped; the numbers of
+each drop are eliminated). Standard errors come from the scatter between drops, by the gradient of
+each, and from the model error across masses: the first are enlarged by a factor with which the
+drops of each mass, predicted by a fit to the others, deviate as much as stated.
 """
 
 from collections.abc import Sequence
@@ -48,7 +47,7 @@ ORDER = 3
 MIN_NOISE = (1e-4, 5e-4)
 """Smallest standard deviations of positions and rotations in the fit, m and rad."""
 VELOCITY_SCALE = 40.0
-"""Standard deviation of velocities over that of positions, 1/s."""
+"""Ratio of the standard deviations of velocities and positions, 1/s."""
 
 PRIOR_SCATTER = {0: 2.5e-3, 2: 0.01}
 """Prior standard deviation between drops of the delay (s) and of the impulse (N s), by index."""
@@ -77,8 +76,8 @@ OPENING = (0, 3, 4, 5, 6, 7)
 """Indices of the free numbers of a cup that opens: all but tau and impulse."""
 
 TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
-"""The law of a cup that opens, for numbers that are neither given nor identifiable: about that of
-the drops that docs/toss.md shows."""
+"""The law of a cup that opens, for numbers that are neither given nor identifiable: about the law
+of the drops in docs/toss.md."""
 
 MAX_RELATIVE_STD, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
 """A number is identifiable if its standard error is less than this part of it, or of one that is
@@ -92,7 +91,7 @@ MAX_NUISANCE = 30.0
 
 LAW_MIN = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
 LAW_MAX = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
-"""Least and largest numbers of a law; that of `opening` only where the cup opens."""
+"""Least and largest numbers of a law; of `opening` only if the cup opens."""
 
 SCALES = np.array([1e-3, 1e-2, 1e-2, 1.0, 1.0, 1e-3, 1.0, 0.1])
 """Steps of Gauss-Newton of the law's numbers are damped by these; differences are 1e-3 of them."""
@@ -111,7 +110,7 @@ class Drop:
         E with body twists and B, in the world, at common stamps: from before the valve until
         before the landing.
     start : State
-        About that of B at the first stamp.
+        Approximate state of B at the first stamp.
     valve : float
         When it was switched, s since the first stamp.
     noise : (float, float)
@@ -132,7 +131,7 @@ class Drop:
 
     @property
     def mass(self) -> float:
-        """Of the package, kg."""
+        """Mass of the package, kg."""
         return float(self.model[1][0])
 
     @cached_property
@@ -140,8 +139,8 @@ class Drop:
         """
         The tool as the kernels take it, and the longest integration step.
 
-        Of the package the orientations, and what makes velocities of local polynomials out of
-        positions, no further than to the ends.
+        Then the package's orientations, and the matrix from positions to velocities of local
+        polynomials.
         """
         seconds = self.tool.seconds
         return (
@@ -180,13 +179,13 @@ class Explained(NamedTuple):
     released: float
     """From the valve to the release, at the drop's instant, s; NaN without a release."""
     own_delay: float
-    """Of the drop's instant from that of all drops, s."""
+    """Deviation of the drop's delay from the common delay, s."""
     position: float
     """Root mean square, m, along the gravity."""
     velocity: float
     """The same of the velocity, m/s."""
     speed: float
-    """Of B at letting go, m/s."""
+    """Speed of B at letting go, m/s."""
     chi2: float
     """Mean square of positions and rotations over the noise."""
 
@@ -272,15 +271,16 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     """
     Return the smallest law that explains drops.
 
-    First that of a cup that keeps its length, then that of one that opens, then with its tau.
+    Laws are tried in this order: a cup that keeps its length, a cup that opens, a cup that opens
+    with a tau.
 
     Parameters
     ----------
     drops : sequence of Drop
         At least `MIN_DROPS`.
     given, given_std : Law
-        The numbers that are not identifiable from them, and their standard deviations; without
-        an opening, those of a usual cup.
+        The numbers that are not identifiable from them, and their standard deviations; without an
+        opening, `TYPICAL_LAW`.
 
     Raises
     ------
@@ -475,8 +475,8 @@ def _calibrated(drops: Sequence[Drop], fit: ReleaseFit) -> ReleaseFit:
     """
     Return a fit whose covariance explains the errors of masses that a fit has not seen.
 
-    Of the height and the velocity at the end of the drops of each mass, predicted by a fit to the
-    others, the mean square deviation is that stated. With fewer than `MIN_MASSES` others the
+    The stated variance equals the mean square deviation of height and velocity at the end of the
+    drops of each mass, predicted by a fit to the others. With fewer than `MIN_MASSES` others the
     residual that drops have in common enlarges the covariance instead.
     """
     ratios = list[Array]()
@@ -541,7 +541,7 @@ def _in_common(problem: Sequence['_DropFit'], law: Array) -> tuple[float, float]
     """
     Return the residual that drops of one mass have in common, over their scatter, and its RMS (m).
 
-    Noise with memory, too, differs from drop to drop; what a law lacks does not. 1 and 0 where
+    Noise with memory, too, differs from drop to drop; the model error does not. 1 and 0 where
     no two drops are of one mass.
     """
     between, within, common = 0.0, 0.0, 0.0
@@ -568,8 +568,8 @@ class _DropFit:
     """
     A drop, and its part of the fit.
 
-    Its nuisance parameters, in units of their a priori scatter, are those of the law that scatter
-    from drop to drop, then the offset of a package at rest, else the state at the start.
+    Its nuisance parameters, in units of their a priori scatter, are the scattering numbers of the
+    law, then the offset of a package at rest, else the state at the start.
     """
 
     def __init__(
@@ -588,7 +588,7 @@ class _DropFit:
 
     @property
     def law_offset(self) -> Array:
-        """By how much the law of the drop differs from that of all (8,)."""
+        """Deviation of the drop's law from the common law (8,)."""
         return np.asarray(self._scatter @ self.nuisance[:self._scatter_count])
 
     def _predicted(self, law: Array, nuisance: Array) -> tuple[float, Array]:
