@@ -164,6 +164,7 @@ def output_error(
     problem = Problem(
         tuple(map(Segment.of, measured)), structure, start, free, common=common)
     are_slow = any(segment.is_slow for segment in problem.segments)
+    given = {name: std for name, std in given.items() if are_slow or name != 'exposure'}
     near = approach(problem, record, with_couplings=are_slow)
     if near.squares > MISFIT_CHI2 * near.residual_count and (
             setting := likeliest_setting(problem, other_start or start)):

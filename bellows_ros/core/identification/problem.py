@@ -593,7 +593,7 @@ class Problem:
             last, columns, scales, extra, np.array([
                 int(place) for name in ('time_offset', 'clock_rate')
                 for place in places.get(name, ())], dtype=np.int64),
-            int(places.get('tool_marker', (-1,))[0]))
+            int(places.get('tool_marker', (-1,))[0]), int(places.get('exposure', (-1,))[0]))
 
     def _changes(
         self, theta: Array, segment: Segment, stamps: Stamps, index: Places
@@ -626,8 +626,11 @@ def _poses(
     for name, place in places.items():
         known = quantities.carried(poses, course.path) if name == 'scale' else poses
         by_unknowns[:, :, place] = -quantities.pose_changes(name, known, *context)
-    rows = np.column_stack(
-        [package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays])
+    mean = segment.period**2 / 24.0  # over an exposure as long as the period
+    by_unknowns[:, :, places.get('exposure', [])] = mean
+    rows = np.column_stack([
+        package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays,
+        np.full(len(poses), mean * float(free.get('exposure', (0.0,))[0]))])
     return whitening.Poses(
         nodes.place, rows, by_unknowns * units,
         segment.errors.axes[nodes.used[:len(segment.errors.axes)]], segment.errors.point,

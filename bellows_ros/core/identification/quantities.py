@@ -55,8 +55,9 @@ Free = Mapping[str, Array]
 
 NOTHING: Free = MappingProxyType({})
 
-CLOCK_RATE_STD = 5e-5
-"""Standard deviation of the rates of two quartz clocks (50 ppm)."""
+CLOCK_RATE_STD, EXPOSURE_STD = 5e-5, 0.5
+"""Standard deviations of the rates of two quartz clocks (50 ppm), and of the squared exposure time
+in the squared period."""
 
 MIN_STD = 1e-9
 """Smallest standard deviation, SI units."""
@@ -187,7 +188,8 @@ def given_std(values: Values) -> dict[str, Array]:
     marker = np.repeat(values.recording.marker_std, 3)
     stds = {'length': np.array([values.cup.length_std]), 'package_marker': marker,
             'time_offset': np.array([values.recording.clock_std]),
-            'clock_rate': np.array([CLOCK_RATE_STD if values.recording.clock_std else 0.0])}
+            'clock_rate': np.array([CLOCK_RATE_STD if values.recording.clock_std else 0.0]),
+            'exposure': np.array([EXPOSURE_STD])}
     if values.recording.package_world:
         stds['package_world'] = marker
     if all(name in values for name in PACKAGE_PARAMETERS):

@@ -27,7 +27,7 @@ from bellows_ros.core.geometry.jit import array_kernel
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import moved_by, pose_error
-from bellows_ros.core.model.kernels import ModelTuple, State, Strains
+from bellows_ros.core.model.kernels import ModelTuple, State, Strain, Strains
 from bellows_ros.core.model.simulation import row_state
 from bellows_ros.core.model.structure import RELAXATION_TIMES
 import numpy as np
@@ -134,9 +134,10 @@ class Poses(NamedTuple):
     """
     Measured poses of B.
 
-    Their numbers at the nodes (M,), -1 for none; the poses (N, 8) with the little time (s) that
-    each is after its node; minus their derivatives (N, 6, p) in body axes by the unknowns, by the
-    delay per unit of the simulated twist; the axes (N, 3, 3) of the noise in the world, of length
+    Their numbers at the nodes (M,), -1 for none; the poses (N, 9) with the little time (s) that
+    each is after its node, and the factor (s^2) of the acceleration in a mean over the exposure;
+    minus their derivatives (N, 6, p) in body axes by the unknowns, by delay and exposure per unit
+    of the simulated twist and acceleration; the axes (N, 3, 3) of the noise in the world, of length
     0 for body axes, and the measured point (3,), m, in body axes; the variances of the errors of
     this point in these axes, m^2 and rad^2: (N, 6) of white noise, and (6,) of correlated noise,
     with its correlation (M - 1,) from node to node.
@@ -159,8 +160,8 @@ class Unknowns(NamedTuple):
     Number of used `jacobians.PARAMETER_COLUMNS`, and derivatives (64, p + 1) of the model's
     parameters; factors of the columns at the nodes (M, p), and values (p,) of the unknowns that
     the model lacks, whose linear effect is in the mean: empty without such unknowns; the unknowns
-    of the clocks, whose effect is proportional to the twist; and the first of the unknowns (6,)
-    of the tool's marker frame, -1 for none.
+    of the clocks, whose effect is proportional to the twist; the first of the unknowns (6,) of
+    the tool's marker frame, and the unknown of the exposure, each -1 for none.
     """
 
     last: int
@@ -169,6 +170,7 @@ class Unknowns(NamedTuple):
     extra: Array
     clocks: Places
     marker: int
+    exposure: int
 
 
 @array_kernel
@@ -207,7 +209,7 @@ def whiten(
     """
     rows, lengths, steps = path  # by their order, on which the machine code on disk depends
     place, _, _, axes, point, white_variance, _, _ = poses
-    last, columns, _, _, _, marker = unknowns
+    last, columns, _, _, _, marker, exposure = unknowns
     m, n, nodes, count = len(mean), len(std), len(rows), len(poses[1])
     S, P = np.zeros((n, columns.shape[1])), np.zeros((n, n))
     for i in range(n):
@@ -232,7 +234,10 @@ def whiten(
         i = place[k]
         if i >= 0:
             _write_map(body, axes, point, i, maps[i])
-            _write_difference(body, i, poses, unknowns, maps[i], out[i])
+            acceleration = (t3.ZERO, t3.ZERO)
+            if exposure >= 0:
+                acceleration = kernels.body_acceleration(model, here, body)
+            _write_difference(body, acceleration, i, poses, unknowns, maps[i], out[i])
             _update(white_variance[i], maps[i], poses[2][i], m + 6, S, P, out[i], slopes[i], K[i])
             if walk[0] > 0.0:
                 body = with_mean(body, S, m)
@@ -264,24 +269,30 @@ def _write_map(body: State, axes: Any, point: Any, i: int, M: Any) -> None:
 
 @array_kernel
 def _write_difference(
-    body: State, i: int, poses: Poses, unknowns: Unknowns, M: Any, out: Any
+    body: State, acceleration: Strain, i: int, poses: Poses, unknowns: Unknowns, M: Any, out: Any
 ) -> None:
     """
     Write the difference (6,) of pose i from the body, of the measured point in axes of its noise.
 
-    Multiply clock columns by the twist, and map all columns likewise.
+    The mean pose over an exposure T differs from the pose at its middle by T^2/24 times the
+    acceleration. Multiply the columns of clocks by the twist and that of the exposure by the
+    acceleration, and map all columns likewise.
     """
     pose, by_unknowns, point = poses[1][i], poses[2][i], poses[4]
     shift, rotation = pose_error(
         body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
     linear, angular = body[2], body[3]
+    bend = t3.add(acceleration[0], t3.cross(angular, linear)), acceleration[1]
     lever = (point[0], point[1], point[2])
     # The map is linear in the rotation: blurred tags need the second order.
     second = t3.scale(0.5, t3.cross(rotation, t3.cross(rotation, lever)))
     difference = np.empty((6, 1))
     for j in range(3):
-        difference[j, 0] = shift[j] + second[j] - pose[7] * linear[j]
-        difference[3 + j, 0] = rotation[j] - pose[7] * angular[j]
+        difference[j, 0] = shift[j] + second[j] - pose[7] * linear[j] - pose[8] * bend[0][j]
+        difference[3 + j, 0] = rotation[j] - pose[7] * angular[j] - pose[8] * bend[1][j]
+        if unknowns[6] >= 0:
+            by_unknowns[j, unknowns[6]] *= bend[0][j]
+            by_unknowns[3 + j, unknowns[6]] *= bend[1][j]
     for column in unknowns[4]:
         for j in range(3):
             by_unknowns[j, column] *= linear[j]
@@ -326,7 +337,7 @@ def _propagate(
     """Propagate states, derivatives and covariance over a step to node k; write its T and B."""
     (A, C, E), (B, S, P, T) = derivatives, states
     (_, lengths, steps), (_, _, tool_correlations) = path, tool_noise
-    (_, _, _, _, _, _, variance, correlations), (_, columns, scales, extra, _, _) = poses, unknowns
+    (_, _, _, _, _, _, variance, correlations), (_, columns, scales, extra, _, _, _) = poses, unknowns
     n, m, length = len(P), A.shape[1], lengths[k - 1]
     mean, ramp, entered = np.zeros((m, m)), np.zeros((m, m)), np.empty((m, 6))
     tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]

@@ -46,7 +46,7 @@ MAX_MISFIT_RATIO, MAX_MISFIT = 0.4, 0.6
 """Part of the relative motion (rad, and 1 for the distance) that remains with a corrected
 convention, and its largest value, of bodies on one cup."""
 
-SIMPLER, OPPOSITE, DISSIMILAR = 0.9, -0.8, 0.5
+SIMPLER, OPPOSITE, DISSIMILAR = 0.9, -0.6, 0.5
 """Ratio of misfits below which a later candidate replaces the one before, correlation of two
 rotations of which one is inverse, and ratio of misfits between two kinds of candidates."""
 
