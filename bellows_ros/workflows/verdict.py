@@ -10,7 +10,7 @@ from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.quantities import as_found, Free, given_std, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.identification.validation import validate
-from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
+from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure
 from bellows_ros.core.parameters.values import Values
@@ -36,8 +36,8 @@ LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_wo
 """Quantities that recordings separate from K and P; not mass and inertia, which scale with
 them."""
 
-CLOCK_RATE = 'rate of the clocks (ppm)'
-"""Name of an estimated quantity that is no parameter."""
+CLOCK_RATE, EXPOSURE = 'rate of the clocks (ppm)', 'exposure of the camera (ms)'
+"""Names of estimated quantities that are no parameters."""
 
 MAX_PULL = 5.0
 """Standard deviations by which a fit may change centre of mass or length: a cup that is otherwise
@@ -322,21 +322,23 @@ def _judged(
             for number, recording in enumerate(tested) if fit.usable),
         chi2=fit.robust_chi2, log_inertia_ratio=log_inertia_ratio,
         expected={name: std for name, std in given_std(values).items() if name in LOCAL},
-        found=_found(fit, values, tested[0].payload, length))
+        found=_found(fit, values, tested[0], length))
 
 
 def _found(
-    fit: Fit, values: Values, package: Package, length: float
+    fit: Fit, values: Values, recording: Recording, length: float
 ) -> Mapping[str, tuple[Array, str, float]]:
     """Return `FitVerdict.found` of a fit that converged; length in m."""
     if not fit.converged:
         return {}
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()}
-    found = payload_of(package, free)
+    found, rate_hz = payload_of(recording.payload, free), recording.report.package.timing.rate_hz
     parameters = {
         'com': ('package.com', found.com), 'length': ('cup.length', np.array([length])),
         'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
-        'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1)))}
+        'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1))),
+        'exposure': (EXPOSURE, 1e3 / rate_hz * np.sqrt(
+            np.maximum(free.get('exposure', np.zeros(1)), 0.0)))}
     pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
              for name in parameters if name in free and name in std}
     if max(pulls.values(), default=0.0) <= 0.5:  # standard deviations
@@ -344,8 +346,8 @@ def _found(
     changes = {name: f'{1e3 * np.linalg.norm(free[name]):.2g} mm' for name in pulls}
     if 'inertia' in pulls:
         changes['inertia'] = f'{100.0 * np.max(np.abs(np.expm1(free["inertia"]))):.2g} %'
-    if 'clock_rate' in pulls:
-        changes['clock_rate'] = f'{1e6 * abs(free["clock_rate"][0]):.2g} ppm'
+    changes |= {name: f'{abs(parameters[name][1][0]):.2g} {unit}' for name, unit in (
+        ('clock_rate', 'ppm'), ('exposure', 'ms')) if name in pulls}
     return {parameters[name][0]: (parameters[name][1], changes[name], pulls[name])
             for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
 

@@ -590,7 +590,7 @@ FIELDS: Mapping[str, Callable[[Finding, Mapping[str, Any]], Fields]] = {
         'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]},
     'flip': lambda finding, given: {
         'degrees': np.rad2deg(finding.theta[0]), 'since': finding.theta[1]},
-    'gravity.direction': _gravity_fields,
+    **dict.fromkeys(('gravity.direction', 'gravity or force'), _gravity_fields),
     'axis of gravity': lambda finding, given: {
         'down': _down(given, np.array(json.loads(finding.value.removeprefix('gravity '))))},
     'yaw': _yaw_fields}
@@ -613,6 +613,8 @@ def _name_of(finding: Finding) -> str:
     name = finding.name
     if name in ('com', 'length') and finding.instead:
         name = 'length or com'
+    elif finding.instead == 'force':
+        name = 'gravity or force'
     elif name == 'inertia' and not finding.value:
         name = 'factor of inertia'
     elif finding.value.startswith('gravity'):
@@ -625,7 +627,7 @@ def setting_of(finding: Finding) -> str:
     if finding.name == 'yaw':
         bodies = [text.split()[0] for text in (finding.value, finding.instead) if text]
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
-    if finding.instead:
+    if finding.instead and finding.instead != 'force':
         return ' or '.join(CAUSES[name]['setting'] for name in (finding.name, finding.instead))
     return str(CAUSES[_name_of(finding)]['setting'])
 

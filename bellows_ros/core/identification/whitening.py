@@ -137,10 +137,10 @@ class Poses(NamedTuple):
     Their numbers at the nodes (M,), -1 for none; the poses (N, 9) with the little time (s) that
     each is after its node, and the factor (s^2) of the acceleration in a mean over the exposure;
     minus their derivatives (N, 6, p) in body axes by the unknowns, by delay and exposure per unit
-    of the simulated twist and acceleration; the axes (N, 3, 3) of the noise in the world, of length
-    0 for body axes, and the measured point (3,), m, in body axes; the variances of the errors of
-    this point in these axes, m^2 and rad^2: (N, 6) of white noise, and (6,) of correlated noise,
-    with its correlation (M - 1,) from node to node.
+    of the simulated twist and acceleration; the axes (N, 3, 3) of the noise in the world, of
+    length 0 for body axes, and the measured point (3,), m, in body axes; the variances of the
+    errors of this point in these axes, m^2 and rad^2: (N, 6) of white noise, and (6,) of
+    correlated noise, with its correlation (M - 1,) from node to node.
     """
 
     place: Places
@@ -337,7 +337,8 @@ def _propagate(
     """Propagate states, derivatives and covariance over a step to node k; write its T and B."""
     (A, C, E), (B, S, P, T) = derivatives, states
     (_, lengths, steps), (_, _, tool_correlations) = path, tool_noise
-    (_, _, _, _, _, _, variance, correlations), (_, columns, scales, extra, _, _, _) = poses, unknowns
+    (_, _, _, _, _, _, variance, correlations) = poses
+    (_, columns, scales, extra, _, _, _) = unknowns
     n, m, length = len(P), A.shape[1], lengths[k - 1]
     mean, ramp, entered = np.zeros((m, m)), np.zeros((m, m)), np.empty((m, 6))
     tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]
