@@ -16,7 +16,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
-from bellows_ros.core.parameters.conversion import package_of
+from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
@@ -194,12 +194,10 @@ def given_std(values: Values) -> dict[str, Array]:
         stds['package_world'] = marker
     if all(name in values for name in PACKAGE_PARAMETERS):
         payload = package_of(values)
-        stated = {
-            'mass': np.array([values.package.mass_std / payload.mass]),
-            'com': np.array(values.package.com_std),
-            'inertia': np.array(values.package.inertia_std[:3]) / np.diag(payload.inertia)}
-        stds |= {name: std if np.any(std) else np.full(len(std), PACKAGE_STD[name])
-                 for name, std in stated.items()}
+        for name, size in (('mass', np.array([payload.mass])), ('com', np.ones(3)),
+                           ('inertia', np.diag(payload.inertia))):
+            stds[name] = stated_std(
+                values, f'package.{name}_std', PACKAGE_STD[name] * size) / size
     return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}
 
 

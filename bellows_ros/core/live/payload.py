@@ -14,7 +14,7 @@ from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.observer.correction import ANOTHER_PACKAGE, SAME_PACKAGE
 from bellows_ros.core.observer.measurement import Measurement
 from bellows_ros.core.observer.observer import Observer, Payload
-from bellows_ros.core.parameters.conversion import package_of
+from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
@@ -91,10 +91,10 @@ def _require_slow(matrix: Array) -> None:
 def stated_payload(values: Values, stamp_ns: int) -> Payload:
     """Return the payload of package.*, with its stated standard deviations."""
     mass, com, inertia, _ = package_of(values).as_tuple
-    return Payload(
-        stamp_ns, mass, com, inertia,
-        values.package.mass_std, np.array(values.package.com_std),
-        np.array(values.package.inertia_std[:3]))
+    mass_std, com_std, inertia_std = (
+        stated_std(values, f'package.{name}_std', np.zeros(size))
+        for name, size in (('mass', 1), ('com', 3), ('inertia', 3)))
+    return Payload(stamp_ns, mass, com, inertia, float(mass_std[0]), com_std, inertia_std)
 
 
 class Sample(NamedTuple):

@@ -23,7 +23,7 @@ from bellows_ros.core.observer.measurement import (
     OUT_OF_REACH,
     OUTSIDE,
 )
-from bellows_ros.core.parameters.conversion import places_of, stiffness_std
+from bellows_ros.core.parameters.conversion import places_of, stated_std, stiffness_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -57,7 +57,7 @@ MASS_SHARE, COM_UNCERTAIN = 0.05, (4e-3, 4e-3, 2e-3)
 """Default standard deviations of the payload: relative mass, centre of mass (m)."""
 
 UNSTATED_CUP, UNSTATED_DAMPING, UNSTATED_INERTIA = 0.05, 0.2, 0.05
-"""Relative standard deviations of K, P and moments of inertia that are not stated (0)."""
+"""Relative standard deviations of K, P (all 0) and moments of inertia that are not stated."""
 
 UNSTATED_MASS, UNSTATED_COM = 0.02, 2e-3
 """Relative standard deviation of a mass and std (m) of a centre of mass that are not stated."""
@@ -155,18 +155,17 @@ def prior_std(values: Values, model: ModelTuple) -> Array:
         share = np.sqrt(C @ np.square(stated)) / np.maximum(
             np.r_[matrix[0][::4], matrix[2][::4]], 1e-12)
         relative.append(np.minimum(share, 1.0) if stated.any() else np.full(6, unstated))
-    moments = np.array(values.package.inertia_std[:3])
-    if not moments.any():
-        moments = UNSTATED_INERTIA * np.array(inertia)[::4]
     is_free = values.payload.estimate
-    mass = values.package.mass_std / mass or (MASS_SHARE if is_free else UNSTATED_MASS)
-    com = [each or (unstated if is_free else UNSTATED_COM)
-           for each, unstated in zip(values.package.com_std, COM_UNCERTAIN, strict=True)]
+    mass_std, com, moments = (
+        stated_std(values, f'package.{name}_std', np.array(usual)) for name, usual in (
+            ('mass', [mass * (MASS_SHARE if is_free else UNSTATED_MASS)]),
+            ('com', COM_UNCERTAIN if is_free else [UNSTATED_COM] * 3),
+            ('inertia', UNSTATED_INERTIA * np.array(inertia)[::4])))
     bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN[0]], 3)
     marker, camera = (
         np.repeat(values[f'measured.{name}_std'], 3) for name in ('marker', 'camera'))
     std: Array = np.r_[
-        INITIAL_STD, mass, com, bias, 0.0, 0.0, relative[0], marker, camera,
+        INITIAL_STD, mass_std / mass, com, bias, 0.0, 0.0, relative[0], marker, camera,
         values.measured.latency_std, np.ones(6), relative[1], moments]
     return std
 

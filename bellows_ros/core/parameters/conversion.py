@@ -53,6 +53,12 @@ def package_of(values: Values) -> Package:
         com=np.array(values.package.com))
 
 
+def stated_std(values: Values, name: str, usual: Array) -> Array:
+    """Return standard deviations (n,) as stated, the usual ones (n,) of entries below 0."""
+    std = np.atleast_1d(values[name])[:len(usual)]
+    return np.where(std < 0.0, usual, std)
+
+
 def parameter_vector(values: Values) -> Array:
     """Return the numbers (52,) of parameter values: K and P, mass, com, inertia; SI units."""
     return np.concatenate([
@@ -94,7 +100,7 @@ def parameter_std(values: Values) -> Array:
         name.removesuffix('_std'): each for name, each in values.items()
         if name.endswith('_std')}))
     std[:21] = stiffness_std(values)[UPPER]
-    return np.concatenate([np.minimum(std[:42], limit), std[42:]])
+    return np.concatenate([np.minimum(std[:42], limit), np.maximum(std[42:], 0.0)])
 
 
 def places_of(values: Values) -> Array:

@@ -34,7 +34,7 @@ SETTINGS = {
 def values(**more):
     """Give all parameters; a payload that is estimated is not stated."""
     if more.get('payload__estimate'):
-        more = {'package__mass_std': 0.0, 'package__com_std': [0.0] * 3, **more}
+        more = {'package__mass_std': -1.0, 'package__com_std': [-1.0] * 3, **more}
     return resolve({**SETTINGS, **{k.replace('__', '.'): v for k, v in more.items()}}, ())
 
 
