@@ -14,6 +14,7 @@ from benchmarks.offline import make_recording
 import numpy as np
 import pytest
 
+from ..laboratory import Laboratory
 from ...recording.tracking import START
 
 MIRROR = np.diag([1.0, -1.0, 1.0])
@@ -203,3 +204,11 @@ def test_a_cup_that_swings_widely_is_in_one_frame(tmp_path):
     make_recording(tmp_path / 'bag', 60.0)
     values = resolve({**read_parameters(f'{tmp_path}/bag.yaml'), 'recording.package_frame': 'com'})
     assert len(load(tmp_path / 'bag', values).measured_package.stamps_ns) > 20_000
+
+
+@pytest.mark.parametrize('seed', [300, 304])
+def test_inverse_rotations_are_seen_where_the_swing_is_as_large_as_the_rotation(seed):
+    own = Laboratory(seed, seconds=8.0, rate_hz=120.0).recording()
+    assert not facts_of(own.tool_pose, own.package_pose)
+    assert facts_of(own.tool_pose, conjugated(own.package_pose)) == (
+        Fact('conjugated', 'package'),)
