@@ -10,16 +10,22 @@ with shift in m and rotation in rad. Values that are text pass `errors.shown`; l
 'a, b and c'; None and numbers that are not finite become '-'.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+import json
 import math
 from pathlib import Path
 from string import Formatter
 import tomllib
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.identification.causes import Finding, ROUGH_STD
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING, TYPICAL_BENDING
+from bellows_ros.core.recording import alignment
 from bellows_ros.errors import shown
+import numpy as np
 
 if TYPE_CHECKING:
     from bellows_ros.core.observer.alarms import Alarm, Sizes
@@ -28,7 +34,7 @@ TEXTS = Path(__file__).with_name('texts')
 
 SENTENCE_UNITS: Mapping[str, tuple[float, str]] = {
     'mm': (1e3, 'mm'), 'um': (1e6, 'um'), 'mm/s': (1e3, 'mm/s'), 'ms': (1e3, 'ms'),
-    'us': (1e6, 'us'), 'g': (1e3, 'g'), '%': (1e2, '%'),
+    'us': (1e6, 'us'), 'g': (1e3, 'g'), '%': (1e2, '%'), 'ppm': (1e6, 'ppm'),
     'deg': (math.degrees(1.0), 'degrees'), 'deg/s': (math.degrees(1.0), 'degrees/s')}
 """Units of sentences: their number in one SI unit, and their name in a sentence."""
 
@@ -132,3 +138,109 @@ def _finding(cause: str, parts: 'Sizes', alarm: 'Alarm') -> str:
         '_by_vacuum' if alarm.shown_by == 'vacuum' else '')
     x, y = alarm.place
     return sentence('alarms', code, cup=alarm.cup, x=x, y=y, **sizes)
+
+
+def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
+    """Return the cause of a finding, its size, the misfit with its correction, and a remedy."""
+    if finding.sentence:
+        return finding.sentence
+    if not finding.certain and not len(finding.theta):  # only named
+        return ''
+    name, theta, std = _cause_of(finding), finding.theta.tolist(), finding.std.tolist()
+    numbers: dict[str, Any] = {'value': finding.value, 'theta': theta, 'std': std}
+    if theta:
+        sides = texts('causes').get(f'{name}.sides', ('', ''))
+        numbers |= {
+            'size': _thousandths(theta[0], std[0]), 'magnitude': abs(theta[0]),
+            'last': abs(theta[-1]), 'pair': math.hypot(*theta[:2]), 'side': sides[theta[0] > 0.0]}
+    if name in FINDING_FIELDS:
+        numbers |= FINDING_FIELDS[name](finding, given)
+    what, remedy = (
+        sentence('causes', f'{name}.{part}', **numbers) for part in ('what', 'remedy'))
+    falls = f' With that, the misfit falls to {100.0 * finding.left:.2g} %.'
+    return f'{what}.{falls if 0.0 < finding.left < 0.95 else ""} {remedy}'
+
+
+def setting_of(finding: Finding) -> str:
+    """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
+    if finding.name == 'yaw':
+        bodies = [text.split()[0] for text in (finding.value, finding.instead) if text]
+        return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
+    names = [_cause_of(finding)] if finding.instead in ('', 'force') else [
+        finding.name, finding.instead]
+    return ' or '.join(texts('causes')[f'{name}.setting'] for name in names)
+
+
+def _cause_of(finding: Finding) -> str:
+    """Return the name of a cause in the texts, of which some causes have two forms."""
+    if finding.name in ('com', 'length') and finding.instead:
+        return 'length or com'
+    if finding.instead == 'force':
+        return 'gravity or force'
+    if finding.name == 'inertia' and not finding.value:
+        return 'factor of inertia'
+    return 'axis of gravity' if finding.value.startswith('gravity') else finding.name
+
+
+def _com_fields(finding: Finding, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the significant shift of a centre of mass, and its position."""
+    moved = np.where(np.abs(finding.theta) > 3.0 * finding.std, finding.theta, 0.0)
+    return {'com': _numbers(np.add(given['package.com'], moved)), 'shifts': ', '.join(
+        f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm'
+        for axis, x, s in zip('xyz', moved, finding.std, strict=True) if x)}
+
+
+def _marker_fields(finding: Finding, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the shift and rotation of a marker frame, and the settings that correct it."""
+    shift, angle = map(np.linalg.norm, np.split(finding.theta, [len(finding.theta) - 3]))
+    by_rest = '' if given.get('recording.align_at_rest') else (
+        ", or recording.align_at_rest: true if it is the tool's and the recording begins at rest")
+    return {'shift': float(shift), 'degrees': float(angle),
+            'setting': f'fit.free: [package_marker]{by_rest}'}
+
+
+def _yaw_fields(finding: Finding, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the frames of which one is turned about z."""
+    words = ', or '.join(
+        f"the {body}'s frame is turned by {degrees} degrees about z"
+        for body, degrees in map(str.split, filter(None, (finding.value, finding.instead))))
+    return {'turns': words[0].upper() + words[1:], 'doubt': (
+        ': these recordings cannot tell which' if finding.instead else '')}
+
+
+def _down(given: Mapping[str, Any], down: Array) -> str:
+    """Return gravity.direction of a direction in the world that it levels."""
+    return _numbers(
+        alignment.levelling(given.get('gravity.direction', alignment.DOWN)).T @ down)
+
+
+def _numbers(values: Array) -> str:
+    """Return a list with four decimals."""
+    return f'[{", ".join(f"{x:.4f}" for x in np.round(values, 4) + 0.0)}]'
+
+
+def _thousandths(value: float, std: float) -> str:
+    """Return a size with its standard error."""
+    return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
+
+
+FINDING_FIELDS: Mapping[str, Callable[[Finding, Mapping[str, Any]], dict[str, Any]]] = {
+    'package_world': lambda finding, given: {
+        'motion': alignment.motion_sentence(finding.theta, finding.std)},
+    **dict.fromkeys(('mass', 'inertia'), lambda finding, given: {
+        'numbers': ', '.join(f'{x:g}' for x in np.atleast_1d(given[f'package.{finding.name}']))}),
+    'factor of inertia': lambda finding, given: {
+        'factor': np.exp(-finding.theta[0]), 'std': np.exp(-finding.theta[0]) * finding.std[0]},
+    'time_offset': lambda finding, given: {
+        'offset': f'{_thousandths(finding.theta[0], finding.std[0])} ms'
+        if finding.std[0] < ROUGH_STD else f'about {abs(finding.theta[0]):.2f} s'},
+    'topics.tool_twist': lambda finding, given: {'topic': given.get('topics.tool_twist', 'tool')},
+    'com': _com_fields,
+    'length': lambda finding, given: {'length': given['cup.length'] + finding.theta[0]},
+    'package_marker': _marker_fields,
+    **dict.fromkeys(('gravity.direction', 'gravity or force'), lambda finding, given: {
+        'down': _down(given, lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN)}),
+    'axis of gravity': lambda finding, given: {
+        'down': _down(given, np.array(json.loads(finding.value.removeprefix('gravity '))))},
+    'yaw': _yaw_fields}
+"""Further fields of the texts of causes."""

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, log_so3
-from bellows_ros.core.identification.causes import finding_sentence, IN_DEGREES
+from bellows_ros.core.identification.causes import IN_DEGREES
 from bellows_ros.core.identification.diagnosis.commission import Check, checks_of
 from bellows_ros.core.identification.diagnosis.facts import facts_of
 from bellows_ros.core.model.structure import THESIS_LENGTH
@@ -28,6 +28,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
+from bellows_ros.report.sentences import finding_sentence
 from bellows_ros.workflows.recordings import fact_sentence, remark_sentences, within_interval
 import numpy as np
 

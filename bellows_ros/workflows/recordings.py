@@ -23,7 +23,7 @@ from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import bag_folder, bags, File, parameter_files
-from bellows_ros.report.sentences import sentence
+from bellows_ros.report.sentences import finding_sentence, sentence
 import numpy as np
 
 Progress = Callable[..., None]
@@ -191,7 +191,7 @@ def _prepared(
     if registers:
         payload, inertia = settings.payload, np.diag(settings.payload.inertia)
         if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
-            raise UnexplainedError(causes.finding_sentence(
+            raise UnexplainedError(finding_sentence(
                 finding, {'package.mass': payload.mass, 'package.inertia': inertia}))
         from bellows_ros.workflows.registration import registered_recording
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import reduction, result
-from bellows_ros.core.identification.causes import corrected, finding_sentence
+from bellows_ros.core.identification.causes import corrected
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
@@ -35,7 +35,7 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import bags, File, messages, results
-from bellows_ros.report.sentences import alarm_sentence, sentence
+from bellows_ros.report.sentences import alarm_sentence, finding_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np

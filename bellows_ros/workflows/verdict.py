@@ -18,6 +18,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
+from bellows_ros.report.sentences import finding_sentence, setting_of, texts
 import numpy as np
 
 MAX_TESTED = 3
@@ -169,17 +170,17 @@ class FitVerdict(NamedTuple):
         if first.name == 'unknown':
             return self._unknown(first, others)
         besides = [f'Besides{"" if finding.certain else ", likely"}: '
-                   f'{causes.finding_sentence(finding, self.given)}' for finding in others]
+                   f'{finding_sentence(finding, self.given)}' for finding in others]
         if first.is_fact and not others:
             besides.append('More may be wrong: correct this, and run it again.')
         if first.certain:
-            return (causes.finding_sentence(first, self.given), *besides)
+            return (finding_sentence(first, self.given), *besides)
         if self.is_at_noise:
             return ()
         if self.given.get('fit.relaxation') == 'off':
             besides.append('Rubber that relaxes may be the cause, too: set fit.relaxation: auto.')
         if first.likely:
-            return (f'Likely, but not certain: {causes.finding_sentence(first, self.given)}',
+            return (f'Likely, but not certain: {finding_sentence(first, self.given)}',
                     *besides)
         if self.diagnosis.excess < causes.DOUBTED:
             return ()
@@ -195,8 +196,8 @@ class FitVerdict(NamedTuple):
         """Return the sentence on an unknown cause, and the likeliest settings without a claim."""
         if self.is_at_noise:
             return ()
-        settings = dict.fromkeys(causes.setting_of(finding) for finding in candidates)
-        return (causes.finding_sentence(residual, self.given).strip(), *(
+        settings = dict.fromkeys(setting_of(finding) for finding in candidates)
+        return (finding_sentence(residual, self.given).strip(), *(
             [f'Likeliest, but not certain: {" or ".join(settings)}.'] if settings else []))
 
     @property
@@ -230,7 +231,7 @@ class FitVerdict(NamedTuple):
                     f'it again, set {name}_std if it is so uncertain, or try fit.structure: full.')
         for finding in self.wrong[:1]:
             line = 'first line says' if finding is self.causing[0] else 'lines above say'
-            reasons.append(f'Correct {causes.setting_of(finding)} as the {line}, and fit again.')
+            reasons.append(f'Correct {setting_of(finding)} as the {line}, and fit again.')
         return tuple(reasons)
 
     def as_json(self) -> dict[str, Any]:
@@ -240,10 +241,10 @@ class FitVerdict(NamedTuple):
             'excess': self.diagnosis.excess,
             'hypotheses': [
                 {**finding._asdict(), 'material': finding.material,
-                 'setting': causes.setting_of(finding),
-                 'sentence': causes.finding_sentence(finding, self.given),
+                 'setting': setting_of(finding),
+                 'sentence': finding_sentence(finding, self.given),
                  'units': dict.fromkeys(
-                     ('theta', 'std'), causes.CAUSES[finding.name].get('units', '1'))}
+                     ('theta', 'std'), texts('causes').get(f'{finding.name}.units', '1'))}
                 for finding in (*self.diagnosis.findings, *self.diagnosis.besides)],
             'besides': len(self.diagnosis.besides)}
 

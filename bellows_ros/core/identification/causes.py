@@ -1,15 +1,14 @@
 """
 What may be wrong with a recording, or with what was given with it: one list of causes.
 
-Each cause has a name, the parameter to change, and a sentence with a remedy, in `causes.toml`.
-Some are seen in a recording without any fit, and corrected in it. What is left is tried by
-simulation (`diagnosis`). All of them end in a `Finding`.
+Each cause has a name; the parameter to change and a sentence with a remedy stand in the texts of
+the room 'causes'. Some are seen in a recording without any fit, and corrected in it; the others
+are tried by simulation (`diagnosis`). All of them end in a `Finding`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-import json
 from operator import attrgetter
 from pathlib import Path
 import tomllib
@@ -41,11 +40,7 @@ it is asked where a cause must explain nearly all."""
 DOUBTED = 1.0
 """Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
 
-CAUSE_TEXTS = tomllib.loads(Path(__file__).with_name('causes.toml').read_text())
-CAUSES: Mapping[str, Any] = CAUSE_TEXTS['causes']
-"""All causes by name. The numbers of those in fit.free are `quantities.KINDS`."""
-
-MISREAD: Mapping[str, str] = CAUSE_TEXTS['misread']
+MISREAD: Mapping[str, str] = tomllib.loads(Path(__file__).with_name('misread.toml').read_text())
 
 NONE = np.empty(0)
 
@@ -128,7 +123,7 @@ class Finding(NamedTuple):
     is_fact : bool
         Whether it is seen without any fit.
     sentence : str
-        The message about it, where it is not the one that `CAUSES` has.
+        The message about it, if it is not the one of its name in the texts of the room 'causes'.
 
     """
 
@@ -510,92 +505,6 @@ def _noise_order(poses: Trajectory) -> float:
     return -float(np.polyfit(np.log(hz[inside]), np.log(density), 1)[0])
 
 
-Fields = dict[str, Any]
-"""What is filled into the words of a cause."""
-
-
-def _clock_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
-    """Return the size of the offset of two clocks, rough where only turns tell it."""
-    offset, std = finding.theta[0], finding.std[0]
-    return {'offset': f'{_size(offset, std)} ms' if std < ROUGH_STD else
-            f'about {abs(offset):.2f} s'}
-
-
-def _com_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
-    """Return what is significant of the way to another centre of mass, and where that is."""
-    moved = np.where(np.abs(finding.theta) > 3.0 * finding.std, finding.theta, 0.0)
-    return {'com': _listed(np.add(given['package.com'], moved)), 'shifts': ', '.join(
-        f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm'
-        for axis, x, s in zip('xyz', moved, finding.std, strict=True) if x)}
-
-
-def _marker_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
-    """Return by how much a marker frame is moved and turned, and what corrects it."""
-    shift, angle = map(np.linalg.norm, np.split(finding.theta, [len(finding.theta) - 3]))
-    alignment = '' if given.get('recording.align_at_rest') else (
-        ", or recording.align_at_rest: true if it is the tool's and the recording begins at rest")
-    return {'mm': 1e3 * shift, 'degrees': np.rad2deg(angle),
-            'setting': f'fit.free: [package_marker]{alignment}'}
-
-
-def _gravity_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
-    """Return by how much a world is not level, and where things fall in it."""
-    down = lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN
-    return {'degrees': np.rad2deg(np.hypot(*finding.theta)), 'down': _down(given, down)}
-
-
-def _down(given: Mapping[str, Any], down: Array) -> str:
-    """Return where things fall in the world, by how they do where gravity.direction is level."""
-    level = alignment.levelling(given.get('gravity.direction', alignment.DOWN))
-    return _listed(level.T @ down)
-
-
-def _yaw_fields(finding: Finding, given: Mapping[str, Any]) -> Fields:
-    """Return the frames of which one is turned about z."""
-    words = ', or '.join(
-        f"the {body}'s frame is turned by {degrees} degrees about z"
-        for body, degrees in map(str.split, filter(None, (finding.value, finding.instead))))
-    return {'turns': words[0].upper() + words[1:], 'doubt': (
-        ': these recordings cannot tell which' if finding.instead else '')}
-
-
-def _listed(numbers: Array) -> str:
-    """Return numbers as a list with four decimals."""
-    return f'[{", ".join(f"{x:.4f}" for x in np.round(numbers, 4) + 0.0)}]'
-
-
-def _size(value: float, std: float) -> str:
-    """Return a size with its standard error, both in thousandths."""
-    return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
-
-
-FIELDS: Mapping[str, Callable[[Finding, Mapping[str, Any]], Fields]] = {
-    'package_world': lambda finding, given: {
-        'motion': alignment.motion_sentence(finding.theta, finding.std)},
-    **dict.fromkeys(('mass', 'inertia'), lambda finding, given: {
-        'numbers': ', '.join(f'{x:g}' for x in np.atleast_1d(given[f'package.{finding.name}']))}),
-    'factor of inertia': lambda finding, given: {
-        'factor': np.exp(-finding.theta[0]), 'std': np.exp(-finding.theta[0]) * finding.std[0]},
-    'time_offset': _clock_fields,
-    'topics.tool_twist': lambda finding, given: {'topic': given.get('topics.tool_twist', 'tool')},
-    'com': _com_fields,
-    'length': lambda finding, given: {'length': given['cup.length'] + finding.theta[0]},
-    'length or com': lambda finding, given: {'mm': abs(1e3 * finding.theta[-1])},
-    'package_marker': _marker_fields,
-    'clock_rate': lambda finding, given: {'ppm': 1e6 * finding.theta[0]},
-    'scale': lambda finding, given: {'percent': 100.0 * abs(finding.theta[0])},
-    'unknown': lambda finding, given: dict(
-        zip(('start', 'end', 'low', 'high'), finding.theta.tolist(), strict=True)),
-    'slip': lambda finding, given: {
-        'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]},
-    'flip': lambda finding, given: {
-        'degrees': np.rad2deg(finding.theta[0]), 'since': finding.theta[1]},
-    **dict.fromkeys(('gravity.direction', 'gravity or force'), _gravity_fields),
-    'axis of gravity': lambda finding, given: {
-        'down': _down(given, np.array(json.loads(finding.value.removeprefix('gravity '))))},
-    'yaw': _yaw_fields}
-"""What else is filled into the words of a cause."""
-
 CORRECTIONS: Mapping[str, Callable[[Recording, Finding], Recording]] = {
     'recording': _by_convention,
     'topics': lambda recording, finding: _prepared(
@@ -606,45 +515,3 @@ CORRECTIONS: Mapping[str, Callable[[Recording, Finding], Recording]] = {
     'time_offset': _by_one_clock,
     **dict.fromkeys(('mass', 'inertia'), _in_other_units)}
 """How a recording is corrected by what is wrong with it without any fit."""
-
-
-def _name_of(finding: Finding) -> str:
-    """Return the name of a cause among `CAUSES`, which some have two forms of."""
-    name = finding.name
-    if name in ('com', 'length') and finding.instead:
-        name = 'length or com'
-    elif finding.instead == 'force':
-        name = 'gravity or force'
-    elif name == 'inertia' and not finding.value:
-        name = 'factor of inertia'
-    elif finding.value.startswith('gravity'):
-        name = 'axis of gravity'
-    return name
-
-
-def setting_of(finding: Finding) -> str:
-    """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
-    if finding.name == 'yaw':
-        bodies = [text.split()[0] for text in (finding.value, finding.instead) if text]
-        return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
-    if finding.instead and finding.instead != 'force':
-        return ' or '.join(CAUSES[name]['setting'] for name in (finding.name, finding.instead))
-    return str(CAUSES[_name_of(finding)]['setting'])
-
-
-def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
-    """Return what the finding is, its size, by how much the misfit falls if so, and a remedy."""
-    if finding.sentence:
-        return finding.sentence
-    if not finding.certain and not len(finding.theta):  # only named
-        return ''
-    name, fields = _name_of(finding), {'value': finding.value}
-    cause = CAUSES[name]
-    for number, std in zip(finding.theta[:1], finding.std[:1], strict=True):
-        fields |= {'size': _size(number, std), 'part': f'{100.0 * abs(number):.2g} ± '
-                   f'{100.0 * std:.1g}', 'side': cause.get('sides', ('', ''))[int(number > 0.0)]}
-    if name in FIELDS:
-        fields |= FIELDS[name](finding, given)
-    falls = f' With that, the misfit falls to {100.0 * finding.left:.2g} %.'
-    return (f'{cause["what"].format(**fields)}.{falls if 0.0 < finding.left < 0.95 else ""} '
-            f'{cause["remedy"].format(**fields)}')

@@ -389,7 +389,7 @@ def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
     """Return the validity range of a recording."""
     return recording.cached(('envelope', cup_length), lambda: envelope(
-        sampling.filtered_samples(recording), cup_length))
+        sampling.samples_of(recording), cup_length))
 
 
 def _reduced(recording: Recording, length: float, structure: Structure) -> ReducedRecording:

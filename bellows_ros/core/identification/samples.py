@@ -11,14 +11,12 @@ from functools import cached_property
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
-from bellows_ros.core.identification.causes import finding_sentence, misread
 from bellows_ros.core.model.cup_package import gravity_vector, Package, regressor
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import FilterNoise, Recording
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
 from bellows_ros.core.signals.savgol import BLOCK, displaced
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
-from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -176,22 +174,7 @@ class Samples:
 
 
 def samples_of(recording: Recording) -> Samples:
-    """
-    Return the filtered motions of a recording, after checking that they are of a cup.
-
-    Raises
-    ------
-    BellowsError
-        If the package is not on that side of the tool where the cup is.
-
-    """
-    if wrong := misread(recording):
-        raise BellowsError(finding_sentence(wrong, {}))
-    return filtered_samples(recording)
-
-
-def filtered_samples(recording: Recording) -> Samples:
-    """Return the filtered motions of any recording."""
+    """Return the filtered motions of a recording."""
     return recording.cached('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.filters[1].weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))

@@ -10,7 +10,6 @@ from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.causes import (
     facts,
     Finding,
-    finding_sentence,
     implausible_inputs,
     misread,
 )
@@ -19,6 +18,7 @@ from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
+from bellows_ros.report.sentences import finding_sentence
 from bellows_ros.workflows.replay import validated
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
