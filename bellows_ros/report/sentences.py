@@ -158,6 +158,9 @@ def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
     what, remedy = (
         sentence('causes', f'{name}.{part}', **numbers) for part in ('what', 'remedy'))
     falls = f' With that, the misfit falls to {100.0 * finding.left:.2g} %.'
+    if finding.untried:
+        remedy += sentence('causes', 'untried', names=[
+            texts('causes')[f'{name}.setting'] for name in finding.untried])
     return f'{what}.{falls if 0.0 < finding.left < 0.95 else ""} {remedy}'
 
 

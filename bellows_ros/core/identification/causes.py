@@ -122,6 +122,8 @@ class Finding(NamedTuple):
         Name or value of another datum that these recordings cannot tell from it; '' for none.
     is_fact : bool
         Whether it is seen without any fit.
+    untried : tuple of str
+        Names of candidates that the time did not allow to try.
     sentence : str
         The message about it, if it is not the one of its name in the texts of the room 'causes'.
 
@@ -137,6 +139,7 @@ class Finding(NamedTuple):
     certain: bool = True
     instead: str = ''
     is_fact: bool = False
+    untried: tuple[str, ...] = ()
     sentence: str = ''
 
     @property

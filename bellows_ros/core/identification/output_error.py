@@ -12,6 +12,7 @@ Also two clocks, two worlds and a marker anywhere on the package, from one recor
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+import time
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
@@ -22,6 +23,7 @@ from bellows_ros.core.identification.diagnosis.candidates import (
     likeliest_setting,
     scores,
     SIGNIFICANT,
+    within,
 )
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
@@ -99,6 +101,9 @@ COMMON_WEIGHT = 10.0
 MIN_SCATTER = 0.25
 """Scatter below this fraction of the noise model's belongs to directions without information."""
 
+MIN_DIAGNOSIS_S, DIAGNOSIS_TO_FIT = 30.0, 2.0
+"""Largest processor time of a diagnosis, s, and its largest ratio to that of the fit."""
+
 MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
 
@@ -154,12 +159,15 @@ def output_error(
         If relaxation or stretch is 'on' and is not significant.
 
     """
-    iterations: list[Iteration] = []
+    iterations, began = list[Iteration](), time.process_time()
 
     def record(cup: Cup, chi2: float) -> None:
         iterations.append(Iteration(len(iterations), chi2, cup.stiffness, cup.damping))
         if progress is not None:
             progress(iterations[-1])
+
+    def diagnosed() -> Report:
+        return within(max(MIN_DIAGNOSIS_S, DIAGNOSIS_TO_FIT * (time.process_time() - began)))
 
     problem = Problem(
         tuple(map(Segment.of, measured)), structure, start, free, common=common)
@@ -167,7 +175,7 @@ def output_error(
     given = {name: std for name, std in given.items() if are_slow or name != 'exposure'}
     near = approach(problem, record, with_couplings=are_slow)
     if near.squares > MISFIT_CHI2 * near.residual_count and (
-            setting := likeliest_setting(problem, other_start or start)):
+            setting := likeliest_setting(problem, other_start or start, diagnosed())):
         return _fit(near, unmoved(near), iterations, named, given, (setting,))
     near = _extended(near, given, richer, stretch, record)
     (found, from_given), ends = _from_slow_poses(
@@ -177,7 +185,7 @@ def output_error(
     if not is_explained(ends[0], given):
         from bellows_ros.core.identification.diagnosis.ranking import rank  # what few fits need
 
-        reasons = rank(ends, given)
+        reasons = rank(ends, given, diagnosed())
     return _fit(found, from_given, iterations, named, given, reasons)
 
 

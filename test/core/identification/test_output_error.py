@@ -6,6 +6,7 @@ from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification import problem as module_of_problem
 from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.diagnosis import ranking
+from bellows_ros.core.identification.diagnosis.candidates import within
 from bellows_ros.core.identification.diagnosis.ranking import rank
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.problem import Problem
@@ -118,6 +119,13 @@ def test_a_simulation_that_diverges_explains_nothing():
     upside_down = replace(measured(3, duration=2.0), gravity=-GRAVITY)
     near = approach(posed(upside_down, scaled(0.01)))
     assert 1e4 < near.squares / near.residual_count < np.inf
+
+
+def test_a_diagnosis_whose_time_is_over_names_what_was_not_tried():
+    own = measured(3, duration=3.0, package_hz=60.0, late_ns=20_000_000)
+    (first, *others) = rank([minimise(posed(own))], {}, within(0.0))
+    assert first.name == 'unknown' and not others
+    assert 'time_offset' in first.untried and len(first.untried) > 1
 
 
 def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from operator import itemgetter
+import time
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -24,6 +25,8 @@ from bellows_ros.core.identification.search import (
     approach,
     deviance,
     minimise,
+    no_report,
+    Report,
     Solution,
     system_of,
 )
@@ -67,6 +70,21 @@ UNKNOWN_FORCES = (3.0, 10.0, 30.0)
 
 SQUARED_UNITS = [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]
 """Squares of the units in which shifts (m) and rotations (rad) of poses are compared."""
+
+
+class OutOfTime(Exception):
+    """The time of a diagnosis is over; its arguments are candidates that were not tried."""
+
+
+def within(seconds: float) -> Report:
+    """Return a report of steps that ends a diagnosis after some processor time, s."""
+    end = time.process_time() + seconds
+
+    def report(cup: Cup, chi2: float) -> None:
+        if time.process_time() > end:
+            raise OutOfTime
+
+    return report
 
 
 def is_explained(found: Solution, given: Free) -> bool:
@@ -137,11 +155,13 @@ class Alternative(NamedTuple):
         return float(np.sqrt(now / then))
 
 
-def freed(before: Solution, name: str, from_start: bool = False) -> Alternative:
+def freed(
+    before: Solution, name: str, from_start: bool = False, report: Report = no_report
+) -> Alternative:
     """Return the solution near one, or from its start, with one quantity more, and its gain."""
     wide = before.problem.freed(
         before.problem.start if from_start else before.theta, quantities.weak_prior([name]))
-    found = minimise(wide, None if from_start else before.near(wide))
+    found = minimise(wide, None if from_start else before.near(wide), report)
     return Alternative(name, found, gain_of(before, found, name == 'slip'))
 
 
@@ -249,7 +269,9 @@ def _worlds(world: str) -> Iterator[tuple[str, Array]]:
             yield f'gravity {down.astype(int).tolist()}', levelling(down)
 
 
-def likeliest_setting(problem: Problem, cup: Cup) -> Finding | None:
+def likeliest_setting(
+    problem: Problem, cup: Cup, report: Report = no_report
+) -> Finding | None:
     """
     Return the other setting with which recordings fit to the noise, None without one.
 
@@ -262,6 +284,8 @@ def likeliest_setting(problem: Problem, cup: Cup) -> Finding | None:
         Of recordings as they were given.
     cup : Cup
         Where the searches begin.
+    report : callable
+        Called after each step; see `within`.
 
     """
     given = [segment.measured for segment in problem.segments]
@@ -269,8 +293,11 @@ def likeliest_setting(problem: Problem, cup: Cup) -> Finding | None:
     for finding, measured in [(Finding('', ''), given), *settings_of(given)]:
         other = replace(problem.freed(problem.unknowns(cup), {}),
                         segments=tuple(map(Segment.of, measured)))
-        with suppress(BellowsError):  # no cup explains that
-            ends.append((approach(other, with_couplings=False).squares, finding, other))
+        with suppress(BellowsError, OutOfTime):  # no cup explains that
+            ends.append((
+                approach(other, report, with_couplings=False).squares, finding, other))
+    if not ends:
+        return None
     least, likeliest, other = min(ends, key=itemgetter(0))
     if not likeliest.name or not minimise(other).fits:
         return None

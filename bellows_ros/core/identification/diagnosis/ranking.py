@@ -22,6 +22,7 @@ from bellows_ros.core.identification.diagnosis.candidates import (
     MARKERS,
     MIN_SLIP_PERIOD,
     moved_between,
+    OutOfTime,
     pulls,
     SIGNIFICANT,
 )
@@ -32,6 +33,8 @@ from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
     minimise,
     MISFIT_CHI2,
+    no_report,
+    Report,
     Solution,
 )
 from bellows_ros.core.identification.segments import Segment
@@ -90,7 +93,9 @@ BLOCK_S = 1.0
 """Resolution of the reported time span, s."""
 
 
-def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
+def rank(
+    ends: Sequence[Solution], given_std: Free, report: Report = no_report
+) -> tuple[Finding, ...]:
     """
     Return the cause of a misfit, or an unknown cause with its likeliest candidates, or nothing.
 
@@ -102,6 +107,8 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
         quantities small errors of given quantities would seem to be causes.
     given_std : mapping
         Standard deviations of the given quantities, SI units.
+    report : callable
+        Called after each step; see `candidates.within`.
 
     """
     likely, unexplained = tuple[Finding, ...](), tuple[Finding, ...]()
@@ -109,7 +116,11 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
         if likely and not end.is_plausible:
             break
         for test in (_causes, deviating):
-            findings = test(end, given_std)
+            try:
+                findings = test(end, given_std, report=report)
+            except OutOfTime as error:
+                first, *others = unexplained or (unknown(end),)
+                return (first._replace(untried=error.args), *others, *likely)
             if any(finding.certain for finding in findings):
                 return findings
             likely = likely or findings
@@ -119,9 +130,9 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
     return likely or unexplained
 
 
-def _causes(end: Solution, given_std: Free) -> tuple[Finding, ...]:
+def _causes(end: Solution, given_std: Free, report: Report) -> tuple[Finding, ...]:
     """Return the cause at one end of a search."""
-    if wrong := _wrong_length(end):
+    if wrong := _wrong_length(end, report):
         return (wrong,)
     is_off = candidates.is_off(end, given_std)
     falls = candidates.scores(
@@ -132,13 +143,14 @@ def _causes(end: Solution, given_std: Free) -> tuple[Finding, ...]:
         end, falls['slip'] = candidates.with_likeliest_slip(end)
     if max(falls.values(), default=0.0) < SIGNIFICANT**2:
         return ()
-    tried = _tried(end, dict(sorted(falls.items(), key=_priced, reverse=True)))
+    tried = _tried(end, dict(sorted(falls.items(), key=_priced, reverse=True)), report)
     best = max(tried, key=lambda one: _priced((one.name, one.gain)))
     if best.gain < SIGNIFICANT**2:
         return ()
-    if is_off and (found := deviating(end, given_std, best.gain)):
+    if is_off and (
+            found := deviating(end, given_std, best.gain, report)):
         return found
-    if frame := _frame_instead(end, tried, best):
+    if frame := _frame_instead(end, tried, best, report):
         return (frame,)
     theta, std = best.found.estimate(best.name)
     if np.max(np.abs(theta) / std) ** 2 < SIGNIFICANT**2 * best.found.colour:
@@ -209,7 +221,9 @@ def _priced(fall: tuple[str, float]) -> float:
     return (1.0 - PRICE * quantities.KINDS[fall[0]].size) * fall[1]
 
 
-def _tried(end: Solution, falls: Mapping[str, float]) -> list[Alternative]:
+def _tried(
+    end: Solution, falls: Mapping[str, float], report: Report
+) -> list[Alternative]:
     """
     Return the freed candidates, the highest score first.
 
@@ -223,15 +237,18 @@ def _tried(end: Solution, falls: Mapping[str, float]) -> list[Alternative]:
         settled = [one for one in tried if one.found.converged]
         if end.is_plausible and settled and (falls[name] < least or len(settled) == MAX_TRIED):
             break
-        if end.is_plausible and name != 'slip':
-            tried.append(freed(end, name))
-        if not (tried and tried[-1].name == name and tried[-1].found.converged):
-            tried.append(freed(end, name, from_start=True))
+        try:
+            if end.is_plausible and name != 'slip':
+                tried.append(freed(end, name, report=report))
+            if not (tried and tried[-1].name == name and tried[-1].found.converged):
+                tried.append(freed(end, name, True, report))
+        except OutOfTime:
+            raise OutOfTime(*list(names)[list(names).index(name):]) from None
     return tried
 
 
 def _frame_instead(
-    end: Solution, tried: Sequence[Alternative], best: Alternative
+    end: Solution, tried: Sequence[Alternative], best: Alternative, report: Report
 ) -> Finding | None:
     """Return exchanged frames if a shift of the lip is as large as its distance from the com."""
     problem = end.problem
@@ -240,22 +257,23 @@ def _frame_instead(
         for name in OF_LIP if name in problem.places]
     if not any(_is_as_far_as_com(problem, shift[:3]) for shift in shifts):
         return None
-    return _other_frame(end, best.gain)
+    return _other_frame(end, best.gain, report)
 
 
-def _wrong_length(end: Solution) -> Finding | None:
+def _wrong_length(end: Solution, report: Report) -> Finding | None:
     """Return another length that explains an implausible cup, if one does."""
     explains = end.converged and end.squares < MISFIT_CHI2 * end.residual_count
     if not explains or 'length' in end.problem.places or end.is_plausible:
         return None
-    one = freed(end, 'length', from_start=True)
+    one = freed(end, 'length', True, report)
     theta, std = one.found.estimate('length')
     if one.gain < -SIGNIFICANT**2 or abs(theta[0]) < max(
             SIGNIFICANT * std[0], MIN_LENGTH_ERROR) or (
             one.found.problem.largest_damping(one.found.theta)
             > end.problem.largest_damping(end.theta)):
         return None
-    if _is_as_far_as_com(end.problem, theta) and (frame := _other_frame(end, one.gain)):
+    if _is_as_far_as_com(end.problem, theta) and (
+            frame := _other_frame(end, one.gain, report)):
         return frame
     return Finding('length', '', theta, std, one.left(end), moved_between(end, one.found),
                    instead='com')
@@ -267,7 +285,9 @@ def _is_as_far_as_com(problem: Problem, shift: Array) -> bool:
     return bool(np.linalg.norm(shift) > MIN_EXCHANGE_SHIFT * np.linalg.norm(com))
 
 
-def deviating(end: Solution, given_std: Free, least: float = -np.inf) -> tuple[Finding, ...]:
+def deviating(
+    end: Solution, given_std: Free, least: float = -np.inf, report: Report = no_report
+) -> tuple[Finding, ...]:
     """
     Return the given quantity that deviates by most standard deviations, if by more than allowed.
 
@@ -281,14 +301,14 @@ def deviating(end: Solution, given_std: Free, least: float = -np.inf) -> tuple[F
     if not explains or not off:
         return ()
     tried = dict.fromkeys([*off, *(ALIKE.get(name, '') for name in off)])
-    best = max((freed(end, name) for name in tried if name in end.problem.places),
+    best = max((freed(end, name, report=report) for name in tried if name in end.problem.places),
                key=attrgetter('gain'))
     if best.gain < least:
         return ()
     name = best.name
     if not best.found.converged:
         best = best._replace(found=end)
-    if name in OF_LIP and (frame := _other_frame(end, best.gain)):
+    if name in OF_LIP and (frame := _other_frame(end, best.gain, report)):
         return (frame,)
     theta, std = best.found.estimate(name)
     is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # the cup's axis, as a length
@@ -316,7 +336,7 @@ def _finding(best: Alternative, theta: Array, std: Array) -> Finding:
         REPORTED.get(name, name), 'tool' if name == 'tool_marker' else '', theta, std)
 
 
-def _other_frame(end: Solution, rival: float) -> Finding | None:
+def _other_frame(end: Solution, rival: float, report: Report) -> Finding | None:
     """
     Return exchanged frames, poses of the lip for poses of the com or vice versa, or None.
 
@@ -336,10 +356,10 @@ def _other_frame(end: Solution, rival: float) -> Finding | None:
         segment.measured, moves_with_com=(not is_lip,) * 3, package=replace(
             segment.measured.package, position=segment.measured.package.position + sign * apply(
                 segment.measured.package.rotation, segment.measured.payload.com))))
-        for segment in problem.segments)))
+        for segment in problem.segments)), report=report)
     if not other.converged:
         return None
-    with_com = freed(other, 'com')
+    with_com = freed(other, 'com', report=report)
     left = np.linalg.norm(with_com.found.estimate('com')[0])
     if not with_com.found.converged or left > MAX_EXCHANGE_REST * np.linalg.norm(
             measured.payload.com) or (
