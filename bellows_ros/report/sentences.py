@@ -155,13 +155,14 @@ def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
             'last': abs(theta[-1]), 'pair': math.hypot(*theta[:2]), 'side': sides[theta[0] > 0.0]}
     if name in FINDING_FIELDS:
         numbers |= FINDING_FIELDS[name](finding, given)
-    what, remedy = (
-        sentence('causes', f'{name}.{part}', **numbers) for part in ('what', 'remedy'))
-    falls = f' With that, the misfit falls to {100.0 * finding.left:.2g} %.'
+    what, *more = (sentence('causes', f'{name}.{part}', **numbers) for part in ('what', 'remedy')
+                   if f'{name}.{part}' in texts('causes'))
+    if 0.0 < finding.left < 0.95:
+        more.insert(0, f'With that, the misfit falls to {100.0 * finding.left:.2g} %.')
     if finding.untried:
-        remedy += sentence('causes', 'untried', names=[
-            texts('causes')[f'{name}.setting'] for name in finding.untried])
-    return f'{what}.{falls if 0.0 < finding.left < 0.95 else ""} {remedy}'
+        more.append(sentence('causes', 'untried', names=[
+            texts('causes')[f'{name}.setting'] for name in finding.untried]))
+    return ' '.join([f'{what}.', *more])
 
 
 def setting_of(finding: Finding) -> str:
@@ -171,7 +172,7 @@ def setting_of(finding: Finding) -> str:
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
     names = [_cause_of(finding)] if finding.instead in ('', 'force') else [
         finding.name, finding.instead]
-    return ' or '.join(texts('causes')[f'{name}.setting'] for name in names)
+    return ' or '.join(texts('causes').get(f'{name}.setting', '') for name in names)
 
 
 def _cause_of(finding: Finding) -> str:

@@ -197,7 +197,7 @@ class FitVerdict(NamedTuple):
         if self.is_at_noise:
             return ()
         settings = dict.fromkeys(setting_of(finding) for finding in candidates)
-        return (finding_sentence(residual, self.given).strip(), *(
+        return (finding_sentence(residual, self.given), *(
             [f'Likeliest, but not certain: {" or ".join(settings)}.'] if settings else []))
 
     @property

@@ -44,6 +44,8 @@ def test_every_sentence_can_be_made():
     for file in TEXTS.glob('*.toml'):
         for code, text in texts(file.stem).items():
             where = f'{file.name}: {code}'
+            if code.endswith(('.sides', '.units')):
+                continue
             assert text and text == text.strip(), where
             for _, field, form, conversion in Formatter().parse(text):
                 assert field is None or (field and not conversion), where
