@@ -269,40 +269,46 @@ def _worlds(world: str) -> Iterator[tuple[str, Array]]:
             yield f'gravity {down.astype(int).tolist()}', levelling(down)
 
 
-def likeliest_setting(
-    problem: Problem, cup: Cup, report: Report = no_report
-) -> Finding | None:
+def likeliest_setting(near: Solution, cup: Cup, report: Report = no_report) -> Finding | None:
     """
     Return the other setting with which recordings fit to the noise, None without one.
 
-    Each setting is approached from one cup, and the best is fitted. If recordings do not tell
-    which of two frames is rotated, the finding names both.
+    The settings are ranked by the segment of each package with the largest chi², each approached
+    from one cup; the best is fitted to all segments. If recordings do not tell which of two frames
+    is rotated, the finding names both.
 
     Parameters
     ----------
-    problem : Problem
-        Of recordings as they were given.
+    near : Solution
+        Misfit of the recordings as they were given.
     cup : Cup
-        Where the searches begin.
+        First guess of each search.
     report : callable
         Called after each step; see `within`.
 
     """
-    given = [segment.measured for segment in problem.segments]
-    ends = list[tuple[float, Finding, Problem]]()
-    for finding, measured in [(Finding('', ''), given), *settings_of(given)]:
-        other = replace(problem.freed(problem.unknowns(cup), {}),
-                        segments=tuple(map(Segment.of, measured)))
+    problem = near.problem
+    problem = problem.freed(problem.unknowns(cup), {})
+    order = np.argsort([part.innovations @ part.innovations for part in near.parts])
+    segments = [problem.segments[index].measured for index in order]
+    worst = list({each.payload.mass: each for each in segments}.values())
+
+    def problem_of(measured: Sequence[MeasuredSegment]) -> Problem:
+        return replace(problem, segments=tuple(map(Segment.of, measured)))
+
+    ends = list[tuple[float, Finding]]()
+    for finding, measured in [(Finding('', ''), worst), *settings_of(worst)]:
         with suppress(BellowsError, OutOfTime):  # no cup explains that
-            ends.append((
-                approach(other, report, with_couplings=False).squares, finding, other))
-    if not ends:
+            near = approach(problem_of(measured), report, with_couplings=False)
+            ends.append((near.squares, finding))
+    least, likeliest = min(ends, key=itemgetter(0), default=(0.0, Finding('', '')))
+    everything = [segment.measured for segment in problem.segments]
+    other = next((measured for finding, measured in settings_of(everything)
+                  if finding[:2] == likeliest[:2]), None)
+    if not other or not minimise(problem_of(other)).fits:
         return None
-    least, likeliest, other = min(ends, key=itemgetter(0))
-    if not likeliest.name or not minimise(other).fits:
-        return None
-    (before, *_), *_ = ends
-    instead = [finding.value for squares, finding, *_ in ends if finding is not likeliest and (
+    (before, _), *_ = ends
+    instead = [finding.value for squares, finding in ends if finding is not likeliest and (
         finding.name == likeliest.name == 'yaw' and DISTINCT * squares < least)]
     return likeliest._replace(
         left=float(np.sqrt(least / before)), instead=next(iter(instead), ''))
