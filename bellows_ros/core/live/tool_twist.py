@@ -19,7 +19,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.live.tool_screening import TwistSample
-from bellows_ros.core.model.kernels import State
+from bellows_ros.core.model.kernels import extrapolated, State
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -274,6 +274,13 @@ FORGETTING = 0.98
 MAX_MISFIT = 0.25
 """Twists are wrong if the poses leave this fraction of their mean square unexplained."""
 
+LAG_RANGE = 1e-3, 2e-2
+"""Smallest lag of the poses behind their twists that is corrected, and largest, s."""
+
+LAG_DEVIATIONS, LAG_STEP = 5.0, 2e-4
+"""Standard deviations by which a lag differs from none, and its largest change per comparison (s):
+1 % of the time."""
+
 MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
 """Largest jerk of an arm (m/s^3), and tolerance of a position in addition (m)."""
 
@@ -311,10 +318,12 @@ def squared(v: Vector, w: Vector) -> float:
 @kernel
 def with_measured_twist(
     before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
-    seconds: float,
+    seconds: float, lag: float,
 ) -> tuple[State, float, float, tuple[float, float]]:
     """
     Return the tool with a measured twist, and how far it is from where the twists lead.
+
+    A pose that lags behind its twist (s) is moved ahead with it.
 
     The deviation is relative to the largest of an arm, relative to the limit of suspicion, and a
     shift (m) and an angle (rad). The shift between two poses differs from the mean of both
@@ -324,6 +333,9 @@ def with_measured_twist(
     v, w = linear, angular
     if in_world:
         v, w = t3.apply_transposed(R, linear), t3.apply_transposed(R, angular)
+    if lag > 0.0:
+        ahead = extrapolated((o, q, v, w), lag)
+        o, q = ahead[0], ahead[1]
     mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R, v)))
     shift = t3.norm(t3.subtract(t3.subtract(o, before[0]), t3.scale(seconds, mean)))
     rotation = t3.rotation_between(before[1], q)
@@ -343,7 +355,8 @@ class ToolMotion:
     A missing twist is the slope of a quadratic through the last poses, fitted by least squares to
     the positions and to the rotation vectors relative to one of the poses; its slope there is that
     pose's body twist. Three poses give the exact quadratic; more of them average noise. Measured
-    twists are compared with such slopes now and then.
+    twists are compared with such slopes now and then. Poses whose slopes lag behind the twists are
+    late, as no message is early: they are moved ahead.
 
     Parameters
     ----------
@@ -359,6 +372,8 @@ class ToolMotion:
         self._in_world = in_world
         self._tip: tuple[Vector, Quaternion] | None = None
         self._recent: deque[tuple[Quaternion, Vector, Vector]] = deque(maxlen=LATER_POSES + 1)
+        self._lag = 0.0
+        self._products = np.zeros(4)  # of acceleration a and difference d: a a, a d, d d; count
         self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
@@ -402,12 +417,32 @@ class ToolMotion:
         self._recent.append((q, twist.linear, twist.angular))
         if len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
             self._due_ns = pose.stamp_ns + PERIOD_NS
-            squares = misfits(*self._recent[0], *self.state(LATER_POSES)[2:4])
+            slope = self.state(LATER_POSES)[2:4]
+            squares = misfits(*self._recent[0], *slope)
             self._squares = tuple(FORGETTING * before + new for before, new in zip(
                 self._squares, squares, strict=True))
             self._compared += 1
+            self._compare_velocity(slope[0])
         return with_measured_twist(
-            before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds)
+            before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds,
+            self._lag)
+
+    def _compare_velocity(self, slope: Vector) -> None:
+        """Estimate the lag, with the slope (m/s, in body axes) of the first of the last poses."""
+        (q, first, _), (_, last, _) = self._recent[0], self._recent[-1]
+        newest = self._count - 1
+        seconds = self._rows[newest][0] - self._rows[newest - LATER_POSES][0]
+        R = t3.rotation_matrix(q)
+        if self._in_world:
+            slope = t3.apply(R, slope)
+        a, d = t3.scale(1.0 / seconds, t3.subtract(last, first)), t3.subtract(first, slope)
+        self._products += np.array((t3.dot(a, a), t3.dot(a, d), t3.dot(d, d), 1.0))
+        aa, ad, dd, count = self._products.tolist()
+        found = ad / max(aa, 1e-12)
+        std = math.sqrt(max(dd - found * ad, 0.0) / (3.0 * count * max(aa, 1e-12)))
+        is_late = self.verdict == 'fits' and (
+            max(LAG_RANGE[0], LAG_DEVIATIONS * std) < found < LAG_RANGE[1])
+        self._lag += min(max(found * is_late - self._lag, -LAG_STEP), LAG_STEP)
 
     def estimated(self, has_before: bool) -> tuple[State | None, State]:
         """Return E at the last two poses (the first, if any) with twists of the poses alone."""

@@ -163,3 +163,23 @@ def test_bursts_give_the_slope_of_the_line_and_not_of_their_noise():
     positions = np.outer([0.0, 1e-4, 0.1, 0.1001], [1.0, 0.0, 0.0])  # 0.1 mm off the line in 10 ns
     history = filled(positions, np.tile(np.eye(3), (4, 1, 1)), stamps)
     assert_allclose(history.state()[2], [1.0, 0.0, 0.0], atol=2e-3)
+
+
+@pytest.mark.parametrize(('late', 'is_moved'), [(0.005, True), (0.0, False), (-0.005, False)])
+def test_poses_that_lag_behind_their_twists_are_moved_ahead(late, is_moved):
+    """Leave poses alone that are right, or earlier than twists of a filter."""
+    rng, motion = np.random.default_rng(2), ShakenTool(np.random.default_rng(1))
+    history = ToolMotion(in_world=False)
+    before, errors = (ZERO, UPRIGHT, ZERO, ZERO), []
+    for t in np.arange(0.0, 6.0, 0.008):
+        o, R, _ = motion.at(t - late)
+        seen = PoseSample(START + round(t * 1e9), tuple(o + 2e-5 * rng.normal(size=3)),
+                          tuple(rotation_to_quaternion(R)))
+        true, _, V = motion.at(t)
+        history.add(seen)
+        before, *_ = history.measured(
+            seen, TwistSample(seen.stamp_ns, tuple(V[:3]), tuple(V[3:])), before, 0.008)
+        errors.append([np.subtract(before[0], true), np.subtract(seen.position, true)])
+        assert is_moved or before[0] == seen.position
+    moved, told = np.sqrt(np.mean(np.square(errors[-250:]), axis=(0, 2)))
+    assert not is_moved or moved < 0.1 * told
