@@ -37,6 +37,8 @@ class Cycle:
         Of the module's constants.
     valve, vacuum : bool or None
         Last readings: valve on, vacuum in the cup; None before the first.
+    lowest : float
+        Height of the tool at the last grip, m.
     follows : bool
         Whether the state depends on the tool's motion: since the first grip or vacuum.
 
@@ -48,11 +50,11 @@ class Cycle:
         self.follows = False
         self.valve: bool | None = None
         self.vacuum: bool | None = None
-        self._lowest = self._due_ns = 0.0
+        self.lowest = self._due_ns = 0.0
 
     def grip(self) -> None:
         """Take up the next package."""
-        self.state, self._lowest, self._due_ns = GRIPPED, float('inf'), 0.0
+        self.state, self.lowest, self._due_ns = GRIPPED, float('inf'), 0.0
         self.follows = True
 
     def end(self, state: str) -> None:
@@ -105,8 +107,8 @@ class Cycle:
     def on_height(self, height: float) -> None:
         """Notice a lift by the height (m) of the tool, against gravity."""
         if self.state == GRIPPED:
-            self._lowest = min(self._lowest, height)
-            if height - self._lowest > LIFT:
+            self.lowest = min(self.lowest, height)
+            if height - self.lowest > LIFT:
                 self.state = HELD
 
     def is_due(self, stamp_ns: int) -> bool:

@@ -627,6 +627,8 @@ class LivePredictor:
             observer = Observer(self.values)
             observer.alarms = self.alarms
             self.package.observe(observer)
+            if self._cycle.follows and self.state in ON_CUP:
+                observer.grip(None if self.state == GRIPPED else self._cycle.lowest)
         (x, y, z), (qx, qy, qz, qw) = position, quaternion_xyzw
         position, quaternion_xyzw = (x, y, z), (qx, qy, qz, qw)
         measurement = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)

@@ -165,9 +165,9 @@ class Observer:
         self._keep()
         self._begin_with(kept)
 
-    def grip(self) -> None:
-        """Take up another package that lies on a support."""
-        self._support.grip()
+    def grip(self, height: float | None = None) -> None:
+        """Take up another package that lies on a support; one lifted before by its height (m)."""
+        self._support.grip(height)
 
     def _keep(self) -> None:
         """Keep the newest estimate if it is clean."""
@@ -451,14 +451,19 @@ class Observer:
             return
         last = self._estimates[-1]
         is_held, away_ns = self._is_held(last), last.away_ns
-        self._estimates[-1] = last._replace(away_ns=-1)
-        if not is_held or last_ns - away_ns >= LOST_AFTER_NS:  # else it was one wrong pose
+        is_wrong_pose = bool(is_held) and last_ns - away_ns < LOST_AFTER_NS
+        self._estimates[-1] = last._replace(away_ns=0 if is_wrong_pose else -1)
+        if not is_wrong_pose:
             self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
 
     @property
     def departs(self) -> bool:
-        """Whether the last measured poses contradict a held package: out of reach, or outliers."""
-        last = self._estimates[-1] if self._estimates else None
+        """
+        Whether the last measured poses contradict a held package: out of reach, or outliers.
+
+        A support near the package explains them.
+        """
+        last = self._estimates[-1] if self._estimates and not self._support.is_near else None
         return last is not None and (last.away_ns != 0 or len(last.gated_ns) > 1)
 
     @property

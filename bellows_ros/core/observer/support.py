@@ -47,10 +47,12 @@ class Support:
         """Use another direction against gravity (unit vector) and stretch of the cup (m)."""
         self._up, self._lift = up, LIFT + sag
 
-    def grip(self) -> None:
-        """Let the next sample of the tool grip a package on its support."""
-        self._is_gripping, self._top = True, None
-        self._may_reach = False
+    def grip(self, height: float | None = None) -> None:
+        """Let the next sample grip a package on its support; one lifted before at a height (m)."""
+        self._top, self._may_reach = None, height is not None
+        self._is_gripping = not self._may_reach
+        if height is not None:
+            self._grip_height = height
 
     @property
     def is_near(self) -> bool:

@@ -160,3 +160,13 @@ def test_parameters_change_while_the_package_moves_on():
         with pytest.raises(BellowsError, match=word):
             cell.live.set_parameters(wrong)
         assert cell.live.values.package.mass == 2.0
+
+
+def test_support_is_known_to_a_camera_that_sees_the_package_after_the_grip():
+    """Put it down in view of a camera that has seen nothing before the lift."""
+    cell = Cell(False)
+    cell.pick()
+    cell.with_camera = True
+    cell.go(0.5)
+    cell.go(0.4, -0.2)
+    assert cell.live.package.observer._support.is_near
