@@ -36,10 +36,10 @@ Sensor = tuple[bool, Sizes, Sizes, Vector]
 BODY_AT_REST: Sizes = (2e-3, 2e-3, 1e-2, 1e-2)
 """Default standard deviations of a tracked body, m and rad."""
 
-TAG_AT_REST: Sizes = (3e-4, 3e-3, 1.2e-2, 4e-3)
+TAG_AT_REST: Sizes = (5e-4, 5e-3, 1.2e-2, 4e-3)
 """Default standard deviations of a tag at rest, 1 m from the camera, m and rad."""
 
-TAG_IN_MOTION: Sizes = (4e-3, 4e-2, 2e-1, 6e-2)
+TAG_IN_MOTION: Sizes = (8e-3, 4e-2, 2e-1, 6e-2)
 """Default growth of a tag's errors with its squared speed, 1 m from the camera, s^2/m and rad."""
 
 NO_GROWTH: Sizes = (0.0, 0.0, 0.0, 0.0)
