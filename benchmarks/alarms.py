@@ -18,6 +18,7 @@ from collections import Counter
 import math
 from typing import Any
 
+from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import measurement as sensor
 from bellows_ros.core.observer.alarms import ONSET_NS
 import numpy as np
@@ -100,7 +101,8 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
         position, q, noise = sensor.corrected_pose(position, q, noise, marker, theta, com)
         exposed = sensor.at_exposure(model, estimate.tool, body, theta)
         whitened, _, whitener, *_ = sensor.innovation_of(
-            exposed, theta, estimate.covariance, position, q, noise, marker)
+            exposed, theta, estimate.covariance, position, q, noise, marker,
+            estimate.memory[ekf.JITTER])
         stamps.append(stamp_ns)
         ys.append(np.linalg.solve(whitener, whitened))
         whiteners.append(whitener)

@@ -65,8 +65,11 @@ UNSTATED_MASS, UNSTATED_COM = 0.02, 2e-3
 SUPPORT_WALK, SUPPORT_ARM = 1.5, 0.05
 """Random walk of a support's wrench in 1 s: fraction of the weight, and moment by force (m)."""
 
-MODEL_ERROR_SHARE = 0.01
+MODEL_ERROR_SHARE = 3e-4
 """First variance of the model's error, relative to that of the lip's displacement."""
+
+FIRST_JITTER = 2e-3
+"""First standard deviation of the random part of a stamp's error, s."""
 
 FIRST_MEMORY = 0.043
 """First time in which the correlation of the noise falls to 1 / e, s."""
@@ -138,7 +141,7 @@ def first_memory() -> Array:
     products = FIRST_SQUARES * math.exp(-FIRST_PERIOD / FIRST_MEMORY)
     memory: Array = np.r_[
         FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2),
-        MODEL_ERROR_SHARE]
+        MODEL_ERROR_SHARE, FIRST_JITTER**2]
     return memory
 
 

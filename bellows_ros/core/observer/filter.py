@@ -89,8 +89,11 @@ Time in which the model's error is a displacement of the lip by its relative twi
 relaxation and damping are forces in proportion to what the lip moves.
 """
 
-SHARE = 13
-"""Place of the model error's variance in the memory, relative to the moved displacement's."""
+SHARE, JITTER = 13, 14
+"""
+Places in the memory: the model error's variance relative to the moved displacement's, and the
+variance of the random part of a stamp's error (s^2).
+"""
 
 
 class Evidence(NamedTuple):
@@ -126,7 +129,7 @@ class Estimate(NamedTuple):
     covariance: Array
     """Of the error (n, n)."""
     memory: Array
-    """Of the noise, see `correlations` (14,)."""
+    """Of the noise, see `correlations` (15,)."""
     evidence: Evidence = NO_EVIDENCE
     """Of faults."""
     lost_cups: tuple[int, ...] = ()
@@ -471,8 +474,8 @@ def correlations(memory: Array, seconds: float) -> tuple[float, float]:
 
     The memory: mean time (s) between measurements, and for position and rotation the sums of
     squares of the noise and of its products with the noise before, in standard deviations; that
-    noise (6,), by how much its variances are larger than stated (2,), and the variance of the
-    model's error relative to that of the lip's displacement.
+    noise (6,), by how much its variances are larger than stated (2,), the variance of the model's
+    error relative to that of the lip's displacement, and that of a stamp (s^2).
     """
     rate = seconds / memory[0]
     return _correlation(memory[3] / memory[1], rate), _correlation(memory[4] / memory[2], rate)

@@ -41,8 +41,8 @@ stamps make of a tool that moves; the largest squared Mahalanobis distance, 0 if
 WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 0.1
 """Part of the noise's variance that has no memory."""
 
-JITTER = 2e-3
-"""Standard deviation of the random part of a stamp's error, s: images stamped on arrival."""
+JITTER_RANGE = 1e-8, 4e-4
+"""Bounds of the variance of the random part of a stamp's error, s^2."""
 
 ANY_ROTATION = 1.0
 """Variance of a rotation that is not used, rad^2."""
@@ -285,11 +285,11 @@ def output_of(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
 @array_kernel
 def innovation_of(
     body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
-    marker: Marker,
+    marker: Marker, jitter: float,
 ) -> Innovation:
-    """Return an `Innovation`; noise is in B axes."""
+    """Return an `Innovation`; noise is in B axes, jitter the variance of a stamp (s^2)."""
     n, of_lip, is_tag = len(P), marker[2], marker[3][0]
-    white, jitter = WHITE_SHARE_OF_TAG if is_tag else WHITE_SHARE, JITTER * JITTER
+    white = WHITE_SHARE_OF_TAG if is_tag else WHITE_SHARE
     shift, rotation = pose_error(body, position, q)
     y = np.array((shift[0], shift[1], shift[2], rotation[0], rotation[1], rotation[2]))
     H = observation(body, noise, of_lip, white)
@@ -347,7 +347,8 @@ def updated_memory(
     Return the memory of the noise (see `correlations`) after another innovation.
 
     An innovation that is larger than expected changes the size of the noise, and that of the
-    model's error by its part of the covariance. A rejected innovation changes only these sizes.
+    model's error and of the jitter of the stamps by their parts of the covariance. A rejected
+    innovation changes only these sizes.
     """
     out, forgetting, z, W = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT, innovation[0], innovation[2]
     count, growth = min(max(out[1] / 3.0, 1.0), MEMORY_COUNT), 0.0
@@ -362,6 +363,18 @@ def updated_memory(
                 of_model += unweighted * WG[j, k] * W[j, k] / 3.0
         out[11 + i] = max(out[11 + i] * (1.0 + excess / count), 1.0)
         growth += excess * min(of_model, 1.0) / ERROR_COUNT
+    along = square = 0.0
+    for i in range(6):
+        by_stamp = 0.0
+        for j in range(i + 1):
+            by_stamp += W[i, j] * innovation[1][j, ekf.LATENCY]
+        along += z[i] * by_stamp
+        square += by_stamp * by_stamp
+    of_jitter = unweighted * out[ekf.JITTER] * square
+    if square > 0.0:
+        growth_of_jitter = (along * along / square - 1.0) * min(of_jitter, 1.0) / ERROR_COUNT
+        out[ekf.JITTER] = min(max(
+            out[ekf.JITTER] * math.exp(growth_of_jitter), JITTER_RANGE[0]), JITTER_RANGE[1])
     least = min(out[ekf.SHARE], SHARE_RANGE[0])
     out[ekf.SHARE] = min(max(out[ekf.SHARE] * math.exp(growth), least), SHARE_RANGE[1])
     if not is_used:
@@ -456,7 +469,7 @@ def updated(
         one, `FALLING`.
     tuple
         `Innovation`.
-    State, ndarray (n - 12,), ndarray (14,)
+    State, ndarray (n - 12,), ndarray (15,)
         Body, theta and memory: corrected where it is used, as P is in place, else as they were,
         but for the size of the noise outside the gate.
 
@@ -473,7 +486,8 @@ def updated(
         q, noise = _solution(solution, sensor, seen_position, seen_q, seen_noise)
         position, q, noise = corrected_pose(seen_position, q, noise, marker, theta, com)
         _enlarge(noise, memory)
-        innovation = innovation_of(exposed, theta, P, position, q, noise, marker)
+        innovation = innovation_of(
+            exposed, theta, P, position, q, noise, marker, memory[ekf.JITTER])
         if solution == 0:
             spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
             o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
