@@ -243,17 +243,14 @@ def digests(path: File) -> list[dict[str, Any]]:
     """
     top = Path(path)
     try:
-        files = sorted(p for p in top.iterdir() if p.is_file()) if top.is_dir() else [top]
-        return [_digest(file) for file in files]
+        found = []
+        for file in sorted(filter(Path.is_file, top.iterdir())) if top.is_dir() else [top]:
+            with file.open('rb') as stream:
+                sha256 = hashlib.file_digest(stream, 'sha256').hexdigest()
+                found.append({'name': file.name, 'bytes': stream.tell(), 'sha256': sha256})
+        return found
     except OSError as error:
         raise BellowsError(f"'{path}' cannot be read for its digest: {error.strerror}.") from None
-
-
-def _digest(file: Path) -> dict[str, Any]:
-    """Return name, size and SHA-256 of a file."""
-    with file.open('rb') as stream:
-        sha256 = hashlib.file_digest(stream, 'sha256').hexdigest()
-        return {'name': file.name, 'bytes': stream.tell(), 'sha256': sha256}
 
 
 def recording_digest(path: File, files: Sequence[Mapping[str, Any]] = ()) -> str:

@@ -35,8 +35,6 @@ from bellows_ros.files import atomic, File, read_text
 import numpy as np
 
 MAX_FILE_BYTES = 2**31
-MAX_STAMP_NS = 9 * 10**18
-"""Later stamps do not fit into 64 bits."""
 
 TUM_COLUMNS = 8
 """Numbers in a line of a TUM file."""
@@ -175,7 +173,7 @@ def _stamps(path: File, lines: NumberedRows) -> Stamps:
     for number, (cell, *_) in lines:
         try:
             time = Decimal(cell)
-            valid = 0 <= time < MAX_STAMP_NS // NS_PER_S
+            valid = 0 <= time < 9 * 10**18 // NS_PER_S  # ns that fit into 64 bits
         except ArithmeticError:
             valid = False
         if not valid:

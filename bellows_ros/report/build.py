@@ -29,9 +29,14 @@ from .text import print_identification, print_replay
 
 
 def page(title: str, subtitle: str, sections: Iterable[str]) -> str:
-    """Return a whole page of sections that are HTML already."""
+    """Return a whole page of sections in HTML, light and dark as the reader's system has it."""
+    light, dark = (''.join(f'--{name}:{colour};' for name, colour in asdict(theme).items())
+                   for theme in THEMES.values())
+    style = (f':root{{{light}--warn:#9a6700}}\n'
+             f'@media (prefers-color-scheme:dark){{:root{{{dark}--warn:#e3b341}}}}\n\n'
+             f'{STYLE.read_text()}')
     return PAGE.read_text().format(
-        title=escaped(title), style=_style(), subtitle=escaped(subtitle),
+        title=escaped(title), style=style, subtitle=escaped(subtitle),
         sections='\n'.join(sections))
 
 
@@ -107,15 +112,6 @@ def figure(drawn: Any, caption: str = '') -> str:
     whole = svg.replace('<svg ', '<svg class="whole" ', 1).replace(
         '>', f'><g id="{name}">', 1).replace('</svg>', '</g></svg>')
     return f'<figure>{whole}{halves}{text}</figure>'
-
-
-def _style() -> str:
-    """Return the style, light and dark as the reader's system has it."""
-    light, dark = (''.join(f'--{name}:{colour};' for name, colour in asdict(theme).items())
-                   for theme in THEMES.values())
-    return (f':root{{{light}--warn:#9a6700}}\n'
-            f'@media (prefers-color-scheme:dark){{:root{{{dark}--warn:#e3b341}}}}\n\n'
-            f'{STYLE.read_text()}')
 
 
 PAGE, STYLE = (Path(__file__).with_name(name) for name in ('page.html', 'style.css'))

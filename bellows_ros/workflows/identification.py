@@ -39,10 +39,6 @@ NORMAL_95 = 1.959963984540054
 CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.stretch', 'cup.layout')
 """Parameters in the cup file unless they have the default: K and P depend on them."""
 
-NO_FIT = 'K and P were not found, as the search did not converge: see the warnings.'
-NO_CUP = 'This cup cannot hold a package: see the warnings.'
-"""Reason for refusing a fit that no predictor can use."""
-
 NO_VERDICT = (
     'None of the first recordings could be used: the error of a free simulation, and whether the '
     'given data are right, is unknown. Leave these recordings out.')
@@ -357,7 +353,8 @@ class Identification(CommandResult):
         """Why the cup is refused; empty if it is not."""
         doubts = self.verdict.refusals if self.verdict else ()
         return doubts if doubts or self.fit.usable else (
-            NO_CUP if self.fit.converged else NO_FIT,)
+            'This cup cannot hold a package: see the warnings.' if self.fit.converged else
+            'K and P were not found, as the search did not converge: see the warnings.',)
 
     def require_usable(self, force: bool = False) -> None:
         """Raise BellowsError if the cup is refused; with force, if no predictor can take it."""

@@ -52,8 +52,6 @@ MAX_PAGE_RECORDINGS = 20
 RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
 """Parameters that need the recordings themselves, not only their statistics."""
 
-NOT_FITTED = "The cup was not fitted; 'bellows identify --force' fits it all the same."
-
 
 def identify(
     settings: Mapping[str, Any], progress: Progress = no_progress,
@@ -118,7 +116,9 @@ def _require_no_facts(
     if causes.facts(recordings, values.cup.length):
         progress(CAUSE_TESTS, FIT_BEGINS)
         verdict = verdict_of(None, recordings, values.cup.length, values)
-        raise UnexplainedError(' '.join([*(verdict.cause if verdict else ()), NOT_FITTED]))
+        raise UnexplainedError(' '.join([
+            *(verdict.cause if verdict else ()),
+            "The cup was not fitted; 'bellows identify --force' fits it all the same."]))
 
 
 def resolved(settings: Mapping[str, Any]) -> Values:

@@ -50,8 +50,6 @@ PACKAGE_WORDS = frozenset(
     'aruco apriltag'.split())
 
 MAX_DISTANCE = 1.0  # m, between tool and package
-MAX_UPRIGHT_TILT, MAX_HANGING_ROTATION = np.deg2rad([1.0, 10.0])
-"""Tilt (rad) of a tool that is upright, and the rotation of a package that its weight explains."""
 
 SAMPLES = 2000  # at which two streams are compared
 TWIST_WINDOW = 0.05  # s, over which a twist is compared with the change of the poses
@@ -387,7 +385,7 @@ def _initial_rest(
     rest = alignment.rest_of(tool, package)
     # A package that hangs aside is turned, too, and a fit finds its marker.
     aligned = rest.is_turned and not separate and bool(
-        rest.tilts[0] > MAX_UPRIGHT_TILT or rest.turned > MAX_HANGING_ROTATION)
+        rest.tilts[0] > np.deg2rad(1.0) or rest.turned > np.deg2rad(10.0))
     notes = [text for text, applies in (
         (f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
          'cup.length if its poses are those of the lip (recording.package_frame: lip), or '

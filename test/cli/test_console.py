@@ -87,14 +87,6 @@ def test_a_crash_has_its_own_exit_code_and_asks_for_a_report(error, capsys):
     assert line.startswith('bellows: This is a defect') and 'please report it' in line
 
 
-class Terminal(io.StringIO):
-    """A stream that claims to be a terminal."""
-
-    def isatty(self):
-        """Return that it is one."""
-        return True
-
-
 def test_the_progress_line_says_that_a_kernel_is_compiled(monkeypatch):
     """Name it beside the stage, once, until the next stage; say nothing where nothing compiles."""
     monkeypatch.setattr(jit, 'announce', jit.announce)

@@ -736,11 +736,7 @@ def _within(motion: FourierMotion, checks: Checks) -> tuple[FourierMotion, dict[
             return motion, ratios
         factor = (1.0 - MARGIN) / min(worst, 4.0)
         motion = replace(motion, coefficients=factor * motion.coefficients)
-    raise _not_within('No motion meets the limits', 'even at rest', ratios)
-
-
-def _not_within(finding: str, when: str, ratios: Mapping[str, float]) -> BellowsError:
-    worst = max(ratios, key=lambda name: ratios[name])
-    return BellowsError(
-        f'{finding}: {worst} is {ratios[worst]:.3g} times its limit, {when}. Raise the limit, or '
-        'start in another pose.')
+    name = max(ratios, key=lambda name: ratios[name])
+    raise BellowsError(
+        f'No motion meets the limits: {name} is {ratios[name]:.3g} times its limit, even at rest. '
+        'Raise the limit, or start in another pose.')

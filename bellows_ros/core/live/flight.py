@@ -28,11 +28,6 @@ import numpy as np
 
 AIM_TIME = 0.4
 """How far ahead (s) a release for the target is searched."""
-AIM_SPACING, AIM_CANDIDATES = 0.01, 1
-"""Spacing (s) of that scan, and how many of its times are refined."""
-MAX_AIM_STEPS = 100_000
-"""Most integration steps of that time; and of any other answer:"""
-MAX_TOSS_STEPS = 2_000_000
 PATH_POINTS = 24
 ROOT_STEP = 0.01
 """Step of the covariance of a later state, s."""
@@ -203,7 +198,7 @@ class Flight:
         """
         released, body, landed = 0.0, now.body, math.inf
         if not now.flies:
-            require_steps(seconds / _longest_step(model), MAX_TOSS_STEPS)
+            require_steps(seconds / _longest_step(model), 2_000_000)
             switched = (self._switched_ns - now.stamp_ns) / NS_PER_S if self.state else math.inf
             try:
                 released, body, landed, _ = self._toss(
@@ -334,13 +329,13 @@ class Flight:
         """Return the time (s) until the valve should be switched for the target, or None."""
         if not self.has_size or self.state or not self._values.landing.aim:
             return None
-        if 2.0 * AIM_TIME > MAX_AIM_STEPS * _longest_step(model):
+        if 2.0 * AIM_TIME > 100_000 * _longest_step(model):  # integration steps, at most
             return None  # so many steps take too long
         x, y = self._values.landing.target
         try:
             tool = at_constant_velocity(prediction, self._future(prediction, 0.0), 2.0 * AIM_TIME)
             held = HeldMotion(model, self.grip, tool, prediction.body, 2.0 * AIM_TIME)
-            aimed = aim(held, self._release, (x, y), None, AIM_TIME, AIM_SPACING, AIM_CANDIDATES)
+            aimed = aim(held, self._release, (x, y), None, AIM_TIME, 0.01, 1)
         except (BellowsError, ArithmeticError, ValueError):
             return None
         return aimed.switched if math.isfinite(aimed.distance) else None

@@ -24,8 +24,6 @@ from bellows_ros.core.model.simulation import row_state, ToolRows, write_row
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-MAX_DELAY = 0.1
-"""Longest wait of a tool after the plan's stamp until the plan counts as not driven, s."""
 MAX_WAIT = 10.0
 """Largest distance of a plan's stamp from the present, s: beyond it the plan begins with the tool,
 as the stamp may be of another clock."""
@@ -322,7 +320,7 @@ class PlanTracker:
         """Return whether the tool is on the plan, or will be soon."""
         return self.state == DRIVEN or (
             self.state == WAITING
-            and -MAX_DELAY - self._leaves <= self._wait(now.stamp_ns) < math.inf)
+            and -0.1 - self._leaves <= self._wait(now.stamp_ns) < math.inf)
 
     def rest(self, now: Prediction, spacing: float = SPACING, deviations: float = 0.0) -> ToolRows:
         """

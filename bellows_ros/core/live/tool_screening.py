@@ -24,9 +24,6 @@ REFUSALS = (
     'twist_frame_id', 'twist_misses_pose', 'twist_unpaired')
 """Reasons for rejecting poses and twists of the tool."""
 
-FRAME_RUN_NS = 150_000_000
-"""A new frame is accepted after consecutive poses that span this time (ns)."""
-
 JUMP_RUN = 5
 """Consecutive poses, close together but far from the last accepted one, that make a new place."""
 
@@ -50,9 +47,6 @@ MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
 
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
-
-MAX_BURST_NS = 100_000_000
-"""... and recurring pauses up to this (ns), which separate bursts."""
 
 
 class TwistSample(NamedTuple):
@@ -167,7 +161,7 @@ class ToolArrivals:
         """Add a pose; None where messages do not arrive in real time."""
         if arrival_ns is not None and self.newest_ns is not None:
             pause_ns = arrival_ns - self.newest_ns
-            if pause_ns <= MAX_BURST_NS:  # it grows quickly, and shrinks slowly
+            if pause_ns <= 100_000_000:  # ns, between bursts; it grows quickly, and shrinks slowly
                 change_ns = pause_ns - self._pause_ns
                 self._pause_ns += change_ns // (2 if change_ns > 0 else 256)
         self.newest_ns = arrival_ns
@@ -202,7 +196,7 @@ class Frame:
             if self._first_ns < 0 or name != self._other or stamp_ns <= self._last_ns:
                 self._other, self._first_ns = name, stamp_ns
             self._last_ns = stamp_ns
-            if stamp_ns - self._first_ns < FRAME_RUN_NS:
+            if stamp_ns - self._first_ns < 150_000_000:  # ns, of a new frame
                 return False
         self.name, self._first_ns = name, -1
         return True

@@ -33,12 +33,6 @@ MAX_WAIT_NS = 20_000_000
 MAX_QUEUE = 256
 """Most poses that wait."""
 
-MAX_BRACKET_NS = 30_000_000
-"""Longest time (ns) between twists that is interpolated."""
-
-PAIRED_RUN, UNPAIRED_RUN = 2, 3
-"""Consecutive poses with a twist, and without, after which poses wait, and no longer wait."""
-
 
 class Pairing:
     """
@@ -166,7 +160,7 @@ class Pairing:
         if before is None or before.stamp_ns >= stamp_ns:
             return None
         span = after.stamp_ns - before.stamp_ns
-        if span > MAX_BRACKET_NS:
+        if span > 30_000_000:  # ns
             return None
         self.interpolated += 1
         s = (stamp_ns - before.stamp_ns) / span
@@ -183,7 +177,7 @@ class Pairing:
     def _count(self, is_paired: bool) -> None:
         """Wait for twists, or no longer, after some poses in a row with one, or without."""
         self._run = max(self._run, 0) + 1 if is_paired else min(self._run, 0) - 1
-        if not -UNPAIRED_RUN < self._run < PAIRED_RUN:
+        if not -3 < self._run < 2:  # consecutive poses without a twist, and with one
             self.expect = is_paired
 
 
@@ -287,9 +281,6 @@ MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
 MAX_ANGULAR_JERK, ANGLE_TOLERANCE = 5e4, 0.15
 """The same for rotations (rad/s^3, rad)."""
 
-SUSPECT_JERK, SUSPECT_ANGULAR_JERK = 5e2, 5e3
-"""Jerk (m/s^3, rad/s^3) above which twists are suspect."""
-
 
 @kernel
 def misfits(
@@ -344,7 +335,7 @@ def with_measured_twist(
     excess = pose_distance(miss, (
         SHIFT_TOLERANCE + MAX_JERK * cubed, ANGLE_TOLERANCE + MAX_ANGULAR_JERK * cubed))
     suspicion = pose_distance(miss, (
-        SHIFT_TOLERANCE + SUSPECT_JERK * cubed, ANGLE_TOLERANCE + SUSPECT_ANGULAR_JERK * cubed))
+        SHIFT_TOLERANCE + 5e2 * cubed, ANGLE_TOLERANCE + 5e3 * cubed))  # m/s^3, rad/s^3
     return (o, q, v, w), excess, suspicion, miss
 
 

@@ -301,9 +301,6 @@ def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float
 SPAN_NS = 100_000_000
 """Time (ns) after a start, in two halves, in which the tool's motion is estimated."""
 
-UNOBSERVED_MOTION = 0.5, 1.0, 5.0, 25.0
-"""Motion of an unobserved tool: m/s, rad/s, m/s^2, rad/s^2."""
-
 MIN_DECAY_RATE, MIN_FREQUENCY = 0.1, 1.0
 """Smallest decay rate (1/s) and frequency (rad/s) assumed of any package."""
 
@@ -356,7 +353,8 @@ class Settling:
     def begin(self, stamp_ns: int, tool: State) -> None:
         """Start at rest below a tool whose motion is not yet estimated."""
         self._samples = [(stamp_ns, tool)]
-        self.now = self._error_at_rest(stamp_ns, *UNOBSERVED_MOTION)
+        # m/s, rad/s, m/s^2, rad/s^2
+        self.now = self._error_at_rest(stamp_ns, 0.5, 1.0, 5.0, 25.0)
 
     def inflate(self, stamp_ns: int, shift: float, rotation: float) -> None:
         """Add that the tool was shifted (m) and turned (rad) as no arm moves."""

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, transform
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
@@ -40,8 +39,7 @@ def modes(cup: Cup, package: Package, gravity: float) -> list[Mode]:
 
     The damping ratio is phi^T C phi / (2 omega) with shapes phi of unit modal mass: exact for
     proportional damping, of first order otherwise. The direction is judged in the middle of the
-    cup, the place of its spring (3.13). Modes of coinciding frequencies have no unique shapes:
-    they get those that damping does not couple.
+    cup, the place of its spring (3.13).
 
     Parameters
     ----------
@@ -62,11 +60,11 @@ def modes(cup: Cup, package: Package, gravity: float) -> list[Mode]:
     jacobian = linearise(model, ORIGIN, static_equilibrium(model, ORIGIN))
     mass = block_diag(package.mass * np.eye(3), package.inertia)
     inverse = np.linalg.inv(np.linalg.cholesky(mass))
-    stiffness = -inverse @ (mass @ jacobian.body_pose) @ inverse.T
+    stiffness = -inverse @ (mass @ jacobian.body_pose) @ inverse.T  # its lower half counts
     damping = -inverse @ (mass @ jacobian.body_twist) @ inverse.T
     middle_body = adjoint(transform(np.eye(3), package.com - [0.0, 0.0, 0.5 * cup.length]))
     found = []
-    for shape in _shapes(0.5 * (stiffness + stiffness.T), 0.5 * (damping + damping.T)).T:
+    for shape in np.linalg.eigh(stiffness)[1].T:
         omega = float(np.sqrt(max(shape @ stiffness @ shape, 0.0)))
         ratio = float(shape @ damping @ shape) / (2.0 * omega) if omega else float('inf')
         middle = middle_body @ (inverse.T @ shape)
@@ -75,13 +73,3 @@ def modes(cup: Cup, package: Package, gravity: float) -> list[Mode]:
             energy[direction] += abs(part)
         found.append(Mode(max(energy, key=energy.__getitem__), omega / (2.0 * np.pi), ratio))
     return found
-
-
-def _shapes(stiffness: Array, damping: Array) -> Array:
-    squares, vectors = np.linalg.eigh(stiffness)
-    apart = np.diff(squares) > 0.04 * np.abs(squares[1:])
-    axes = np.diag(np.arange(6.0)) * 1e-6 * float(np.trace(damping))
-    for group in np.split(np.arange(6), np.flatnonzero(apart) + 1):
-        inside = vectors[:, group]
-        vectors[:, group] = inside @ np.linalg.eigh(inside.T @ (damping + axes) @ inside)[1]
-    return np.asarray(vectors)

@@ -32,7 +32,6 @@ PEAK_MOMENT_BENDING = math.pi / 4.0
 OVERTURN_ANGLE = 1.5
 """Rotation beyond which a swinging package has left any cup, rad."""
 
-MIN_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
 MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
 """Smallest width of a validity range, above the noise (m, rad; m/s, rad/s)."""
 
@@ -194,7 +193,8 @@ def outside_loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> tu
 def _deflections(valid: Envelope, value: Array) -> list[tuple[float, str]]:
     """Return distance and phrase for each deflection."""
     middle = 0.5 * (valid.deflection_high + valid.deflection_low)
-    half = np.maximum(0.5 * (valid.deflection_high - valid.deflection_low), MIN_DEFLECTION)
+    half = np.maximum(0.5 * (valid.deflection_high - valid.deflection_low),
+                      np.repeat([5e-4, 5e-3], 3))  # m, rad
     size, low, high = (
         DISPLAY_FACTORS * x for x in (value, valid.deflection_low, valid.deflection_high))
     return [

@@ -34,8 +34,6 @@ JUMP_TOLERANCE = (1e-3, 1e-2)
 
 MAX_MISFIT = 0.5
 """Largest RMS deviation of the integrated rates from the steps, relative to these."""
-SAME_WAY = 0.5
-"""Cosine of the angle between two steps above which a motion goes on."""
 MISREADINGS = (
     ('have the opposite sign', -1.0), ('are too large by 1000: in mm', 1e-3),
     ('are too small by 1000: in km, or of times in ms', 1e3),
@@ -332,7 +330,7 @@ def require_consistent(
     if given <= MAX_MISFIT * size + JUMP_TOLERANCE[0] * float(np.median(durations)):
         return
     lengths = np.linalg.norm(steps, axis=1)
-    goes_on = (np.sum(steps[1:] * steps[:-1], axis=1) > SAME_WAY * lengths[1:] * lengths[:-1]) & (
+    goes_on = (np.sum(steps[1:] * steps[:-1], axis=1) > 0.5 * lengths[1:] * lengths[:-1]) & (
         lengths[1:] * lengths[:-1] > 0.0)
     # too few points may hide the motion
     reason = 'are of another motion' if len(rates) >= 20 else ''

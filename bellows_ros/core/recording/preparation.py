@@ -30,7 +30,6 @@ AUTOMATIC_HALF_WINDOW = 1 / 12
 # poses repeated in motion (part of them), travel (m) that is no cell's, but millimetres.
 MAX_LATERAL_OFFSET, MAX_LATERAL_COM, MAX_REPEAT_FRACTION, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
 # So many poses in a row that are lost are interpolated, if it is no longer than this (s).
-MAX_DROPOUT, MAX_DROPOUT_TIME = 2, 0.01
 # More steps than that are noise with tails and a memory: no package slips so often.
 MAX_POSE_STEPS = 6
 
@@ -174,7 +173,7 @@ def _filter(poses: Trajectory, half_window: int, order: int, name: str) -> Filte
     rate_hz, good = trajectory.uniform_rate_hz(poses.stamps_ns), poses.select(poses.valid)
     if 1 < len(good) < len(poses):
         poses = resampling.filled(
-            poses, good, round(min((MAX_DROPOUT + 1.5) / rate_hz, MAX_DROPOUT_TIME) * NS_PER_S))
+            poses, good, round(min(3.5 / rate_hz, 0.01) * NS_PER_S))  # two samples, 10 ms
     if half_window == 0:
         half_window = max(round(AUTOMATIC_HALF_WINDOW * rate_hz), (order + 1) // 2 + 1)
     with _naming(name):
