@@ -174,8 +174,13 @@ MAX_ODDS = math.exp(14.0)
 LOG_SHARE_OF_NONE = math.log(0.1)
 """Logarithm of the prior share of causes without a signature, a disturbance among them."""
 
-NONE = -1
-"""Place of the cause without a signature."""
+NONE, PUSH, PAYLOAD, WEAR = -1, *(
+    [cause.name for cause in ALARM_CAUSES].index(name)
+    for name in ('disturbance', 'payload', 'wear'))
+"""Places of the cause without a signature, of a push from outside, and of two more."""
+
+LOG_PROVEN = math.log(100.0)
+"""Logarithm of the odds of a wrong payload to a worn cup that has carried another package."""
 
 Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int, float]
 NO_FAULT = -math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, -math.inf
@@ -241,8 +246,12 @@ class Alarms:
     ----------
     steps : ndarray (rows + 7, components)
         The error that each component of a fault makes.
+    is_cup_proven : bool
+        Whether the cup has carried another package without an alarm.
 
     """
+
+    is_cup_proven = False
 
     def __init__(
         self, false_per_hour: float, of_lip: bool, places: Array, of_tag: bool = False
@@ -293,6 +302,9 @@ class Alarms:
         _, lead, best, second, runner_up, *_ = likeliest
         if not self.is_likely(likeliest):
             return None
+        if self.is_cup_proven and lead < LOG_PROVEN and second == PAYLOAD and (
+                HYPOTHESES[min(best[1], CUP)].name == 'wear'):
+            best, runner_up, second, lead = runner_up, best, WEAR, LOG_PROVEN - lead
         likely = HYPOTHESES[min(best[1], CUP)]
         in_view = self._of_tag and likely.name == 'camera'
         confirmed_ns = VIEW_NS if in_view else DECIDE_NS if (
@@ -605,7 +617,7 @@ def _likeliest_fault(
     none = _none_of_these(distances, onsets)
     if top[leader] == -math.inf:
         return -math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, none
-    second, rival = NONE, none
+    second, rival = NONE, -math.inf if leader == PUSH else none
     for c in range(causes):
         pinned |= 1 << best[c, 0]
         if c != leader and top[c] > rival:

@@ -140,6 +140,7 @@ class Observer:
         self._vacuum: tuple[int, bool, float] | None = None  # when, if it holds, and its period
         self._of_vacuum: list[Alarm] = []
         self._lost_cups: tuple[int, ...] = ()
+        self._is_proven = False  # whether the cup has carried a package without an alarm
 
     def _set_values(self, values: Values) -> None:
         self._values, self.sensor = values, PoseSensor(values)
@@ -184,6 +185,8 @@ class Observer:
             known.theta[places] = self._known.theta[places]
             known.covariance[block] = self._known.covariance[block]
             known = known._replace(memory=self._known.memory)
+        if correction.alarms is not None:
+            correction.alarms.is_cup_proven = self._is_proven and ekf.STIFFNESS in kept
         self._known, self._lost_cups = known, lost_cups
         for each in (self._estimates, self._measurements, self._pending):
             each.clear()
@@ -396,6 +399,7 @@ class Observer:
         """Keep camera, cup and package; name a cup that is not the stated one."""
         correction = self._correction
         self._known = Known(estimate.theta, estimate.covariance, estimate.memory)
+        self._is_proven = True
         if correction.alarms is None or any(
                 alarm.cause in OF_CUP for alarm in self.alarms[self._first_alarm:]):
             return

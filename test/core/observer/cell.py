@@ -182,6 +182,7 @@ class Cell:
         """Give the change of state and model at each sample of the tool."""
         self.by = by = self._sized('slip', self._across(3e-3))
         turn, rate = 0.1 * self.size, 5e-3 * self.size
+        push, spin = self.size * np.array([0.0, 0.15, 0.1]), self.size * np.array([1.0, 1.0, 0.0])
 
         def model(com=None, part=1.0, longer=0.0):
             cup = Cup(part * self.cup.stiffness, part * self.cup.damping, self.cup.length + longer)
@@ -192,6 +193,9 @@ class Cell:
             since = (k - self.first) * PERIOD_NS * 1e-9
             if since < 0.0 or self.fault in ('', 'wear', 'payload', 'mass', 'camera', 'turn'):
                 return body, before
+            if self.fault == 'push':
+                is_pushed = k == self.first
+                return moved_by(body, is_pushed * np.r_[np.zeros(6), push, spin]), before
             if self.fault == 'slip':
                 steps, n = k - self.first + 1, self.steps
                 body = moved_by(body, np.r_[by / n, np.zeros(9)]) if steps <= n else body

@@ -40,7 +40,7 @@ def first_of(seed, kind, wrong=None, seconds=4.0, **more):
 @pytest.mark.parametrize(('kind', 'named', 'within'), [
     ('slip', 'slip', 1.2), ('turn', 'slip', 0.3), ('leak', 'leak', 1.5), ('soften', 'leak', 3.0),
     ('wear', 'wear', 4.0), ('payload', 'payload', 2.0), ('drop', 'lost', 0.3),
-    ('peel', 'lost', 0.3), ('camera', 'camera', 1.0)])
+    ('peel', 'lost', 0.3), ('camera', 'camera', 1.0), ('push', 'disturbance', 0.5)])
 def test_cause_of_a_fault_is_named(kind, named, within):
     """Say of a few faults what they are, once, none before it is there; with size and odds."""
     for seed in range(1, 3):  # of payloads 7 in 8 are named rightly: see the benchmark
@@ -60,6 +60,17 @@ def test_mass_that_is_off_may_be_wear_and_the_alarm_says_both():
         for (size, std), *_ in (alarm.parts, alarm.second_parts):
             assert size == pytest.approx(0.1, abs=3 * std)
         assert alarm_sentence(alarm).endswith('Weigh the package to decide between them.')
+
+
+def test_cup_that_has_carried_another_package_is_worn_less_likely_than_the_payload_wrong():
+    """Name first whichever of two causes that look alike changes with each package."""
+    for is_proven in (False, True):
+        cell = Cell(1, 4.0, {}, 'wear', 0.0, **EXACTLY)
+        cell.made._correction.alarms.is_cup_proven = is_proven
+        cell.run()
+        alarm = cell.made.alarms[0]
+        pair = alarm.cause, alarm.second
+        assert pair == (('payload', 'wear') if is_proven else ('wear', 'payload'))
 
 
 @pytest.mark.parametrize(('kind', 'size', 'usual'), [
@@ -95,14 +106,16 @@ def test_late_stamps_are_named_once(motion):
         assert cell.made.estimate.theta[ekf.LATENCY - ekf.STATE] == pytest.approx(0.05, abs=3e-3)
 
 
-@pytest.mark.parametrize(('late', 'std', 'causes'), [
-    (0.15, 5e-3, ['latency']), (0.1, 0.1, [])])
-def test_latency_in_which_nothing_is_linear_is_found(late, std, causes):
-    """Read poses at the latency found so far: stated or named, it is right, and nothing else."""
-    for seed in (2, 5, 6):  # of 150 ms, others of the first eight are named a camera
+@pytest.mark.parametrize(('late', 'std', 'causes', 'least'), [
+    (0.15, 5e-3, ['latency'], 6), (0.1, 0.1, [], 8)])
+def test_latency_in_which_nothing_is_linear_is_found(late, std, causes, least):
+    """Read poses at the latency found so far: stated, or named in three of four cells."""
+    right = 0
+    for seed in range(8):
         cell = Cell(seed, 10.0, {'late': late}, at=0.0, measured__latency_std=std)
-        assert [cause for cause, _ in cell.run()] == causes
-        assert cell.made.estimate.theta[ekf.LATENCY - ekf.STATE] == pytest.approx(late, abs=3e-3)
+        right += [cause for cause, _ in cell.run()] == causes and abs(
+            cell.made.estimate.theta[ekf.LATENCY - ekf.STATE] - late) < 3e-3
+    assert right >= least
 
 
 @pytest.mark.parametrize('size', [2.0, 3.0])
