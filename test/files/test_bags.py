@@ -1,5 +1,6 @@
 """Reading recordings that rosbags wrote, in every storage and compression, and what is refused."""
 
+import hashlib
 import os
 import re
 import shutil
@@ -9,6 +10,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags
+from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.bags import read_streams, topics
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -381,3 +383,22 @@ def test_reading_holds_little_more_than_what_it_returns(tmp_path):
     del messages, stamped
     # 650,000 messages in 400 MB are 600 bytes each; fixed costs are below 8 MB.
     assert made.peak_memory(lambda: read_streams(path, {'p': 'a'})) < 600 * count + 8e6
+
+
+def test_a_folder_gives_every_file_in_order(tmp_path):
+    """Sort by name, leave folders in it out, and read files larger than one chunk whole."""
+    (tmp_path / 'inner').mkdir()
+    large = bytes(range(256)) * 10_000
+    (tmp_path / 'b').write_bytes(large)
+    (tmp_path / 'a').write_bytes(b'')
+    found = digests(tmp_path)
+    assert [entry['name'] for entry in found] == ['a', 'b']
+    assert found[1]['sha256'] == hashlib.sha256(large).hexdigest()
+    assert found[1]['bytes'] == len(large)
+    assert digests(tmp_path / 'b') == found[1:]
+
+
+def test_a_missing_file_is_named(tmp_path):
+    """Say which one."""
+    with pytest.raises(BellowsError, match='nowhere'):
+        digests(tmp_path / 'nowhere')

@@ -1,7 +1,10 @@
-"""TUM files."""
+"""TUM files, and Motive's CSV exports in the layouts of formats 1.22 to 1.25."""
+
+import csv
+from dataclasses import dataclass
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.trajectory_files import read_tum, write_tum
+from bellows_ros.files.trajectory_files import is_motive, read_motive, read_tum, write_tum
 import numpy as np
 import pytest
 
@@ -34,3 +37,155 @@ def test_bad_lines_are_named(text, figures, tmp_path):
     (tmp_path / 'a.txt').write_text(text)
     with pytest.raises(BellowsError, match=rf"a\.txt'.*{figures}"):
         read_tum(tmp_path / 'a.txt')
+
+
+RATE = 360.0
+ABOUT = ('Format Version,1.23,Take Name,shake,Capture Frame Rate,360.000000,Export Frame Rate,'
+         '360.000000,Capture Start Time,2021-05-11 02.31.05.250 PM,Total Frames in Take,4,'
+         'Total Exported Frames,4,Rotation Type,Quaternion,Length Units,Meters,'
+         'Coordinate Space,Global')
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table as Motive lays it out, with a cell for each frame."""
+
+    kind: str
+    name: str
+    quantity: str
+    axis: str
+    cells: tuple[str, ...]
+    parent: str = ''
+
+
+def layout(path, columns, settings, timecode=False):
+    """Write a file with the rows that formats 1.22 to 1.25 have, as Motive and editors save it."""
+    version = settings.split(',')[1]
+    extra = [''] if timecode else []
+    labels = [('Type', 'kind'), ('Name', 'name'), ('ID', 'name')]
+    labels += [('Parent', 'parent')] if version >= '1.25' else []
+    rows = [settings.split(','), [''] * 4]  # spreadsheets fill the blank row with commas
+    rows += [['', label, *extra, *(getattr(c, field) for c in columns)] for label, field in labels]
+    rows.append(['', '', *extra, *(c.quantity for c in columns)])
+    rows.append(['Frame', 'Time (Seconds)', *(['TimeCode'] if timecode else []),
+                 *(c.axis for c in columns)])
+    for frame in range(len(columns[0].cells)):
+        rows.append([str(frame), f'{frame / RATE:.6f}', *(['15:26:46:12.02'] if timecode else []),
+                     *(c.cells[frame] for c in columns)])
+    with path.open('w', newline='', encoding='utf-8-sig') as file:
+        csv.writer(file, lineterminator='\r\n').writerows(rows)
+    return path
+
+
+def pose(name, rows=2 * [(0.0, 0.6, 0.0, -0.8, 100.0, 1200.0, 5.0)], kind='Rigid Body'):
+    """Return the columns of a body, one row a frame or None, with its mean marker error."""
+    axes = [('Rotation', axis) for axis in 'XYZW'] + [('Position', axis) for axis in 'XYZ']
+    found = [Column(kind, name, quantity, axis, tuple(
+        '' if row is None else repr(float(row[i])) for row in rows))
+        for i, (quantity, axis) in enumerate(axes)]
+    return [*found, Column(kind, name, 'Mean Marker Error', '', ('0.02',) * len(rows))]
+
+
+def marker(kind, name, cells, quality=False):
+    """Return the columns of a marker: position, and in some exports its quality."""
+    found = [Column(kind, name, 'Position', axis, cells, 'Tool') for axis in 'XYZ']
+    quantity = [Column(kind, name, 'Marker Quality', '', cells, 'Tool')] if quality else []
+    return found + quantity
+
+
+def export(path):
+    """Write two bodies, three markers each, in four frames; a pose is missing, a marker bad."""
+    columns = []
+    for number, body in enumerate(('Tool', 'Plate')):
+        rows = [(0.0, 0.0, 0.6, 0.8, 0.1, 1.2 - 0.1 * number, frame) for frame in range(4)]
+        columns += pose(body, rows if body == 'Tool' else [*rows[:2], None, rows[3]])
+        for k in range(3):
+            cells = ('0.998', '0.42' if (body, k) == ('Tool', 2) else '0.998', '0.998', '0.998')
+            columns += marker('Rigid Body Marker', f'{body}:Marker{k + 1}', cells, True)
+    return layout(path, columns, ABOUT)
+
+
+V22 = ('Format Version,1.22,Take Name,Take 2018-10-04 01.43.11 PM_001,Capture Frame Rate,360,'
+       'Export Frame Rate,360,Capture Start Time,2018-10-05 12.05.03.445 A.M.,Total Frames in '
+       'Take,2,Total Exported Frames,2,Rotation Type,Quaternion,Length Units,Millimeters,'
+       'Coordinate Space,Global')
+V24 = ('Format Version,1.24,Take Name,sweep,Take Notes,,Capture Frame Rate,360.000000,Export Frame'
+       ' Rate,360.000000,Capture Start Time,2023-06-02 12.09.45.344 PM,Capture Start Frame,246045,'
+       'Total Frames in Take,2,Total Exported Frames,2,Rotation Type,Quaternion,Length Units,'
+       'Millimeters,Coordinate Space,Global')
+
+
+@pytest.mark.parametrize(('settings', 'timecode', 'start'), [
+    (V22, False, '2018-10-05T00:05:03.445'),
+    (V24.replace('1.24', '1.23'), False, '2023-06-02T12:09:45.344'),
+    (V24, True, '2023-06-02T12:09:45.344'),
+    (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344')])
+def test_all_layouts_are_read(settings, timecode, start, tmp_path):
+    """Find poses by their heads, among skeletons, markers and time codes, in millimetres."""
+    columns = [*pose('Hip', kind='Bone'), *pose('Tool'), *marker('Marker', 'Loose 1', ('1', ''))]
+    (tool,) = read_motive(layout(tmp_path / 'take.csv', columns, settings, timecode))
+    np.testing.assert_allclose(tool.values[0], [0.1, 1.2, 0.005, 0.0, 0.6, 0.0, -0.8])
+    assert tool.stamps_ns[0] == np.datetime64(start, 'ns').astype(int)
+
+
+def test_markers_belong_to_the_body_with_the_longest_name(tmp_path):
+    """Do not count the markers of Tool_2 for Tool."""
+    columns = pose('Tool') + pose('Tool_2')
+    for number in range(3):
+        columns += marker('Rigid Body Marker', f'Tool:Marker{number}', ('0.5', '1.0'), True)
+        columns += marker('Rigid Body Marker', f'Tool_2:Marker{number}', ('1.0', '1.0'), True)
+    tool, second = read_motive(layout(tmp_path / 'take.csv', columns, V24))
+    assert (tool.unseen, second.unseen) == (1, 0)
+
+
+def test_measured_markers_tell_where_there_is_no_quality(tmp_path):
+    """Count positions that are not blank; where a body expects its markers says nothing."""
+    columns = pose('Tool')
+    for number in range(3):
+        columns += marker('Rigid Body Marker', f'Tool:Marker{number}', ('7', '7'))
+        columns += marker('Marker', f'Tool:Marker{number}', ('7', '' if number else '7'))
+    (tool,) = read_motive(layout(tmp_path / 'take.csv', columns, V24.replace('1.24', '1.25')))
+    assert (tool.unseen, len(tool.stamps_ns)) == (1, 1)
+
+
+def test_bodies_are_read_and_bad_frames_left_out(tmp_path):
+    """Count missing poses and such with too few markers apart (appendix H)."""
+    file = export(tmp_path / 'take.csv')
+    assert is_motive(file) and not is_motive(tmp_path)  # which cannot be read
+    tool, plate = read_motive(file)
+    assert (tool.name, tool.missing, tool.unseen) == ('Tool', 0, 1)
+    assert (plate.name, plate.missing, plate.unseen) == ('Plate', 1, 0)
+    np.testing.assert_allclose(tool.values[-1], [0.1, 1.2, 3.0, 0.0, 0.0, 0.6, 0.8])
+    np.testing.assert_allclose(np.diff(plate.stamps_ns), [2777780, 5555550], atol=1000)  # 1 us
+    # 2021-05-11 14:31:05.250 UTC
+    assert tool.stamps_ns[0] == 1_620_743_465_250_000_000
+
+
+def test_fewer_markers_may_be_allowed(tmp_path):
+    """Keep the pose that was made of two markers."""
+    tool, _ = read_motive(export(tmp_path / 'take.csv'), min_markers=2)
+    assert tool.unseen == 0 and len(tool.stamps_ns) == 4
+
+
+@pytest.mark.parametrize(('change', 'named'), [
+    (('Quaternion', 'XYZ'), 'Rotation Type XYZ.* Quaternion'),
+    (('Global', 'Local'), 'Coordinate Space Local.* Global'),
+    (('Length Units,Meters', 'Length Units,Feet'), 'Feet.* meters, centimeters'),
+    (('Length Units,Meters,', ''), 'meters, centimeters'),
+    (('Format Version', 'Version'), "'Header Information'"), ((',', ';'), ''),
+    ((f'3,{3 / RATE:.6f}', '3,1e20'), '')])
+def test_other_exports_are_refused(change, named, tmp_path):
+    """Name what to change in the export; make no stamp of a time that none can hold."""
+    file = export(tmp_path / 'take.csv')
+    file.write_text(file.read_text().replace(*change))
+    with pytest.raises(BellowsError, match=rf"take\.csv'.*{named}"):
+        read_motive(file)
+
+
+@pytest.mark.parametrize(
+    'content', ['', 'Format Version,1.23\n', 'Format Version,1.2\n\nFrame,T\n'])
+def test_torn_files_are_refused(content, tmp_path):
+    """End in an error that names the file."""
+    (tmp_path / 'take.csv').write_text(content)
+    with pytest.raises(BellowsError, match='take.csv'):
+        read_motive(tmp_path / 'take.csv')

@@ -9,7 +9,7 @@ from bellows_ros.workflows.convert import bodies_in_files, to_bag, to_tum
 import numpy as np
 import pytest
 
-from ..files.test_motive import export, layout, pose, V24
+from ..files.test_trajectory_files import export, layout, pose, V24
 
 STAMPS = 1_700_000_000_000_000_000 + np.arange(20) * 2_000_000
 VALUES = np.hstack([np.arange(60.0).reshape(20, 3), np.tile([0.0, 0.0, 0.6, 0.8], (20, 1))])

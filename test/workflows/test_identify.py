@@ -1,9 +1,15 @@
-"""Identification from recordings of known cups, and what it writes."""
+"""Identification from recordings of known cups: results, freed quantities, and shared work."""
 
+from collections import Counter
 from dataclasses import replace
+import functools
+import importlib
 import json
+import pkgutil
 import re
+import sys
 
+import bellows_ros
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError, UnexplainedError
@@ -12,7 +18,7 @@ from bellows_ros.files.results import format_json, read_result
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
-from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.identify import identify, resolved
 from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
@@ -286,3 +292,90 @@ def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):
     assert not (tmp_path / 'cup.yaml').exists() and (tmp_path / 'fit.json').exists()
     save(result, tmp_path / 'cup.yaml', None, force=True)
     assert 'REFUSED, but written all the same' in (tmp_path / 'cup.yaml').read_text()
+
+
+EXPENSIVE = {
+    'savgol': 'core.signals.savgol',
+    'noise_of': 'core.recording.recording',
+    'with_noise': 'core.identification.samples',
+    'envelope': 'core.identification.reduction',
+}
+
+
+def test_nothing_is_computed_twice(root, known, tmp_path, monkeypatch):
+    """Identify with all that can be asked for and its page: no argument comes a second time."""
+    joblib = pytest.importorskip('joblib', reason='extra parallel')
+    for module in pkgutil.walk_packages(bellows_ros.__path__, 'bellows_ros.'):
+        if not module.name.startswith(('bellows_ros.nodes', 'bellows_ros.demo')) and \
+                not module.name.endswith('__main__'):
+            importlib.import_module(module.name)
+    calls = Counter()
+
+    def counted(function):
+        @functools.wraps(function)
+        def call(*arguments, **named):
+            calls[function.__name__, joblib.hash((arguments, named))] += 1
+            return function(*arguments, **named)
+        return call
+
+    for name, module in EXPENSIVE.items():
+        function = getattr(sys.modules[f'bellows_ros.{module}'], name)
+        for other in [m for n, m in sys.modules.items() if n.startswith('bellows_ros')]:
+            if getattr(other, name, None) is function:
+                monkeypatch.setattr(other, name, counted(function))
+
+    page = tmp_path / 'page.html'
+    found = identify({
+        **known, 'bags': [str(root / 'bags/identification')],
+        'validation.bags': [str(root / 'bags/validation')], 'fit.method': 'least_squares',
+        'fit.compare_structures': True, 'output.report': str(page), 'recording.end': 8.0})
+    write_page(found, page)
+    assert {name for name, _ in calls} == set(EXPENSIVE)
+    assert [key for key, count in calls.items() if count > 1] == []
+
+
+@pytest.fixture(scope='module')
+def settings(root, known):
+    """Return the parameters of a short recording."""
+    return {**known, 'bags': [str(root / 'bags/validation')]}
+
+
+def test_a_wrong_length_and_centre_are_found_and_used(settings):
+    """Start 2 mm off, where K would be several times too large, with all else as it is."""
+    result = identify({
+        **settings, 'fit.free': ['length'], 'cup.length': 0.048, 'recording.end': 8.0,
+        'package.com_std': (1e-5,) * 3, 'recording.marker_std': (0.0, 0.0)})
+    content = json.loads(format_json(result.as_json()))['found_parameters']['cup.length']
+    value, std = content['value'], content['std']
+    assert abs(value - 0.046) < 4.0 * std < 4e-4 and content['units']['std'] == 'm'
+    assert result.parameters()['cup.length'] == result.cup_length == value
+    error = result.fit.stiffness[2, 2] - 9200.0
+    assert abs(error) < 4.0 * result.fit.stiffness_std[2, 2] < 0.05 * 9200.0
+    assert any(line.startswith('cup.length was estimated') for line in result.findings)
+    assert result.refusals == () and np.all(result.verdict.simulated[0].rms[:3] < 3e-4)
+
+
+def test_a_marker_stays_where_the_fit_has_it_with_a_longer_cup(settings):
+    """Its place and the length of the cup hang together."""
+    (simulated,) = identify({**settings, 'fit.free': ['length', 'package_marker'],
+                             'recording.end': 8.0}).verdict.simulated
+    assert np.all(simulated.rms < 1.1 * simulated.noise)
+
+
+@pytest.mark.parametrize(('change', 'named'), [
+    ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'com.* fit.method: output_error'),
+    ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'mass.* package.files'),
+    ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']},
+     'length.* static.length'),
+    ({'fit.free': ['weight']}, "time_offset, clock_rate, com,.* 'weight'"),
+    ({'fit.free': ['mass', 'inertia']}, 'mass, inertia'),
+])
+def test_what_cannot_be_free_is_refused(settings, change, named):
+    with pytest.raises(BellowsError, match=f'fit.free.*{named}'):
+        identify({**settings, 'recording.end': 4.0, **change})
+
+
+def test_clocks_and_worlds_are_the_parameters_that_there_are(settings):
+    values = resolved({**settings, 'fit.free': ['time_offset', 'package_world'],
+                       'fit.method': 'least_squares'})
+    assert values['fit.time_offset'] and values['recording.package_world'] == 'estimate'

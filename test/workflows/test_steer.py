@@ -1,14 +1,22 @@
-"""Limits of motions as a file gives them."""
+"""Limits of motions in a file, and joint trajectories: steered, and in the shortest safe time."""
 
+from bellows_ros.cli import main
+from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
+from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.limits import demands, NO_LIMIT, RATES
-from bellows_ros.core.planning.points import timed
+from bellows_ros.core.planning.points import quintic, timed
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.plan_messages import JointPlan, PlanMessage
+from bellows_ros.files.plans import plans_in
 from bellows_ros.workflows.steer import read_limits, steer_plan
 import numpy as np
 import pytest
+import yaml
+
+from ..core.planning.arms import SEVEN, SEVEN_START, UR5E, UR5E_START
 
 
 @pytest.mark.parametrize(('content', 'named'), [
@@ -48,3 +56,103 @@ def test_zvd_is_blamed_only_where_it_was_asked_for(root):
                        'zv')
     said = ' '.join(found.notes)
     assert 'zv shapes 1 mode and leaves' in said and 'zvd' not in said
+
+
+def write_request(start, names, path, by=0.0):
+    """Write 0.8 s of a motion of all joints at 100 Hz as YAML, from rest to rest."""
+    t = np.linspace(0.0, 1.0, 81)
+    s, ds = t**3 * (10 - 15 * t + 6 * t**2), 30 * t**2 * (1 - t) ** 2 / 0.8
+    change = by * np.ones(len(start)) if by else 0.25 * np.cos(np.arange(len(start)))
+    points = [{
+        'positions': (np.array(start) + s[k] * change).tolist(),
+        'velocities': (ds[k] * change).tolist(), 'accelerations': [], 'effort': [],
+        'time_from_start': {'sec': 0, 'nanosec': round(8e8 * t[k])}} for k in range(len(t))]
+    points[-1]['velocities'] = [0.0] * len(start)
+    header = {'stamp': {'sec': 0, 'nanosec': 0}, 'frame_id': ''}
+    path.write_text(yaml.safe_dump({
+        'header': header, 'joint_names': list(names), 'points': points}))
+
+
+ARMS = {'UR5e': (UR5E, UR5E_START), 'seven joints': (SEVEN, SEVEN_START)}
+
+
+@pytest.fixture(params=ARMS)
+def arm(request, tmp_path):
+    """Give an arm; its URDF and its plan are files."""
+    urdf, start = ARMS[request.param]
+    found = read_arm(urdf, 'tool')
+    (tmp_path / 'arm.urdf').write_text(urdf)
+    write_request(start, found.moving, tmp_path / 'plan.yaml')
+    return found
+
+
+def run(root, folder, command, *more):
+    """Run a command on the plan, and return its exit code."""
+    return main([
+        command, str(folder / 'plan.yaml'), '--params', str(root / 'bags/tossing.yaml'), '--urdf',
+        str(folder / 'arm.urdf'), '--set', 'tool_link=tool', '--out', str(folder / 'out'),
+        *more])
+
+
+def answer(root, folder, command, *more):
+    """Run a command on the plan, and return the joints and the tool that it writes."""
+    assert run(root, folder, command, *more) == 0
+    plans = dict(plans_in(folder / 'out'))
+    joints, tool = plans['/tool_arm/plan_joints'], plans['/tool_arm/plan']
+    assert isinstance(joints, JointPlan) and isinstance(tool, PlanMessage)
+    return joints, tool
+
+
+def require_same_motion(arm, joints, tool):
+    """Compare forward kinematics with the Cartesian answer at every point of the joints."""
+    common, _, k = np.intersect1d(joints.times_ns, tool.times_ns, return_indices=True)
+    assert len(common) == len(joints.times_ns) and np.diff(common).max() < 21e6
+    T, _ = arm.tool(joints.position)
+    wanted = transform(quaternion_to_rotation(tool.poses[k, 3:]), tool.poses[k, :3])
+    off = np.abs(log_se3(np.linalg.inv(wanted) @ T))
+    assert off[:, :3].max() < 0.05e-3 and off[:, 3:].max() < 0.1e-3
+
+
+def at_1_khz(joints, order):
+    """Return derivatives of the joints as a driver interpolates them."""
+    t = joints.times_ns / 1e9
+    curve = quintic(t, *joints[4:])
+    return curve(np.arange(0.0, t[-1], 1e-3), order)
+
+
+def test_steered_joints_move_the_tool_as_steered(arm, root, tmp_path):
+    joints, tool = answer(root, tmp_path, 'steer', '--method', 'inverse')
+    assert joints.names == arm.moving
+    require_same_motion(arm, joints, tool)
+    times = tool.times_ns[tool.times_ns <= joints.times_ns[-1]] / 1e9
+    curve = quintic(joints.times_ns / 1e9, *joints[4:])
+    T, _ = arm.tool(curve(times))  # as a driver interpolates between the points
+    assert np.abs(T[:, :3, 3] - tool.poses[:len(times), :3]).max() < 0.05e-3
+    limit = min(joint.speed for joint in arm.moving_joints)
+    assert np.abs(at_1_khz(joints, 1)).max() <= limit * (1 + 1e-6)
+
+
+def test_limits_of_joints_stretch_the_motion(arm, root, tmp_path):
+    limits = tmp_path / 'limits.yaml'
+    limits.write_text('joint_acceleration: 2.0\n')
+    joints, tool = answer(root, tmp_path, 'steer', '--method', 'zvd', '--limits', str(limits))
+    require_same_motion(arm, joints, tool)
+    assert 1.5 < np.abs(at_1_khz(joints, 2)).max() <= 2.0 * (1 + 1e-6)
+
+
+def test_the_shortest_safe_time_is_written_in_joints(arm, root, tmp_path):
+    joints, tool = answer(root, tmp_path, 'plan', '--fastest')
+    require_same_motion(arm, joints, tool)
+    assert joints.times_ns[-1] == tool.times_ns[-1] != 800_000_000
+    limits = [joint.speed for joint in arm.moving_joints]
+    assert (np.abs(at_1_khz(joints, 1)).max(axis=0) <= np.array(limits) * (1 + 1e-6)).all()
+
+
+def test_a_singular_path_is_refused_with_its_time(root, tmp_path, capsys):
+    (tmp_path / 'arm.urdf').write_text(UR5E)
+    names = read_arm(UR5E, 'tool').moving
+    straight = (*UR5E_START[:4], 0.1, UR5E_START[5])  # wrist 2 turns through zero
+    write_request(straight, names, tmp_path / 'plan.yaml', by=-0.2)
+    assert run(root, tmp_path, 'steer', '--method', 'inverse') == 2
+    assert not (tmp_path / 'out').exists()
+    assert 'singular at 0.' in capsys.readouterr().err

@@ -1,22 +1,162 @@
-"""Rubber that relaxes, against a second implementation, and its limits."""
+"""The integrator and rubber that relaxes, against second implementations."""
 
 from dataclasses import replace
 
-from bellows_ros.core.geometry.lie import adjoint, inverse_transform
+from bellows_ros.core.geometry import jit, lie
+from bellows_ros.core.geometry.lie import (
+    adjoint,
+    inverse_transform,
+    log_so3,
+    quaternion_to_rotation,
+)
 from bellows_ros.core.geometry.tuples import unit
-from bellows_ros.core.model import equilibrium, jacobians
-from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.kernels import lip_strain, lip_wrench, spring_wrench, with_strains
+from bellows_ros.core.model import equilibrium, jacobians, kernels
+from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
+from bellows_ros.core.model.kernels import (
+    advance,
+    lip_strain,
+    lip_wrench,
+    spring_wrench,
+    tool_at,
+    tool_segment,
+    with_strains,
+)
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .test_integrator import pair, random_strains
 from .test_jacobians import Case, near, six_by_six
-from .. import complex_step
-from ..cases import random_cup, random_package, random_pose, state_of, still_tool
+from .. import cases, complex_step, oracle
+from ..cases import random_cup, random_package, random_pose, ShakenTool, state_of, still_tool
+
+GRAVITY = 9.81
+
+
+def angle_between(Ra, Rb):
+    """Return the angles (rad) between rotations."""
+    return np.linalg.norm(log_so3(np.swapaxes(Ra, -1, -2) @ Rb), axis=-1)
+
+
+def test_energy_is_that_of_the_thesis_and_constant_without_damping():
+    """Simulate the validation case (3.45)-(3.49)."""
+    cup = Cup(cases.K_THESIS, np.zeros((6, 6)), 0.0482)
+    package = Package(2.0, box_inertia(2.0, 0.2, 0.2, 0.2), (0.0, 0.0, -0.1))
+    tool = cases.still_tool(cases.orthonormal(cases.T_WORLD_TOOL), 2 * 10**9, 2000)
+    T = cases.orthonormal(cases.T_WORLD_PACKAGE)
+    body = simulate(cup, package, tool, state_of(T[:3, 3], T[:3, :3]), substeps=1)
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    energies = np.array([
+        oracle.energies(cup, package, gravity, *each) for each in zip(
+            lie.transform(tool.rotation, tool.position),
+            lie.transform(body.rotation, body.position), body.twist, strict=True)])
+    # the poses are printed with four digits
+    assert_allclose(energies[0], [0.0, 2.0425, 0.5906], rtol=5e-4, atol=1e-15)
+    assert np.ptp(energies.sum(axis=1)) < 1e-6
+
+
+def pair(h):
+    """Return six numbers as a strain of the kernels."""
+    return tuple(h[:3].tolist()), tuple(h[3:].tolist())
+
+
+def random_strains(rng, size=0.01):
+    """Return internal strains (2, 6) of two branches."""
+    return size * rng.standard_normal((2, 6)) * [1.0, 1.0, 1.0, 10.0, 10.0, 10.0]
+
+
+NONE, RUBBER, STRETCH = (0.0, 0.0), (0.3, 0.2), (-2e4, -5.0)
+
+
+@pytest.fixture(scope='module', params=[(NONE, NONE), (RUBBER, STRETCH)])
+def shaken(request):
+    """Return a model, a tool motion, a start, and the solution of DOP853 (0.24 s at 1 ms)."""
+    rng = np.random.default_rng(7)
+    cup, package, motion = random_cup(rng), random_package(rng), ShakenTool(rng)
+    relaxation, stretch = request.param
+    z = random_strains(rng)[:2 * any(relaxation)]
+    cup = replace(cup, relaxation=relaxation, stretch=stretch)
+    T = np.eye(4)
+    T[:3, 3] = package.com - np.array([0.0, 0.0, cup.length])
+    times = np.arange(0, 241) * 1e-3
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    solution = oracle.solve(cup, package, gravity, motion.at, T, np.zeros(6), times, z.ravel())
+    start = state_of(T[:3, 3], T[:3, :3])
+    return cup, package, motion, with_strains(start, tuple(map(pair, z))) if len(z) else start, (
+        solution)
+
+
+def test_agrees_with_dop853_on_the_plain_equations(shaken):
+    cup, package, motion, start, (position, rotation, twist) = shaken
+    body = simulate(cup, package, motion.trajectory(0.24, 2000), start, substeps=2)
+    body = body.select(slice(None, None, 2))
+    assert np.abs(body.position - position).max() < 1e-9
+    assert angle_between(body.rotation, rotation).max() < 1e-8
+    assert_allclose(body.twist, twist, atol=1e-6)
+
+
+def test_observed_order_is_four(shaken):
+    cup, package, motion, start, (position, rotation, _) = shaken
+    errors = []
+    for rate in (125, 250, 500):
+        body = simulate(cup, package, motion.trajectory(0.24, rate), start, substeps=1)
+        truth = slice(None, None, 1000 // rate)
+        error = np.abs(body.position - position[truth]).max()
+        errors.append([error, angle_between(body.rotation, rotation[truth]).max()])
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert np.all(orders > 3.7), orders
+
+
+def test_the_rate_of_a_rotation_vector_is_exact_to_the_third_order():
+    rng = np.random.default_rng(2)
+    sigma, w = rng.standard_normal((2, 3))
+    errors = [np.linalg.norm(
+        kernels.rotation_rate(tuple(size * sigma), tuple(w)) - np.linalg.solve(
+            lie.dexp(-size * sigma), w)) for size in (0.1, 0.05)]
+    assert errors[0] < 1e-5
+    assert_allclose(np.log2(errors[0] / errors[1]), 4.0, atol=0.05)  # the next term is sigma^4
+
+
+@jit.kernel
+def repeat(model, body, tool, later, h, count):
+    """Advance many times with the same tool motion."""
+    for _ in range(count):
+        body = advance(model, body, tool, later, h, 1)
+    return body
+
+
+def test_rotation_stays_orthonormal_after_many_steps():
+    rng = np.random.default_rng(3)
+    model = model_tuple(random_cup(rng), random_package(rng), GRAVITY)
+    tool = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.1, 0.4, 3.0)
+    turned = tool_at(tool_segment(tool, tool, 1e-3), 0.5)  # a tool that goes on turning
+    body = (0.0, 0.0, -0.1), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.5, -0.2, 1.0)
+    count = 200_000 if jit.COMPILED else 10_000  # 250 times slower interpreted
+    body = repeat(model, body, tool, turned, 1e-3, count)
+    R = quaternion_to_rotation(np.array(body[1]))
+    assert abs(np.linalg.norm(body[1]) - 1.0) < 1e-14
+    assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.all(np.isfinite(np.concatenate(body)))
+
+
+def test_hermite_curve_meets_both_samples_and_its_twist_is_its_derivative():
+    rng = np.random.default_rng(5)
+    motion, h = ShakenTool(rng, frequency=3.0), 0.02
+    start, end = (state_of(*motion.at(t)) for t in (0.3, 0.3 + h))
+    segment = tool_segment(start, end, h)
+    for s, sample in ((0.0, start), (1.0, end)):
+        for got, wanted in zip(tool_at(segment, s), sample, strict=True):
+            sign = np.sign(np.dot(got, wanted)) if len(got) == 4 else 1.0
+            assert_allclose(np.array(got) * sign, wanted, atol=1e-12)
+    for s in (0.2, 0.5, 0.9):
+        before, now, after = (tool_at(segment, s + d) for d in (-1e-5, 0.0, 1e-5))
+        R = quaternion_to_rotation(np.array(now[1]))
+        velocity = R.T @ (np.array(after[0]) - before[0]) / (2e-5 * h)
+        turn = [log_so3(R.T @ quaternion_to_rotation(np.array(x[1]))) for x in (before, after)]
+        assert_allclose(now[2], velocity, atol=1e-7)
+        assert_allclose(now[3], (turn[1] - turn[0]) / (2e-5 * h), atol=1e-7)
+
 
 R = (0.3, 0.2)
 STILL = state_row(np.zeros(3), [0.0, 0.0, 0.0, 1.0])
