@@ -156,7 +156,7 @@ class LivePayload:
         """Let an observer correct the package from now on."""
         observer.set_model(self._model, self._longest_step, self._reach)
         if self.sample is not None:
-            observer.start(*self.sample)
+            observer.start(*self.sample, self.settling.since(self.sample.stamp_ns))
         self.observer = observer  # last: other threads ask it for its model
 
     def correct(self, measurement: Measurement, since_ns: int = 0) -> None:

@@ -383,6 +383,10 @@ class Settling:
             self.now = None
         return self.now
 
+    def since(self, stamp_ns: int) -> int:
+        """Return the time (ns) for which an error of the start has decayed, or 1 s."""
+        return stamp_ns - self.now.since_ns if self.now else 1_000_000_000
+
     def _error_at_rest(
         self, stamp_ns: int, speed: float, rate: float, acceleration: float, turning: float
     ) -> Unsettled:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
+from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
@@ -313,6 +314,21 @@ class Correction:
         self._drive = ekf.driving(self.nominal, tool, body, self._tool_noise)
         return Estimate(
             stamp_ns, tool, body, *initial, self._evidence(stamp_ns, body, lost_cups), lost_cups)
+
+    def after_hanging(self, estimate: Estimate, hung_ns: int) -> Estimate:
+        """Return the first estimate of a package that has been predicted for some time (ns)."""
+        since_ns, track = estimate.stamp_ns - hung_ns, Track()
+        still: State = *estimate.tool[:2], ZERO, ZERO
+        body: State = *estimate.body[:2], ZERO, ZERO, *estimate.body[4:]
+        track.begin(since_ns)
+        ekf.followed(
+            self.row(estimate.lost_cups), self.law, estimate.theta, body,
+            (*track.rows, track.count), estimate.stamp_ns, still, still, self.max_step, self.reach)
+        track.advance(estimate.stamp_ns)
+        before = estimate._replace(
+            stamp_ns=since_ns, tool=still, body=body, evidence=NO_EVIDENCE)
+        return estimate._replace(
+            covariance=self.propagated(before, track, estimate.stamp_ns).covariance)
 
     def row(self, lost_cups: tuple[int, ...]) -> Any:
         """Return the `model_row` without those cups that are lost."""

@@ -257,12 +257,14 @@ class Observer:
 
     # ---------------------------------------------------------------- the tool
 
-    def start(self, stamp_ns: int, tool: State, body: State) -> None:
-        """Begin with a package at rest."""
+    def start(self, stamp_ns: int, tool: State, body: State, hung_ns: int = 0) -> None:
+        """Begin with a package that began at rest some time (ns) ago."""
         self._track.begin(stamp_ns)
         self._measurements.clear()
         self._estimates = [
             self._correction.start(stamp_ns, tool, body, self._known, self._lost_cups)]
+        if hung_ns:
+            self._estimates[0] = self._correction.after_hanging(self._estimates[0], hung_ns)
         self.body, self._candidate, self._since_ns = body, self._estimates[0], stamp_ns
         self._support.follow(stamp_ns, tool[0])
 
