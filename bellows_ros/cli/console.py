@@ -30,7 +30,7 @@ OK = 0
 NOT_USABLE = 1
 USER_ERROR = 2
 STDOUT = '-'
-"""As of `files.atomic`."""
+"""Name of the standard output, as in `files.atomic`."""
 
 WIDTH = 79
 MAX_TEXT = 100_000

@@ -330,7 +330,7 @@ def accepted_types(role: str) -> tuple[str, ...]:
 
 
 _BATCH = 4096
-"""So many messages are decoded together."""
+"""Number of messages decoded together."""
 
 
 class _Collector:

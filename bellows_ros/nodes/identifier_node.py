@@ -17,7 +17,7 @@ from ..workflows.identify import identify
 
 POLL_PERIOD = 0.05
 PREDICTOR_TIMEOUT = 10.0
-"""How long (s) to wait for the predictor."""
+"""Longest wait for the predictor, s."""
 
 CUP_PREFIXES = ('cup.', 'envelope.')
 RESULT_NAMES = [

@@ -39,10 +39,10 @@ from ..report.health import Level, number, Status
 from ..report.sentences import flip_warning
 
 MAX_REQUEST_LEAD = 10.0
-"""How far ahead (s) package/predict_at may ask."""
+"""Longest lead of a request on package/predict_at, s."""
 
 MAX_PLAN_LEAD = 3600.0
-"""A plan stamped further ahead (s) has the stamp of another clock."""
+"""Longest lead of a plan stamped by the same clock, s."""
 
 TAIL = 2.0
 """Time (s) after the end of a plan that is predicted."""

@@ -231,7 +231,7 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
 
 
 GAP_PERIODS = 3.0
-"""A line is interrupted where samples are missing for this many periods."""
+"""Shortest gap that interrupts a line, periods."""
 
 
 def prediction_figure(

@@ -33,7 +33,7 @@ from bellows_ros.workflows.recordings import fact_sentence, remark_sentences, wi
 import numpy as np
 
 MIN_HOLD, MIN_TILT = 4.0, 0.1
-"""A tilt (rad) beyond which a hold of this time (s) shows how rubber creeps."""
+"""Shortest hold (s) that shows the creep of rubber, and its smallest tilt (rad)."""
 
 IMPLAUSIBLE_DISTANCE, MAX_CHANGE = (0.3, 10.0), 0.05
 """Range (m) of distances from tool to package that no cup has, if they change by more (m)."""

@@ -34,7 +34,7 @@ from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
 MIN_RATE = 500.0
-"""... and at least at this rate, Hz."""
+"""Smallest rate of a simulation, Hz."""
 MAX_SAMPLES = 5_000_000
 """Largest number of samples of a simulation."""
 

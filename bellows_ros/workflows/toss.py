@@ -32,7 +32,7 @@ MAX_TARGET = 100.0
 """Largest coordinate of a target, m."""
 
 TOLERANCE = 1e-3
-"""A target so far (m) outside the ellipse of a landing still counts as reached."""
+"""Largest distance of a reached target from the ellipse of a landing, m."""
 
 RELEASE_UNITS = {name: table.PARAMETERS[name].unit for name in RELEASE_NAMES}
 

@@ -17,7 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 
-MOST = 234
+MOST = 232
 """Number of findings that are left from before; none may be added."""
 
 PATTERNS = {

@@ -27,7 +27,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 AIM_TIME = 0.4
-"""How far ahead (s) a release for the target is searched."""
+"""Duration of the search for a release for the target, s."""
 PATH_POINTS = 24
 ROOT_STEP = 0.01
 """Step of the covariance of a later state, s."""

@@ -18,7 +18,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 ALL = -1
-"""Stands for the cup, or for all cups of a gripper together."""
+"""Index of the cup, or of all cups of a gripper together."""
 
 
 def deflection(

@@ -25,7 +25,7 @@ MAX_SUBSTEPS = 10_000
 """Most substeps of one advance; more means a cup too stiff or a time too long: diverged."""
 
 MIN_STEP = 1e-6
-"""A model that needs shorter integration steps (s) cannot be predicted live."""
+"""Shortest integration step of a live prediction, s."""
 
 
 @kernel

@@ -34,7 +34,8 @@ MAX_ACCELERATION, JUMP_TOLERANCE = (100.0, 1000.0), (0.02, 0.2)
 """Acceleration of an arm (m/s^2, rad/s^2), and tolerance of a pose in addition (m, rad)."""
 
 SUSPECT_ACCELERATION, SUSPECT_TOLERANCE = (40.0, 400.0), (0.015, 0.15)
-"""The same, for doubting the arm's motion or the tracker."""
+"""Suspect acceleration of an arm (m/s^2, rad/s^2), and tolerance of a pose in addition (m,
+rad)."""
 
 SUSPICION_AFTER_JUMPS = 0.2
 """Fraction of that limit at which doubt begins after refused poses."""

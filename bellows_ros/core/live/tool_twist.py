@@ -260,13 +260,13 @@ PERIOD_NS = 20_000_000
 """Time (ns) between two comparisons."""
 
 LATER_POSES = 2
-"""So many poses after one are needed to know its slope well."""
+"""Number of later poses for an accurate slope."""
 
 FORGETTING = 0.98
 """Forgetting factor: about 50 comparisons count, 1 s."""
 
 MAX_MISFIT = 0.25
-"""Twists are wrong if the poses leave this fraction of their mean square unexplained."""
+"""Largest part of the mean square of correct twists that the poses leave unexplained."""
 
 LAG_RANGE = 1e-3, 2e-2
 """Smallest lag of the poses behind their twists that is corrected, and largest, s."""
@@ -279,7 +279,7 @@ MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
 """Largest jerk of an arm (m/s^3), and tolerance of a position in addition (m)."""
 
 MAX_ANGULAR_JERK, ANGLE_TOLERANCE = 5e4, 0.15
-"""The same for rotations (rad/s^3, rad)."""
+"""Largest angular jerk of an arm (rad/s^3), and tolerance of a rotation in addition (rad)."""
 
 
 @kernel

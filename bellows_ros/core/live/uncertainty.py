@@ -109,7 +109,7 @@ class Prediction(NamedTuple):
 
 
 STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
-"""Stands for a package of unknown state."""
+"""Prediction of a package of unknown state."""
 
 
 class Uncertainty:

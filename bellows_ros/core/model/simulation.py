@@ -26,7 +26,7 @@ def state_row(
 
 
 MAX_REST_RATES = (1e-3, 1e-2)
-"""A tool that is faster (m/s, rad/s) moves."""
+"""Largest speeds of a tool at rest, m/s and rad/s."""
 
 
 def stands(twist: Array) -> bool:

@@ -274,7 +274,7 @@ STRUCTURES = {structure.name: structure for structure in (
               'the axis', ('x ry = y -rx', 'z', 'rz')),
     Structure('diagonal', 'no coupling of directions', ('x', 'y', 'z', 'rx', 'ry', 'rz')),
     Structure('full', 'any symmetric matrix', ('x y z rx ry rz',)))}
-"""From the simplest to the most general."""
+"""Structures by name, from the simplest to the most general."""
 
 
 OF_LAYOUT = Structure('layout', 'each cup of cup.layout axisymmetric',

@@ -35,7 +35,7 @@ STEEPNESS = 4
 package: the inverse differentiates the package's motion twice more, and smooths it."""
 
 NO_LIMIT = 1e12
-"""Stands for no limit."""
+"""Placeholder for no limit."""
 
 
 def read_rates(settings: Settings, default: float | None = None) -> dict[str, float]:

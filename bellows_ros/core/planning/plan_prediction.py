@@ -24,12 +24,12 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 SETTLED_ANGLE = math.radians(0.5)
-"""The package has settled when its rotation from rest stays below this (rad) ..."""
+"""Largest rotation from rest of a settled package, rad."""
 SETTLING_TIME, MAX_TAIL = 2.0, 30.0
-"""... for this time (s); the wait ends at the latest this long (s) after the end."""
+"""Duration of a settled state, and longest wait for it after the end, s."""
 
 COARSE_STEP_FACTOR = 3.0
-"""... or this multiple of the normal step, if shorter: still accurate to 1e-4."""
+"""Ratio of a coarse integration step to the normal one; accurate to 1e-4."""
 
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
 """Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
@@ -44,7 +44,7 @@ Watch = tuple[Extremes, float, Mask]
 """Results to keep; a load above which, and a flag (1,) with which, a simulation ends."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
-"""Passed to the kernel if the grip is unknown; the loads are then not used."""
+"""Placeholder for an unknown grip, whose loads are not used."""
 
 
 class PlanPrediction(NamedTuple):

@@ -24,13 +24,13 @@ MAX_POINTS, MAX_TIME = 100_000, 600.0
 """Most points of a plan, and its longest duration (s)."""
 
 MAX_PLAN_NUMBER = 1e9
-"""No number of a plan (m, rad, and their rates) is as large; more overflows in its polynomials."""
+"""Bound of the numbers of a plan, against overflows of its polynomials, SI units."""
 
 MAX_GAP_NS = 10_000_000
-"""Points farther apart (ns) are interpolated."""
+"""Longest time between points that is not interpolated, ns."""
 
 JUMP_TOLERANCE = (1e-3, 1e-2)
-"""Points closer than this (m, rad) are no jump, however short the time."""
+"""Largest step between points that is no jump at any speed, m and rad."""
 
 MAX_MISFIT = 0.5
 """Largest RMS deviation of the integrated rates from the steps, relative to these."""
@@ -350,8 +350,8 @@ def require_consistent(
 
 
 MIN_GAIN = 0.01
-"""A pose is singular where a unit speed of the joints (rad/s, m/s) moves the tool less in some
-direction, m/s or rad/s."""
+"""Smallest speed of the tool in any direction at unit speed of the joints, of a regular pose, m/s
+or rad/s."""
 
 MAX_JUMP = 0.5
 """Largest step of a joint between points, rad or m: more is another configuration."""

@@ -35,23 +35,23 @@ GRID = 0.001
 """Spacing (s) of the resulting motion."""
 
 SPACING, SNAP_TOLERANCE, RELATIVE_SNAP_TOLERANCE = 0.005, 100.0, 0.1
-"""Spacing (s) at which the fourth derivative is evaluated, and changes that are none: of this size
-(m/s^4), or this part of it."""
+"""Spacing of evaluations of the fourth derivative, s; its largest continuous change, m/s^4, and as
+a part of its size."""
 SUBDIVISION = 5
-"""Smoothing uses points this many times closer ..."""
+"""Ratio of the spacings of a motion and of its points for smoothing."""
 
 RATE_PER_STEP = 0.4
 """Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
 MAX_GRID_STEPS = 300_000
-"""Most steps of the inverse, each of which is kept."""
+"""Largest number of steps of the inverse, each of which is kept."""
 MAX_RATE = 1e5
-"""A cup that relaxes faster (1/s), because its damper is weak, is not inverted."""
+"""Largest relaxation rate of a cup that is inverted, 1/s."""
 ARRIVAL_TOLERANCE = (2e-5, 1e-4)
-"""The tool has arrived when this is left to go (m, rad)."""
+"""Largest remaining distance and rotation of a tool that has arrived, m and rad."""
 MAX_ARRIVAL = 12.0
 """Longest wait for the arrival, in the cup's longest relaxation times."""
 FADE_TIME = 0.02
-"""After it the motion fades out over this time (s), without a step of twist or acceleration."""
+"""Duration of the fading of a motion after its end, without a step of twist or acceleration, s."""
 
 MIN_RESIDUAL_SWING = planning.SETTLED_ANGLE
 """Swing of the package above which a mode is shaped, rad."""

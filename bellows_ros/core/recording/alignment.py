@@ -39,7 +39,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 # The rotation part of A_H_M (4.1): Motive's y is up, and its x points the other way.
 R_WORLD_MOTIVE = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
-"""From axes of a recording to those with z up, by the value of recording.world."""
+"""Rotations from axes of a recording to axes with z up, by the value of recording.world."""
 
 # Minimum number of valid samples of a standstill, and their minimum part by the rate.
 MIN_SAMPLES_AT_REST, MIN_PART_AT_REST = 10, 0.5

@@ -23,8 +23,9 @@ REACH, MAX_CHANGE = (0.01, 0.5), 0.25
 """Distances (m) of a package on a cup, and by which part they vary at most."""
 
 MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
-"""How alike two bodies turn at least in another order of their quaternions, and which part of the
-difference is left then at most: read with w first, a turn is the inverse one in world axes."""
+"""Smallest similarity of the rotations of two bodies in another order of their quaternions, and
+largest remaining part of their difference: read with w first, a rotation is inverted in world
+axes."""
 
 
 class Convention(NamedTuple):

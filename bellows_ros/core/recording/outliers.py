@@ -62,7 +62,8 @@ SIDES = slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)
 """Samples before and after a jump."""
 
 ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
-"""Steps (m, rad) of a moving body: at least so many times the smallest, which is rounding."""
+"""Smallest step of a moving body: as a multiple of the smallest of all, which is rounding, and in
+m or rad."""
 
 
 FLIP_NEIGHBOURS = 8

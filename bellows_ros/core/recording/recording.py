@@ -24,7 +24,7 @@ from bellows_ros.errors import BellowsError, shown, UndeterminedError
 import numpy as np
 
 HALF_WINDOW, ORDER = 4, 4
-"""A quartic through nine samples follows any motion of a package; its residual is noise."""
+"""Half window and order of a polynomial that follows any motion of a package up to noise."""
 
 NOISE_SAMPLES = 20_000
 """Windows or samples that determine the noise to a percent; slightly more are used."""

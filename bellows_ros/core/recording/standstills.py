@@ -23,14 +23,14 @@ MIN_DURATION = 0.5
 """Shortest standstill, s."""
 
 MAX_MOTION = Noise(1.5e-4, 1.5e-3)
-"""Block means of a still body differ by at most this (m, rad), beside noise ..."""
+"""Largest difference of block means of a still body, beside noise, m and rad."""
 
 NOISE_DEVIATIONS = 5.0
-"""... and by this many standard deviations of their noise."""
+"""Largest difference of block means by noise, in standard deviations."""
 
 CREEP_CHI2, MAX_SPREAD = 45.0, 8.0
-"""Creep is significant from this chi^2 of 6 degrees of freedom on (chance 5e-8), and left out
-where the rest pose would be so many times less certain than the mean: hold longer."""
+"""Smallest chi^2 of significant creep, of 6 degrees of freedom (chance 5e-8), and largest ratio of
+the errors of the rest pose and the mean pose."""
 
 BLOCK_SECONDS, MIN_BLOCK_SAMPLES = 0.1, 3
 """Time (s) that block means are of, shorter than a body sways, and their fewest samples."""

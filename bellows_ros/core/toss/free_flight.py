@@ -12,7 +12,7 @@ from bellows_ros.core.model.kernels import PackageTuple, State
 ROTATION_PER_STEP, MAX_FLIGHT_STEP = 0.01, 0.02
 """Rotation (rad) per integration step of the flight, and the longest step (s)."""
 COARSE_ROTATION_PER_STEP = 0.1
-"""As `ROTATION_PER_STEP`, where 0.01 mrad is accurate enough, as of a landing."""
+"""Rotation per step of a flight accurate to 0.01 mrad, as for a landing, rad."""
 
 INSTANT_TOLERANCE = 1e-10
 """Accuracy (s) of the instants of letting go and landing."""

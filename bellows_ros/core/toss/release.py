@@ -45,8 +45,8 @@ DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(R
 the numbers of the law of release (standard deviations)."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
-"""Stands for an unknown radius or vacuum: the cup lets go after the delay, or at the suction with
-which the lip no longer sticks, under any load."""
+"""Grip of unknown radius or vacuum: the cup lets go after the delay, or at the suction with which
+the lip no longer sticks, under any load."""
 
 Law = tuple[float, float, float, float, float, float, float, float]
 """Delay (s) from the valve to the fall of suction, its time constant tau (s), impulse of the
@@ -189,8 +189,8 @@ Switching = tuple[ModelTuple, Grip, Release, float]
 
 ToolContinuation = tuple[Any, Any, float, float]
 """
-How the tool goes on: along rows (N, 13) at seconds (N,), and steadily after them; until when a
-release is looked for (s), and the longest integration step (s).
+Continuation of the tool: rows (N, 13) at seconds (N,), steady motion after them; end of the search
+for a release (s), and the longest integration step (s).
 """
 
 

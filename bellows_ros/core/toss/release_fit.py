@@ -80,8 +80,8 @@ TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
 of the drops in docs/toss.md."""
 
 MAX_RELATIVE_STD, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
-"""A number is identifiable if its standard error is less than this part of it, or of one that is
-small; one that is given without a standard deviation is exact to this part."""
+"""Largest relative standard error of an identifiable number, and of a given one without a standard
+deviation; numbers count as at least these scales."""
 
 MAX_ITERATIONS = 20
 """Maximum number of Gauss-Newton steps of a fit."""
@@ -94,7 +94,8 @@ LAW_MAX = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
 """Least and largest numbers of a law; of `opening` only if the cup opens."""
 
 SCALES = np.array([1e-3, 1e-2, 1e-2, 1.0, 1.0, 1e-3, 1.0, 0.1])
-"""Steps of Gauss-Newton of the law's numbers are damped by these; differences are 1e-3 of them."""
+"""Scales of the law's numbers, for the damping of Gauss-Newton steps; differences are 1e-3 of
+them."""
 
 
 @dataclass(frozen=True, eq=False)
