@@ -173,6 +173,9 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
+    if any(each.sensor for each in measured):  # the marker of a tag is free, and moves the com
+        free = {**{name: given[name] for name in ('com',) if name in given}, **free}
+
     def diagnosed() -> Report:
         return within(max(MIN_DIAGNOSIS_S, DIAGNOSIS_TO_FIT * (time.process_time() - began)))
 
@@ -712,7 +715,7 @@ class Registered(NamedTuple):
 
 
 def registered(
-    recording: Recording, structure: Structure, start: Cup, names: Sequence[str]
+    recording: Recording, structure: Structure, start: Cup, free: Free
 ) -> Registered:
     """
     Find what is free beside K and P by simulation; leave out a clock that is not identifiable.
@@ -727,14 +730,13 @@ def registered(
 
     """
     measured = measured_segments(recording)
-    found = minimise(
-        Problem(tuple(map(Segment.of, measured)), structure, start, weak_prior(names)))
+    found = minimise(Problem(tuple(map(Segment.of, measured)), structure, start, free))
     middle, alignment = np.asarray(measured[0].middle)[:3], recording.alignment
-    if not found.converged and list(names) == ['time_offset']:
+    if not found.converged and list(free) == ['time_offset']:
         return Registered(None, np.zeros(6), middle, alignment, None)
     if not found.converged:
         raise UndeterminedError(
-            f'{", ".join(names)} cannot be found: the search did not converge. Check package.mass '
+            f'{", ".join(free)} cannot be found: the search did not converge. Check package.mass '
             'and package.com, and tilt and turn the tool more.')
     estimates = {name: found.estimate(name) for name in found.problem.places}
     if 'package_marker' in estimates:
