@@ -372,11 +372,6 @@ def _prepared(recording: Recording, **changes: Any) -> Recording:
     return replace(prepare(**inputs), name=recording.name)
 
 
-def radius_of_gyration(payload: Package) -> float:
-    """Return the root of the sum of a package's moments of inertia over its mass, m."""
-    return float(np.sqrt(np.trace(payload.inertia) / payload.mass))
-
-
 def _bursts(recording: Recording) -> Finding | None:
     """Return that many poses come right after another, as messages do and exposures do not."""
     names = []
@@ -388,7 +383,8 @@ def _bursts(recording: Recording) -> Finding | None:
 
 def implausible_package(payload: Package) -> Finding | None:
     """Return what is wrong with a mass or an inertia that no package has, None where one may."""
-    gyration, mass = radius_of_gyration(payload), payload.mass
+    mass = payload.mass
+    gyration = float(np.sqrt(np.trace(payload.inertia) / mass))
     if mass > structure.MAX_MASS:
         return Finding('mass', 'g')
     if sentence := structure.too_dense(mass, gyration):

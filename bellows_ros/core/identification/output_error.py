@@ -497,6 +497,10 @@ def _fit(
     if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
         notes.append(NOTES['r2_assumed'])
     std = np.where(identifiable, std, np.inf)
+    a_std, b_std = (std[problem.places['stretch'][0]] * STRETCH_UNITS).tolist() if (
+        'stretch' in problem.places) else (0.0, 0.0)
+    information = found.information.shared[:size, :size]
+    scale = np.sqrt(np.diag(information))
     nuisances = {name: place for name, place in problem.places.items()
                  if name not in OF_SPRING and (KINDS[name].each or name not in named)}
     residuals = found.residuals
@@ -510,7 +514,7 @@ def _fit(
         from_given=from_given[:size, :size],
         samples_used=len(residuals),
         samples_rejected=total - len(residuals),
-        condition_number=_condition(found.information.shared[:size, :size]),
+        condition_number=float(np.sqrt(np.linalg.cond(information / np.outer(*[scale] * 2)))),
         weight=np.diag(found.courses[0].std ** -2),
         residual_rms=np.sqrt(np.mean(residuals**2, axis=0)),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
@@ -533,23 +537,8 @@ def _fit(
         relaxation_std=(r1_std, r2_std),
         noise_in_motion=found.noise_in_motion,
         stretch=problem.stretch(found.theta),
-        stretch_std=_stretch_std(problem, std),
+        stretch_std=(a_std, b_std),
     )
-
-
-def _stretch_std(problem: Problem, std: Array) -> tuple[float, float]:
-    """Return the standard errors of the coefficients of stretch; zeros without it."""
-    if 'stretch' not in problem.places:
-        return 0.0, 0.0
-    a, b = (std[problem.places['stretch'][0]] * STRETCH_UNITS).tolist()
-    return a, b
-
-
-def _condition(information: Array) -> float:
-    """Return the condition number of the scaled problem behind an information matrix."""
-    scale = np.sqrt(np.diag(information))
-    values = np.linalg.eigvalsh(information / np.outer(scale, scale))
-    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
 
 
 def _identifiable(
@@ -740,7 +729,11 @@ def registered(
             'and package.com, and tilt and turn the tool more.')
     estimates = {name: found.estimate(name) for name in found.problem.places}
     if 'package_marker' in estimates:
-        alignment = _with_marker_moved(alignment, *np.split(estimates['package_marker'][0], 2))
+        shift, turn = np.split(estimates['package_marker'][0], 2)
+        R = exp_so3(turn)  # origin_to_com is in axes of the lip, which has turned by R
+        alignment = replace(
+            alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
+            origin_to_com=R.T @ (alignment.origin_to_com + shift))
     offset = None
     if 'time_offset' in estimates:
         (seconds,), (std,) = estimates['time_offset']
@@ -750,10 +743,3 @@ def registered(
     (scale,), _ = estimates.get('scale', ((0.0,), None))
     return Registered(world, world_std, middle, alignment, offset, float(scale),
                       found.error_factors)
-
-
-def _with_marker_moved(alignment: Alignment, shift: Array, turn: Array) -> Alignment:
-    """Return an alignment with B moved (m) and turned (rad) in body axes."""
-    R = exp_so3(turn)  # origin_to_com is in axes of the lip, which has turned by R
-    return replace(alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
-                   origin_to_com=R.T @ (alignment.origin_to_com + shift))

@@ -169,11 +169,6 @@ class Arrow:
         """Covariance (s, s) of the shared unknowns."""
         return np.asarray(np.linalg.inv(self.reduced))
 
-    def own_covariance(self, shared: Array, factor: float = 1.0) -> Array:
-        """Return covariances (R, o, o) of own unknowns, with that (s, s) of shared ones."""
-        return np.asarray(factor * np.linalg.inv(self.own) + np.einsum(
-            'ros,st,rpt->rop', self.carried, shared, self.carried, optimize=True))
-
     def block(self, number: int) -> Array:
         """Return the covariance (q, q) of the shared unknowns and the own ones of a recording."""
         crossed = -self.carried[number] @ self.covariance
@@ -184,7 +179,9 @@ class Arrow:
         """Return variances (m,) of all unknowns, with a covariance (s, s) of the shared ones."""
         variances = np.empty(len(shared) + self.places.size)
         variances[:len(shared)] = np.diag(shared)
-        variances[self.places] = np.einsum('roo->ro', self.own_covariance(shared, factor))
+        variances[self.places] = np.einsum(
+            'roo->ro', factor * np.linalg.inv(self.own)) + np.einsum(
+            'ros,st,rot->ro', self.carried, shared, self.carried, optimize=True)
         return variances
 
     @cached_property

@@ -157,18 +157,15 @@ def statistics(
     r_factors = [np.empty((0, 6, size, size))]
     if not structure.couples:
         for rows, clusters in samples.lip.equations(cup_length, structure):
-            r_factors += [_component_r_factors(rows[part])[None] for part in clusters]
+            for part in clusters:
+                few = np.zeros((max(size - len(rows[part]), 0), 6, size))
+                of_components = np.concatenate([rows[part], few]).swapaxes(0, 1)
+                r_factors.append(np.asarray(np.linalg.qr(of_components, mode='r'))[None])
     return Statistics(
         structure, cup_length, samples.count, len(samples.tool) - samples.count,
         Moments.of(samples.lip.wrench), np.concatenate(r_factors),
         samples.lip if structure.couples else None,
         None if noise is None else noise_products(samples, noise, cup_length, structure))
-
-
-def _component_r_factors(rows: Array) -> Array:
-    """Return the R factors (6, q, q) of the rows [L c] (N, 6, q) of a cluster."""
-    few = np.zeros((max(rows.shape[2] - len(rows), 0), *rows.shape[1:]))
-    return np.asarray(np.linalg.qr(np.concatenate([rows, few]).swapaxes(0, 1), mode='r'))
 
 
 def envelope(samples: Samples, cup_length: float) -> Envelope:
