@@ -332,14 +332,14 @@ def _found(
     """Return `FitVerdict.found` of a fit that converged; length in m."""
     if not fit.converged:
         return {}
-    std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()}
+    std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()
+                                    if name != 'exposure' or rows[0, 0] > 0.0}
     found, rate_hz = payload_of(recording.payload, free), recording.report.package.timing.rate_hz
     parameters = {
         'com': ('package.com', found.com), 'length': ('cup.length', np.array([length])),
         'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
         'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1))),
-        'exposure': (EXPOSURE, 1e3 / rate_hz * np.sqrt(
-            np.maximum(free.get('exposure', np.zeros(1)), 0.0)))}
+        'exposure': (EXPOSURE, 1e3 / rate_hz * np.sqrt(free.get('exposure', np.zeros(1))))}
     pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
              for name in parameters if name in free and name in std}
     if max(pulls.values(), default=0.0) <= 0.5:  # standard deviations

@@ -424,11 +424,12 @@ def _with_noise(
     """Return courses with the noise of poses that come slowly, and whether it hardly changes."""
     new, settled = [], True
     for segment, course, part in zip(segments, courses, parts, strict=True):
-        if segment.is_slow:
+        sensor = segment.measured.sensor
+        if segment.is_slow and not (sensor and sensor.are_known):
             correlation = segment.measured.package_noise.correlation
             sizes, tolerance = part.relative_std, NOISE_TOLERANCE
             total = (MAD_TO_STD * np.median(np.abs(part.residuals / sizes), axis=0)) ** 2
-            if segment.measured.sensor:
+            if sensor:
                 total, tolerance = _clipped_rms(part.residuals / sizes) ** 2, TAG_TOLERANCE
             simulated = np.median(part.variance / sizes**2, axis=0) - part.new_variance
             std = np.maximum(MIN_POSE_STD, np.sqrt(

@@ -105,7 +105,7 @@ class PoseErrors(NamedTuple):
     Errors of recorded poses: stamps (N,), ns; axes (N, 3, 3), the third along the line of sight.
 
     In these axes the standard deviations (N, 6), m and rad, of a point (3,) in body axes, m, and
-    the part of the variances (N, 6) that comes of motion.
+    the part of the variances (N, 6) that comes of motion; and whether they were estimated before.
     """
 
     stamps_ns: Stamps
@@ -113,13 +113,14 @@ class PoseErrors(NamedTuple):
     std: Array
     point: Array
     of_motion: Array
+    are_known: bool = False
 
     def at(self, stamps_ns: Stamps) -> PoseErrors:
         """Return the errors of the poses next to some stamps."""
         middles = self.stamps_ns[:-1] + np.diff(self.stamps_ns) // 2
         nearest = np.searchsorted(middles, stamps_ns)
-        return PoseErrors(stamps_ns, self.axes[nearest], self.std[nearest], self.point,
-                          self.of_motion[nearest])
+        return self._replace(stamps_ns=stamps_ns, axes=self.axes[nearest], std=self.std[nearest],
+                             of_motion=self.of_motion[nearest])
 
     def body_std(self, rotation: Array) -> Array:
         """Return RMS standard deviations (6,) of poses with rotations (N, 3, 3) in body axes."""
@@ -150,6 +151,8 @@ class MeasurementModel:
         Factor of the positions relative to the camera that corrects the size of the tag.
     latency, latency_std : float
         Lateness of the stamps and its standard deviation, s.
+    are_estimated : bool
+        Whether the errors were estimated from these poses.
 
     """
 
@@ -160,6 +163,7 @@ class MeasurementModel:
     scale: float = 1.0
     latency: float = 0.0
     latency_std: float = 5e-3
+    are_estimated: bool = False
 
     @property
     def sensor(self) -> Sensor:
@@ -187,7 +191,7 @@ class MeasurementModel:
                     sizes[2] * across, sizes[3] * float(factors[5]))
 
         return replace(self, at_rest=scaled(self.at_rest, at_rest),
-                       in_motion=scaled(self.in_motion, in_motion))
+                       in_motion=scaled(self.in_motion, in_motion), are_estimated=True)
 
     def errors(self, poses: PoseStream) -> PoseErrors:
         """Return the errors of a recorded tag, by its velocity over three poses."""
@@ -203,7 +207,7 @@ class MeasurementModel:
         first /= np.linalg.norm(first, axis=1)[:, None]
         return PoseErrors(
             stamps, np.stack([first, np.cross(depth, first), depth], axis=2),
-            sizes, np.zeros(3), 1.0 - (still / sizes) ** 2)
+            sizes, np.zeros(3), 1.0 - (still / sizes) ** 2, self.are_estimated)
 
     def second_solution(self, position: Array, rotation: Array) -> Array:
         """Return the second solutions (N, 3, 3) of the orientations (N, 3, 3) of a flat tag."""
