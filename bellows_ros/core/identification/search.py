@@ -228,11 +228,12 @@ class Solution:
 
         With a measurement model, the estimated noise, also with a memory.
         """
-        return {segment.measured.recording: course.std if segment.measured.sensor else np.maximum(
-            course.std, segment.measured.package_noise.std)
+        return {segment.measured.recording: course.std if sensor and not sensor.are_known else (
+            np.maximum(course.std, segment.measured.package_noise.std))
             for segment, course, part in zip(
                 self.problem.segments, self.courses, self.parts, strict=True)
-            if segment.is_slow and (part.is_white or segment.measured.sensor)}
+            for sensor in [segment.measured.sensor] if segment.is_slow and (
+                part.is_white or sensor)}
 
     @property
     def error_factors(self) -> Array | None:
@@ -425,15 +426,17 @@ def _with_noise(
     new, settled = [], True
     for segment, course, part in zip(segments, courses, parts, strict=True):
         sensor = segment.measured.sensor
-        if segment.is_slow and not (sensor and sensor.are_known):
+        if segment.is_slow:
             correlation = segment.measured.package_noise.correlation
-            sizes, tolerance = part.relative_std, NOISE_TOLERANCE
+            sizes, tolerance = part.relative_std, TAG_TOLERANCE if sensor else NOISE_TOLERANCE
             total = (MAD_TO_STD * np.median(np.abs(part.residuals / sizes), axis=0)) ** 2
             if sensor:
-                total, tolerance = _clipped_rms(part.residuals / sizes) ** 2, TAG_TOLERANCE
+                total = _clipped_rms(part.residuals / sizes) ** 2
             simulated = np.median(part.variance / sizes**2, axis=0) - part.new_variance
             std = np.maximum(MIN_POSE_STD, np.sqrt(
                 np.maximum(total - simulated, 0.1 * total) / (1.0 - correlation**2)))
+            if sensor and sensor.are_known:  # but for a common factor
+                std = course.std * _clipped_rms(part.innovations)
             if np.any(np.abs(std - course.std) > tolerance * course.std):
                 course, settled = course._replace(std=std), False
         new.append(course)
