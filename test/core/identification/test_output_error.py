@@ -22,6 +22,7 @@ from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.recording.measurement_model import PoseErrors
 from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import relative_coordinates
@@ -119,6 +120,18 @@ def test_a_simulation_that_diverges_explains_nothing():
     upside_down = replace(measured(3, duration=2.0), gravity=-GRAVITY)
     near = approach(posed(upside_down, scaled(0.01)))
     assert 1e4 < near.squares / near.residual_count < np.inf
+
+
+def test_known_errors_of_a_tag_keep_their_ratios():
+    """Else one axis is given up: its error grows, and with it what contradicts the others."""
+    own = measured(3, duration=3.0)
+    std = np.tile(np.repeat([2e-3, 5e-3], 3), (len(own.package), 1))
+    found = minimise(posed(replace(own, sensor=PoseErrors(
+        own.package.stamps_ns, np.tile(np.eye(3), (len(std), 1, 1)), std, np.zeros(3), 0.0 * std,
+        are_known=True))))
+    ratio = found.courses[0].std / std[0]
+    assert found.converged and 0.5 < ratio[0] < 1.0
+    assert_allclose(ratio, ratio[0])
 
 
 def test_a_diagnosis_whose_time_is_over_names_what_was_not_tried():
