@@ -54,7 +54,7 @@ MIN_SAMPLES = 4096
 INITIAL_STD = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
 """Standard deviations at the start: m, rad, m/s, rad/s."""
 
-MASS_SHARE, COM_UNCERTAIN = 0.05, (4e-3, 4e-3, 2e-3)
+MASS_SHARE, COM_UNCERTAIN = 0.05, (3e-3, 3e-3, 1.5e-3)
 """Default standard deviations of the payload: relative mass, centre of mass (m)."""
 
 UNSTATED_CUP, UNSTATED_DAMPING, UNSTATED_INERTIA = 0.05, 0.2, 0.05
