@@ -195,7 +195,7 @@ class ContactCell:
         Return a cycle, with a fault some time (s) after an event.
 
         Faults: 'collision' (size in N s), 'drop', 'slip' (m), 'swap' (factor of mass), 'latency'
-        (s), 'camera' (m). A drop lets the grip fade within a time (s).
+        (s), 'camera' (m). A drop lets the grip fade within a time (s), and the switch tells of it.
         """
         g = self.rng
         dims = np.array([g.uniform(0.15, 0.3), g.uniform(0.12, 0.22), g.uniform(0.06, 0.14)])
@@ -223,6 +223,7 @@ class ContactCell:
             push[hit, 3:] = np.cross(0.5 * dims * g.uniform(-1.0, 1.0, 3), push[hit, :3][0])
         if fault == 'drop':
             grip *= np.clip(1.0 - (times - when) / max(gradual, STEP), 0.0, 1.0)
+            at['release'] = when + gradual + 0.05  # of the vacuum switch
         start = np.r_[0.0, 0.0, 0.0, np.eye(3).ravel()]
         start[:3] = np.r_[points[1][1][:2], TABLE + dims[2]] + com
         box = mass, inertia, com, dims
