@@ -6,7 +6,7 @@ from typing import Any
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import output_error
-from bellows_ros.core.identification.quantities import given_std, weak_prior
+from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.values import Values
@@ -60,8 +60,7 @@ def _registered(
         ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
     changes = dict[str, Any]()
     result = output_error.registered(
-        recording, given_structure(values), one_cup_of(values),
-        weak_prior(names) | ({'com': given_std(values)['com']} if settings.tag else {}))
+        recording, given_structure(values), one_cup_of(values), weak_prior(names))
     if values.fit.method == 'least_squares':
         result.require_world()
     if result.scale and pose is not None:  # about the camera instead of the tool's world
