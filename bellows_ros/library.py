@@ -109,7 +109,7 @@ def write_cup(path: File, cup: Cup, package: Package | None = None) -> None:
     cup : Cup
         K, P and length.
     package : Package, optional
-        What hangs on it.
+        Package on the cup.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def identify(
         centre of mass B in a world whose z is up. Samples that are not valid are left out; twists
         are not needed.
     package : Package
-        What the cup held.
+        Package on the cup.
     cup_length : float
         Cup length l0, m.
     settings : mapping, optional
@@ -231,9 +231,9 @@ def simulate(
     Parameters
     ----------
     cup : Cup
-        What connects tool and package.
+        Cup between tool and package.
     package : Package
-        What hangs on it.
+        Package on the cup.
     tool : Trajectory
         N poses of E in the world with body twists, as `savgol` returns; cubic Hermite in between.
     gravity : float or array_like (3,)
@@ -283,9 +283,9 @@ def static_equilibrium(
     Parameters
     ----------
     cup : Cup
-        What connects tool and package.
+        Cup between tool and package.
     package : Package
-        What hangs on it.
+        Package on the cup.
     T_world_tool : array_like (4, 4) or RigidTransform, optional
         Pose of the tool tip E in the world, m; upright at the origin when left out.
     gravity : float or array_like (3,)
@@ -340,7 +340,7 @@ def plan(
     parameters : mapping or path
         Package and cup by name, and the grip if known; or a file with them.
     urdf, topic : str
-        The arm, where its joints are planned; and the plan, where a recording has several.
+        URDF of the arm for a plan of joints; topic of the plan in a recording with several.
 
     Returns
     -------
@@ -408,7 +408,7 @@ def steer(
     method : {'inverse', 'zv', 'zvd'}
         The inverse of cup and package, or input shaping for their modes at rest.
     limits : mapping or path, optional
-        Of the arm, which the motion is slowed down for; as config/limits_example.yaml.
+        Limits of the arm, to which the motion is slowed down; as config/limits_example.yaml.
 
     Returns
     -------
@@ -494,15 +494,15 @@ def design_motion(
     parameters : mapping or path
         Package and a guess of the cup by name, or a file with them.
     limits : mapping or path
-        Of the arm and of the tracking; config/limits_example.yaml explains them.
+        Limits of arm and tracking; config/limits_example.yaml explains them.
     duration : float
-        Of rest and motion, s.
+        Duration of rest and motion, s.
     urdf : str
         File with the arm, whose joints are limited, too.
     seed : int
-        Of the shape from which the search begins.
+        Seed of the shape from which the search begins.
     hold : float
-        Of a tilt after the motion, s, in which rubber relaxes; 0 for none.
+        Duration of a tilt after the motion, s, in which rubber relaxes; 0 for none.
 
     Returns
     -------
@@ -572,7 +572,7 @@ def observe(recording: File, parameters: Parameters, topic: str) -> Replay:
     recording, parameters
         As of `replay`, with measured.* as the node takes it.
     topic : str
-        Of the poses of the package from a camera.
+        Topic with the poses of the package from a camera.
 
     Returns
     -------

@@ -70,7 +70,7 @@ class Console:
     final_warnings : list of str
         Printed when the work has been done.
     progress : Progress
-        Of the work, on stderr.
+        Progress of the work, on stderr.
 
     """
 

@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
     succeeded : bool
         Whether the exit code is 0.
     then : tuple of str
-        What comes next, where a file was written.
+        Next steps after a file was written.
     inputs : sequence of path or None
         Recordings and plans that the JSON file names with their digests, beside the parameter
         files; None where it has no provenance, or its own.

@@ -70,9 +70,9 @@ class Listing(NamedTuple):
     files : tuple of Path
         Those that hold the messages, in order.
     information : dict
-        What its metadata says; empty where there is none.
+        Content of its metadata; empty without metadata.
     notes : tuple of str
-        What is wrong with its folder.
+        Faults of its folder.
 
     """
 

@@ -52,7 +52,7 @@ class Contents(NamedTuple):
     problems : dict of role to BellowsError
         Why the other roles cannot be read.
     notes : tuple of str
-        What is missing in the recording, or contradicts its metadata.
+        Missing parts of the recording, and contradictions to its metadata.
 
     """
 
@@ -70,7 +70,7 @@ class _Bag:
     counts : dict
         Every topic, with its number of messages; filled while reading.
     notes : list of str
-        What is missing in it, or contradicts its metadata; complete once it is read.
+        Missing parts, and contradictions to its metadata; complete once it is read.
 
     """
 
@@ -153,7 +153,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
     -------
     list of Message
     list of str
-        What is missing in the recording, contradicts its metadata, or was left out.
+        Missing or omitted parts of the recording, and contradictions to its metadata.
 
     Raises
     ------

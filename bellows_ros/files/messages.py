@@ -190,9 +190,9 @@ def decode(
     log_times_ns : sequence of int (N,)
         When each was recorded, ns.
     layout : Layout
-        Of their type.
+        Layout of their type.
     part : slice
-        Which of the doubles to return.
+        Range of the returned doubles.
     numbers : dict
         The frames met before, with their indices; gets the new ones.
 

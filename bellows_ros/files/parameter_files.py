@@ -47,9 +47,8 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     path : path
         YAML file.
     node : str, optional
-        'identifier' or 'predictor': only what ROS would give a node of that name is read, in the
-        file's order, later values over earlier ones. Without it, the values for either, which must
-        not contradict itself.
+        'identifier' or 'predictor': parameters that ROS would give to a node of that name, later
+        values over earlier ones. Default: the parameters of both nodes, without contradictions.
 
     Returns
     -------

@@ -32,10 +32,10 @@ class PlanMessage:
     Parameters
     ----------
     stamp_ns : int
-        Of the header, ns; 0 where the plan starts when the tool starts.
+        Stamp of the header, ns; 0 if the plan starts with the motion of the tool.
     frame_id : str
     names : tuple of str
-        Of the joint, that is of what moves.
+        Name of the joint, that is of the moving frame.
     times_ns : int array (N,)
         From the start, ns.
     poses : array (N, 7)

@@ -88,7 +88,7 @@ def poses_in(
     frame, world : str
         The frame wanted, and in which one; in the farthest one above it where that is ''.
     of : str
-        What the transforms are of, for messages.
+        Name of the body of the transforms, for messages.
 
     Raises
     ------

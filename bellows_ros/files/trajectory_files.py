@@ -130,7 +130,7 @@ def write_urscript(
     seconds : array (N,)
         Times in equal steps.
     position, rotation_vector : array (N, 3)
-        Of the tool tip in a frame, m and rad.
+        Poses of the tool tip in a frame, m and rad.
     frame : str
         Name of that frame.
 
@@ -220,7 +220,7 @@ class MotiveBody:
     ----------
     name : str
     stamps_ns : int array (N,)
-        Of the poses that can be used, ns.
+        Stamps of the usable poses, ns.
     values : array (N, 7)
         Position (m) and quaternion (x, y, z, w), in Motive's world.
     missing : int

@@ -177,7 +177,7 @@ class Exchange(NamedTuple):
     sent : mapping of str to int
         Numbers of messages on `POSES` and `TWISTS`.
     predicted : Trajectory
-        Of the package B in the world, at the stamps that were answered.
+        Poses of the package B in the world, at the stamps that were answered.
     latency : array (N,)
         Time from handing the tool's pose to ROS until the arrival of the prediction, s.
 

@@ -155,7 +155,7 @@ class Worker:
     node : GuardedNode
         Notes what fails, and closes its workers.
     name : str
-        Of the thread.
+        Name of the thread.
 
     Attributes
     ----------

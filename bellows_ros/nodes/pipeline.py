@@ -316,7 +316,7 @@ class SensorInput:
     ----------
     node : rclpy.node.Node
     kind : type
-        Of the messages.
+        Type of the messages.
     topic : str
         Relative name.
     callback : callable
@@ -469,7 +469,7 @@ class Attachment:
     Attributes
     ----------
     signal : SensorInput or None
-        The vacuum signal, where one is asked for.
+        The vacuum signal, None without vacuum.signal.
 
     """
 

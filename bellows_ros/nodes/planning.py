@@ -62,7 +62,7 @@ class Answers:
     node : PredictorNode
         Subscribes.
     what : str
-        What is answered.
+        Name of the request.
     warm_up : callable
         Compiles what answers, in the thread, once a possible publisher appears.
     refuse : callable

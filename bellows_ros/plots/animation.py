@@ -51,7 +51,7 @@ def write_animation(
     replayed : Replayed
         The poses to draw.
     note : str
-        Which recording and cup.
+        Name of recording and cup.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
     progress : callable, optional

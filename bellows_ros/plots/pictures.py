@@ -37,9 +37,9 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
     Parameters
     ----------
     motion : MeasuredMotion
-        What is drawn.
+        Motion of tool and package.
     note : str
-        Which recording.
+        Name of the recording.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -70,13 +70,13 @@ def spectra_figure(
     Parameters
     ----------
     spectra : Spectra
-        What is drawn.
+        Spectra of motion and error.
     note : str
-        Which recording.
+        Name of the recording.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
     one_step : Spectrum, optional
-        Of one-step prediction errors, as a third line.
+        Spectrum of one-step prediction errors, as a third line.
 
     Returns
     -------
@@ -104,9 +104,9 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
     Parameters
     ----------
     motion : MeasuredMotion
-        What is drawn.
+        Motion of tool and package.
     note : str
-        Which recording.
+        Name of the recording.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -144,9 +144,9 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     Parameters
     ----------
     loads : Loads
-        What is drawn.
+        Loads on the cup and deflections of the lip.
     note : str
-        Which recording and cup.
+        Name of recording and cup.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -208,9 +208,9 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     Parameters
     ----------
     loads : Loads
-        What is drawn.
+        Loads on the cup and deflections of the lip.
     note : str
-        Which recording and cup.
+        Name of recording and cup.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -245,9 +245,9 @@ def prediction_figure(
     seconds : array (N,)
         From the recording's first stamp, s.
     comparison : Comparison
-        What is drawn; each line is interrupted where its values are missing.
+        Measured and predicted coordinates; a line is interrupted where values are missing.
     title, note : str
-        What is shown, and under which conditions.
+        Content of the figure, and its conditions.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -287,7 +287,7 @@ def errors_figure(
     estimates : mapping of str to Comparison
         By name.
     note : str
-        Of which recording.
+        Name of the recording.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -312,9 +312,9 @@ def whiteness_figure(test: residuals.Whiteness, note: str, theme: str = 'light')
     Parameters
     ----------
     test : Whiteness
-        What is drawn.
+        Test of the residuals for whiteness.
     note : str
-        Of which errors.
+        Name of the errors.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -359,7 +359,7 @@ def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
     Parameters
     ----------
     report : PlanReport
-        What is drawn.
+        Prediction of the plan.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -410,9 +410,9 @@ def margin_figure(margins: replay.Margins, note: str, theme: str = 'light') -> A
     Parameters
     ----------
     margins : Margins
-        What is drawn.
+        Safety factors of the grip.
     note : str
-        Which recording and cup.
+        Name of recording and cup.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -457,7 +457,7 @@ def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:
     Parameters
     ----------
     result : DesignedMotion
-        What is drawn.
+        Designed motion.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -505,7 +505,7 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
     Parameters
     ----------
     report : SteerReport
-        What is drawn.
+        Steered motion.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -547,7 +547,7 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
     Parameters
     ----------
     result : TossResult
-        What is drawn.
+        Predicted toss.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 

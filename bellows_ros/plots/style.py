@@ -209,7 +209,7 @@ def six_lines(
     Parameters
     ----------
     title, note : str
-        What is shown, and under which conditions.
+        Content of the figure, and its conditions.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
     lines : sequence of Line
@@ -217,7 +217,7 @@ def six_lines(
     abscissa : str
         Label, with its unit.
     units : sequence of str
-        Of each axis.
+        Unit of each axis.
     log : bool
         Whether both scales are logarithmic.
 
@@ -296,7 +296,7 @@ def six_pairs(
     Parameters
     ----------
     title, note : str
-        What is shown, and under which conditions.
+        Content of the figure, and its conditions.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
     lines : sequence of Line
@@ -306,7 +306,7 @@ def six_pairs(
     titles : sequence of str
         Title of each coordinate.
     units : sequence of str
-        Of each coordinate.
+        Unit of each coordinate.
 
     Returns
     -------

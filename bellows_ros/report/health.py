@@ -227,9 +227,9 @@ def prediction_status(
     Parameters
     ----------
     name : str
-        Of the line.
+        Name of the line.
     state : str
-        Of the lifecycle: 'active' or another.
+        State of the lifecycle: 'active' or another.
     phase, cup, twist_verdict : str
         As of `LivePredictor.phase`, the cup in use, and as of `ToolMotion.verdict`.
     compute : array

@@ -142,7 +142,7 @@ def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -
     urdf : str, optional
         File with the arm; without it that on /robot_description, or else the transforms count.
     topic : str, optional
-        For the tool's poses; '/tool_arm/pose' when left out.
+        Topic for the tool's poses; default: '/tool_arm/pose'.
 
     Raises
     ------
@@ -176,14 +176,14 @@ def bodies_in_transforms(
     tool_frame, package_frame : str
         Frames of the tool tip E and of the package.
     world_frame : str
-        In which the poses are wanted; the farthest one above the tool when left out.
+        Frame of the returned poses; default: the farthest ancestor of the tool frame.
     names : sequence of str, optional
-        Topics of both; '/tool_arm/pose' and '/package/pose' when left out.
+        Topics of tool and package; default: '/tool_arm/pose' and '/package/pose'.
 
     Raises
     ------
     BellowsError
-        If the transforms do not lead from both to the world.
+        If no chain of transforms leads from either frame to the world.
 
     """
     transforms, bodies = plans.read_transforms(bag), list[Body]()
@@ -213,7 +213,7 @@ def bodies_in_recording(
     bag : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     names : sequence of str
-        Topics to convert; all with poses where left out.
+        Topics to convert; default: all with poses.
     millimetres, w_first : bool
         Unit and order of the recorded numbers.
 
@@ -261,7 +261,7 @@ def to_bag(
     Parameters
     ----------
     bodies : sequence of Body
-        What to write.
+        Bodies to write.
     out : path
         Folder to make.
     storage : str

@@ -44,7 +44,7 @@ class DesignedMotion(CommandResult):
     design : Design
         The motion, its parts of the limits, its information.
     structure : Structure
-        Which entries of K and P are free.
+        Structure of K and P: their free entries.
     guess : array (2 n,)
         Their values in the guess.
     beside : mapping of str to array (2 n,)
@@ -119,21 +119,21 @@ def excite(
     Parameters
     ----------
     settings : mapping
-        Parameters by name: the cup as it is guessed, the package, fit.structure, safety.least.
+        Parameters by name: the initial guess of the cup, the package, fit.structure, safety.least.
     limits : mapping
         Content of a limits file; config/limits_example.yaml explains it.
     duration : float
-        Of rest and motion, s.
+        Duration of rest and motion, s.
     urdf : str
         File with the arm, whose joints are limited, too.
     beside : sequence of path
         Other plans, whose standard errors are wanted for comparison.
     seed : int
-        Of the shape from which the search begins.
+        Seed of the shape from which the search begins.
     progress : callable, optional
         Called with the present step and its completed part (0 to 1).
     hold : float
-        Of a tilt after the motion, s, in which rubber relaxes; 0 for none.
+        Duration of a tilt after the motion, s, in which rubber relaxes; 0 for none.
 
     Raises
     ------

@@ -73,13 +73,13 @@ class Identification(CommandResult):
     parts : tuple of ReducedRecording
         The recordings that were used.
     recordings : tuple of Recording
-        These recordings themselves, where something needed them.
+        These recordings; empty if no later step needs them.
     consistency : ComparedFits or None
-        Whether the recordings are of one cup, where that was asked for.
+        Whether the recordings are of one cup, None if not requested.
     static : StaticResult or None
-        The recordings of standstills, where there are any.
+        Result of the recordings of standstills, None without any.
     selection : StructureSelection or None
-        The structures of K and P compared, where that was asked for.
+        Comparison of structures of K and P, None if not requested.
     validations : tuple of Replay
         Recordings that the fit has not seen, simulated with its cup.
     verdict : FitVerdict or None
@@ -87,7 +87,7 @@ class Identification(CommandResult):
     failed : tuple of Failed
         Recordings that were left out.
     assumed : tuple of str
-        What was not given and taken from the thesis, in sentences.
+        Sentences on values that were not given, but taken from the thesis.
     parameter_files : tuple of mapping
         Path and digests of files that the parameters are from.
 
@@ -203,7 +203,7 @@ class Identification(CommandResult):
         return result
 
     def _final_world(self, number: int) -> PackageWorld | None:
-        """Return the pose of the package's world after the fit, where it is estimated."""
+        """Return the estimated pose of the package's world after the fit, or None."""
         world = self.parts[number].package_world
         if world is None or len(self.recordings) < len(self.parts):
             return world

@@ -195,11 +195,11 @@ def read_part(
     Parameters
     ----------
     bag : str
-        What the user calls it.
+        Name of the recording by the user.
     values : mapping
         All parameters.
     path : str
-        Its path for the reader; the same where left out.
+        Path for the reader; default: the name.
     keep : container of str
         The recordings that are wanted themselves.
     poses : mapping

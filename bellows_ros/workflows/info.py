@@ -87,7 +87,7 @@ class TopicInfo(NamedTuple):
         Largest minus smallest coordinate of 'position' (m) and of 'rotation', the rotation vector
         (rad) from the start, in recorded axes.
     warnings : tuple of str
-        What to know before identifying from these poses.
+        Warnings about an identification from these poses.
 
     """
 
@@ -119,7 +119,7 @@ class Guess(NamedTuple):
     why : tuple of str
         The evidence for it.
     frame : str
-        Of a twist the value of tool_twist.frame that agrees with the poses.
+        Value of tool_twist.frame with which a twist agrees with the poses.
 
     """
 
@@ -141,7 +141,7 @@ class Pair(NamedTuple):
     distance : float
         Between the two at the start, m.
     change : float
-        Of the distance, from its lowest to its highest percent, m.
+        Change of the distance, from its lowest to its highest percent, m.
     score : float
         The more, the likelier.
 
@@ -170,7 +170,7 @@ class Info(NamedTuple):
     settings : mapping
         Parameters with which to read it, by name.
     notes : tuple of str
-        What to know before identifying from it.
+        Warnings about an identification from the recording.
     checks : tuple of Check
         Checks before a fit, in the order in which they are to be settled.
 

@@ -151,15 +151,15 @@ class PlanReport(CommandResult):
     source : Source
         The plan.
     prediction : PlanPrediction
-        Of the package.
+        Predicted motion of the package.
     std : mapping of str to float
         Standard deviation of each of the prediction's figures.
     outside : tuple of str
-        Where the plan leaves the validity range of the cup.
+        Sentences on departures from the validity range of the cup.
     fastest : Fastest or None
-        The shortest time scale that is safe, where it was sought and there is one.
+        The shortest safe time scale, None without a search or a safe one.
     sought : bool
-        Whether it was sought.
+        Whether the shortest time scale was searched for.
 
     """
 
@@ -563,9 +563,9 @@ def write_prediction(
     source : Source
         The plan, with the frame and parameters of the motion.
     tool : Trajectory
-        Of E, with body twists.
+        Motion of E, with body twists.
     states : array (N, 13)
-        Of B in the same frame: position, quaternion, body twist.
+        States of B in the same frame: position, quaternion, body twist.
     replace_bag : bool
         Whether a recording that is there may be replaced.
 

@@ -40,7 +40,7 @@ class MeasuredMotion:
     seconds : array (N,)
         From the recording's first stamp, s.
     tool_position, package_position : array (N, 3)
-        Of E and B in the world, m.
+        Positions of E and B in the world, m.
     tool_rotation, package_rotation : array (N, 3, 3)
         R_world_E and R_world_B.
     relative : array (N, 6)
@@ -70,7 +70,7 @@ class Spectra:
     measured : array (F, 6)
         m/sqrt(Hz) and rad/sqrt(Hz).
     error : array (F, 6) or None
-        Of predicted minus measured.
+        Spectrum of predicted minus measured coordinates.
 
     """
 
@@ -141,14 +141,14 @@ class Scene:
 @dataclass(frozen=True, eq=False)
 class Replayed(Scene):
     """
-    A replayed recording, where there is a pose of the tool; the outline is measured.
+    A replayed recording at the samples with a pose of the tool; the outline is the measured one.
 
     Parameters
     ----------
     live : Live
         The live prediction.
     deflection : array (N, 6)
-        Of the predicted lip from its pose without load: shift (m) and rotation vector (rad) in E.
+        Deflection of the predicted lip from its nominal pose: shift (m), rotation vector (rad), E.
 
     """
 
@@ -270,7 +270,7 @@ def within(shown: Timed, first: float, last: float) -> Timed:
     Parameters
     ----------
     shown : MeasuredMotion, Loads, Margins or Replayed
-        Of the whole recording.
+        Content for the whole recording.
     first, last : float
         From the recording's first stamp, s.
 

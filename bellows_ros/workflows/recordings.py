@@ -76,7 +76,7 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
     values : mapping
         Parameters by name, as `core.parameters.checks.resolve` returns them.
     name : str
-        What the user calls it; the path where left out.
+        Name of the recording by the user; default: the path.
     with_digest : bool
         Whether the digests of its files are computed.
 

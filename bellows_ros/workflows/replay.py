@@ -85,7 +85,7 @@ class Margins:
     smallest : Margin
         With its mode and instant.
     least : float
-        What is needed.
+        Required safety factor.
 
     """
 
@@ -103,7 +103,7 @@ class Observed(NamedTuple):
     Parameters
     ----------
     topic : str
-        Of the measured poses.
+        Topic of the measured poses.
     estimates : mapping of str to residuals.Comparison
         'prediction alone', from the tool; 'camera alone', the newest measured pose; 'both', which
         is predicted and corrected. Each knows at any stamp what had been measured before it, and
@@ -213,13 +213,13 @@ class Replay(CommandResult):
     recording : Recording
         As it was prepared.
     validation : Validation
-        What the free simulation gave.
+        Result of the free simulation.
     warnings : tuple of str
-        What the user should know: of the recording, the simulation and the envelope.
+        Warnings about the recording, the simulation and the envelope.
     live : Live or None
-        What the live predictor gave; None where it was not asked.
+        Result of the live predictor, None if not requested.
     observed : Observed or None
-        What measured poses of the package add; None where it was not asked.
+        Result with measured poses of the package, None if not requested.
 
     """
 
@@ -411,7 +411,7 @@ STRETCH_RATIOS = (0.7, 1.4)
 
 
 def _mass_hint(values: Values, recording: Recording) -> tuple[str, ...]:
-    """Return the mass that the mean stretch of the cup stands for, where it is another."""
+    """Return a hint if the mean stretch of the cup indicates another mass than package.mass."""
     relative = residuals.relative_coordinates(
         recording.measured_tool, recording.measured_package)[recording.measured]
     lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ np.array(values.package.com)
@@ -520,11 +520,11 @@ def observed(
     Parameters
     ----------
     bag : path
-        Of the recording.
+        Path of the recording.
     recording : Recording
         As it was prepared.
     messages : Messages
-        Of the tool.
+        Messages of the tool.
     uncorrected : Comparison
         The live prediction from these, without a camera.
     values : mapping

@@ -67,7 +67,7 @@ class SimulationReport(NamedTuple):
     largest_bending_time_s : float
         When it was reached, s after the beginning.
     warnings : tuple of str
-        What to know before using the recording.
+        Warnings about the use of the recording.
     margin : Margin or None
         The smallest safety factor of the grip while the valve is on; None if unknown.
     tosses : tuple of Thrown

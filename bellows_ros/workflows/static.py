@@ -31,11 +31,11 @@ class StaticResult(NamedTuple):
     Parameters
     ----------
     recordings : tuple of Recording
-        In the order they were given.
+        Recordings in the given order.
     length : CupLength or None
-        The cup's length without load, where there are masses enough.
+        The cup's length without load, None with too few masses.
     no_length : str
-        Why there is none, or ''.
+        Reason for the missing length, or ''.
     cup_length : float
         The length that the cup is taken to have, m.
     spring : tuple of PoseCheck or None

@@ -79,7 +79,7 @@ class SteerReport(CommandResult):
     source : Source
         The plan.
     method : str
-        Of `core.planning.steering.METHODS`.
+        One of `core.planning.steering.METHODS`.
     motions : mapping
         The method, 'as planned', and with the inverse 'zvd', where these can be predicted.
     steered : Steered
@@ -163,7 +163,7 @@ def steer_plan(
     path, settings, urdf, topic
         As of `workflows.plan.plan`. A plan of what frames.package names is one of B.
     method : str
-        Of `core.planning.steering.METHODS`.
+        One of `core.planning.steering.METHODS`.
     limits : path or mapping
         YAML file with limits or its content, see `read_limits`; '' for none.
 

@@ -82,7 +82,7 @@ class TossResult(CommandResult):
             (*RELEASE_NAMES, landing.SECOND_ORDER) if independent else ['release'])))
 
     def _shares(self, names: tuple[str, ...]) -> list[Share]:
-        """Return the contributions of what names begin, where there is any."""
+        """Return the contributions of quantities whose names begin with one of these."""
         shares = []
         for name in names:
             std, covariance = self.parts.of(name)
@@ -93,7 +93,7 @@ class TossResult(CommandResult):
 
     @property
     def per_millisecond(self) -> float:
-        """By how much (m) each millisecond of the valve moves the landing; 0 if unknown."""
+        """Shift of the landing (m) by each millisecond of the valve; 0 if unknown."""
         return next((1e-3 * share.metres / share.std for share in self.shares()
                      if share.name == 'release.delay'), 0.0)
 
@@ -214,7 +214,7 @@ def toss_plan(
     progress : callable
         Called with a sentence as the work goes on.
     urdf, topic : str
-        Of the arm and of the plan, as `workflows.plan.read_plan` takes them.
+        URDF of the arm and topic of the plan, as for `workflows.plan.read_plan`.
 
     Raises
     ------
@@ -277,7 +277,7 @@ class ReleaseResult(NamedTuple):
     fit : ReleaseFit
         The law, and how it explains each drop.
     bags : tuple of str
-        Of all recordings.
+        Names of all recordings.
     used : tuple of str
         The recording of each drop.
     left_out : tuple of str

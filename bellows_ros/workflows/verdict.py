@@ -109,8 +109,8 @@ class FitVerdict(NamedTuple):
     """Logarithm of inertia over mass as estimated by the fit, relative to the given ratio."""
     found: Mapping[str, tuple[Array, str, float]] = MappingProxyType({})
     """
-    Parameters of package and cup by the fit, where it has changed one notably, by how much, and in
-    standard deviations, the largest change first.
+    Notably changed parameters of package and cup: value by the fit, change, and change in standard
+    deviations; the largest change first.
     """
 
     @property
@@ -268,9 +268,9 @@ def verdict_of(
     fit : Fit or None
         K and P; None where only a cause is looked for.
     recordings : sequence of Recording
-        Of the fit.
+        Recordings of the fit.
     length : float
-        Of the cup, m.
+        Length of the cup, m.
     values : mapping
         Parameters by name.
 

@@ -100,7 +100,7 @@ class ArmLimits(NamedTuple):
     Parameters
     ----------
     start : Pose
-        Of E, at rest and amid the motion.
+        Pose of E, at rest and amid the motion.
     lower, upper : array (3,)
         Corners of the workspace in the world, m.
     rotation : array (3,)
@@ -108,11 +108,11 @@ class ArmLimits(NamedTuple):
     rates : mapping of str to float
         Largest speed, acceleration and jerk, and the angular ones, as in `planning.limits.RATES`.
     bending, torsion : float
-        Of the cup, rad.
+        Largest bending and torsion of the cup, rad.
     safety : float
         Least safety factor of the grip.
     highest_frequency : float
-        Of the motion, Hz.
+        Highest frequency of the motion, Hz.
     arm : Arm or None
         Its joints' ranges and speeds are limits, too.
     joints : array (M,)
@@ -196,7 +196,7 @@ def limits_from(
     safety : float
         Least safety factor of the grip where the file gives none.
     arm : Arm, optional
-        Whose `joints` at the start are given instead of `start`.
+        Arm whose `joints` at the start are given instead of `start`.
 
     Raises
     ------
@@ -260,11 +260,11 @@ def motion_information(
     cup, package, gravity
         The model, as `simulate` takes it.
     tool : Trajectory
-        Of E with body twists, at the stamps at which the package is tracked, from rest.
+        Motion of E with body twists from rest, at the stamps of the tracked package.
     tracking : Tracking
         How both are tracked.
     structure : Structure
-        Of K and P.
+        Structure of K and P.
 
     """
     body = simulate(gripper_of(cup, structure.places), package, tool, gravity=gravity)
@@ -386,7 +386,7 @@ class FourierMotion(moving.Vibration):
     ----------
     start : Pose
     period : float
-        Of the fundamental, and of the whole series, s.
+        Period of the fundamental, and of the whole series, s.
     coefficients : complex array (K, 6)
         Of its harmonics, m and rad: real part of c exp(i omega t), of the displacement in world
         axes and of the rotation vector in the tool's axes at the start.
@@ -615,17 +615,17 @@ def design(
     Parameters
     ----------
     cup, package, gravity
-        The cup as it is guessed, and what hangs on it.
+        Initial guess of the cup, and the package.
     structure : Structure
-        Which entries of K and P are free.
+        Structure of K and P: their free entries.
     checks : Checks
         Limits of the arm, the cup and the grip, with the models of `cups_near` the guess.
     tracking : Tracking
         How both bodies will be tracked.
     duration : float
-        Of rest and motion, s; the motion takes three ramps or more.
+        Duration of rest and motion, s; the motion takes three ramps or more.
     seed : int
-        Of the shape from which the search begins.
+        Seed of the shape from which the search begins.
     progress : callable
         Called with the present step and its completed part (0 to 1).
     hold : float

@@ -34,7 +34,7 @@ class Cycle:
     Attributes
     ----------
     state : str
-        Of the module's constants.
+        One of the module's constants.
     valve, vacuum : bool or None
         Last readings: valve on, vacuum in the cup; None before the first.
     lowest : float
@@ -132,9 +132,9 @@ def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Itera
     Parameters
     ----------
     stamps_ns : ndarray (N,)
-        Of the tool's poses.
+        Stamps of the tool's poses.
     heights : ndarray (N,)
-        Of the tool against gravity, m.
+        Heights of the tool against gravity, m.
     signals : sequence of Signal
         In order.
 

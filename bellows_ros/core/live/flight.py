@@ -277,7 +277,7 @@ class Flight:
         model : tuple
             As the kernels take it.
         prediction : Prediction
-            Of the held package.
+            Prediction of the held package.
         covariance : callable
             From it to the covariance (12, 12) of its state, in body axes.
 

@@ -166,9 +166,9 @@ class Vacuum:
     held : bool
         Whether the package is held; a gripper holds it while any of its cups does.
     pressure : float or None
-        The newest, Pa; of single cups the highest of those that hold, None if none does.
+        Newest pressure, Pa; with single cups the highest one of the holding cups, or None.
     open_cups : tuple of int
-        Cups of cup.layout without vacuum; as before where none holds.
+        Cups of cup.layout without vacuum; unchanged if no cup has vacuum.
 
     """
 
@@ -177,17 +177,17 @@ class Vacuum:
         self.held = False
         self.open_cups: tuple[int, ...] = ()
         self.pressure: float | None = None
-        self._pressures: dict[int, float] = {}  # by cup, of those that hold
+        self._pressures: dict[int, float] = {}  # of the holding cups
         self._measured: set[int] = set()  # cups with a sensor
 
     def update(
         self, values: Values, pressure: float, frame_id: str
     ) -> tuple[tuple[bool, int], ...] | str:
         """
-        Return by a new pressure (Pa) whether cups hold, or why it is refused.
+        Return which cups hold at a new pressure (Pa), or the reason for its rejection.
 
-        By the parameters vacuum.* and cup.layout. Each cup by its index there, or `ALL`. A
-        frame_id that ends in cup_2 is of this one cup.
+        The thresholds are vacuum.*; a cup is named by its index in cup.layout, or `ALL`. A
+        pressure with a frame_id that ends in cup_2 belongs to cup 2 alone.
         """
         cups = len(values.cup.layout) // 3
         of_cup = re.search(r'cup_(\d{1,3})$', frame_id) if cups > 1 else None

@@ -118,7 +118,7 @@ class LivePayload:
     Attributes
     ----------
     outcome : str
-        What went wrong in the last call: 'diverged', 'no_equilibrium', or nothing.
+        Fault of the last call: 'diverged', 'no_equilibrium', or ''.
     sample : Sample or None
         The newest, from which the package can be advanced.
     observer : Observer or None
@@ -183,9 +183,9 @@ class LivePayload:
         Parameters
         ----------
         stamp_ns : int
-            Of the sample.
+            Stamp of the sample.
         before : State, optional
-            A better estimate of the tool at the sample before, where there is one.
+            Better estimate of the tool at the previous sample, if available.
         now : State
             Pose and body twist of the tool at the stamp.
 

@@ -244,7 +244,7 @@ class PlanTracker:
     Parameters
     ----------
     plan : Trajectory or ToolRows
-        Of E in the world with body twists.
+        Plan of E in the world, with body twists.
     stamp_ns : int
         When it starts, ns; 0 for when the tool starts.
 

@@ -223,7 +223,7 @@ class Screen(StampScreen):
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
     suspect : (float, float) or None
-        The jump (m, rad) from a steady motion to the newest accepted pose, where that is suspect.
+        Jump (m, rad) from a steady motion to the newest accepted pose, None if plausible.
 
     """
 

@@ -108,7 +108,7 @@ class Pairing:
             self._twists.append(twist)
 
     def _drop_leaps(self, stamp_ns: int) -> None:
-        """Drop twists whose stamps lay in the future, where one with an earlier stamp follows."""
+        """Drop twists with stamps in the future once a twist with an earlier stamp follows."""
         while self._twists and self._twists[-1].stamp_ns > max(
             stamp_ns, self._newest_ns + MAX_WAIT_NS
         ):

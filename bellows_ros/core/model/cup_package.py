@@ -384,7 +384,7 @@ def contributions(
     uncertain : Uncertain
         Numbers with standard deviations.
     model : tuple
-        Of the same values, as the kernels take it.
+        Model of these values, for the kernels.
     compute : callable
         From a model to figures, an array.
 

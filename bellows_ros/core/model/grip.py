@@ -150,9 +150,9 @@ def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -
 @kernel
 def factors_along(model: ModelTuple, grip: Grip, tool: Array, body: Array) -> Array:
     """
-    Return safety factors (N, 2), as in `MODES`, and whose they are (N, 2).
+    Return safety factors (N, 2), as in `MODES`, and the rows of their cups in the grip (N, 2).
 
-    Motions are rows (N, 13) of tool and package; cups are named by their rows in the grip.
+    Motions are rows (N, 13) of tool and package.
     """
     out = np.empty((len(tool), 4))
     for k in range(len(tool)):

@@ -169,9 +169,9 @@ def simulate(
     Parameters
     ----------
     cup : Cup
-        What connects tool and package.
+        Cup between tool and package.
     package : Package
-        What hangs on it.
+        Package on the cup.
     tool : Trajectory
         N poses of E in the world with body twists; cubic Hermite in between.
     start : State, optional

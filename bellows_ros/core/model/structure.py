@@ -115,13 +115,13 @@ class Structure:
     name : str
         As in fit.structure.
     meaning : str
-        What it assumes of the cup, in a few words.
+        Assumption on the cup, in a few words.
     groups : tuple of str
         Blocks of coupled axes; those joined by '=' hold the same numbers, and a minus turns an
         axis round: with 'x ry = y -rx' K[x,x] = K[y,y], K[ry,ry] = K[rx,rx], K[x,ry] = -K[y,rx].
         Axes of different blocks are not coupled.
     places : tuple of (x, y, z, index)
-        Of the cups of a gripper (m, in E), each of which has these K and P; empty for one cup.
+        Positions (m, in E) of cups of a gripper, each with these K and P; empty for one cup.
 
     """
 
@@ -242,14 +242,14 @@ class Structure:
         """
         Return Q (6, 6) of six-vectors in the form of this structure.
 
-        Whole blocks (4.69), those that are tied pooled about their common mean (4.80).
+        Blocks are complete (4.69); tied blocks are pooled about their common mean (4.80).
 
         Parameters
         ----------
         count : int
-            How many vectors.
+            Number of vectors.
         mean : ndarray (6,)
-            Of them.
+            Mean of the vectors.
         scatter : ndarray (6, 6)
             Sum of the products of their deviations from the mean.
 

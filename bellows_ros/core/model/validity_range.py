@@ -60,8 +60,8 @@ class Envelope:
     Parameters
     ----------
     deflection_low, deflection_high : ndarray (6,)
-        Of the lip from its nominal pose, in tool axes: shift (m), and rotation vector (rad),
-        whose x and y are bending and whose z is torsion.
+        Limits of the lip's deflection, in tool axes: shift (m), and rotation vector (rad) with
+        bending as x and y and torsion as z.
     rates : ndarray (6,)
         Largest absolute twist of the lip in the tool, in lip axes, m/s and rad/s.
     frequencies : ndarray (2, 2)
@@ -157,7 +157,7 @@ def distance(
     valid : Envelope
         Ranges of the fit.
     deflection, rates : array_like (6,)
-        Of the lip, as in `Envelope`.
+        Deflection and twist of the lip, as in `Envelope`.
     mass : float
         Mass of the package, kg.
     vacuum : float

@@ -68,7 +68,7 @@ class Arm(NamedTuple):
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Names of the joints that move, of those that mimic others only these."""
+        """Names of the moving joints, without joints that mimic another."""
         return tuple(joint.name for joint in self.moving_joints)
 
     @property
@@ -104,7 +104,7 @@ class Arm(NamedTuple):
         Parameters
         ----------
         position, velocity : array (N, M)
-            Of the moving joints in their order, rad or m and per second; at rest without.
+            Motion of the moving joints in their order, rad or m, per second; default: at rest.
 
         """
         T, J = self._moved(position)

@@ -56,9 +56,9 @@ class PlanPrediction(NamedTuple):
     tool : Trajectory or ToolRows
         The plan, N points.
     states : array (N, 13)
-        Of B in the world: position (m), quaternion xyzw, body twist (m/s, rad/s).
+        States of B in the world: position (m), quaternion xyzw, body twist (m/s, rad/s).
     wrench : array (N, 6)
-        Of the cup on the package at S, in S axes, N and N m.
+        Wrench of the cup on the package at S, in S axes, N and N m.
     loads : array (N, 2)
         1 / safety factor against peel and slip; meaningless without a grip model.
     peaks : array (8, 3)
@@ -136,7 +136,7 @@ class PlanSimulation:
     tool : Trajectory or ToolRows
         A plan, as `points.plan_of` returns it.
     start : State, optional
-        Of B in the world at the first point; in steady motion there when left out.
+        State of B in the world at the first point; default: in steady motion.
     tail : float
         Longest time (s) simulated after the end.
     longest : float

@@ -125,13 +125,13 @@ def plan_of_joints(
     Parameters
     ----------
     arm : Arm
-        Whose joints they are.
+        Arm with these joints.
     names : sequence of str
-        Of the joints, K, with all that move the tool among them.
+        Names of the K joints, among them all that move the tool.
     stamps_ns : int array (N,)
         ns.
     position, velocity, acceleration : array (N, K)
-        Of the joints in the order of their names, rad or m.
+        Motion of the joints in the order of their names, rad or m.
 
     Raises
     ------
@@ -307,11 +307,11 @@ def require_consistent(
     durations : array (N - 1,)
         Between points, s.
     steps : array (N - 1, K)
-        Of poses or of rates from point to point.
+        Steps of poses or of rates from point to point.
     rates : array (N, K)
         Their derivatives at the points.
     what : str
-        What the rates are, for messages.
+        Name of the rates, for messages.
     in_other_axes : array (N, K), optional
         The rates as they are with the other tool_twist.frame.
 
@@ -462,7 +462,7 @@ class Joints(NamedTuple):
     stamps_ns : int array (N,)
         ns.
     position : array (N, M)
-        Of the moving joints in their order, rad or m.
+        Positions of the moving joints in their order, rad or m.
 
     """
 

@@ -221,7 +221,7 @@ def inverse(
     Returns
     -------
     tool : Trajectory
-        Of E with body twists. It goes on after the package has arrived, until the cup has relaxed.
+        Motion of E with body twists, after the arrival continued until the cup has relaxed.
     package : Trajectory
         The motion of B at the same stamps, smoothed where it was not C^4.
     smoothed : float

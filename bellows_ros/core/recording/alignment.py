@@ -152,9 +152,9 @@ def aligned_at_rest(
     Parameters
     ----------
     tool, package : MeanPose
-        Of the recorded frames in the world, z up, at the same time.
+        Mean poses of the recorded frames in the world, z up, at the same time.
     package_frame : str
-        What the package's poses are poses of: 'com' or 'lip'. Only the origin counts.
+        Frame of the package's poses: 'com' or 'lip'. Only the origin counts.
     com : array (3,)
         Centre of mass B in S, m.
 
@@ -273,9 +273,9 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
             (body.position - np.median(start.position, axis=0), 1e-3),  # m, rad
             (lie.log_so3(reference.T @ body.rotation), 5e-3)):
         size = np.linalg.norm(change, axis=1)
-        # Second differences are of the noise alone, also where the body moves at once.
+        # Smooth motion hardly enters second differences: their median is the noise.
         noise = np.median(np.abs(np.diff(size, 2))) if len(size) > 2 else 0.0
-        moves |= size > smallest + 3.0 * noise  # second differences are of the noise alone
+        moves |= size > smallest + 3.0 * noise
     # A jump of tracking is over at once, a motion is not.
     lasting = moves & np.roll(moves, -max(1, len(start) // 4))
     return reference, float(
@@ -362,7 +362,7 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
     Raises
     ------
     BellowsError
-        If they do not turn alike at any offset; where they hardly turn they must overlap.
+        If their rotations agree at no offset; with little rotation they must overlap.
 
     """
     lags, correlation = rotation_correlation(tool, package)
@@ -410,7 +410,7 @@ def closed_form(
     tool, package : Trajectory
         Each in the frame of its world.
     length : float
-        Of the cup, m.
+        Length of the cup, m.
     origin_to_lip : ndarray (3,)
         From the origin of the package's poses to the lip, in axes of S, m.
 
@@ -441,9 +441,9 @@ def hand_eye(
     tool, package : Trajectory
         Poses of E, and of the marker, each in the frame of its world.
     length : float
-        Of the cup, m.
+        Length of the cup, m.
     com : ndarray (3,)
-        Of B in the lip frame, m.
+        Position of B in the lip frame, m.
 
     Raises
     ------

@@ -226,9 +226,9 @@ class FilterNoise:
     tool_weights, package_weights : ndarray (3, m)
         Weights of the filters (see `trajectory.Filtered`), or others with the same products.
     tool_half_window : int
-        Of the tool's filter, samples.
+        Half window of the tool's filter, samples.
     correlation : tuple of float
-        Of the noise of the package's positions and rotations with the sample before.
+        Autocorrelation at lag 1 of the noise of the package's positions and rotations.
 
     """
 
@@ -252,7 +252,7 @@ def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) ->
     measured_ns, wanted_ns : int ndarray (N,), (M,)
         Uniform stamps of the filtered motion, and the stamps it was interpolated at, ns.
     weights : ndarray (3, 2n+1)
-        Of the filter.
+        Weights of the filter.
 
     """
     step_ns = float(np.median(np.diff(measured_ns)))
@@ -342,13 +342,13 @@ class StreamReport:
     timing : Timing
         Rate, jitter, and gaps by sample.
     outliers : Outliers
-        Which poses are marked, steps by sample, and the noise.
+        Marked poses, steps by sample, and the noise.
     overlapping_gap : int
         Filtered samples left out because their windows touch invalid ones.
     interpolated : int
         Poses lost or marked, one or two in a row, that the filter has interpolated.
     arrivals : ArrivalStamps or None
-        What the recorded stamps were, if they were replaced by the times of sampling.
+        Recorded stamps, if they were replaced by the times of sampling.
 
     """
 
@@ -438,17 +438,17 @@ class Report:
     Parameters
     ----------
     tool, package : StreamReport
-        Of the two topics.
+        Reports on the two topics.
     remarks : tuple of Remark
         Facts on the poses and on their alignment that the user should know.
     warnings : tuple of str
         Sentences that workflows make of them, and notes on the files.
     time_offset : TimeOffset or None
-        What was taken from the tool's stamps, where that was wanted and identifiable.
+        Offset subtracted from the tool's stamps, None if not requested or not identifiable.
     package_world : PackageWorld or None
-        The transform between two worlds, where that was to be estimated.
+        Estimated transform between two worlds, None if not requested.
     scale : float
-        Factor of the package's positions about the camera, where that was to be estimated.
+        Estimated factor of the package's positions about the camera.
 
     """
 
@@ -490,7 +490,7 @@ class Filter:
 
     @property
     def whole(self) -> Mask:
-        """Which filtered poses have windows without gaps and outliers."""
+        """Mask of the filtered poses whose windows have no gaps and outliers."""
         return whole_windows(self.poses, self.half_window)
 
     def is_whole_at(self, stamps_ns: Stamps) -> Mask:
@@ -523,9 +523,9 @@ class Recording:
     tool_pose, package_pose : PoseStream
         As recorded, but for a time offset that was taken from the tool's stamps.
     tool_twist : TwistStream or None
-        The same of the tool's twists, where there are any.
+        Recorded twists of the tool, None without any.
     filters : (Filter, Filter)
-        Of tool and package, each at a uniform rate, from start to end.
+        Filters of tool and package, each at a uniform rate, from start to end.
     measured_tool, measured_package : Trajectory
         E and B aligned but not filtered. The tool has the recorded body twists where there are
         any; where poses or twists are missing or wrong, samples are not valid.
@@ -536,11 +536,11 @@ class Recording:
     alignment : Alignment
         From the recorded frames to E and B.
     report : Report
-        What was left out, and why.
+        Omitted data, and the reasons.
     name : str
-        What the user calls it: the path of a rosbag2 folder or file; '' for one of no file.
+        Name by the user: the path of a rosbag2 folder or file; '' for one of no file.
     digest : str
-        Of its messages as stored, the same wherever they lie; '' where nobody asked for it.
+        Digest of its stored messages, independent of the path; '' if not requested.
     files : tuple of mapping
         Name, bytes and sha256 of each of its files.
 
@@ -609,7 +609,7 @@ class Recording:
 
     @property
     def measured(self) -> Mask:
-        """Which unfiltered samples of both bodies are valid (N,)."""
+        """Mask (N,) of the valid unfiltered samples of both bodies."""
         return self.measured_tool.valid & self.measured_package.valid
 
     @cached_property

@@ -52,7 +52,7 @@ class Standstill:
     error : Noise
         Standard error of the relative pose, m and rad per axis.
     payload : Package
-        What hung on the cup.
+        Package on the cup.
     creep : array (6,)
         How far the relative pose still moves from the begin of the standstill on (m, rad), where
         rubber creeps; the pose of the package is then that in which it comes to rest.

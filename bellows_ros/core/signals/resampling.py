@@ -409,7 +409,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
     trajectory : Trajectory
         Poses as recorded, with faulty ones marked invalid.
     timing : Timing
-        Of its stamps.
+        Timing of its stamps.
 
     Returns
     -------

@@ -217,18 +217,18 @@ def with_filtered_noise(
     Parameters
     ----------
     motion : Trajectory
-        Of a body, with twists.
+        Motion of a body, with twists.
     noise : array_like (2,)
         Standard deviation of the poses that were filtered, m and rad per axis.
     ar1 : ndarray (2,)
         Of first-order noise of positions and of rotations, the part kept over a period; 0 where
         it is white.
     weights : ndarray (3, 2n+1)
-        Of the filter.
+        Weights of the filter.
     period : float
         Between these poses, s.
     draw : Generator
-        Of random numbers.
+        Generator of random numbers.
 
     """
     at = period * np.arange(int(motion.seconds[-1] / period) + 2)
@@ -290,7 +290,7 @@ def first_order(inputs: Array, ar1: float) -> Array:
     inputs : ndarray (N, C)
         In any unit.
     ar1 : float
-        Of the value before, below 1.
+        Weight of the value before, below 1.
 
     """
     diagonals = np.ones((2, len(inputs)))

@@ -59,7 +59,7 @@ class PoseStream(_Stamped):
         Reason to the indices, in the recording's order for this topic, of the messages that were
         left out.
     covariance : array (N, 6, 6), optional
-        Of position (m) and rotation (rad) about axes of the frame, as the messages have it.
+        Covariance of position (m) and rotation (rad) about axes of the frame, as in messages.
 
     Raises
     ------

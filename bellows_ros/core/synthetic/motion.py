@@ -154,9 +154,9 @@ class Oscillation(Vibration):
     rest_duration, ramp_duration, duration : float
         Rest, time until the full amplitude, and all together, s.
     amplitude : array (M,)
-        Of each component, m or rad.
+        Amplitude of each component, m or rad.
     axis : int array (M,)
-        Which displacement a component adds to: 0..2 world axes, 3..5 of the rotation vector.
+        Displacement of each component: 0..2 in world axes, 3..5 in the rotation vector.
     frequency : array (M, 2)
         At the end of the rest and at the end of the motion, Hz, changing linearly in between.
     phase : array (M,)

@@ -64,7 +64,7 @@ class Sensor(NamedTuple):
     marker : array (3,)
         Rotation vector of the marker frame in the body's axes, rad.
     jumps, dropouts : Faults
-        Of tracking, and gaps without messages.
+        Jumps of tracking, and gaps without messages.
     jitter : float
         Standard deviation of a stamp about the time of its sample, s.
     latency : float
@@ -101,7 +101,7 @@ class Schedule(NamedTuple):
     sampled_ns : int array (N,)
         When the body was where the sample says, ns.
     stamps_ns : int array (N,)
-        What the message's header says, ns.
+        Stamps of the headers, ns.
     jump : int array (N,)
         Number of the tracking jump the sample is part of, -1 for none.
     sent : bool array (N,)
@@ -130,7 +130,7 @@ def schedule(
     sensor : Sensor
         How the body is tracked.
     duration, rest_duration : float
-        Of the whole recording and of the rest at its beginning, s.
+        Durations of the recording and of the rest at its beginning, s.
     start_ns : int
         Stamp of the beginning, ns.
     draw : Generator
@@ -302,13 +302,13 @@ class Recipe(NamedTuple):
     Parameters
     ----------
     motion : Motion
-        Of the tool.
+        Motion of the tool.
     tool, package : Sensor
         How each is tracked.
     tool_twist : TwistSensor or None
         How the tool's twist is measured; None where it is not published.
     world : str
-        Of `WORLDS`.
+        One of `WORLDS`.
     frame_id : str
         In every header.
     topics : mapping
@@ -316,7 +316,7 @@ class Recipe(NamedTuple):
     storage, zstd : str, bool
         As `files.bag_writer.write_bag` takes them.
     seed : int
-        Of all random numbers.
+        Seed of all random numbers.
     start_ns : int
         First stamp, ns.
     truth : bool
@@ -433,7 +433,7 @@ class Truth(NamedTuple):
     """
     True trajectories of tool E and package B at common stamps, with body twists.
 
-    Tossed, the package hangs where `held`; where it lies after a toss it is not `tracked`.
+    A tossed package hangs while `held`; after its landing it is not `tracked`.
     """
 
     tool: Trajectory
@@ -470,7 +470,7 @@ def tossed(
     pickup : float
         So long (s) after that the next package hangs at rest.
     changes : array (N, 8)
-        By how much the law of release of each toss differs; see `release_with`.
+        Deviation of the law of release of each toss; see `release_with`.
 
     Raises
     ------

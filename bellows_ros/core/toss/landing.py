@@ -237,7 +237,7 @@ def aim(
     release : Release
         Valve, package and floor.
     target : (x, y)
-        Of B at landing, in the world, m.
+        Position of B at landing, in the world, m.
     rotation : array (3, 3), optional
         R_world_package wanted at landing; an angle counts as the way of the farthest corner.
     until : float

@@ -343,9 +343,9 @@ class HeldMotion:
     grip : tuple, optional
         As `grip_of` returns it.
     tool : Trajectory or ToolRows
-        The plan: poses and body twists of E; it stands still after the last one, if it does there.
+        The plan: poses and body twists of E; without a final twist E rests after the last pose.
     start : State, optional
-        Of B in the world at the first point; in steady motion there when left out.
+        State of B in the world at the first point; default: in steady motion.
     until : float
         Time (s since the first point) up to which it is searched for.
 
@@ -354,7 +354,7 @@ class HeldMotion:
     mode : str
         How it lets go: 'peel', or 'delay' if the grip is unknown.
     duration : float
-        Of the plan, s.
+        Duration of the plan, s.
     times, tools, states, margins : ndarray (M,), (M, 13), (M, 13), (M,)
         At each integration step: time (s), states of E and B, and the `suction_margin` (N).
 

@@ -202,7 +202,7 @@ class ReleaseFit(NamedTuple):
     free : tuple of int
         Those that were fitted.
     covariance : ndarray (8, 8)
-        Of the numbers, from the scatter between drops and from the prior of those that are
+        Covariance of the numbers, from the scatter between drops and the prior of those that are
         not identifiable; 0 of the others that were not fitted.
     scatter : ndarray (8,)
         Standard deviations from drop to drop; 0 of those that are common to all.
@@ -211,7 +211,7 @@ class ReleaseFit(NamedTuple):
     lack : float
         Mean square that the drops of one mass have left in common, over what scatter explains.
     common : float
-        What that leaves of their positions, m, rms.
+        Residual of their positions, m, rms.
 
     """
 
@@ -388,7 +388,7 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
     Parameters
     ----------
     position, seconds : array (N, 3), (N,)
-        Of B in the world, m, s.
+        Positions of B in the world, m, and times, s.
     gravity : (3,)
         m/s^2.
 
@@ -674,7 +674,7 @@ def drops_of(
     Parameters
     ----------
     recording : Recording
-        Of tool and package.
+        Recording of tool and package.
     model, grip : tuple
         As the kernels take them.
     valves_ns : sequence of int
