@@ -4,7 +4,7 @@ The command `bellows`: the package from a shell, without ROS.
 
 Finds the command, runs it, and turns errors into a message and an exit code. A command is a module
 of this package with its name, whose `run(arguments, console)` does the work and returns an
-`options.Outcome`. It is imported only to run; its help and what its line takes is in
+`options.Outcome`. The module is imported only to run; help and arguments are in
 `commands.toml`.
 
 An argument of the table has `name` (with what stands for its values in the help) and `help`, and
@@ -107,7 +107,7 @@ class Parser(argparse.ArgumentParser):
         return parsed, unknown
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Print help or an error; unlike the base class, raise where that cannot be written."""
+        """Print help or an error; unlike the base class, raise if the stream cannot be written."""
         print(message, end='', file=file or sys.stderr, flush=True)
 
     def error(self, message: str) -> NoReturn:

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
 
 def _next(arguments: argparse.Namespace, result: Identification) -> tuple[str, ...]:
-    """Return what became of the cup, and what to do with it."""
+    """Return the verdict on the cup, and the next step."""
     out, cell = arguments.out, arguments.out_cell
     if result.refusals:
         written = 'written because of --force' if (

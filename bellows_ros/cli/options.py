@@ -39,9 +39,9 @@ class Outcome(NamedTuple):
         Next steps after a file was written.
     inputs : sequence of path or None
         Recordings and plans that the JSON file names with their digests, beside the parameter
-        files; None where it has no provenance, or its own.
+        files; None for a JSON file without provenance, or with its own.
     content : mapping or None
-        Is written to --json instead.
+        Content for --json instead of the result.
     draw : str
         File for the picture of the result.
 

@@ -59,7 +59,7 @@ def unused_domain() -> int:
 
 
 def _bound(family: socket.AddressFamily, address: Any) -> socket.socket | None:
-    """Return a socket at an address of this machine, None where that is taken."""
+    """Return a socket at an address of this machine, None if the address is in use."""
     bound = socket.socket(family, socket.SOCK_DGRAM)
     try:
         bound.bind(address)

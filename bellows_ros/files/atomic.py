@@ -70,7 +70,7 @@ def write_bytes(path: File, data: bytes) -> None:
 
 def require_file_target(path: File) -> Path:
     """
-    Return where a file will be written, before any work is put into its content.
+    Return the path of a file to write, before any work is put into its content.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
 
 def require_folder_target(path: File, follow: bool = False) -> Path:
     """
-    Return where an output will be written, before any work is put into its content.
+    Return the path of an output, before any work is put into its content.
 
     Parameters
     ----------

@@ -257,7 +257,7 @@ def recording_digest(path: File, files: Sequence[Mapping[str, Any]] = ()) -> str
     """
     Return the SHA-256 of a recording's stored messages, independent of place and storage.
 
-    Its `digests` are taken again only where they are not given.
+    Its `digests` are computed unless given.
 
     Raises
     ------

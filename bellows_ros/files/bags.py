@@ -147,7 +147,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     names : collection of str, optional
-        Topics with poses or twists; all of these where none is named.
+        Topics with poses or twists; default: all of these.
 
     Returns
     -------

@@ -203,7 +203,7 @@ def _exactly(file: BinaryIO, size: int) -> bytes:
 
 
 def _text(body: bytes, at: int) -> tuple[str, int]:
-    """Return the string that begins there, and where it ends."""
+    """Return the string at an offset, and the offset of its end."""
     (size,) = struct.unpack_from('<I', body, at)
     end = at + 4 + size
     if end > len(body):

@@ -397,7 +397,7 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
         Topic.
     decoded : array (N,)
         As of `decode`, in the recording's order; values are x, y, z, the quaternion (x, y, z, w),
-        and the covariance where that is wanted.
+        and, if requested, the covariance.
     frames : sequence of tuple of str
         The names of the frames by their indices: frame_id, and child_frame_id where the type has
         one.

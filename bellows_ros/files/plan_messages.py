@@ -256,7 +256,7 @@ def joint_plan(message: Any) -> JointPlan:
 
 
 def lists_of(points: Sequence[Any], part: str, count: int) -> list[Any] | None:
-    """Return what all points have of a part, or None if no point has any; refuse other numbers."""
+    """Return a part of all points, or None if no point has the part; refuse other numbers."""
     lists = [getattr(point, part, ()) for point in points]
     if not any(len(each) for each in lists):
         return None

@@ -86,7 +86,7 @@ def poses_in(
     transforms : sequence of Transform
         As `read_transforms` returns them.
     frame, world : str
-        The frame wanted, and in which one; in the farthest one above it where that is ''.
+        Frame of the body, and frame of its poses; '' for the farthest ancestor.
     of : str
         Name of the body of the transforms, for messages.
 

@@ -181,7 +181,7 @@ class Worker:
         return bool(self._pending) or self._running is not None
 
     def pending(self, kind: type) -> int:
-        """Return how many requests wait whose kind is of a type."""
+        """Return the number of waiting requests of a kind."""
         return sum(isinstance(each, kind) for each in list(self._pending))
 
     def submit(self, kind: object, work: Callable[..., None], *arguments: Any) -> None:

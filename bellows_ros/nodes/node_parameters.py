@@ -53,7 +53,7 @@ class TableNode(GuardedNode):
     user : {'predictor', 'identifier'}
         Default name of the node, and whose parameters it has.
     read_only : bool
-        True where none of them can change once the node runs.
+        True if no parameter can change once the node runs.
     results : collection of str
         Parameters that are not declared before the node has their values.
     options
@@ -70,7 +70,7 @@ class TableNode(GuardedNode):
     ------
     BellowsError
         If a name is unknown, a value is not allowed, one without a default is missing, or ROS
-        refuses the node, as where it is to be secured and cannot.
+        refuses the node, as if required security is not available.
 
     """
 

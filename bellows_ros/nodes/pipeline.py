@@ -286,7 +286,7 @@ class Pipeline(Predicting):
             uncertainty.warm_up_uncertainty(cup_of(values).relaxation)
             self.observing.warm_up(model)
             release_compiler()
-        finally:  # what fails to compile fails again where it is used
+        finally:  # a compilation that fails here fails again at its use
             self._compiled.add(_kernels_of(values))
 
     def _apply(self) -> None:
@@ -392,7 +392,7 @@ class SensorInput:
         return ''
 
     def _sentence(self, mismatch: str, name: str) -> str:
-        """Return what does not match, in words."""
+        """Return the mismatch in words."""
         return health.say(f'inputs.{mismatch}', topic=self.topic, name=name)
 
 

@@ -173,7 +173,7 @@ class Planning:
 
     def rest(self, now: Prediction, deviations: float = 0.0) -> ToolRows | None:
         """
-        Return the tool from a prediction on, by its plan, or None where it drives none.
+        Return the plan of the tool from a prediction on, or None without a plan in progress.
 
         The progress is changed by so many of its standard deviations.
         """

@@ -205,7 +205,7 @@ def write_page(result: identification.Identification, path: File) -> None:
 
 
 def _simulated(values: Values, recording: Recording) -> Section:
-    """Return how a recording of the fit is simulated, or why it cannot be."""
+    """Return the simulation of a recording of the fit, or the reason for its absence."""
     title = f'Used in the fit: {recording.name}'
     try:
         return _motion(title, replay.validated(values, recording), with_loads=True)

@@ -68,7 +68,7 @@ def sentence(room: str, code: str, **numbers: Any) -> str:
 
 
 def flip_warning(angle: float, code: str = 'flips', begin: float = 0.0) -> str:
-    """Return the warning on a cup that bends by an angle (rad), '' where that is allowed."""
+    """Return the warning on a bending angle (rad) of the cup, '' for an allowed one."""
     return '' if angle <= PEAK_MOMENT_BENDING else sentence(
         'planning', code, angle=angle, limit=PEAK_MOMENT_BENDING, typical=TYPICAL_BENDING,
         begin=begin)
@@ -166,7 +166,7 @@ def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
 
 
 def setting_of(finding: Finding) -> str:
-    """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
+    """Return the parameter to change, both if either may be wrong, '' if the cup is the cause."""
     if finding.name == 'yaw':
         bodies = [text.split()[0] for text in (finding.value, finding.instead) if text]
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))

@@ -156,7 +156,7 @@ def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
 
 
 def _in_percent(error: float, value: float) -> str:
-    """Return a standard error as a part of its value, '' where that is not identifiable."""
+    """Return a standard error as a part of its value, '' if the value is not identifiable."""
     if not (math.isfinite(error) and value):
         return ''
     percent = 100.0 * error / abs(value)

@@ -66,14 +66,14 @@ class TopicInfo(NamedTuple):
     name, type_name : str
     messages : int
     kind : str
-        'pose', 'twist', 'pose and twist', or '' where it is none that can be used.
+        'pose', 'twist', 'pose and twist', or '' for an unusable type.
     problem : str
-        Why it cannot be read, though its type fits; else ''.
+        Reason that a topic of a fitting type cannot be read; else ''.
     frame_id : str
     start_ns : int
         First stamp.
     duration_s, rate_hz, jitter_s : float
-        Last minus first stamp; rate where nothing is missing; robust deviation of the steps.
+        Last minus first stamp; rate without gaps; robust deviation of the steps.
     gaps : tuple of (float, float)
         Start, from the recording's first stamp, and length of each, s.
     refused : mapping of str to int
@@ -357,7 +357,7 @@ def _registration_settings(
 
 
 def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
-    """Return why two topics are of two worlds or two clocks, '' where they are not."""
+    """Return why two topics are of two worlds or two clocks, '' if both agree."""
     frames = shown(tool.frame_id), shown(package.frame_id)
     if all(frames) and frames[0] != frames[1]:
         return f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'."
@@ -499,7 +499,7 @@ def _twist_match(tool: PoseStream, twist: TwistStream) -> tuple[float, str, bool
     """
     Compare a twist, integrated over `TWIST_WINDOW`, with the change of the poses.
 
-    Return the relative error, in which axes ('' where that is unknown), and whether in degrees.
+    Return the relative error, its axes ('' if unknown), and whether angles are in degrees.
     """
     inside = (tool.stamps_ns[0] <= twist.stamps_ns) & (twist.stamps_ns <= tool.stamps_ns[-1])
     if np.count_nonzero(inside) < 10:

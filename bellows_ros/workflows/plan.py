@@ -184,7 +184,7 @@ class PlanReport(CommandResult):
     @cached_property
     def driven(self) -> tuple[Trajectory, Array, str]:
         """
-        The motion to write: the plan, or in its shortest safe time where that was sought.
+        The motion to write: the plan, or the plan in its shortest safe time if requested.
 
         The tool, the package's states (N, 13), and the limit of a joint that needs more time, ''.
         """

@@ -121,7 +121,7 @@ class Scene:
     seconds : array (N,)
         From the recording's first stamp, s.
     tool, package, outline : Trajectory
-        N poses of E, of B, and of B as it is drawn beside that.
+        N poses of E, of B, and of B as drawn beside the measured one.
     cup_length : float
         m.
     com, box : array (3,)
@@ -173,7 +173,7 @@ Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
 def recorded(
     bag: File, settings: Mapping[str, Any], needs_package: bool
 ) -> tuple[Values, Recording]:
-    """Return all parameters, and a recording; without package.com, B is where it is tracked."""
+    """Return all parameters, and a recording; without package.com, B is the tracked point."""
     given = settings if needs_package else {**NO_PACKAGE, **settings}
     values = resolve(given, PACKAGE_PARAMETERS)
     return values, load(bag, values)

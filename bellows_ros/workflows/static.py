@@ -56,7 +56,7 @@ class StaticResult(NamedTuple):
 
     @property
     def creep(self) -> str:
-        """A sentence on rubber that creeps in the standstills; '' where none does."""
+        """A sentence on creep of rubber in the standstills; '' without creep."""
         creeps = np.array([still.creep for still in self.standstills if still.creep.any()])
         if not len(creeps):
             return ''
@@ -71,7 +71,7 @@ class StaticResult(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """A sentence on the spring; '' where it was not checked."""
+        """A sentence on the spring; '' without a check of the spring."""
         return self.spring and sentence(
             'static', 'holds' if self.passed else 'off', count=len(self.spring),
             failing=sum(map(statics.is_off, self.spring))) or ''
@@ -185,7 +185,7 @@ def static_check(
         Recordings of one cup with known masses.
     settings : mapping
         Parameters by name. The spring is checked if cup.stiffness is among them; with cup.length,
-        or with the estimated length where that is not among them.
+        else with the estimated length.
     progress : callable, optional
         Called with the present step and its completed part (0 to 1).
 

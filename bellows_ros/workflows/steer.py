@@ -226,7 +226,7 @@ def read_limits(content: object) -> Limits:
 
 
 def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> tuple[float, str]:
-    """Return how many times as long the motion takes within limits, and which one needs that."""
+    """Return the factor of the duration that keeps the limits, and the limit that requires it."""
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
         raise BellowsError(

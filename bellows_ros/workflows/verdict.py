@@ -54,7 +54,7 @@ class Simulated(NamedTuple):
     motion: Array
     unexplained: tuple[str, ...]
     beginning: float = 0.0
-    """So much of a long recording, s; 0 where it is all of it."""
+    """Simulated beginning of a long recording, s; 0 for a whole recording."""
     uncertainty: Array | float = 0.0
     """RMS errors (6,) that the standard errors of K and P explain."""
     all_identifiable: bool = True
@@ -86,7 +86,7 @@ class Simulated(NamedTuple):
         return f'Free simulation of {what} with this cup: RMS error {"; ".join(parts)}.'
 
     def as_json(self) -> dict[str, Any]:
-        """Return it for a JSON file."""
+        """Return the content for a JSON file."""
         return {**self._asdict(), 'axes': AXES, 'units': {
             'noise': POSE_UNITS, 'uncertainty': POSE_UNITS, 'beginning': 's'}}
 
@@ -202,7 +202,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """Why the cup is refused; nothing where it is not."""
+        """Reasons to refuse the cup; empty for a usable one."""
         reasons = []
         for simulated in self.simulated:
             if simulated.unexplained:
@@ -235,7 +235,7 @@ class FitVerdict(NamedTuple):
         return tuple(reasons)
 
     def as_json(self) -> dict[str, Any]:
-        """Return it for a JSON file."""
+        """Return the content for a JSON file."""
         return {
             'free_simulations': self.simulated,
             'excess': self.diagnosis.excess,

@@ -703,7 +703,7 @@ def load_rows(
     response: Response, model: ModelTuple, limits: ArmLimits, grip: Grip | None, omega: Array
 ) -> Array:
     """
-    Return what makes the `LOADS`, in parts of their limits, of lines of the tool: (4, F, 4, 6).
+    Return the map (4, F, 4, 6) from lines of the tool to the `LOADS`, in parts of their limits.
 
     Three numbers whose length counts, and one that adds to it. Without a grip model two loads.
     """

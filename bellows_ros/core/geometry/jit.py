@@ -67,7 +67,7 @@ def array_kernel(function: Function) -> Function:
 
 
 def _wrapped(function: Function, options: dict[str, Any]) -> Function:
-    """Return what compiles a kernel twice: for Python, and to be called by other kernels."""
+    """Return a decorator that compiles a kernel for Python and for other kernels."""
     compiled = _compiler(function, options)
     called = cache(lambda: _compiler(function, options, called=True))
     # Other kernels call it without the conversion of Python's numbers: a third less to compile.
@@ -77,7 +77,7 @@ def _wrapped(function: Function, options: dict[str, Any]) -> Function:
 
 
 def _compiler(function: Callable[..., Any], options: dict[str, Any], called: bool = False) -> Any:
-    """Return what compiles a kernel for Python, or only to be called by other kernels."""
+    """Return a decorator that compiles a kernel for Python, or for other kernels alone."""
     options = {**options, 'no_cfunc_wrapper': True, 'no_cpython_wrapper': called}
     try:
         compiled = numba.njit(cache=True, **options)(function)

@@ -45,7 +45,8 @@ def covariance_of(information: Array) -> Array:
     """
     Return the covariance (n, n) of parameters with this information.
 
-    What is not identifiable has inf on the diagonal and 0 beside it; the rest is that without it.
+    Unidentifiable parameters have inf on the diagonal and 0 elsewhere, the others their covariance
+    without these.
     """
     diagonal = np.diag(information)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))

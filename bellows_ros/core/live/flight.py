@@ -257,7 +257,7 @@ class Flight:
         self, model: ModelTuple, now: Prediction, tool: ToolRows | None, switched: float,
         until: float,
     ) -> tuple[float, State, float, State]:
-        """Return what `toss_along` does, of a package that is held up to a time (s)."""
+        """Return the result of `toss_along` for a package that is held up to a time (s)."""
         return release.toss_along(
             (model, self.grip or release.NO_GRIP, self._release, switched), 0.0, now.tool,
             adapted(model, now.tool, now.body),

@@ -311,7 +311,7 @@ class PlanTracker:
             time, rate, variance, covariance, rate_variance + drift)
 
     def _wait(self, stamp_ns: int) -> float:
-        """Return the time (s) until the plan begins; infinite where it does with the tool."""
+        """Return the time (s) until the plan begins; infinite if the plan begins with the tool."""
         wait = (self._stamp_ns - stamp_ns) / NS_PER_S if self._stamp_ns else math.inf
         is_soon = -MAX_WAIT - self._end <= wait <= MAX_WAIT
         return wait if is_soon else math.inf

@@ -99,7 +99,7 @@ class Reference(NamedTuple):
 
 @kernel
 def change(a: Vector, b: Vector) -> tuple[float, float]:
-    """Return the length of b - a, and the smaller of both lengths where they agree."""
+    """Return the length of b - a, and the smaller length of both, 0 if a and b are opposed."""
     return t3.norm(t3.subtract(b, a)), min(t3.norm(a), t3.norm(b)) if t3.dot(a, b) > 0.0 else 0.0
 
 

@@ -401,7 +401,7 @@ class ToolMotion:
     def measured(
         self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
     ) -> tuple[State, float, float, tuple[float, float]]:
-        """Return what `with_measured_twist` does, of E at the pose just added."""
+        """Return the result of `with_measured_twist` for E at the newest pose."""
         q = pose.quaternion_xyzw
         if self._tip is not None:
             twist = _at_tip(twist, *self._tip, q, self._in_world)

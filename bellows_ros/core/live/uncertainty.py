@@ -154,7 +154,7 @@ class Uncertainty:
         return np.asarray(root @ root.T)
 
     def root(self, prediction: Prediction) -> Array:
-        """Return a factor (12, n) of the covariance, `UNKNOWN_ROOT` where it is not defined."""
+        """Return a factor (12, n) of the covariance, `UNKNOWN_ROOT` for an undefined one."""
         stamp_ns = prediction.stamp_ns
         if not prediction.coasting:
             interval = stamp_ns - self._measured_ns
@@ -333,7 +333,7 @@ class Settling:
     Attributes
     ----------
     now : Unsettled or None
-        None where it has died away.
+        Unsettled part of the state, None once decayed.
     modes : Modes
         Modes of the package, to be set first; a running decay keeps its end when they change.
 

@@ -145,7 +145,7 @@ def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
 
 
 def sag(model: ModelTuple) -> float:
-    """Return how far (m) its weight shifts a package in the softest direction."""
+    """Return the shift (m) of a package by its weight in the softest direction."""
     softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
     return model[1][0] * math.hypot(*model[2]) / softest
 

@@ -140,7 +140,7 @@ class ToolRows:
         return np.asarray((self.stamps_ns - self.stamps_ns[0]) / NS_PER_S)
 
     def trajectory(self) -> Trajectory:
-        """Return it as a checked trajectory."""
+        """Return the simulation as a checked trajectory."""
         return trajectory_of(self.stamps_ns, self.rows)
 
 
@@ -236,13 +236,13 @@ def body_row(row: Array, body: State) -> State:
 
 
 def row_length(body: State) -> int:
-    """Return how many numbers a state has: 13, with internal strains 25."""
+    """Return the length of a state: 13, with internal strains 25."""
     return 13 + 6 * len(body[4:])
 
 
 @kernel
 def write_row(row: Array, state: State) -> None:
-    """Write a state into one row of 13 numbers, with its internal strains where it is longer."""
+    """Write a state into one row of 13 numbers, or of 25 with its internal strains."""
     row[0], row[1], row[2] = state[0]
     row[3], row[4], row[5], row[6] = state[1]
     row[7], row[8], row[9] = state[2]

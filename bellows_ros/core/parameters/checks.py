@@ -336,8 +336,8 @@ class Settings:
     path : str
         Where the block stands, for messages: '' or 'tool.outliers', for instance.
     where : callable, optional
-        From the names that lead to a setting to what errors on it begin with, as its line; the
-        values' own where they have one.
+        Prefix of errors on a setting, as its line, by the names that lead to the setting;
+        default: the prefix of the values, if any.
 
     Raises
     ------

@@ -195,7 +195,7 @@ def fastest(
     Returns
     -------
     Fastest or None
-        None where none up to `MAX_TIME_SCALE` holds.
+        None if no time scale up to `MAX_TIME_SCALE` keeps the limits.
 
     """
     longest = largest_step(model)
@@ -239,7 +239,7 @@ def fastest(
 
 
 def _local_maximum(margin: Callable[[float], float], scale: float) -> tuple[float, float]:
-    """Return where a margin is largest, of the last two steps of the scan, and how large."""
+    """Return place and size of the largest margin within the last two steps of the scan."""
     lowest = scale / (1.0 + SCAN_STEP) ** 2
     top = scipy.optimize.minimize_scalar(
         lambda s: -margin(s), bounds=(lowest, scale), method='bounded',

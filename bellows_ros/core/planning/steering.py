@@ -223,9 +223,9 @@ def inverse(
     tool : Trajectory
         Motion of E with body twists, after the arrival continued until the cup has relaxed.
     package : Trajectory
-        The motion of B at the same stamps, smoothed where it was not C^4.
+        Motion of B at the same stamps, smoothed unless C^4.
     smoothed : float
-        Over what time (s); 0 where it was C^4.
+        Duration of the smoothing (s); 0 for a motion that is C^4.
 
     Raises
     ------

@@ -254,7 +254,7 @@ class Rest(NamedTuple):
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
-    """Return how both bodies begin, from where both are measured; poses in the world, z up."""
+    """Return the rest of both bodies at the first common samples; poses in the world, z up."""
     begin, _ = common_span(tool, package)
     spans = [body.between(begin, begin + 20 * NS_PER_S) for body in (tool, package)]
     if not all(body.valid.any() for body in spans):
@@ -290,7 +290,7 @@ def _median_rotation(rotation: Array) -> Array:
 
 
 def _is_typical(deviation: Array) -> Mask:
-    """Return where no axis deviates by more than its typical deviation times a factor."""
+    """Return the mask of samples within a factor of the typical deviation in every axis."""
     typical = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
     # Without noise the median is nothing but rounding: then all that is tiny is typical.
     # robust deviations
@@ -354,7 +354,7 @@ def rotation_correlation(
 
 def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
     """
-    Return about how much the tool's stamps may be behind the package's (s): where both turn alike.
+    Return likely delays (s) of the tool's stamps behind the package's: their rotations agree.
 
     A motion that repeats itself is alike at several lags; a package that swings is not most alike
     at the true one. The one nearest to the stamps as they are comes first.

@@ -54,7 +54,7 @@ def converted(poses: Posed, convention: Convention) -> Posed:
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
-    """Return the conventions of two streams: the standard ones where they fit."""
+    """Return the conventions of two streams: the standard ones if consistent."""
     first, last = common_span(tool, package)
     units = Convention(), Convention()
     if last <= first:
@@ -97,7 +97,7 @@ def _of_two_worlds(bodies: Sequence[Trajectory]) -> tuple[Convention, Convention
 
 
 def similarity(first: Array, second: Array) -> float:
-    """Return how alike vectors (N, 3) are that may be turned against each other: 1 if equal."""
+    """Return the correlation of vectors (N, 3) up to a rotation between them: 1 if equal."""
     U, sizes, V = np.linalg.svd(first.T @ second)
     sizes[2] *= np.sign(np.linalg.det(U @ V))
     return float(sizes.sum() / max(np.linalg.norm(first) * np.linalg.norm(second), 1e-12))

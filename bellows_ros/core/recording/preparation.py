@@ -23,7 +23,7 @@ from .measurement_model import MeasurementModel
 from .outliers import find_flips, find_outliers, increments_of, LastingStep, repeats_in_motion
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
-# Half a filter window, s, where none is given. With order 6 the filter takes less than 0.1 % from
+# Default half window of the filter, s. With order 6 the filter takes less than 0.1 % from
 # K and P of a cup shaken at 3 Hz, and averages as much noise as that allows.
 AUTOMATIC_HALF_WINDOW = 1 / 12
 # Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
@@ -129,7 +129,7 @@ def _joined(recording: Recording) -> Recording:
 def _alignment(
     tool_poses: Trajectory, package_poses: Trajectory, settings: PrepareSettings
 ) -> Alignment:
-    """Return the alignment at the standstill from where both streams have begun, or none."""
+    """Return the alignment at the standstill once both streams have begun, or None."""
     given = settings.package_frame, settings.payload.com
     if not settings.align_at_rest:
         return Alignment(np.eye(3), np.eye(3), given[1] * (given[0] == 'lip'), np.zeros(3))

@@ -61,7 +61,7 @@ class Noise(NamedTuple):
 
 def ripple(poses: Trajectory) -> tuple[Array, Array]:
     """
-    Return what quartics through nine poses leave of the middle ones, and these rotations.
+    Return the residuals of quartics through nine poses at the middle ones, and these rotations.
 
     Parameters
     ----------
@@ -411,7 +411,7 @@ class PackageWorld(NamedTuple):
     std: Array
 
     def as_json(self) -> dict[str, Any]:
-        """Return it with its units, for a JSON file."""
+        """Return the report with its units, for a JSON file."""
         return {
             'position': self.pose[:3], 'quaternion_xyzw': self.pose[3:],
             'position_std': self.std[:3], 'rotation_std': self.std[3:],
@@ -426,7 +426,7 @@ class TimeOffset(NamedTuple):
     std: float
 
     def as_json(self) -> dict[str, Any]:
-        """Return it with its unit, for a JSON file."""
+        """Return the value with its unit, for a JSON file."""
         return {**self._asdict(), 'unit': 's'}
 
 

@@ -206,8 +206,8 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
     """
     Return the standard errors of the mean of relative poses (N, 6).
 
-    Those of noise, or those that the means over short blocks show by their scatter where that is
-    more: residual swing counts, too.
+    The larger one of the standard error by noise and of that by the scatter of means over short
+    blocks, which includes residual swing.
     """
     blocks = (stamps_ns - stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
     starts = np.unique(blocks, return_index=True)[1]

@@ -62,7 +62,7 @@ class Timing:
     Parameters
     ----------
     rate_hz : float
-        Samples per second where none is missing.
+        Samples per second without gaps.
     jitter_s : float
         Robust standard deviation of the steps between samples, s.
     uniform : bool
@@ -414,9 +414,8 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
     Returns
     -------
     Trajectory
-        Uniform stamps. Samples are copied where the recorded stamps are uniform and interpolated
-        where they are not; those in gaps, or beside an invalid sample they were interpolated
-        from, are invalid.
+        Uniform stamps. Samples at uniform recorded stamps are copied, others interpolated; samples
+        in gaps, or interpolated from an invalid sample, are invalid.
 
     Raises
     ------

@@ -65,7 +65,7 @@ class Comparison:
         Tool-relative coordinates: position of B (m) and rotation vector (rad) in E axes. NaN where
         the tool was lost; measured ones also where the package was.
     scores : Scores
-        Errors per axis, where both are valid.
+        Errors per axis, at samples valid in both.
 
     """
 

@@ -59,7 +59,7 @@ class Motion(ABC):
     @abstractmethod
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """
-        Return where the tool is and how it moves.
+        Return pose and twist of the tool.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class Vibration(Motion):
         """
 
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return where the tool is and how it moves; the body rate is dexp(-phi) dphi/dt."""
+        """Return pose and twist of the tool; the body rate is dexp(-phi) dphi/dt."""
         value, rate = self.displacement(t)
         phi = value[:, 3:]
         return (
@@ -241,7 +241,7 @@ class Waypoints(Motion):
         return self.rest_duration + sum(each.move + each.hold for each in self.segments)
 
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return where the tool is and how it moves; at rest before the first segment."""
+        """Return pose and twist of the tool; at rest before the first segment."""
         still = np.zeros((len(t), 3))
         position, rotation = still + self.start.position, still[..., None] + self.start.rotation
         velocity, body_rate = still.copy(), still.copy()

@@ -306,7 +306,7 @@ class Recipe(NamedTuple):
     tool, package : Sensor
         How each is tracked.
     tool_twist : TwistSensor or None
-        How the tool's twist is measured; None where it is not published.
+        Measurement of the tool's twist; None without a published twist.
     world : str
         One of `WORLDS`.
     frame_id : str

@@ -31,7 +31,7 @@ which end was replaced last: -1 the second, 1 the first; 0 without a root."""
 
 @kernel
 def secant_root(bracket: Bracket, margin: float) -> float:
-    """Return where the secant vanishes between two ends, off both by a margin."""
+    """Return the zero of the secant between two ends, at a margin from both."""
     low, high, above, below, _ = bracket
     s = low + (high - low) * above / (above - below)
     return min(max(s, low + margin), high - margin)
@@ -94,7 +94,7 @@ def _body_rate_after(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> V
 
 @kernel
 def flight_step(body: State, rotation_per_step: float) -> float:
-    """Return how long (s) a step of the flight may be."""
+    """Return the longest step (s) of the flight."""
     rate = math.sqrt(t3.dot(body[3], body[3]))
     # a package does not rotate faster
     return max(1e-5, min(MAX_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))

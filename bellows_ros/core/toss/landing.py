@@ -127,7 +127,7 @@ def distance_of(mass: float, mass_range: tuple[float, ...]) -> float:
 
 def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     """
-    Return what cup, package and release contribute, by differences as in `perturbed`.
+    Return the contributions of cup, package and release, by differences as in `perturbed`.
 
     The law of release acts to second order, too: with a normal z along each axis of its
     covariance, a z + b z^2 has the second moment a^2 + 2 b^2 about its mean, the sum of all b.

@@ -251,7 +251,7 @@ def write_toss(
     """
     Write the package's states at the times (N,) of the tool's rows (N, 13).
 
-    It is `body` at the first one. Return when it is let go (s), -1 where it is not.
+    The first state is `body`. Return the time of release (s), -1 without a release.
     """
     (_, package, gravity), _, release, _ = switching
     released = -1.0
@@ -400,7 +400,7 @@ class HeldMotion:
         self._inputs = as_inputs(self.times, tools, states)
 
     def find_release(self, release: Release, switched: float) -> tuple[float, State, float, State]:
-        """Return what `toss_along` does, the valve being switched at a time (s)."""
+        """Return the result of `toss_along` for a valve switched at a time (s)."""
         times, tools, states = self._inputs
         i = self._step_at(switched)
         return toss_along(

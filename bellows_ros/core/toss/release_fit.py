@@ -576,7 +576,7 @@ class _DropFit:
     def __init__(
         self, drop: Drop, free: tuple[int, ...], nuisance: Array | None = None
     ) -> None:
-        """Begin with nuisance parameters of zero where none are given."""
+        """Begin with nuisance parameters of zero unless given."""
         self.drop, self.free = drop, free
         noise = np.maximum(drop.noise, MIN_NOISE)
         self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
@@ -593,7 +593,7 @@ class _DropFit:
         return np.asarray(self._scatter @ self.nuisance[:self._scatter_count])
 
     def _predicted(self, law: Array, nuisance: Array) -> tuple[float, Array]:
-        """Return what `Drop.predicted` does."""
+        """Return the result of `Drop.predicted`."""
         return self.drop.predicted(
             as_law(law + self._scatter @ nuisance[:self._scatter_count]),
             None if self.drop.stands else nuisance[self._scatter_count:])
@@ -740,7 +740,7 @@ def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
 
 
 def _stands(poses: Trajectory, times: float = 1.0) -> bool:
-    """Return whether poses stay where they are, within so many times `REST_TOLERANCE`."""
+    """Return whether poses are at rest within a multiple of `REST_TOLERANCE`."""
     rotation = lie.log_so3(np.swapaxes(poses.rotation[:1], -1, -2) @ poses.rotation)
     shift = poses.position - poses.position.mean(axis=0)
     return bool(np.abs(shift).max() < times * REST_TOLERANCE[0]
