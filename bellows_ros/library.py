@@ -447,7 +447,7 @@ def toss(
     release : float, optional
         When the valve is switched, s since the first point of the motion.
     target : (x, y), optional
-        Where B should land, m; the time of the valve is then sought. With a `release` as well,
+        Target of B, m; the time of the valve is then sought. With a `release` as well,
         `distance_as_asked` is how far (m) from there that one lands.
     target_rotation : array_like (4,) or Rotation, optional
         Quaternion (x, y, z, w) wanted at the landing, or a SciPy rotation.

@@ -77,7 +77,7 @@ class Source:
     values : mapping
         All parameters.
     joints : Joints or None
-        Where it is a plan of an arm's joints.
+        Arm of a plan of joints, else None.
 
     """
 
@@ -251,7 +251,7 @@ def plan(
     urdf : str
         File with the arm, where the plan is one of its joints; '' for that in the recording.
     topic : str
-        Where a recording has several plans.
+        Topic of the plan in a recording with several.
     seek_fastest : bool
         Whether the shortest safe time is sought.
 

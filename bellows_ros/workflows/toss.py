@@ -206,7 +206,7 @@ def toss_plan(
     switched : float or None
         When the valve is switched, s since the first point of the plan; None with a target.
     target : (x, y), optional
-        Where B should land, in the world, m; the time of the valve is then sought.
+        Target of B in the world, m; the time of the valve is then sought.
     target_rotation : array (4,), optional
         Quaternion (x, y, z, w) wanted at landing.
     monte_carlo : int

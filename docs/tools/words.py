@@ -17,8 +17,8 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 
-MOST = 232
-"""Number of findings that are left from before; none may be added."""
+MOST = 211
+"""Number of findings that are left; none may be added."""
 
 PATTERNS = {
     name: re.compile(pattern) for name, pattern in {
@@ -39,7 +39,7 @@ def python_texts(file: Path) -> Iterator[tuple[int, str]]:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(
                 node.value.value, str):
             line = node.lineno
-            for part in re.split(r'\n\s*\n', node.value.value):
+            for part in re.split(r'\n\s*\n|\n[^\n]* : [^\n]*\n', node.value.value):
                 yield line, part
                 line += part.count('\n') + 2
     for token in tokenize.generate_tokens(io.StringIO(source).readline):

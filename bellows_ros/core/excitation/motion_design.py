@@ -315,7 +315,7 @@ def response(
     model_of : callable
         From parameters (n,) to cup, package and gravity.
     parameters, scale : ndarray (n,)
-        Where, and the units in which derivatives are taken.
+        Argument, and the units of the derivatives.
     tool : State
         At rest.
     omega : ndarray (F,)
@@ -388,8 +388,8 @@ class FourierMotion(moving.Vibration):
     period : float
         Period of the fundamental, and of the whole series, s.
     coefficients : complex array (K, 6)
-        Of its harmonics, m and rad: real part of c exp(i omega t), of the displacement in world
-        axes and of the rotation vector in the tool's axes at the start.
+        Coefficients of the harmonics, m and rad: real part of c exp(i omega t), of displacement in
+        world axes and of the rotation vector in the tool's axes at the start.
     rest_duration : float
         Before them, s.
     tilt : array (3,)
@@ -629,7 +629,7 @@ def design(
     progress : callable
         Called with the present step and its completed part (0 to 1).
     hold : float
-        Of a tilt, s, beside `duration`: rubber relaxes in it. None where the tool may not tilt.
+        Duration of a tilt, s, after `duration`: rubber relaxes. None if the tool must not tilt.
 
     Raises
     ------

@@ -103,7 +103,7 @@ MIN_DENSITY = 1e-18
 
 class Finding(NamedTuple):
     """
-    What is, or may be, otherwise than it was given.
+    A confirmed or possible deviation from a given quantity or setting.
 
     Parameters
     ----------
@@ -160,16 +160,16 @@ class Finding(NamedTuple):
 
 class Diagnosis(NamedTuple):
     """
-    What was found to be otherwise.
+    The causes that were found.
 
     Parameters
     ----------
     excess : float
-        What noise does not explain, in squares expected of noise.
+        Chi² beyond noise, over the chi² expected of noise.
     findings : tuple of Finding
         The likeliest; or all that is wrong without any fit.
     besides : tuple of Finding
-        What is wrong beside the first of them, once that is corrected.
+        Further causes after correction of the first one.
 
     """
 

@@ -160,7 +160,7 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
     axes : sequence of Axis
         The six directions.
     passed : sequence of PassBand
-        Of each recording.
+        Pass band of each recording.
 
     """
     too_much = (np.sum([band.removed for band in passed], axis=0)
@@ -195,11 +195,11 @@ class Excitation(NamedTuple):
     rank, size : int
         How many combinations of parameters are identifiable, of how many.
     condition_number : float
-        Of the whitened equations with columns of unit length.
+        Condition number of the whitened equations with columns of unit length.
     pairs : tuple of (str, str, float)
         Parameters that can hardly be separated, and the correlation of their estimates.
     warnings : tuple of str
-        What the user should know and do, in sentences.
+        Sentences with facts and advice for the user.
 
     """
 
@@ -226,7 +226,7 @@ def excitation_of(
     Parameters
     ----------
     parts : sequence of ReducedRecording
-        What each recording was reduced to.
+        Recordings, reduced.
     method : str
         Of the fit: of what biases least squares of filtered motion, noise and what is too fast
         for the filter, is not judged where it is another.

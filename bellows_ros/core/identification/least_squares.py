@@ -119,7 +119,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     Parameters
     ----------
     parts : sequence of Statistics
-        Of recordings of one cup, all with one structure and cup length.
+        Statistics of recordings of one cup, all with one structure and cup length.
 
     Returns
     -------

@@ -96,7 +96,7 @@ def fit(
     progress : callable, optional
         Called with the present step and its completed part (0 to 1).
     standstills : sequence of Standstill
-        Of the same cup, whose balance counts, too.
+        Standstills of the same cup, whose balance counts, too.
     length_std : float
         Standard error of cup.length, m.
 
@@ -260,7 +260,7 @@ def start_cup(parts: Sequence[reduction.Statistics], given: Cup) -> Cup:
     """
     Return the cup that the output error starts from, by least squares of few parameters.
 
-    What is not identifiable, or below zero, is that of the given cup.
+    Unidentifiable or negative entries are taken from the given cup.
     """
     result = least_squares.least_squares([part._replace(noise=None) for part in parts])
     stiffness, damping = (

@@ -137,7 +137,7 @@ def output_error(
     measured : sequence of MeasuredSegment
         Parts of recordings of one cup.
     structure : Structure
-        Which entries of K and P are free.
+        Structure of K and P: their free entries.
     start : Cup
         First guess, definite, with the cup length l0.
     progress : callable, optional

@@ -104,13 +104,13 @@ class Arrow:
     Parameters
     ----------
     shared : ndarray (s, s)
-        Of the shared unknowns.
+        Information on the shared unknowns.
     coupling : ndarray (R, o, s)
         Between own unknowns of each of R recordings and the shared ones.
     own : ndarray (R, o, o)
-        Of the own unknowns of each recording.
+        Information on the own unknowns of each recording.
     places : int ndarray (R, o)
-        Of the own unknowns among all.
+        Indices of the own unknowns among all.
 
     """
 
@@ -269,9 +269,9 @@ class Problem:
     Parameters
     ----------
     segments : tuple of Segment
-        Of the recordings.
+        Segments of the recordings.
     structure : Structure
-        Of K and P.
+        Structure of K and P.
     guess : Cup
         First guess, with the length.
     free : mapping

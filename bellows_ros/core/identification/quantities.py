@@ -218,7 +218,7 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
     found : mapping
         See `Fit.nuisances`.
     number : int
-        Of the recording in the fit.
+        Number of the recording in the fit.
 
     """
     if not found:

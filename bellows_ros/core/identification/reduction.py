@@ -89,20 +89,20 @@ class Statistics(NamedTuple):
     Parameters
     ----------
     structure : Structure
-        Of K and P.
+        Structure of K and P.
     cup_length : float
         Cup length l0, m.
     used, rejected : int
         Valid samples, and the others.
     moments : Moments
-        Of the needed wrenches.
+        Moments of the needed wrenches.
     r_factors : ndarray (C, 6, q, q)
         For each of C clusters and each component the R factor of its rows [L c], q = p + 1; none
         where the structure couples the components.
     lip : LipMotion or None
         There instead, the motion of the lip itself.
     noise : ndarray (6, q, 6, q) or None
-        What noise adds to the products of the rows (see `noise_products`), where it is given.
+        Bias of the products of the rows by noise (see `noise_products`), None without given noise.
 
     """
 
@@ -144,13 +144,13 @@ def statistics(
     Parameters
     ----------
     samples : Samples
-        Of the recording.
+        Samples of the recording.
     cup_length : float
         Cup length l0, m.
     structure : Structure
-        Which entries of K and P are free.
+        Structure of K and P: their free entries.
     noise : FilterNoise, optional
-        Of the recording; without it the bias that it causes is not estimated.
+        Noise of the recording; without noise its bias is not estimated.
 
     """
     size = 2 * structure.size + 1
@@ -197,7 +197,7 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
 
 
 def transmission(weights: Array, rate_hz: float, frequency: Array) -> Array:
-    """Return what a filter lets pass (F,) for velocities at frequencies (F,) in Hz."""
+    """Return the gain (F,) of a filter for velocities at frequencies (F,) in Hz."""
     half_window = weights.shape[1] // 2
     time = np.arange(-half_window, half_window + 1) / rate_hz
     omega = 2.0 * np.pi * np.maximum(frequency, BAND_RESOLUTION)
@@ -227,7 +227,7 @@ class PassBand(NamedTuple):
     @classmethod
     def of(cls, samples: Samples, noise: FilterNoise, size: Array) -> 'PassBand':
         """
-        Return that of all samples of a recording, whose twists have noise of a size (6,).
+        Return the pass band of all samples of a recording, with a noise level (6,) of twists.
 
         In an axis where noise is larger, the spectrum beyond the pass band shows it.
         """
@@ -259,13 +259,13 @@ class Movement(NamedTuple):
     Parameters
     ----------
     strain, twist : Moments
-        Of its displacement from nominal (m, rad) and of its twist (m/s, rad/s).
+        Moments of its displacement from nominal (m, rad) and of its twist (m/s, rad/s).
     strain_noise, twist_noise : Moments
-        Of the noise in them.
+        Moments of the noise in strain and twist.
     bands_hz : ndarray (2, 6)
         Frequencies between which most of the twist's power lies; nan where nothing moves.
     passed : PassBand
-        What the filter leaves of the twist.
+        Pass band of the filter for the twist.
 
     """
 
@@ -284,11 +284,11 @@ def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Move
     Parameters
     ----------
     samples : Samples
-        Of the recording.
+        Samples of the recording.
     cup_length : float
         Cup length l0, m.
     noise : FilterNoise
-        Of the recording.
+        Noise of the recording.
 
     Raises
     ------
@@ -314,19 +314,19 @@ class ReducedRecording(NamedTuple):
     Parameters
     ----------
     report : mapping
-        What became of the recording, as in the JSON file of a fit.
+        Report on the recording, as in the JSON file of a fit.
     digest : str
-        Of its messages as stored.
+        Digest of its stored messages.
     files : tuple of mapping
         Name, bytes and sha256 of each of its files.
     payload : Package
         The package in it.
     time_offset : TimeOffset or None
-        What was taken from the tool's stamps, where that was wanted and identifiable.
+        Offset subtracted from the tool's stamps, None if not requested or not identifiable.
     package_world : PackageWorld or None
         The transform between two worlds, where it was to be estimated.
     statistics : Statistics
-        What least squares needs.
+        Statistics for least squares.
     movement : Movement
         How the lip moved.
     envelope : Envelope

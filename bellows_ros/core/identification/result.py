@@ -21,7 +21,7 @@ NOTES: Mapping[str, str] = NOTE_TEXTS['notes']
 """Messages about fits, to be filled in."""
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
-"""Of entries of K and P: translation, coupling, rotation."""
+"""Units of entries of K and P: translation, coupling, rotation."""
 
 WRENCH_UNITS = ('N',) * 3 + ('N m',) * 3
 POSE_UNITS = ('m',) * 3 + ('rad',) * 3
@@ -144,7 +144,7 @@ class Fit:
     samples_used, samples_rejected : int
         Samples in the fit, and samples of the recordings left out of it.
     condition_number : float
-        Of the whitened regressor with columns scaled to unit length.
+        Condition number of the whitened regressor with columns of unit length.
     weight : ndarray (6, 6)
         Inverse covariance of the residuals: W of (4.66) at the lip, or of the innovations.
     residual_rms : ndarray (6,)
@@ -168,7 +168,7 @@ class Fit:
         Other estimates: com and length as changes, m, inertia and mass as logarithms of
         factors; inf as the standard error of what is not identifiable.
     standstills : StandstillPart or None
-        What standstills have added, where there were any.
+        Contribution of standstills, None without any.
     noise_rms : ndarray (6,) or None
         RMS of the wrench that noise alone would leave, N and N m; None without noise.
     relaxation, relaxation_std : (float, float)
@@ -183,7 +183,7 @@ class Fit:
         Error of the parameters from noise in the motions that least squares has taken out; None
         where the noise is not given.
     causes : tuple of Finding
-        What would explain what output error leaves, the likeliest first.
+        Possible causes of the residual of output error, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
         Covariance that what was given adds, by its standard deviations; None for none.
     nuisances : mapping
@@ -271,7 +271,7 @@ class Fit:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user must know, in sentences."""
+        """Sentences that a user must know."""
         return (*self._indefinite, *self.notes)
 
     @property

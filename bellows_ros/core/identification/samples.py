@@ -45,7 +45,7 @@ class LipMotion:
     Parameters
     ----------
     index : ndarray (N,)
-        Which of the recording's samples they are.
+        Indices of these samples in the recording.
     stamps_ns : ndarray (N,)
         ns.
     window : float
@@ -78,7 +78,7 @@ class LipMotion:
         cup_length : float
             Cup length l0, m.
         structure : Structure
-            Of K and P.
+            Structure of K and P.
 
         """
         for start in range(0, max(len(self.index), 1), BLOCK):
@@ -123,7 +123,7 @@ class Samples:
 
     @property
     def valid(self) -> Mask:
-        """Where both motions can be used (N,)."""
+        """Mask (N,) of the samples with two usable motions."""
         return self.tool.valid & self.package.valid
 
     @property
@@ -143,7 +143,7 @@ class Samples:
 
     @cached_property
     def twist_spectrum(self) -> Spectrum:
-        """Of the lip's twist in the tool, m/s and rad/s."""
+        """Spectrum of the lip's twist in the tool, m/s and rad/s."""
         return self.spectrum_of(self.lip.twist)
 
     def spectrum_of(self, values: Array) -> Spectrum:

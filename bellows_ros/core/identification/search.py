@@ -119,7 +119,7 @@ Directions = tuple[Array, Mask]
 @dataclass(frozen=True, eq=False)
 class Solution:
     """
-    Where a search ended.
+    The end of a search.
 
     Parameters
     ----------
@@ -476,7 +476,7 @@ def _squared_length(problem: Problem, step: Array, H: Arrow) -> float:
     """
     Return the squared length of a step in standard errors, at some information.
 
-    What is not identifiable may go on wandering: it does not decide over the others.
+    Unidentifiable unknowns may drift on: they do not decide on convergence.
     """
     identifiable = np.sqrt(H.variances) < problem.max_std
     part = np.where(identifiable | ~identifiable.any(), step, 0.0)

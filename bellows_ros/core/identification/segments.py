@@ -78,7 +78,7 @@ class MeasuredSegment:
     gravity : float or array (3,)
         m/s^2 along -z of the world, or as a vector there.
     tool_noise, package_noise : BodyNoise
-        Of the measured poses.
+        Noise of the measured poses.
     recording : int
         Number of the recording it is of.
     moves_with_com : tuple of 3 bool
@@ -202,7 +202,7 @@ class Segment:
     tool : Trajectory
         Its poses of the tool, with gaps bridged.
     half_window : int
-        Of the filter of the tool's path, samples.
+        Half window of the filter of the tool's path, samples.
 
     """
 

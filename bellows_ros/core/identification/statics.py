@@ -70,7 +70,7 @@ class CupLength(NamedTuple):
     loads, lengths, errors : ndarray (N,)
         Load (N), length (m) and its standard error (m) of every standstill that was used.
     coefficients : ndarray
-        Of the polynomial, m, m/N, m/N^2, m/N^3.
+        Coefficients of the polynomial, m, m/N, m/N^2, m/N^3.
     pick_std : float
         Standard deviation of the length from pick to pick of the same mass, m; NaN where no mass
         was picked often enough.
@@ -231,7 +231,7 @@ class PoseCheck(NamedTuple):
     Parameters
     ----------
     standstill : Standstill
-        Where it was measured.
+        The measured standstill.
     measured, predicted : ndarray (6,)
         The lip in the tool: deflection from nominal, m and rad; predicted is nan where the cup
         cannot carry the package.
@@ -311,9 +311,9 @@ def joined_with_standstills(
     Parameters
     ----------
     fit : Fit
-        Of motions; entries that are not identifiable from these have infinite variances.
+        Fit of motions; entries that motions do not identify have infinite variances.
     standstills : sequence of Standstill
-        Of the same cup.
+        Standstills of the same cup.
     length : Length
         Cup length l0 of that fit, with its standard error, 0 where it is exact.
     gravity : float
@@ -321,7 +321,7 @@ def joined_with_standstills(
     typical : ndarray (6, 6)
         Stiffness that stands for entries that are not identifiable, in weights only.
     places : tuple of (x, y, z, index)
-        Of the cups of a gripper (m, in E), of which the fit is of one.
+        Positions of the cups of a gripper (m, in E); the fit is of one cup.
 
     """
     structure = replace(structure_named(fit.structure), places=places)

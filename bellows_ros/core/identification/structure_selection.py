@@ -112,7 +112,7 @@ def select_structure(
     cup_length : float
         Cup length l0, m.
     noises : sequence of FilterNoise
-        Of each recording.
+        Noise of each recording.
     of_gripper : Structure, optional
         That of one cup of the gripper that was recorded.
 

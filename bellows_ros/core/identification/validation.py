@@ -113,15 +113,15 @@ class Validation(residuals.Comparison):
     recording : Recording
         With which it is compared.
     tool, package : Trajectory
-        Of E with twists, and of B in the free simulation, at the stamps of the tool.
+        Motions of E with twists, and of B in the free simulation, at the stamps of the tool.
     state : State
-        Of B in the world at the first of them.
+        State of B in the world at the first stamp.
     start : str
         'equilibrium' or 'measured': where the simulation begins.
     runs : tuple of Run
         The simulations of the segments, of which `tool` and `package` are.
     warnings : tuple of str
-        What the user should know.
+        Warnings for the user.
 
     """
 
@@ -141,7 +141,7 @@ class Validation(residuals.Comparison):
 
     @cached_property
     def wrench(self) -> Array:
-        """Of the cup at the lip in the free simulation, in lip axes, N and N m (N, 6)."""
+        """Wrench (N, 6) of the cup at the lip in the free simulation, in lip axes, N and N m."""
         return lip_wrenches(self.model, tool_rows(self.tool), tool_rows(self.package))
 
     @cached_property
@@ -164,17 +164,17 @@ class Validation(residuals.Comparison):
 
     @cached_property
     def whiteness(self) -> Whiteness:
-        """Of the errors of the free simulation."""
+        """Whiteness of the errors of the free simulation."""
         return residuals.portmanteau(self.error)
 
     @cached_property
     def spectrum(self) -> Spectrum:
-        """Of these errors; lost samples interpolated."""
+        """Spectrum of the errors; lost samples interpolated."""
         return residuals.spectrum(residuals.interpolated(self.error), self._rate_hz)
 
     @cached_property
     def motion(self) -> Spectrum:
-        """Of the measured coordinates; lost samples interpolated."""
+        """Spectrum of the measured coordinates; lost samples interpolated."""
         return residuals.spectrum(residuals.interpolated(self.measured), self._rate_hz)
 
     @property
@@ -209,7 +209,7 @@ class Validation(residuals.Comparison):
 
     @property
     def moves(self) -> Mask:
-        """Which axes move enough for noise alone to stay within the limit (6,)."""
+        """Mask (6,) of the axes with enough motion for noise alone to stay within the limit."""
         return np.asarray(self.scores.motion * MAX_NRMSE > self.noise)
 
     @property
@@ -248,7 +248,7 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
     Parameters
     ----------
     cup : Cup
-        What is tried.
+        Cup under test.
     recording : Recording
         Not one that the cup was identified from.
     max_samples : int, optional
@@ -383,7 +383,7 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
     measured : Trajectory
         Poses of E at a uniform rate, not smoothed.
     half_window : int
-        Of the filter, samples.
+        Half window of the filter, samples.
 
     Returns
     -------

@@ -155,7 +155,7 @@ class Poses(NamedTuple):
 
 class Unknowns(NamedTuple):
     """
-    What p unknowns do to the model.
+    Effect of p unknowns on the model.
 
     Number of used `jacobians.PARAMETER_COLUMNS`, and derivatives (64, p + 1) of the model's
     parameters; factors of the columns at the nodes (M, p), and values (p,) of the unknowns that
@@ -191,7 +191,7 @@ def whiten(
     mean, std : ndarray (m,), (n,)
         Mean of x, and standard deviations of the states, before the tool's first pose.
     path, tool_noise, poses, unknowns : tuples
-        Of M nodes, N poses and p unknowns.
+        Arrays of M nodes, N poses and p unknowns.
     walk : ndarray (6,)
         Variance that a white acceleration gives to the twist in x, per second. Where there is
         any, the package that is linearised about takes on what is estimated of x.

@@ -464,7 +464,7 @@ class LivePredictor:
         held : bool
             Whether the vacuum holds the package.
         stamp_ns : int, optional
-            Of the reading, ns; that of the newest pose of the tool when left out.
+            Stamp of the reading, ns; default: stamp of the newest tool pose.
         cup : int
             Index in cup.layout of the only cup that was measured.
 

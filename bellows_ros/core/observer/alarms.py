@@ -184,7 +184,7 @@ LOG_PROVEN = math.log(100.0)
 
 Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int, float]
 NO_FAULT = -math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, -math.inf
-"""What `_assessed` returns, and where nothing is compared."""
+"""Result of `_assessed` without a fault or without a comparison."""
 
 
 Sizes = tuple[tuple[float, float], ...]
@@ -197,7 +197,7 @@ class Alarm(NamedTuple):
     stamp_ns: int
     cause: str
     size: float
-    """Of the clearest part, m, m/s, s or relative."""
+    """Size of the clearest part, m, m/s, s or relative."""
     std: float
     second: str
     """The second likeliest cause; 'disturbance' for none with a signature."""
@@ -224,7 +224,7 @@ class DetectedFault(NamedTuple):
     error: Array
     spread: Array
     cup: int = -1
-    """Which cup of a gripper is lost, by its place among those that held; -1 if none."""
+    """Index of the lost cup among the cups of a gripper that held; -1 if none."""
 
 
 class Alarms:
@@ -238,7 +238,7 @@ class Alarms:
     of_lip : bool
         Whether the lip is measured: a package that slips moves, a marker on it is no longer there.
     places : ndarray (cups, 4)
-        Of the cups of a gripper that hold, as of `places_of`.
+        Places of the holding cups of a gripper, as of `places_of`.
     of_tag : bool
         Whether a tag is measured: its errors in one view look like a camera that has moved.
 
@@ -475,7 +475,7 @@ def _assessed(
     lead : float
         By how much that of the likeliest cause leads the next.
     best : tuple of int
-        Of the likeliest cause: slot of its onset, place in `HYPOTHESES`, number of components.
+        Likeliest cause: slot of its onset, place in `HYPOTHESES`, number of components.
     second, runner_up : int, tuple of int
         The next, its place in `ALARM_CAUSES` or `NONE`, and the next cause as the likeliest; cups
         of a gripper are after all others in both.
@@ -589,7 +589,7 @@ def _add_products(change: Array, number: int, statistics: Array) -> None:
 def _likeliest_fault(
     statistics: Array, distances: Array, onsets: Stamps, from_start: bool, faults: int
 ) -> Likeliest:
-    """Return what `_assessed` does."""
+    """Return the result of `_assessed`."""
     causes = OF_CAUSE[CUP] + faults - CUP
     top, sums, best = np.full(causes, -math.inf), np.zeros(causes), np.zeros((causes, 3), np.int64)
     A, z = np.empty((MAX_COMPONENTS, MAX_COMPONENTS, ONSETS)), np.empty((MAX_COMPONENTS, ONSETS))

@@ -271,7 +271,7 @@ class Correction:
     values : mapping
         Parameters by name, as of `Observer`.
     marker : tuple
-        Of the `PoseSensor`.
+        Marker of the `PoseSensor`.
     model : tuple
         Nominal.
     max_step, reach : float

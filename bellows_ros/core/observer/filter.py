@@ -115,7 +115,7 @@ class Evidence(NamedTuple):
 
 NO_EVIDENCE = Evidence(
     np.zeros((0, 0), np.float32), np.zeros((0, 0)), np.zeros(0), np.zeros((2, 0), np.int64))
-"""Where no faults are looked for."""
+"""Evidence without a search for faults."""
 
 
 class Estimate(NamedTuple):
@@ -127,13 +127,13 @@ class Estimate(NamedTuple):
     theta: Array
     """The error's rows from `MASS` on (n - 12,)."""
     covariance: Array
-    """Of the error (n, n)."""
+    """Covariance (n, n) of the error."""
     memory: Array
-    """Of the noise, see `correlations` (15,)."""
+    """Memory (15,) of the noise, see `correlations`."""
     evidence: Evidence = NO_EVIDENCE
-    """Of faults."""
+    """Evidence of faults."""
     lost_cups: tuple[int, ...] = ()
-    """Of a gripper, by their place among those that held."""
+    """Lost cups of a gripper, by index among the cups that held."""
     gated_ns: tuple[int, ...] = ()
     """Stamps (ns) of consecutive measurements outside the gate."""
     away_ns: int = 0
@@ -390,7 +390,7 @@ def accumulate(
     drive : ndarray (12, 12)
         Half of the covariance that is added.
     T, Q : ndarray
-        What is changed.
+        Transition and noise, updated in place.
     fall_acceleration : tuple
         How what falls is accelerated against the model, which holds it (m/s^2, world).
     losses, without_cup : ndarray (cups, 6, 13), (cups, 12, 13)
@@ -549,7 +549,7 @@ def propagated(
     model, beginning : tuple
         Nominal, and what is estimated at the beginning.
     transition, samples : tuple
-        What is changed, of no size where it is not followed; and the tool's samples.
+        Transition, updated in place, empty if not followed; and the tool's samples.
     is_recorded : bool
         Whether the package has gone this way before: it is read there, else it is written.
     until_ns : int
@@ -557,11 +557,11 @@ def propagated(
     max_step : float
         Longest step of the nominal state, s.
     drive : ndarray (3, 12, 12)
-        Of `driving`.
+        Result of `driving`.
     model_error : float
         Intensity of a displacement of the tool by the squared twist of the lip, s^3.
     cups : ndarray (cups, 54)
-        Of a gripper, see `cups_of`.
+        Cups of a gripper, see `cups_of`.
 
     """
     (now_ns, tool, body, theta), (T, Q, without_cup) = beginning, transition

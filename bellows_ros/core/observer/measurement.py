@@ -181,7 +181,7 @@ def vector_at(theta: Array, row: int) -> Vector:
 def corrected_pose(
     position: Vector, q: Quaternion, noise: Array, marker: Marker, theta: Array, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
-    """Return what `at_com` does, without the estimated errors of camera, marker and noise."""
+    """Return the result of `at_com` without the estimated errors of camera, marker and noise."""
     back = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, ekf.CAMERA + 3)))
     shift, marker_shift = vector_at(theta, ekf.CAMERA), vector_at(theta, ekf.MARKER)
     position = t3.apply(t3.rotation_matrix(back), t3.subtract(position, shift))

@@ -55,7 +55,7 @@ VACUUM_DELAY_NS = 100_000_000
 """Time (ns) for the vacuum to break down, and to be told, after a package is out of reach."""
 
 REPEATED_NS = 5_000_000_000
-"""What stays wrong raises an alarm so often (ns)."""
+"""Interval of the alarms of a persisting fault, ns."""
 
 VERDICTS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'covariance', 'repeated', 'frame_id',
@@ -87,7 +87,7 @@ class Payload(NamedTuple):
     mass_std: float
     com_std: Array
     inertia_std: Array
-    """Of the three moments of inertia."""
+    """Standard deviations of the three moments of inertia, kg m^2."""
 
 
 class Calibration(NamedTuple):

@@ -334,7 +334,7 @@ class Settings:
     values : object
         Mapping of names to values, or to blocks and lists of blocks; None is an empty block.
     path : str
-        Where the block stands, for messages: '' or 'tool.outliers', for instance.
+        Place of the block, for messages: '' or 'tool.outliers', for instance.
     where : callable, optional
         Prefix of errors on a setting, as its line, by the names that lead to the setting;
         default: the prefix of the values, if any.

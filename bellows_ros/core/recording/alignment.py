@@ -131,7 +131,7 @@ def world_rotation(world: str, gravity_direction: ArrayLike = DOWN) -> Array:
     world : str
         'z_up': the recording's frame is the world; 'motive_y_up': Motive's axes, y up (4.1).
     gravity_direction : array_like (3,)
-        Where things fall in that world, if not along -z.
+        Direction of gravity in that world, if not -z.
 
     """
     return np.asarray(levelling(gravity_direction) @ WORLDS[world])

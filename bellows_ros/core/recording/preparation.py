@@ -52,8 +52,8 @@ def prepare(
         filter's twist is better even where the recorded one is exact, because tool and package
         then lose the same part of their motion, which cancels in their relative twist.
     alignment : Alignment, optional
-        Of another recording of the same markers and the same grasp, used instead of a standstill
-        of this one.
+        Alignment of another recording with these markers and this grasp, instead of a standstill
+        of this recording.
 
     Raises
     ------

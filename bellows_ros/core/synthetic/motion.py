@@ -44,7 +44,7 @@ class Motion(ABC):
     Attributes
     ----------
     start : Pose
-        Where the tool rests at the beginning.
+        Pose of the tool at rest at the beginning.
     rest_duration : float
         Time of that rest, s.
     duration : float

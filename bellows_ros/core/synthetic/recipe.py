@@ -60,7 +60,7 @@ class Sensor(NamedTuple):
     position_noise, rotation_noise : float
         Standard deviation in each axis, m and rad.
     origin : array (3,)
-        Where the marker frame's origin lies in the body's axes, m.
+        Origin of the marker frame in the body's axes, m.
     marker : array (3,)
         Rotation vector of the marker frame in the body's axes, rad.
     jumps, dropouts : Faults
@@ -245,7 +245,7 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
     settings : Settings
         The block 'tool' or 'package'; what else may stand in it the caller asks for.
     origin : array (3,), optional
-        Where the marker frame's origin lies in the body's axes, m; zero when left out.
+        Origin of the marker frame in the body's axes, m; default: zero.
 
     """
     noise, marker, stamps = (settings.block(name) for name in ('noise', 'marker', 'stamps'))

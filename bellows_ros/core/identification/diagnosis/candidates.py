@@ -115,7 +115,7 @@ def pulls(found: Solution, given: Free) -> dict[str, float]:
     """
     Return by how much what was given is off, by name, in what is allowed: `MAX_PULL`.
 
-    Of mass and inertia only the ratio is known.
+    For mass and inertia only the ratio is observable.
     """
     problem, sizes = found.problem, dict[str, float]()
     information = found.information.plus(-problem.fixing)

@@ -95,7 +95,7 @@ class Check(NamedTuple):
     passed : bool
         Whether nothing is to be set or changed.
     numbers : mapping
-        What was measured, in SI units.
+        Measured numbers, SI units.
     settings : mapping
         Parameters to set, by name.
 
