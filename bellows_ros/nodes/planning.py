@@ -335,7 +335,7 @@ class PlanReader:
         self._urdf = message.data
 
     def of_tool(self, data: bytes) -> tuple[PlanMessage, Trajectory | ToolRows, bool]:
-        """Return a plan, the motion of E or of the package by it, and whether it is the latter."""
+        """Return a plan, its motion of E or of the package, and whether the package is planned."""
         values = self._pipeline.values
         message = plan_messages.decode_multi_dof(data)
         self._require_frame(message.frame_id)

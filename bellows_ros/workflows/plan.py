@@ -244,8 +244,8 @@ def plan(
     ----------
     path : path or Trajectory
         A recording with a plan, joint states, transforms or poses of the tool; a TUM
-        file; a message or a motion as YAML. Or the motion of E itself; without twists,
-        from rest to rest.
+        file; a message or a motion as YAML; or a trajectory of E, without twists from rest to
+        rest.
     settings : mapping
         Parameters by name: cup, package, and how the plan is to be read.
     urdf : str

@@ -146,7 +146,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on corrections by the fit; the mass may be wrong instead."""
+        """Sentences on corrections by the fit that may also be due to a wrong mass."""
         sentences = []
         if abs(self.log_inertia_ratio) >= causes.MATERIAL:
             sentences.append(

@@ -314,7 +314,7 @@ if COMPILED:
 
     @array_kernel
     def product(A: Any, B: Any, out: Any) -> Any:
-        """Write A B to the first rows, and return it; slices of columns take far longer."""
+        """Return A B, written to the first rows of out; slices of columns take far longer."""
         if A.shape[1] < 12:
             out[:] = 0.0
             return _add_from(0, A, B, out)

@@ -108,12 +108,12 @@ class Finding(NamedTuple):
     Parameters
     ----------
     name, value : str
-        Of the cause: a name of fit.free, a parameter, or what the cup is; and what the setting is
-        then, or the body whose marker it is, '' where other numbers are freed.
+        Name of the cause: a name of fit.free, a parameter, or a property of the cup; and its
+        correct setting, or the body of a marker, '' for freed numbers.
     theta, std : ndarray (n,)
         The numbers freed, and their standard errors.
     left : float
-        RMS of the residuals beyond noise over what it was.
+        RMS of the residuals beyond noise, relative to the fit without the cause.
     moved : float
         Largest part by which it moves an entry of the diagonal of K that is identifiable.
     datum, certain : bool
@@ -125,7 +125,7 @@ class Finding(NamedTuple):
     untried : tuple of str
         Names of candidates that the time did not allow to try.
     sentence : str
-        The message about it, if it is not the one of its name in the texts of the room 'causes'.
+        Message about the cause, if not the text of its name in the room 'causes'.
 
     """
 

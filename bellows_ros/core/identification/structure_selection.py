@@ -123,7 +123,7 @@ def select_structure(
 
     """
     structures = [*([of_gripper] if of_gripper else ()), *STRUCTURES.values()]
-    # With other draws than those of a fit, which subtracts its own.
+    # The noise draws differ from the draws of a fit, whose bias is already subtracted.
     added = [noise_products(samples, noise, cup_length, structures[-1], NOISE_SEED + 1)
              / max(samples.count, 1) for samples, noise in zip(recordings, noises, strict=True)]
     candidates = [_candidate(recordings, cup_length, added, each) for each in structures]

@@ -257,8 +257,8 @@ def noise_root(
     """
     Return the factor after many samples e of noise, each held for a period.
 
-    The tool's twist is the derivative of e. Integrated by parts, its slope B_v acts like the slope
-    A B_v of e, and B_v e remains. Of L and T L together a triangle (12, 12) is kept.
+    The tool's twist is de/dt with slope B_v. Integration by parts replaces B_v de/dt by the input
+    A B_v e and the boundary term B_v e. L and T L are reduced to one triangle (12, 12).
     """
     direct, by_pose = np.zeros((2, len(A), 6))
     direct[6:12], by_pose[6:12] = tool_twist, tool_pose

@@ -417,7 +417,7 @@ def joint_path(arm: Arm, tool: Trajectory, guess: Array) -> JointPath:
 
 def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float, str]:
     """
-    Return the factor on time that the limits of the joints need at least, and the limit.
+    Return the smallest factor of the duration within the limits of the joints, and that limit.
 
     Parameters
     ----------

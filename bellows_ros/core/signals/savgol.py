@@ -50,7 +50,7 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     Raises
     ------
     BellowsError
-        If the window or the order leaves no such polynomial.
+        If window and order determine no polynomial.
 
     """
     if half_window < 1:

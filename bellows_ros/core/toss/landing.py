@@ -99,9 +99,9 @@ def as_law(numbers: Array) -> Law:
 
 def release_factor(values: Values) -> Array:
     """
-    Return L (8, 8) with the covariance L L^T of the law's numbers; 0 of those without effect.
+    Return L (8, 8) with the covariance L L^T of the law's numbers; 0 for numbers without effect.
 
-    It grows with the distance of the mass from the packages that the law was fitted to.
+    The covariance grows with the distance of the mass from the packages of the fitted law.
     """
     std = np.array([float(values[f'{name}_std']) for name in RELEASE_NAMES])
     std *= 1.0 + EXTRAPOLATION * beyond_masses(values)
