@@ -62,7 +62,7 @@ class Victim(Peer):
         for _ in range(150):
             self.send(2 * MS)
             sent.append(self._ns)
-            self.ros.spin_until(lambda: False, 0.002)
+            self.ros.executor.spin_once(timeout_sec=0.002)
         expected = set(sent[100:])
         return bool(self.ros.spin_until(lambda: expected <= set(self.answers[-200:]), 10.0))
 
