@@ -5,6 +5,7 @@ import math
 from time import process_time
 from typing import Any
 
+from bellows_ros.core.parameters.conversion import uncertain_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
@@ -32,7 +33,7 @@ def run(short: bool) -> dict[str, Any]:
     along = PlanSimulation(MODEL, GRIP, tool, tail=0.0)
     subjects: dict[str, Work] = {
         'predict': along.predict,
-        'shortest safe time': partial(fastest, PARAMETERS, MODEL, GRIP, tool, 1.5),
+        'shortest safe time': partial(fastest, uncertain_of(PARAMETERS), MODEL, GRIP, tool, 1.5),
         **{f'steer, {method}': partial(steer, MODEL, tool, method) for method in METHODS}}
     return {'seconds': interleaved(subjects, 3 if short else 25, process_time)}
 
