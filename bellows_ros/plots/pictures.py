@@ -520,22 +520,24 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
         panels = figure.subplots(3, 1, sharex=True, gridspec_kw={
             **style.BELOW_HEAD, 'hspace': 0.28, 'height_ratios': [2.0, 1.0, 1.0]})
         lines = (colours.predicted, colours.measured, colours.error)
+        end = TAIL_SHOWN + max(float(motion.tool.seconds[-1]) for motion in motions.values())
         for (name, motion), colour in zip(motions.items(), lines, strict=False):
             tool = motion.tool
             distance = np.linalg.norm(tool.position - tool.position[0], axis=1)
             z = np.clip(tool.rotation[:, :, 2] @ tool.rotation[0, :, 2], -1.0, 1.0)
-            for panel, seconds, values in zip(
-                    panels, (motion.along.seconds, tool.seconds, tool.seconds),
-                    (np.degrees(motion.tilt), distance, np.degrees(np.arccos(z))), strict=True):
-                panel.plot(seconds, values, color=colour, linewidth=1.4,
-                           label=name if panel is panels[0] else None)
+            line = {'color': colour, 'linewidth': 1.4}
+            panels[0].plot(motion.along.seconds, np.degrees(motion.tilt), label=name, **line)
+            seconds = np.append(tool.seconds, end)  # it stands after its motion
+            for panel, values in (
+                    (panels[1], distance), (panels[2], np.degrees(np.arccos(z)))):
+                panel.plot(seconds, np.append(values, values[-1]), **line)
+            for panel in panels:
                 panel.axvline(tool.seconds[-1], color=colour, linewidth=0.8, linestyle=':')
         for panel, title in zip(panels, (
                 'tilt of the package from its reference (deg)',
                 'distance of the tool (m)', 'tilt of the tool (deg)'), strict=True):
             style.name_panel(panel, title)
-        longest = max(float(motion.tool.seconds[-1]) for motion in motions.values())
-        panels[0].set_xlim(0.0, longest + TAIL_SHOWN)
+        panels[0].set_xlim(0.0, end)
         panels[-1].set_xlabel('time (s)')
     return figure
 
