@@ -18,12 +18,14 @@ import numpy as np
 import pytest
 
 NEEDED = {'node': 'rclpy', 'startup': 'rclpy'}
+LONG = {'node', 'offline', 'startup'}
 
 
-@pytest.mark.stress
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
-@pytest.mark.parametrize('section', command.SECTIONS)
+@pytest.mark.parametrize('section', [
+    pytest.param(section, marks=[pytest.mark.stress] if section in LONG else [])
+    for section in command.SECTIONS])
 def test_short_form_measures_and_shows(section, root):
     if section in NEEDED:
         pytest.importorskip(NEEDED[section])
