@@ -256,7 +256,7 @@ def joint_plan(message: Any) -> JointPlan:
 
 
 def lists_of(points: Sequence[Any], part: str, count: int) -> list[Any] | None:
-    """Return a field of all points, None if no point has it; reject a field of some points."""
+    """Return a field of all points, None without the field; reject fields of some points."""
     lists = [getattr(point, part, ()) for point in points]
     if not any(len(each) for each in lists):
         return None
