@@ -15,7 +15,7 @@ M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
 """Options of glibc's allocator."""
 
 LARGE = 2 * 2**20
-"""Bytes from which arrays have pages of their own."""
+"""Size from which an array gets memory pages of its own, bytes."""
 
 
 def configure_process(is_node: bool = False) -> None:
@@ -23,10 +23,10 @@ def configure_process(is_node: bool = False) -> None:
     Keep linear algebra to one thread, and free arrays at once; call it before NumPy is imported.
 
     More threads only contend: on two busy cores least squares takes two to seven times as long
-    with them. And by itself glibc soon keeps the memory of freed arrays, a tenth of the memory of
-    a long recording, and more with an arena per thread. Settings of the user prevail.
+    with them. By default glibc keeps the memory of freed arrays: a tenth of the memory of a long
+    recording, and more with one arena per thread. Settings of the user prevail.
     """
-    warnings.simplefilter('ignore', UnitWarning)  # commands and nodes ask in their own output
+    warnings.simplefilter('ignore', UnitWarning)  # commands and nodes show these themselves
     for variable in ('OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
         os.environ.setdefault(variable, '1')
     if sys.platform == 'linux' and 'MALLOC_MMAP_THRESHOLD_' not in os.environ:

@@ -7,7 +7,7 @@ Array = NDArray[np.float64]
 """Numbers in SI units; the docstring gives shape and frame."""
 
 Mask = NDArray[np.bool_]
-"""Selects samples."""
+"""Selection of samples."""
 
 Places = NDArray[np.intp]
 """Indices."""

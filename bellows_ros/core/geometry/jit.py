@@ -1,5 +1,5 @@
 """
-Numba where it is installed; the only module that imports it.
+Compilation of kernels by numba; no other module imports numba.
 
 A kernel is scalar code on tuples of floats. With numba a kernel is compiled, and its machine code
 is kept on disk; without numba Python interprets the kernel's source.
@@ -32,15 +32,15 @@ COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 
 
 def announce() -> None:
-    """Do nothing; replaced by a command, which shows that a kernel is going to be compiled."""
+    """Do nothing; a command replaces this function by a message that a kernel is compiled."""
 
 
 OPTIONS = {'error_model': 'numpy', 'nogil': True, 'forceinline': True}
 """
-How kernels are compiled: they become part of their callers.
+Options of the compilation: kernels are inlined into their callers.
 
-Left to itself the compiler calls the larger ones, with all 80 numbers of a model on the stack:
-0.67 us for a step of the integrator instead of 0.41 us (C: 0.41 us), and compiling takes as long.
+By default the compiler calls the larger kernels, with all 80 numbers of a model on the stack: 0.67
+us for a step of the integrator instead of 0.41 us (C: 0.41 us). Compiling takes equally long.
 """
 
 Arrays = TypeVarTuple('Arrays')
@@ -61,7 +61,7 @@ def array_kernel(function: Function) -> Function:
     """
     Compile a function on arrays, or return it unchanged without numba.
 
-    It is called as it is: with arrays that costs nothing, and its callers compile sooner.
+    The function is not inlined: a call with arrays costs nothing, and its callers compile faster.
     """
     return _wrapped(function, {**OPTIONS, 'forceinline': False}) if COMPILED else function
 
@@ -70,7 +70,7 @@ def _wrapped(function: Function, options: dict[str, Any]) -> Function:
     """Return a decorator that compiles a kernel for Python and for other kernels."""
     compiled = _compiler(function, options)
     called = cache(lambda: _compiler(function, options, called=True))
-    # Other kernels call it without the conversion of Python's numbers: a third less to compile.
+    # Other kernels call this one without converting Python's numbers: a third less to compile.
     compiled.get_call_template = lambda *types: called().get_call_template(*types)
     compiled.get_overload = lambda signature: called().get_overload(signature)
     return compiled  # type: ignore[no-any-return]
@@ -89,7 +89,7 @@ def _compiler(function: Callable[..., Any], options: dict[str, Any], called: boo
 
 @contextmanager
 def seldom_collected() -> Iterator[None]:
-    """Let the garbage collector run seldom: it takes a third of the time of compiling."""
+    """Run the garbage collector rarely: it takes a third of the time of compiling."""
     thresholds = gc.get_threshold()
     gc.set_threshold(10_000, 20, 20)
     try:
@@ -105,12 +105,13 @@ os.nice(5)
 function, arguments = pickle.load(sys.stdin.buffer)
 function(*arguments)
 """
-"""Program that runs a function at low priority; on Linux it ends with the thread that began it."""
+"""Program that runs a function at low priority; on Linux it ends with the thread that started
+it."""
 
 
 def compile_aside(function: Callable[..., object], *arguments: object) -> subprocess.Popen[bytes]:
     """
-    Start a process that calls a function of a module, so that its machine code comes on disk.
+    Start a process that calls a function of a module, so that its machine code is stored on disk.
 
     A compiler in a thread would hold the interpreter for seconds. If the process fails, the
     kernels are compiled at their first call.
@@ -128,9 +129,9 @@ def release_compiler() -> None:
     """
     Return the memory of the compiler's own code, some 35 MiB, to the system.
 
-    After the last compilation the process does not use these pages. They are unchanged copies of
-    the library's file, which the system reads again if the compiler is called once more. Works
-    on Linux; elsewhere the function does nothing.
+    After the last compilation the process does not use these memory pages. The system reads them
+    again from the library's file if the compiler is called once more. On other systems than Linux
+    the function does nothing.
     """
     maps = Path('/proc/self/maps')
     for line in maps.read_text().splitlines() if maps.exists() else ():
@@ -141,7 +142,7 @@ def release_compiler() -> None:
 
 
 def usable_cores() -> int:
-    """Return the number of cores that affinity and the limit of a container leave to threads."""
+    """Return the number of cores that CPU affinity and the limit of a container allow."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
         os.cpu_count() or 1)
     limit = Path('/sys/fs/cgroup/cpu.max')
@@ -162,8 +163,8 @@ def _source_digest(function: Callable[..., Any]) -> bytes:
     """
     Return a digest of a kernel's code, constants, and the kernels it calls.
 
-    numba watches only the file of the kernel itself, but the machine code holds what stands in
-    other files, too: without this a stale one would be loaded.
+    numba watches only the file of the kernel itself, but the machine code also contains kernels of
+    other files: without the digest stale machine code would be loaded.
     """
     digest = hashlib.sha256(repr(OPTIONS).encode())
     codes = [function.__code__]
@@ -186,10 +187,10 @@ def _source_digest(function: Callable[..., Any]) -> bytes:
 @cache
 def _bind_runtime() -> None:
     """
-    Let loaded code find the functions of numba's runtime.
+    Link loaded machine code to the functions of numba's runtime.
 
-    By itself numba prepares its compiler first: 0.8 s and 40 MiB at the start of a process that
-    has nothing to compile.
+    By default numba prepares its compiler first: 0.8 s and 40 MiB at the start of a process
+    without anything to compile.
     """
     from llvmlite.binding import add_symbol
     from numba.core.runtime._nrt_python import c_helpers
@@ -200,11 +201,11 @@ def _bind_runtime() -> None:
 
 class _TolerantCache:
     """
-    A kernel cache that is skipped if it cannot be used.
+    A kernel cache that is bypassed if it fails.
 
-    By itself numba fails on an index or a file that is damaged, or cannot be read or written, as
-    on a disk that is full. And where two processes keep code for different arguments at once,
-    one's file can stand under the name of the other's.
+    numba's own cache fails on an index or a file that is damaged or cannot be read or written, for
+    example on a full disk. If two processes store code for different arguments simultaneously,
+    one's file can get the other's name.
 
     Parameters
     ----------
@@ -212,24 +213,22 @@ class _TolerantCache:
     function : callable
         The source of the kernel.
     kind : str
-        Ends the names of its files: a kernel is compiled for Python and for other kernels.
+        Ending of the file names: a kernel is compiled for Python and for other kernels.
 
     """
 
     def __init__(self, cache: Any, function: Callable[..., Any], kind: str) -> None:
-        """Wrap numba's cache."""
         self._cache, self._function = cache, function
         files = cache._cache_file
         cache._cache_file = type(files)(
             cache.cache_path, cache._impl.filename_base + kind, files._source_stamp)
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of numba's cache."""
         return getattr(self._cache, name)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the compiled code for these arguments, or None to compile it now."""
-        try:  # only now: the kernels that it calls may stand below it
+        try:  # only now, as kernels that this one calls may stand below it
             self._cache._cache_file._source_stamp = _source_digest(self._function)
             _bind_runtime()
             code = self._cache._load_overload(signature, context)
@@ -255,7 +254,6 @@ class _TolerantCache:
             self._cache.disable()
 
     def _warn(self, error: Exception) -> None:
-        """Ask the user to check the folder."""
         warnings.warn(
             f'Compiled code in {self._cache.cache_path} cannot be used ({type(error).__name__}): '
             'compiling again. If this message appears at every start, remove that folder.',

@@ -44,7 +44,6 @@ def _even_function(
     series = [(-1) ** k * coefficient(k) for k in range(SERIES_TERMS)]
 
     def function(t2: Array) -> Array:
-        """Return the function of the angle's square."""
         small = t2 < SERIES_BELOW**2
         x = np.where(small, t2, 0.0)
         total = np.full_like(x, series[-1])
@@ -114,9 +113,9 @@ def log_so3(R: Array) -> Array:
     """
     Return the rotation vectors of rotation matrices, the inverse of `exp_so3` for |phi| < pi.
 
-    Goes through the quaternion and its half angle's tangent, so it keeps its digits at every
-    angle, where (2.7) with the arc cosine of the trace loses them near 0 and near pi. At pi
-    exactly one of the two equivalent vectors returns.
+    Computed from the quaternion by the tangent of its half angle, and thus accurate at every
+    angle; (2.7), with the arc cosine of the trace, loses digits near 0 and pi. At exactly pi one
+    of the two equivalent vectors is returned.
 
     Parameters
     ----------
@@ -157,7 +156,7 @@ def dexp_inverse(phi: Array) -> Array:
     """
     Return the inverse of `dexp`, valid for |phi| < 2 pi.
 
-    In the functions above it is I - phi^/2 - (delta/beta) (phi^)^2.
+    In the functions of the module's docstring: I - phi^/2 - (delta/beta) (phi^)^2.
 
     Parameters
     ----------
@@ -175,7 +174,7 @@ def dexp_inverse(phi: Array) -> Array:
 
 def d2exp(phi: Array, a: Array) -> Array:
     """
-    Return the derivative of `dexp` along a, applied to a (G.73 twice along it, norms squared).
+    Return the derivative of `dexp` along a, applied to a (G.73 with both directions a).
 
     This is the right-trivialised geometric Hessian of the exponential map for the (+)
     Cartan-Schouten connection: with R = exp(phi(t)) the spatial angular acceleration is
@@ -246,7 +245,7 @@ def rotation_to_quaternion(R: Array) -> Array:
     array (..., 4)
 
     """
-    # Component by component in memory, which takes a third of the time.
+    # Components are contiguous in memory, which takes a third of the time.
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(R, (-2, -1), (0, 1)).copy()
     xx, yy, zz, ww = diagonal = np.array(
         [1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i])
@@ -258,18 +257,18 @@ def rotation_to_quaternion(R: Array) -> Array:
 
 
 def nearest_rotation(M: Array) -> Array:
-    """Return the rotation nearest to a matrix (3, 3), by the sum of squares of the entries."""
+    """Return the rotation nearest to a matrix (3, 3), by least squares of the entries."""
     U, _, Vt = np.linalg.svd(M)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def mean_rotation(R: Array) -> Array:
-    """Return the mean of rotations (N, 3, 3), by the sum of squares of the entries."""
+    """Return the mean of rotations (N, 3, 3), by least squares of the entries."""
     return nearest_rotation(R.sum(axis=0))
 
 
 def rpy_rotation(rpy: Array) -> Array:
-    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch, yaw in rad, as URDF has it."""
+    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch and yaw, rad, as in URDF."""
     roll, pitch, yaw = exp_so3(np.diag(rpy))
     return np.asarray(yaw @ pitch @ roll)
 
@@ -278,7 +277,7 @@ def quaternion_product(p: Array, q: Array) -> Array:
     """
     Return the quaternions of the composed rotations R(p) R(q).
 
-    The terms stand in an order in which a quaternion times its conjugate is exactly real.
+    The order of the terms makes a quaternion times its conjugate exactly real.
 
     Parameters
     ----------
@@ -488,5 +487,4 @@ def _rotation_polynomial(v: Array, linear: Array, quadratic: Array) -> Array:
 
 
 def _squared(v: Array) -> Array:
-    """Return the squared length of vectors."""
     return np.asarray(np.einsum('...i,...i->...', v, v))

@@ -1,8 +1,8 @@
 """
 The distance between two poses, in units of a tolerance.
 
-Positions and rotations share no unit. Each is divided by its own tolerance, and the larger ratio
-is the distance, so that an error of any axis counts alike. A distance above 1 is out of tolerance.
+Shift and rotation are each divided by their own tolerance; the distance is the larger ratio. A
+distance above 1 is out of tolerance.
 """
 
 from bellows_ros.core.geometry.arrays import Array
@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 
 @kernel
 def pose_distance(difference: tuple[float, float], tolerance: tuple[float, float]) -> float:
-    """Return the distance of a difference (m, rad), at least 0, by a tolerance (m, rad)."""
+    """Return the distance, at least 0, of a difference (m, rad) by a tolerance (m, rad)."""
     return max(difference[0] / tolerance[0], difference[1] / tolerance[1])
 
 
 def pose_distances(differences: Array, tolerance: ArrayLike) -> Array:
     """
-    Return the distances (N,) of many differences, as `pose_distance` does.
+    Return the distances (N,) of many differences; see `pose_distance`.
 
     Parameters
     ----------

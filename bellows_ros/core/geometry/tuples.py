@@ -1,10 +1,10 @@
 """
 Vectors, matrices and rotations as tuples of floats, for the kernels.
 
-A vector is ``(x, y, z)``, a 3x3 matrix its nine entries row by row, a rotation a unit quaternion
-``(x, y, z, w)`` where it is stored and a 3x3 matrix where it is applied.
+A vector is ``(x, y, z)``, a 3x3 matrix its nine entries row by row. A rotation is stored as a unit
+quaternion ``(x, y, z, w)`` and applied as a 3x3 matrix.
 
-Products of small arrays are compiled loops with numba, and numpy's products without it.
+With numba, products of small arrays are compiled loops; without numba they are numpy's products.
 """
 
 import math
@@ -22,14 +22,14 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 
 SMALL_ANGLE_SQUARED = 0.25
 """
-Below this squared angle (rad^2) sine and cosine ratios come from their series (to 1e-17).
+Squared angle below which sine and cosine ratios are computed by series (to 1e-17), rad^2.
 
-The series hold products only: with divisions, each waiting for the one before, a step took a
-fifth longer.
+The series consist of products only: with sequential divisions, an integration step took a fifth
+longer.
 """
 
 SMALL_SINE_SQUARED = 1e-3
-"""Below this squared sine of half an angle the angle comes from a series, too."""
+"""Squared sine of half an angle below which the angle is computed by a series."""
 
 
 @kernel
@@ -64,7 +64,7 @@ def dot(a: Vector, b: Vector) -> float:
 
 @kernel
 def unit(axis: int, size: float) -> Vector:
-    """Return a vector of a size along one of the axes 0 to 2; of others, zero."""
+    """Return a vector of a given length along axis 0, 1 or 2; zero for other axes."""
     return (size if axis == 0 else 0.0, size if axis == 1 else 0.0, size if axis == 2 else 0.0)
 
 
@@ -215,7 +215,7 @@ def exp_quaternion(phi: Vector) -> Quaternion:
 def log_quaternion(q: Quaternion) -> Vector:
     """Return the rotation vector (rad, at most pi long) of a unit quaternion, log on SO(3)."""
     x, y, z, w = q
-    if w < 0.0:  # q and -q are the same rotation: take the short way
+    if w < 0.0:  # q and -q are the same rotation: take the shorter one
         x, y, z, w = -x, -y, -z, -w
     squared = x * x + y * y + z * z  # of the half angle's sine
     if squared < SMALL_SINE_SQUARED:  # asin(s) / s, the next term is below 3e-17
@@ -273,12 +273,12 @@ def rotation_vector_rate(phi: Vector, omega: Vector) -> Vector:
 if COMPILED:
     @kernel
     def add_product(A: Any, B: Any, out: Any) -> Any:
-        """Add A B to the first rows; only as many columns of A are used as B has rows."""
+        """Add A B to the first rows of out; A may have more columns than B has rows."""
         return _add_from(0, A, B, out)
 
     @array_kernel
     def _add_from(first: int, A: Any, B: Any, out: Any) -> Any:
-        """Add the product from a column of A on: 12 columns at once, then 6, and none of zeros."""
+        """Add the product from a column of A on, in blocks of 12 or 6 columns without zeros."""
         n = min(A.shape[1], B.shape[0])
         for i in range(A.shape[0]):
             row, m = out[i], first
@@ -314,7 +314,7 @@ if COMPILED:
 
     @array_kernel
     def product(A: Any, B: Any, out: Any) -> Any:
-        """Return A B, written to the first rows of out; slices of columns take far longer."""
+        """Return A B, written to the first rows of out; slices of columns would be far slower."""
         if A.shape[1] < 12:
             out[:] = 0.0
             return _add_from(0, A, B, out)
@@ -359,5 +359,5 @@ else:
 
 @kernel
 def transpose(A: Array) -> Array:
-    """Return A^T, its rows one after the other in memory."""
+    """Return A^T with contiguous rows."""
     return np.ascontiguousarray(A.T)

@@ -1,4 +1,4 @@
-"""Cup and package as frozen data, the regressor, and what their uncertain parameters do."""
+"""Cup and package as frozen data, the regressor, and the effect of uncertain parameters."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, InitVar, replace
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 STANDARD_GRAVITY = 9.81
-"""Gravitational acceleration of the source, m/s^2."""
+"""Gravitational acceleration in the thesis, m/s^2."""
 
 MAX_LENGTH = 1.0
 """Largest length of a cup, m."""
@@ -29,7 +29,7 @@ PARAMETER_NAMES = (
       for i, j in zip(*UPPER, strict=True)),
     'package.mass', *(f'package.com[{axis}]' for axis in 'xyz'),
     *(f'package.inertia[{entry}]' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
-"""The uncertain parameters (52,) of cup and package, in the order of arrays."""
+"""Names of the uncertain parameters (52,) of cup and package, in the order of arrays."""
 
 
 def frozen_array(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
@@ -58,16 +58,17 @@ class Cup:
     damping : array_like (6, 6)
         P of (3.33); N s/m, N s/rad, N m s/rad in its blocks.
     length : float
-        Length l0 (m): compressed by the vacuum, without load. Spring and damper sit at
-        its middle, l1 = l2 = l0 / 2.
+        Length l0 under vacuum without load, m. Spring and damper sit at half the length, l1 = l2 =
+        l0 / 2.
     relaxation : (float, float)
-        Strengths r_b of two branches of rubber that relax: a sudden strain meets K (1 + r1 + r2),
-        and K, the static stiffness, alone remains of it. A cup without them has two zeros.
+        Strengths r_b of two branches of relaxing rubber: the stiffness is K (1 + r1 + r2) for a
+        sudden strain, and K, the static stiffness, after relaxation. Zeros for a cup without
+        relaxation.
     relaxation_times : (float, float)
         Times tau_b of the branches, s.
     stretch : (float, float)
-        Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2), a spring
-        that is harder to stretch than to compress, and harder to bend when it is stretched.
+        Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2): a spring
+        that is stiffer in tension than in compression, and stiffer in bending under tension.
 
     Raises
     ------
@@ -93,7 +94,6 @@ class Cup:
     stretch: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         for name in ('stiffness', 'damping'):
             matrix = frozen_array(getattr(self, name), (6, 6), name)
             structure.require_symmetric(matrix, f'The {name}')
@@ -101,7 +101,7 @@ class Cup:
         object.__setattr__(self, 'length', float(frozen_array(self.length, (), 'cup length')))
         if self.length <= 0.0:
             raise BellowsError(f'The cup length must be above 0 m, got {self.length}.')
-        if self.length > MAX_LENGTH:  # as in the table of parameters
+        if self.length > MAX_LENGTH:  # the limit of the table of parameters
             raise BellowsError(
                 f'The cup length must be at most {MAX_LENGTH:g} m, got {self.length:g}. Is it in '
                 'mm?')
@@ -175,7 +175,6 @@ class Package:
     is_checked: InitVar[bool] = True
 
     def __post_init__(self, is_checked: bool) -> None:
-        """Check and freeze."""
         if not is_checked:
             return
         object.__setattr__(self, 'inertia', frozen_array(self.inertia, (3, 3), 'package inertia'))
@@ -183,7 +182,7 @@ class Package:
         object.__setattr__(self, 'mass', float(frozen_array(self.mass, (), 'package mass')))
         if self.mass <= 0.0:
             raise BellowsError(f'The package mass must be above 0 kg, got {self.mass}.')
-        if np.abs(self.com).max() > 10.0:  # as in the table of parameters
+        if np.abs(self.com).max() > 10.0:  # the limit of the table of parameters
             raise BellowsError(f'package.com must be within 10 m, got {self.com.tolist()}.')
         structure.check_inertia(self.inertia)
         for doubt in structure.unit_doubts(
@@ -203,7 +202,7 @@ def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     Raises
     ------
     BellowsError
-        If the one has stretch: the energy of several is none of the same form.
+        If the single cup has stretch: the energy of several cups has another form.
 
     """
     if not len(places) or structure.is_single(np.asarray(places)):
@@ -223,7 +222,7 @@ def varied(
     """
     Return a package with a shifted centre of mass (3,), m, and scaled mass and inertia.
 
-    Scales are logarithms of factors, of the mass and of each moment of inertia (3,) or all.
+    Scales are logarithms of factors of the mass, and of each moment of inertia (3,) or of all.
     """
     root = np.exp(0.5 * np.broadcast_to(inertia, 3))
     return Package(
@@ -237,23 +236,22 @@ def package_tuple(mass: float, com: Array, inertia: Array) -> PackageTuple:
 
 
 def _tuple(values: NDArray[Any]) -> Any:
-    """Return an array as a flat tuple of Python floats."""
     return tuple(float(value) for value in values.ravel())
 
 
 def blocks(matrix: Array) -> Blocks:
-    """Return the (oo, oR, RR) blocks of a symmetric (6, 6) matrix as the kernels take them."""
+    """Return the (oo, oR, RR) blocks of a symmetric (6, 6) matrix, as the kernels take them."""
     return _tuple(matrix[:3, :3]), _tuple(matrix[:3, 3:]), _tuple(matrix[3:, 3:])
 
 
 def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> ModelTuple:
-    """Return the model as the kernels take it; `gravity_vector` explains the gravity."""
+    """Return the model as the kernels take it, with gravity as in `gravity_vector`."""
     vector = frozen_array(gravity_vector(gravity), (3,), 'gravity')
     return cup.as_tuple, package.as_tuple, _tuple(vector)
 
 
 def gravity_vector(gravity: float | ArrayLike) -> Array:
-    """Return gravity in the world by its size along -z (m/s^2), or by its vector (3,) there."""
+    """Return gravity in the world (3,) from its magnitude along -z, or as given, m/s^2."""
     vector = np.asarray(gravity, dtype=np.float64)
     return np.array([0.0, 0.0, -float(vector)]) if vector.ndim == 0 else vector
 
@@ -263,7 +261,7 @@ def regressor(
     has_stretch: bool = False,
 ) -> Array:
     """
-    Return L (N, 6, 2 n) with which the cup's wrench at the lip is L x (4.67), linear in K and P.
+    Return the regressor L (N, 6, 2 n) of the wrench at the lip, L x (4.67), linear in K and P.
 
     With stretch, L has two more columns, by its coefficients a and b.
 
@@ -289,7 +287,7 @@ def regressor(
     for column, cup in enumerate(cups):
         if jit.COMPILED:
             _wrenches(cup, o, R, v, w, L[:, :, column])
-        else:  # the kernel's arithmetic holds for tuples of arrays as well
+        else:  # the kernel's arithmetic also holds for tuples of arrays
             columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w), ())
             L[:, :, column] = np.concatenate(kernels.cup_wrench(cup, *columns)).T
     return L
@@ -311,7 +309,7 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
     Return the inertia tensor (3, 3) in kg m^2 of a homogeneous box at its centre (A.2).
 
     Depth lies along x, width along y and height along z, all in m. Numbers that are not above 0
-    are refused with a BellowsError; implausible ones cause a UnitWarning.
+    raise BellowsError; implausible ones cause a UnitWarning.
 
     Examples
     --------
@@ -360,7 +358,7 @@ class Uncertain(NamedTuple):
 def perturbed(
     uncertain: Uncertain, model: ModelTuple
 ) -> Iterator[tuple[str, ModelTuple, ModelTuple]]:
-    """Yield name and models with a number `PERTURBATION` sigma up and down, where sigma > 0."""
+    """Yield name and models with one uncertain number `PERTURBATION` sigma larger and smaller."""
     numbers, std, places = uncertain
     for i in np.flatnonzero(std):
         change = PERTURBATION * std[i] * np.eye(len(std))[i]
@@ -372,28 +370,29 @@ def contributions(
     uncertain: Uncertain, model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> tuple[list[str], Array]:
     """
-    Return the contribution of each uncertain parameter to the standard deviations of figures.
+    Return the contribution of each uncertain parameter to the standard deviations of outputs.
 
-    A figure's standard deviation is |J sigma| with J its derivatives by the uncertain numbers,
-    which are taken to be independent. They are central differences of whole predictions, not
-    analytic ones: a figure is a largest value over time, or of the instant at which a cup lets go
-    or a box meets the floor, and its slope at a point can be other than that over half a sigma.
+    The standard deviation of an output is |J sigma|, with J its derivatives by the uncertain
+    numbers, which are taken to be independent. Derivatives are central differences of whole
+    predictions: an output may be a maximum over time, or refer to the instant of release or
+    landing, and its analytic slope can differ from the slope over half a sigma.
 
     Parameters
     ----------
     uncertain : Uncertain
         Numbers with standard deviations.
     model : tuple
-        Model of these values, for the kernels.
+        Model with these numbers, for the kernels.
     compute : callable
-        From a model to figures, an array.
+        Function from a model to its outputs, an array.
 
     Returns
     -------
     names : list of str
-        M, of the uncertain numbers.
+        Names of the M uncertain numbers.
     parts : array (M, ...)
-        Derivative times standard deviation; a figure's is the root of their squares' sum.
+        Derivative times standard deviation; the standard deviation of an output is the root of its
+        sum of squares.
 
     """
     parts = {name: (compute(up) - compute(down)) / (2.0 * PERTURBATION)
@@ -407,7 +406,8 @@ def mean_square(
     """
     Return the mean square of a vector over the uncertain parameters; see `contributions`.
 
-    Near zero the derivative of a norm is useless, but its square is quadratic in each number.
+    Near zero the derivative of a norm is useless, but the squared norm is quadratic in each
+    number.
     """
     square = compute(model) ** 2
     changes = sum(compute(up) ** 2 + compute(down) ** 2 - 2.0 * square

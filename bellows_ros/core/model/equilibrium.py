@@ -1,9 +1,9 @@
 """
 Static equilibrium of the package, and its small motions about a state.
 
-Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium. The
-scalar code of the last stands step for step in C, too (`bellows_equilibrium` in
-files/bellows_cup.h), so that both give the same bits; so its derivatives are differences.
+Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium.
+`bellows_equilibrium` in files/bellows_cup.h repeats the scalar code of the static equilibrium step
+by step in C, with bitwise equal results; so its derivatives are differences.
 """
 
 import math
@@ -32,7 +32,7 @@ def resting_on_tool(model: ModelTuple, tool: State) -> State:
 
 
 def adapted(model: ModelTuple, tool: State, body: State) -> State:
-    """Return a state with the internal strains of a cup that relaxes, at first of long rest."""
+    """Return a state with the internal strains of a cup that relaxes, as after a long rest."""
     if len(body[4:]) == len(model[0][4:]):
         return body
     plain: State = body[0], body[1], body[2], body[3]
@@ -41,7 +41,7 @@ def adapted(model: ModelTuple, tool: State, body: State) -> State:
 
 @kernel
 def displaced(body: State, delta: Vector, phi: Vector) -> State:
-    """Return the body at rest, moved by R delta and rotated by exp(phi) in body axes."""
+    """Return the body at rest, shifted by R delta and rotated by exp(phi) in body axes."""
     move = t3.apply(t3.rotation_matrix(body[1]), delta)
     turned = t3.quaternion_product(body[1], t3.exp_quaternion(phi))
     return t3.add(body[0], move), turned, *body[2:]
@@ -58,14 +58,14 @@ def moved(body: State, shift: Vector, rotation: Vector, linear: Vector, angular:
 
 @kernel
 def moved_by(body: State, e: Any) -> State:
-    """Return a state moved by the first twelve numbers of an error, as by `moved`."""
+    """Return a state changed by the first twelve numbers of an error; see `moved`."""
     return moved(
         body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11]))
 
 
 @kernel
 def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
-    """Return shift and rotation that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
+    """Return shift and rotation with which `moved` takes a body to a pose: log(T_hat^-1 Z)."""
     return (
         t3.apply_transposed(t3.rotation_matrix(body[1]), t3.subtract(position, body[0])),
         t3.rotation_between(body[1], q))
@@ -75,7 +75,8 @@ class Jacobian(NamedTuple):
     """
     Derivatives (6, 6) of the package's acceleration about a state.
 
-    By displacements (m, rad) and by twists (m/s, rad/s) of body and tool, each in body axes.
+    They are derivatives by displacements (m, rad) and twists (m/s, rad/s) of body and tool, in
+    body axes.
     """
 
     body_pose: Array
@@ -105,8 +106,8 @@ def nominal_system_matrix(model: ModelTuple) -> Array:
     """
     Return the `system_matrix` of the nominal pose, at rest and without load, in closed form.
 
-    There h = 0 and J = 2 I (3.18, 3.23), so that the wrench on the package is -X^T (K d + P v) for
-    small displacements d and twists v of it, X = X(S1_H_B). Nothing has to be compiled for it.
+    There h = 0 and J = 2 I (3.18, 3.23): the wrench on the package is -X^T (K d + P v) for its
+    small displacements d and twists v, X = X(S1_H_B). No kernel has to be compiled.
     """
     (l1, _, K, P, *branches), (mass, com, _, inverse), gravity = model
     X, M_inverse, by_pose = np.eye(6), np.eye(6) / mass, np.zeros((6, 6))
@@ -128,8 +129,8 @@ def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
     """
     Return the matrix (12, 12) of small motions about a state at rest.
 
-    The state is displacement and twist of B in body axes; its eigenvalues are the package's
-    modes (rad/s). Internal strains of a cup that relaxes are 12 states more (24, 24).
+    The state is displacement and twist of B in body axes; eigenvalues are the package's modes
+    (rad/s). A cup that relaxes has 12 more states, its internal strains (24, 24).
     """
     by = linearise(model, tool, body)
     eye, none = np.eye(6), np.zeros((6, 6))
@@ -145,7 +146,7 @@ def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
 
 
 def sag(model: ModelTuple) -> float:
-    """Return the shift (m) of a package by its weight in the softest direction."""
+    """Return the shift (m) of a package under its weight in the softest direction."""
     softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
     return model[1][0] * math.hypot(*model[2]) / softest
 
@@ -154,7 +155,7 @@ def largest_step(model: ModelTuple, A: Array | None = None) -> float:
     """
     Return the longest integration step (s) that keeps RK4 accurate for the fastest mode.
 
-    A is its `nominal_system_matrix`, if available.
+    A is the `nominal_system_matrix` of the model, if available.
     """
     A = nominal_system_matrix(model) if A is None else A
     fastest = float(np.abs(np.linalg.eigvals(A)).max())
@@ -163,12 +164,12 @@ def largest_step(model: ModelTuple, A: Array | None = None) -> float:
 
 @kernel
 def substeps_for(duration: float, longest_step: float) -> int:
-    """Return into how many integration steps a time between two tool samples is cut."""
+    """Return the number of integration steps for a time between two tool samples."""
     return max(1, math.ceil(duration / longest_step - 1e-9))
 
 
 def substeps_of(durations: Array, longest_step: float) -> Stamps:
-    """Return `substeps_for` each of some durations."""
+    """Return the number of integration steps for each duration; see `substeps_for`."""
     return np.maximum(1, np.ceil(durations / longest_step - 1e-9)).astype(np.int64)
 
 
@@ -180,14 +181,14 @@ def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = Non
     """
     Return the state in which the package hangs at rest from a tool at rest (3.9).
 
-    The load is put on in steps from the nominal pose, each solved by Newton's method, so that
-    among several equilibria the equilibrium of a real cup is found; or at once from a guess of the
-    package at rest. The search is in tool axes: the tool's pose in the world does not matter.
+    From the nominal pose the load grows in steps, each solved by Newton's method: this finds the
+    equilibrium of a real cup among several. From a guess of the package at rest the full load is
+    applied at once. The search is in tool axes: the tool's pose in the world does not matter.
 
     Raises
     ------
     UnstableError
-        If there is none: the cup is too soft for the package in this tool pose.
+        If no equilibrium exists: the cup is too soft for the package in this tool pose.
 
     """
     start, loads = resting_on_tool(model, ORIGIN), 8
@@ -208,13 +209,13 @@ def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = Non
 def _loaded(
     model: ModelTuple, tool: State, body: State, loads: int, A: Any, x: Any
 ) -> tuple[State, bool]:
-    """Put the load in steps on a body in tool axes; return its rest, and whether it is stable."""
+    """Apply the load in steps to a body in tool axes; return its rest and its stability."""
     stable, R_world_tool = False, t3.rotation_matrix(tool[1])
     gravity = t3.apply_transposed(R_world_tool, model[2])
     for load in range(1, loads + 1):
         now = (model[0], model[1], t3.scale(load / loads, gravity))
         size = math.inf
-        for _ in range(50):  # Newton's
+        for _ in range(50):  # Newton's method
             for j in range(6):
                 rotation, back = t3.unit(j - 3, _DIFFERENCE), t3.unit(j - 3, -_DIFFERENCE)
                 up = _unbalance(now, displaced(body, t3.unit(j, _DIFFERENCE), rotation))
@@ -232,7 +233,7 @@ def _loaded(
             body = displaced(
                 body, (part * x[0], part * x[1], part * x[2]),
                 (part * x[3], part * x[4], part * x[5]))
-            if (size < 1e-9 and size > 0.1 * before) or size < 1e-13:  # as near as rounding is
+            if (size < 1e-9 and size > 0.1 * before) or size < 1e-13:  # rounding errors
                 break
         if size >= 1e-9:
             return body, False
@@ -243,9 +244,9 @@ def _loaded(
 @kernel
 def _solve(A: Any, x: Any) -> tuple[float, bool]:
     """
-    Write A^-1 x into x by Gauss; return its length, and whether all pivots are positive.
+    Write A^-1 x into x by Gauss elimination; return its norm, and whether all pivots are positive.
 
-    At rest A is the Hessian of the energy: then it is a minimum.
+    At rest A is the Hessian of the energy: positive pivots are a minimum.
     """
     stable, square = True, 0.0
     for k in range(6):
@@ -267,7 +268,7 @@ def _solve(A: Any, x: Any) -> tuple[float, bool]:
 
 @kernel
 def _unbalance(model: ModelTuple, body: State) -> tuple[float, float, float, float, float, float]:
-    """Return force and moment that accelerate a package at rest under a tool at rest."""
+    """Return residual force and moment on a package at rest under a tool at rest."""
     package = model[1]
     dv, dw = kernels.body_acceleration(model, ORIGIN, body)
     f, m = t3.scale(package[0], dv), t3.apply(package[2], dw)

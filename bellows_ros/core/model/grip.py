@@ -1,13 +1,12 @@
 """
 Safety factors of a vacuum grip against peel and slip.
 
-Each cup holds by its own wrench: a gripper of several has the smallest factor of its
-cups, whose K_1 and P_1 are solved from the sums (see `structure`).
-The vacuum presses the package on a lip with V = pressure below ambient times effective area (N).
-The wrench (f, m) of the cup on the package is that at S in S axes, so f_z > 0 pulls the package
-up into the cup, and the lip presses with N = V - f_z. Each factor is the largest s for which
-s (f, m) still holds with the same V; infinite where no size of the wrench lets go, below 1 where
-the grip is lost.
+Each cup holds by its own wrench: the safety factor of a gripper is the smallest of its cups, whose
+K_1 and P_1 are solved from the sums (see `structure`). The vacuum presses the package on a lip
+with V = pressure below ambient times effective area (N). The wrench (f, m) of the cup on the
+package is taken at S in S axes: f_z > 0 pulls the package into the cup, and the contact force of
+the lip is N = V - f_z. Each factor is the largest s for which s (f, m) still holds with the same
+V; infinite if no wrench of this direction lets go, below 1 if the grip is lost.
 """
 
 import math
@@ -23,8 +22,8 @@ from bellows_ros.core.model.simulation import row_state
 import numpy as np
 
 Grip = tuple[float, float, float, *tuple[Array, ...]]
-"""Suction force V (N), radius of the lip r (m), friction between lip and package, of one cup; of a
-gripper of several also the cups that hold, as `places_of` returns them."""
+"""Suction force V (N), radius of the lip r (m) and friction between lip and package, of one cup;
+for a gripper of several cups also the cups that hold, as `places_of` returns them."""
 
 MODES = ('peel', 'slip')
 """Failure modes of the grip; an elastic lip peels before it tips."""
@@ -32,7 +31,7 @@ MODES = ('peel', 'slip')
 
 @kernel
 def ratio(suction: float, load: float) -> float:
-    """Return suction / load, or infinity if nothing pulls."""
+    """Return suction / load, or infinity without a load."""
     return suction / load if load > 0.0 else math.inf
 
 
@@ -47,11 +46,11 @@ def safety_factors(grip: tuple[float, float, float], f: Vector, m: Vector) -> tu
     """
     Return the safety factors against peel and slip, as in `MODES`; the smaller one counts.
 
-    Peel: the pressure of an elastic lip, linear across the ring, stays at or above zero all
-    around, 2 m_t / r <= N. Slip, sliding and twisting: q <= friction N, a circle in force and
-    moment. A thin ring with Coulomb friction holds less where a lateral force acts beside m_z:
-    the factor is up to 11 % above it with even pressure, and up to 33 % where bending takes half
-    of what peels the lip.
+    Peel: the pressure of an elastic lip, linear across the ring, stays nonnegative all around, 2
+    m_t / r <= N. Slip, by sliding and twisting: q <= friction N, a circle in force and moment. A
+    thin ring with Coulomb friction holds less under a lateral force combined with m_z: the factor
+    is up to 11 % too high with even pressure, and up to 33 % if bending uses half of the
+    resistance to peel.
     """
     suction, radius, friction = grip
     twist = m[2] / radius
@@ -90,7 +89,7 @@ def wrench_at(
     """
     Return the wrench of one cup of a gripper on the package, at its lip in S axes.
 
-    The cup stands at a; pose and twist are of S, and the internal strains of the gripper.
+    The cup stands at a. Pose and twist are of S; internal strains are of the gripper.
     """
     o = t3.add(o, t3.subtract(t3.apply(R, a), a))
     return kernels.cup_wrench(one, o, R, t3.add(v, t3.cross(w, a)), w, strains_at(strains, a))
@@ -98,7 +97,7 @@ def wrench_at(
 
 @kernel
 def strains_at(strains: Strains, a: Vector) -> Strains:
-    """Return A z of internal strains."""
+    """Return A z of internal strains z."""
     if len(strains) == 0:
         return ()
     (b, c), (d, e) = strains
@@ -111,7 +110,7 @@ def least_factors(
     f: Vector, m: Vector,
 ) -> tuple[float, float, int, int]:
     """
-    Return the smallest safety factors of all cups against peel and slip, and whose they are.
+    Return the smallest safety factors of all cups against peel and slip, and the cups' rows.
 
     Pose and twist are of S in E, as `cup_wrench` takes them, and (f, m) is its wrench.
     """
@@ -133,7 +132,7 @@ def least_factors(
 
 @kernel
 def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -> float:
-    """Return the suction force (N) of each cup at or below which the first one peels."""
+    """Return the smallest suction force (N) of each cup at which no cup peels."""
     cup, package, _ = model
     o, R, v, w = kernels.lip_relative_to_tool(package[1], tool, body)
     if len(grip) == 3:
@@ -164,7 +163,7 @@ def factors_along(model: ModelTuple, grip: Grip, tool: Array, body: Array) -> Ar
 
 
 def mode_name(grip: Grip, mode: int, row: int) -> str:
-    """Return a mode of failure, of a gripper with the cup that fails: index and place."""
+    """Return the name of a failure mode, for a gripper with index and place of the cup."""
     if len(grip) == 3:
         return MODES[mode]
     (places,) = grip[3:]
@@ -174,7 +173,7 @@ def mode_name(grip: Grip, mode: int, row: int) -> str:
 
 
 class Margin(NamedTuple):
-    """The smallest safety factor of a motion, its mode, and when it was, s."""
+    """The smallest safety factor of a motion, its mode, and its time, s."""
 
     factor: float
     mode: str

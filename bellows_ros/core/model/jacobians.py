@@ -6,7 +6,7 @@ A small change of a state is in the axes of its own body (tool or package): shif
 as in `displaced`. A 6x6 matrix is the tuple of its 3x3 blocks, linear first.
 
 Derivatives are taken at S1, the package's end of the spring. A shift and rotation xi of B is
-X(S1_H_B) xi there, like a twist; the twist relative to the tool changes with xi by -ad(v_tool) xi.
+X(S1_H_B) xi there, like a twist; the twist relative to the tool changes by -ad(v_tool) xi.
 """
 
 from typing import Any
@@ -85,7 +85,7 @@ def rotate_right(A: Square, R: Matrix) -> Square:
 
 @kernel
 def strain_jacobian(o: Vector, R: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the blocks oo, oR, RR of J (3.23): the strain's derivative; the block Ro is zero."""
+    """Return the blocks oo, oR, RR of the strain's derivative J (3.23); the block Ro is zero."""
     trace = R[0] + R[4] + R[8]
     return (
         (R[0] + 1.0, R[1], R[2], R[3], R[4] + 1.0, R[5], R[6], R[7], R[8] + 1.0),
@@ -115,8 +115,8 @@ def spring_jacobian(
     """
     Return the derivative of `spring_wrench` by shift and rotation of S1.
 
-    The sum of -1/4 J^T dS/dh J and, for the stress s = (s_o, s_R) and q = R^T o, of the change of
-    J, -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]].
+    It is the sum of -1/4 J^T dS/dh J and the change of J under the stress s = (s_o, s_R): -1/4
+    [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]] with q = R^T o.
     """
     h_now = kernels.strain(o, R)
     h, h_R = kernels.effective_strain(h_now, branches, strains), h_now[1]
@@ -157,8 +157,8 @@ def damper_jacobians(
     """
     Return the derivatives of `damper_wrench` by shift and rotation of S1, and by its twist.
 
-    By twist it is -D1 = -1/2 (P + G), G = X^T P X; by shift and rotation, with F = G v1,
-    -1/2 ([[0, F_o^], [F_o^, F_R^]] - G ad(v1)).
+    The derivative by twist is -D1 = -1/2 (P + G), G = X^T P X; by shift and rotation, with F = G
+    v1, it is -1/2 ([[0, F_o^], [F_o^, F_R^]] - G ad(v1)).
     """
     full = P[0], P[1], t3.transposed(P[1]), P[2]
     back = t3.transposed(R)
@@ -224,7 +224,7 @@ def accelerations(package: PackageTuple, A: Square) -> Square:
 
 @kernel
 def cup_accelerations(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
-    """Return the derivatives by pose and twist of the acceleration by the cup's wrench."""
+    """Return the derivatives of the acceleration by the cup's wrench, by pose and by twist."""
     c = ends_of_spring(model, tool, body)[0]
     by_pose, by_twist = wrench_jacobians(model, tool, body)
     return (accelerations(model[1], shift_left(c, shift_right(by_pose, c))),
@@ -307,7 +307,7 @@ def acceleration_at(package: PackageTuple, c: Vector, f: Vector, m: Vector) -> W
 def accelerations_at(
     package: PackageTuple, c: Vector, forces: Matrix, moments: Matrix, couples: Matrix
 ) -> tuple[Wrench, Wrench, Wrench, Wrench, Wrench, Wrench]:
-    """Return accelerations by rows of forces with rows of moments, then by rows of couples."""
+    """Return accelerations of rows of forces with rows of moments, then of rows of couples."""
     return (
         acceleration_at(package, c, row(forces, 0), row(moments, 0)),
         acceleration_at(package, c, row(forces, 1), row(moments, 1)),
@@ -342,7 +342,7 @@ def write_column(out: Any, column: int, a: Vector, b: Vector) -> None:
 
 @kernel
 def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> None:
-    """Write the derivative (12, 12) of the rate of a small change, in body axes, by the change."""
+    """Write the derivative (12, 12) of the rate of a small change by that change, in body axes."""
     by_pose, by_twist = body_jacobians(model, tool, body)
     v_hat, w_hat = t3.hat(body[2]), t3.hat(body[3])
     write_square(A, 0, 0, scale_square(-1.0, (w_hat, v_hat, ZERO_MATRIX, w_hat)))
@@ -382,8 +382,9 @@ def _entries(
     """
     Write the columns of K and P: the wrench is linear in their entries (4.67).
 
-    With r_j row j of J, entry jk of K makes -1/4 (r_j h_k + r_k h_j); with X of the damper, entry
-    jk of P makes -1/2 (e_j v_k + e_k v_j + x_j u_k + x_k u_j), x_j row j of X and u = X v1.
+    With r_j the row j of J, entry jk of K contributes -1/4 (r_j h_k + r_k h_j). With X of the
+    damper, x_j the row j of X and u = X v1, entry jk of P contributes -1/2 (e_j v_k + e_k v_j +
+    x_j u_k + x_k u_j).
     """
     c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
     package = model[1]
@@ -417,13 +418,11 @@ def row(A: Matrix, i: int) -> Vector:
 
 @kernel
 def _six(a: Vector, b: Vector) -> tuple[float, float, float, float, float, float]:
-    """Return the numbers of two vectors."""
     return a[0], a[1], a[2], b[0], b[1], b[2]
 
 
 @kernel
 def _pair(factor: float, A: Wrench, a: float, B: Wrench, b: float) -> Wrench:
-    """Return factor * (A a + B b)."""
     return (
         t3.add(t3.scale(factor * a, A[0]), t3.scale(factor * b, B[0])),
         t3.add(t3.scale(factor * a, A[1]), t3.scale(factor * b, B[1])))
@@ -436,8 +435,9 @@ def _others(
     """
     Write the columns of all parameters but K and P.
 
-    With the accelerations dv, dw and the cup's force f: by mass -f / m^2, by an entry of the
-    inertia -I^-1 (dI dw + w x dI w). Length and centre of mass move S1, and B in S1.
+    With the accelerations dv, dw and the cup's force f, the column of the mass is -f / m^2, and
+    the column of an entry of the inertia -I^-1 (dI dw + w x dI w). Length and centre of mass shift
+    S1, and B in S1.
     """
     package = model[1]
     w, R = body[3], t3.rotation_matrix(body[1])
@@ -493,7 +493,7 @@ def by_length(model: ModelTuple, tool: State, body: State, f: Vector) -> Wrench:
 
 @kernel
 def by_inertia(inverse: Matrix, w: Vector, dw: Vector, entry: int) -> Vector:
-    """Return the angular acceleration per kg m^2 of one of the six entries of the inertia."""
+    """Return the accelerations per metre of l0; each end of the spring shifts by half."""
     j, k = (entry, entry) if entry < 3 else (entry // 5, min(entry - 2, 2))
     twice = 1.0 if j != k else 0.0
     dI_dw = t3.add(t3.unit(j, dw[k]), t3.unit(k, twice * dw[j]))

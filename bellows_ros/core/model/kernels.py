@@ -28,7 +28,7 @@ Blocks = tuple[Matrix, Matrix, Matrix, *tuple[Stretch, ...]]
 Branch = tuple[float, float]
 """Stiffness r_b as a fraction of K, and time tau_b (s) in which the branch relaxes."""
 LawTuple = tuple[tuple[Stretch, ...], tuple[Branch, ...]]
-"""Stretch and branches of a cup, each empty for a cup without."""
+"""Stretch and branches of a cup, each empty if the cup has none."""
 CupTuple = tuple[float, float, Blocks, Blocks, *tuple[Branch, ...]]
 PackageTuple = tuple[float, Vector, Matrix, Matrix]
 ModelTuple = tuple[CupTuple, PackageTuple, Vector]
@@ -58,7 +58,7 @@ def matrix_of(numbers: Any) -> Matrix:
 @kernel
 def blocks_of(numbers: Any) -> Blocks:
     """Return 27 numbers as the blocks of K or P."""
-    # By slices: numba compiles a kernel anew for each constant index that it is passed.
+    # Slices, as numba compiles a kernel anew for each constant index that it receives.
     return matrix_of(numbers[:9]), matrix_of(numbers[9:18]), matrix_of(numbers[18:])
 
 
@@ -71,7 +71,7 @@ def strains_of(numbers: Any) -> Strains:
 
 
 def model_row(model: ModelTuple) -> Any:
-    """Return the numbers (81,) of a model without its `law_of`, for a quick call from Python."""
+    """Return the numbers (81,) of a model without its `law_of`, for fast calls from Python."""
     cup, (mass, com, *inertia), gravity = model
     blocks = [number for matrix in cup[2:4] for block in matrix[:3] for number in block]
     row, = as_inputs(np.array([*cup[:2], *blocks, mass, *com, *inertia[0], *inertia[1], *gravity]))
@@ -322,10 +322,10 @@ ToolSegment = tuple[float, Vector, Vector, Vector, Vector, Quaternion, Vector, V
 @kernel
 def tool_segment(start: State, end: State, duration: float) -> ToolSegment:
     """
-    Return the cubic Hermite curve between two tool samples a time apart.
+    Return the cubic Hermite curve between two tool samples.
 
-    In s = t / duration from 0 to 1: o(s) = o0 + a1 s + a2 s^2 + a3 s^3 and
-    R(s) = R0 exp(c1 s + c2 s^2 + c3 s^3), with both poses and both twists met.
+    In s = t / duration from 0 to 1: o(s) = o0 + a1 s + a2 s^2 + a3 s^3 and R(s) = R0 exp(c1 s + c2
+    s^2 + c3 s^3); poses and twists of both samples are met.
     """
     a1 = t3.scale(duration, t3.apply(t3.rotation_matrix(start[1]), start[2]))
     a1_end = t3.scale(duration, t3.apply(t3.rotation_matrix(end[1]), end[2]))
@@ -370,7 +370,7 @@ def tool_at(segment: ToolSegment, s: float) -> State:
 
 @kernel
 def extrapolated(tool: State, duration: float) -> State:
-    """Return the tool a time later, at constant linear and angular velocity in the world."""
+    """Return the tool after a duration (s) of constant linear and angular velocity in A."""
     o, q, v, w = tool[:4]
     velocity = t3.apply(t3.rotation_matrix(q), v)
     q_later = t3.quaternion_product(q, t3.exp_quaternion(t3.scale(duration, w)))
@@ -402,9 +402,9 @@ def moved_strains(strains: Strains, h: float, rates: Strains) -> Strains:
 @kernel
 def rotation_rate(sigma: Vector, w: Vector) -> Vector:
     """
-    Return the rate of sigma in R0 exp(sigma) for the body rate w, to the order RKMK4 needs.
+    Return the rate of sigma in R0 exp(sigma) for the body rate w, to the order of RKMK4.
 
-    w + 1/2 sigma x w + 1/12 sigma x (sigma x w), the inverse of dexp(-sigma) cut off.
+    It is w + 1/2 sigma x w + 1/12 sigma x (sigma x w), the truncated inverse of dexp(-sigma).
     """
     once = t3.cross(sigma, w)
     return t3.add_scaled(t3.add_scaled(w, 0.5, once), 1.0 / 12.0, t3.cross(sigma, once))
@@ -434,7 +434,7 @@ def weighted_strains(a: Strains, b: Strains, c: Strains, d: Strains) -> Strains:
 def rates(
     model: ModelTuple, tool: State, body: State, w: Vector
 ) -> tuple[Vector, Vector, Vector, Vector, Strains]:
-    """Return the rates of a package's state for `stage_state`; w is the rate of its rotation."""
+    """Return the rates of a package's state for `stage_state`; w is its body rate."""
     dv, dw = body_acceleration(model, tool, body)
     do = t3.apply(t3.rotation_matrix(body[1]), body[2])
     return do, w, dv, dw, strain_rates(model, tool, body)
@@ -466,7 +466,7 @@ def stages(
 def step(
     model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
 ) -> State:
-    """Return the package's state after h, for tool states at start, middle and end (RKMK4)."""
+    """Return the package's state after h, by tool states at start, middle and end (RKMK4)."""
     return stages(model, body, tool, tool_middle, tool_end, h)[3]
 
 
@@ -474,7 +474,7 @@ def step(
 def advance(
     model: ModelTuple, body: State, start: State, end: State, duration: float, substeps: int
 ) -> State:
-    """Return the package's state after the tool moved from one sample to the next."""
+    """Return the package's state after the tool's motion from one sample to the next."""
     segment = tool_segment(start, end, duration)
     h = duration / substeps
     tool = start

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 DIRECTIONS = ('lateral', 'lateral', 'axial', 'bending', 'bending', 'torsion')
-"""Names of the six axes' directions."""
+"""Names of the directions of the six axes."""
 
 
 class Mode(NamedTuple):
@@ -38,8 +38,8 @@ def modes(cup: Cup, package: Package, gravity: float) -> list[Mode]:
     Return the six modes about static equilibrium under an upright tool at rest, lowest first.
 
     The damping ratio is phi^T C phi / (2 omega) with shapes phi of unit modal mass: exact for
-    proportional damping, of first order otherwise. The direction is judged in the middle of the
-    cup, the place of its spring (3.13).
+    proportional damping, of first order otherwise. The direction is determined at the middle of
+    the cup, the place of its spring (3.13).
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def modes(cup: Cup, package: Package, gravity: float) -> list[Mode]:
     jacobian = linearise(model, ORIGIN, static_equilibrium(model, ORIGIN))
     mass = block_diag(package.mass * np.eye(3), package.inertia)
     inverse = np.linalg.inv(np.linalg.cholesky(mass))
-    stiffness = -inverse @ (mass @ jacobian.body_pose) @ inverse.T  # its lower half counts
+    stiffness = -inverse @ (mass @ jacobian.body_pose) @ inverse.T  # eigh reads its lower half
     damping = -inverse @ (mass @ jacobian.body_twist) @ inverse.T
     middle_body = adjoint(transform(np.eye(3), package.com - [0.0, 0.0, 0.5 * cup.length]))
     found = []

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 def state_row(
     position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike = (0.0,) * 6
 ) -> State:
-    """Return a pose and a body twist, at rest when left out, as the kernels take them."""
+    """Return the state of a pose and a body twist for the kernels; without twist at rest."""
     o, q, v = (np.asarray(x, float).tolist() for x in (position, quaternion_xyzw, twist))
     return (o[0], o[1], o[2]), (q[0], q[1], q[2], q[3]), (v[0], v[1], v[2]), (v[3], v[4], v[5])
 
@@ -30,22 +30,22 @@ MAX_REST_RATES = (1e-3, 1e-2)
 
 
 def stands(twist: Array) -> bool:
-    """Return whether the tool stands still with a twist (6,)."""
+    """Return whether a tool with a twist (6,) is at rest."""
     speed, rate = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
     return bool(speed <= MAX_REST_RATES[0] and rate <= MAX_REST_RATES[1])
 
 
 def rest(model: ModelTuple, row: Array, guess: State | None = None) -> State:
-    """Return the package at rest under the tool of a row (13,), sought from a guess if any."""
+    """Return the package at rest under the tool of a row (13,), searched from a guess, if any."""
     return equilibrium.static_equilibrium(model, state_row(row[:3], row[3:7]), guess)
 
 
 MAX_INTEGRATION_STEPS = 10_000_000
-"""Most integration steps of a prediction, which take seconds."""
+"""Largest number of integration steps of a prediction, some seconds of processor time."""
 
 
 def require_steps(steps: float, max_steps: int = MAX_INTEGRATION_STEPS) -> None:
-    """Refuse a prediction of too many integration steps."""
+    """Raise BellowsError for a prediction of too many integration steps."""
     if not steps <= max_steps:
         raise BellowsError(
             f'The prediction takes {steps:.3g} integration steps; expected at most '
@@ -57,15 +57,15 @@ def steady_start(
     model: ModelTuple, tool: 'Trajectory | ToolRows', guess: State | None = None
 ) -> State:
     """
-    Return the package in steady motion at a plan's first point: at rest where the tool is.
+    Return the package in steady motion at a plan's first point; at rest under a tool at rest.
 
-    Under a moving tool the package hangs as under the plan's first acceleration for a long time:
-    both move like one body. The search at rest starts from a guess.
+    Under a moving tool the package hangs as after a long time under the plan's first acceleration:
+    both move as one body. The search at rest starts from a guess.
 
     Raises
     ------
     UnstableError
-        If the package cannot hang so.
+        If there is no steady motion.
 
     """
     rows = tool_rows(tool)
@@ -121,9 +121,9 @@ class ToolRows:
     Parameters
     ----------
     stamps_ns : int array (N,)
-        ns.
+        Stamps, ns.
     rows : array (N, 13)
-        As `tool_rows` returns them.
+        States, as `tool_rows` returns them.
 
     """
 
@@ -131,7 +131,6 @@ class ToolRows:
     rows: Array
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self.stamps_ns)
 
     @property
@@ -154,7 +153,7 @@ def tool_rows(tool: Trajectory | ToolRows) -> Array:
 
 
 def trajectory_of(stamps_ns: Stamps, rows: Array) -> Trajectory:
-    """Return rows (N, 13), as of `tool_rows`, or longer ones as a motion with twists."""
+    """Return a motion with twists of rows (N, 13) or longer, as `tool_rows` returns them."""
     rotation = frozen(lie.quaternion_to_rotation(rows[:, 3:7]))
     return Trajectory(stamps_ns, rows[:, :3], rotation, rows[:, 7:13])
 
@@ -173,11 +172,11 @@ def simulate(
     package : Package
         Package on the cup.
     tool : Trajectory
-        N poses of E in the world with body twists; cubic Hermite in between.
+        N poses of E in the world with body twists; interpolated by cubic Hermite curves.
     start : State, optional
         State of B in the world at the first sample; static equilibrium when left out.
     gravity : float or array_like (3,)
-        Along -z of the world, or as a vector there, m/s^2.
+        Magnitude along -z of the world, or vector in the world, m/s^2.
     substeps : int, optional
         Integration steps per tool sample; chosen from the model's fastest mode when left out.
 
@@ -189,7 +188,7 @@ def simulate(
     Raises
     ------
     BellowsError
-        If there is no static equilibrium to start from, or the simulation does not stay finite.
+        If there is no static equilibrium to start from, or the simulation diverges.
 
     """
     model = model_tuple(cup, package, gravity)
@@ -201,7 +200,7 @@ def simulate(
         begin = (equilibrium.adapted(model, row_state(rows[0]), start) if start
                  else rest(model, rows[0]))
         out = simulate_rows(model, begin, rows, durations, steps)
-    except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+    except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled ones give nan
         out = np.full(1, np.nan)
     if not np.all(np.isfinite(out)):
         raise UnstableError(
@@ -214,7 +213,7 @@ def simulate(
 def simulate_rows(
     model: ModelTuple, start: State, tool: Array, durations: Array, substeps: Stamps
 ) -> Array:
-    """Return the package's rows (N, `row_length`) for as many tool rows and the times between."""
+    """Return the package's rows (N, `row_length`) for N tool rows and the times between."""
     out = np.empty((len(tool), row_length(start)))
     _simulate(model, start, *as_inputs(tool, durations, substeps), out)
     return out
@@ -229,14 +228,14 @@ def row_state(row: Array) -> State:
 
 @kernel
 def body_row(row: Array, body: State) -> State:
-    """Return the state in one row of `row_length` numbers, for a body of the same kind."""
+    """Return the state in one row, with internal strains if the body has any."""
     if len(body) == 4:
         return row_state(row)
     return kernels.with_strains(row_state(row), kernels.strains_of(row[13:]))
 
 
 def row_length(body: State) -> int:
-    """Return the length of a state: 13, with internal strains 25."""
+    """Return the length of a row: 13, or 25 with internal strains."""
     return 13 + 6 * len(body[4:])
 
 
@@ -257,7 +256,7 @@ def write_row(row: Array, state: State) -> None:
 
 @kernel
 def first_after(times: Any, time: float, count: int) -> int:
-    """Return the number of the first of the samples after a time."""
+    """Return the index of the first sample after a time."""
     low, high = 0, count
     while low < high:
         middle = (low + high) // 2
@@ -272,7 +271,6 @@ def first_after(times: Any, time: float, count: int) -> int:
 def _simulate(
     model: ModelTuple, start: State, tool: Any, durations: Any, substeps: Any, out: Array
 ) -> None:
-    """Advance from row to row."""
     body, before = start, row_state(tool[0])
     write_row(out[0], body)
     for k in range(len(durations)):

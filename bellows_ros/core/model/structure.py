@@ -1,13 +1,13 @@
 """
-Structures of K and P: which entries are free, which are tied, and how equal cups add up.
+Structures of K and P: free entries, tied entries, and the sum of equal cups.
 
 A new structure is one entry in `STRUCTURES`: methods, tables and exports follow.
 
 Cup i of a gripper stands at a_i in E, and its lip at a_i in S. Its strain (3.18) and twist are
 linear in strain and twist of a cup at the origin, h_i = A_i h and v_i = A_i v, A_i = [[I, -a_i^],
-[0, I]], as (I + R^T)(R - I) a = (R - R^T) a. So K = sum A_i^T K_1 A_i and P = sum A_i^T P_1 A_i
-are one cup of the same kernel, exactly, at any rotation and in motion. Each cup holds by itself:
-see `grip`.
+[0, I]], as (I + R^T)(R - I) a = (R - R^T) a. Hence K = sum A_i^T K_1 A_i and P = sum A_i^T P_1 A_i
+are exactly one equivalent cup of the same kernel, at any rotation and in motion. Each cup holds by
+itself: see `grip`.
 
 Checks of parameter values: a 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz,
 ixy, ixz, iyz]; units are SI.
@@ -28,10 +28,12 @@ from numpy.typing import ArrayLike
 THESIS_STIFFNESS = (6417.0, 6417.0, 1.153e4, 3.868, 3.868, 1.123)
 THESIS_DAMPING = (66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736)
 THESIS_LENGTH = 0.0481
-"""Diagonals of (4.78), N/m and N m/rad, and (4.79), N s/m and N m s/rad; l0 of chapter 3, m."""
+"""Length l0 of the cup in chapter 3 of the thesis, m; diagonals of K (4.78), N/m and N m/rad, and
+of P (4.79), N s/m and N m s/rad."""
 
 MAX_CUPS, REACH, CLEARANCE = 32, 2.0, 5e-3
-"""Largest number of cups, and distance (m) from E; smallest distance of two."""
+"""Largest number of cups; largest distance of a cup from E and smallest distance of two cups,
+m."""
 
 UPPER = np.triu_indices(6)
 SINGLE = np.zeros((1, 4))
@@ -45,7 +47,7 @@ def positions_of(layout: Sequence[float]) -> Array:
     Raises
     ------
     BellowsError
-        If they are not x, y, z of 1 to 32 cups, or no gripper has them.
+        If they are not x, y, z of 1 to 32 cups, or not plausible for a gripper.
 
     """
     if not layout or len(layout) % 3:
@@ -96,7 +98,7 @@ def composition(places: Array) -> Array:
 
 
 RELAXATION_TIMES = (0.06, 0.8)
-"""Times of the two branches of rubber that relaxes, s; others fit as well (within 0.1 %)."""
+"""Times of the two branches of relaxing rubber, s; other times fit equally well (within 0.1 %)."""
 
 CoupledAxes = tuple[tuple[int, float], ...]
 """Axes coupled with each other, each with its sign."""
@@ -117,9 +119,9 @@ class Structure:
     meaning : str
         Assumption on the cup, in a few words.
     groups : tuple of str
-        Blocks of coupled axes; those joined by '=' hold the same numbers, and a minus turns an
-        axis round: with 'x ry = y -rx' K[x,x] = K[y,y], K[ry,ry] = K[rx,rx], K[x,ry] = -K[y,rx].
-        Axes of different blocks are not coupled.
+        Blocks of coupled axes; blocks joined by '=' hold the same numbers, and a minus inverts an
+        axis: with 'x ry = y -rx' K[x,x] = K[y,y], K[ry,ry] = K[rx,rx], K[x,ry] = -K[y,rx]. Axes of
+        different blocks are not coupled.
     places : tuple of (x, y, z, index)
         Positions (m, in E) of cups of a gripper, each with these K and P; empty for one cup.
 
@@ -140,7 +142,7 @@ class Structure:
 
     @cached_property
     def entries(self) -> tuple[tuple[Entry, ...], ...]:
-        """For every parameter of one matrix the entries that it sets, the first with sign +1."""
+        """For every parameter of one matrix its entries, the first with sign +1."""
         parameters = []
         for blocks in self.blocks:
             for i, j in combinations_with_replacement(range(len(blocks[0])), 2):
@@ -154,7 +156,7 @@ class Structure:
 
     @property
     def leads(self) -> tuple[tuple[int, int], ...]:
-        """Row and column of the first entry of every parameter, whose value it is."""
+        """Row and column of the first entry of every parameter, which has its value."""
         return tuple(entries[0][:2] for entries in self.entries)
 
     @property
@@ -164,12 +166,12 @@ class Structure:
 
     @property
     def couplings(self) -> list[int]:
-        """Places of the couplings among the parameters (2 n,)."""
+        """Indices of the couplings among the parameters (2 n,)."""
         return [place for place, (i, j) in enumerate(2 * self.leads) if i != j]
 
     @property
     def couples(self) -> bool:
-        """Whether it couples directions, and so the weight of a fit the components."""
+        """Whether the structure couples directions, and the weight of a fit components."""
         return any(len(blocks[0]) > 1 for blocks in self.blocks)
 
     @property
@@ -202,7 +204,7 @@ class Structure:
 
     @cached_property
     def upper(self) -> Array:
-        """The model's upper triangles (42, 2 n) of K and P, row by row, by the parameters."""
+        """Matrix (42, 2 n) from the parameters to the upper triangles of K and P, row by row."""
         return np.kron(np.eye(2), np.transpose([unit[UPPER] for unit in self.model_basis]))
 
     def matrices(self, x: Array) -> tuple[Array, Array]:
@@ -211,24 +213,24 @@ class Structure:
         return K, P
 
     def spread(self, errors: Array) -> tuple[Array, Array]:
-        """Return errors (6, 6) of K and P from errors (2 n,) of parameters; some are infinite."""
+        """Return errors (6, 6) of K and P from errors (2 n,) of parameters, possibly infinite."""
         K, P = np.where(self.basis, errors.reshape(2, -1, 1, 1), 0.0).max(axis=1)
         return K, P
 
     def parameters(self, stiffness: Array, damping: Array) -> Array:
-        """Return the parameters x (2 n,) nearest to K and P: the mean of tied entries."""
+        """Return the parameters x (2 n,) nearest to K and P: means of tied entries."""
         return np.array([
             np.mean([sign * matrix[row, column] for row, column, sign in entries])
             for matrix in (stiffness, damping)
             for entries in self.entries])
 
     def within(self, other: 'Structure') -> Array:
-        """Return T (2 m, 2 n): x here and T x of another structure give the same model."""
+        """Return T (2 m, 2 n): parameters x, and T x of another structure, give equal models."""
         T = [other.parameters(unit, unit)[:other.size] for unit in self.model_basis]
         return np.asarray(np.kron(np.eye(2), np.column_stack(T)), dtype=np.float64)
 
     def sizes(self, stiffness: Array, damping: Array) -> Array:
-        """Return the scale of each parameter (2 n,): the root of its two diagonal entries."""
+        """Return the scale of each parameter (2 n,): geometric mean of its diagonal entries."""
         i, j = np.array(self.leads).T
         return np.concatenate([np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (stiffness, damping)])
 
@@ -242,7 +244,7 @@ class Structure:
         """
         Return Q (6, 6) of six-vectors in the form of this structure.
 
-        Blocks are complete (4.69); tied blocks are pooled about their common mean (4.80).
+        Blocks are full (4.69); tied blocks are pooled about their common mean (4.80).
 
         Parameters
         ----------
@@ -291,7 +293,7 @@ STRUCTURE_NAMES = (AUTO, *STRUCTURES, OF_LAYOUT.name)
 
 
 def structure_named(name: str) -> Structure:
-    """Return the structure of a name, or raise BellowsError listing those there are."""
+    """Return the structure with a name, or raise BellowsError with a list of the names."""
     if name not in STRUCTURE_NAMES:
         raise BellowsError(
             f"fit.structure is '{str(name)[:40]}'; expected one of {', '.join(STRUCTURE_NAMES)}.")
@@ -299,15 +301,15 @@ def structure_named(name: str) -> Structure:
 
 
 def common_structure(one: Structure, other: Structure) -> Structure:
-    """Return the simplest structure that contains two."""
+    """Return the simplest structure that contains two structures."""
     return next(s for s in STRUCTURES.values() if s.contains(one) and s.contains(other))
 
 
 ROUNDING = 1e-12
-"""Relative size of eigenvalues below which they are rounding errors, 1."""
+"""Relative size of eigenvalues that are rounding errors."""
 
 MIN_STIFFNESS = 1e-6
-"""Smallest eigenvalue (N/m, N m/rad) of a stiffness: a million times softer than any cup."""
+"""Smallest eigenvalue of a stiffness, a millionth of a soft cup's, N/m or N m/rad."""
 
 
 def matrix(values: ArrayLike) -> Array:
@@ -323,7 +325,7 @@ def inertia_matrix(values: ArrayLike) -> Array:
 
 def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
     """
-    Refuse a 6x6 matrix that is not symmetric positive definite, or softer than any cup.
+    Raise BellowsError unless a 6x6 matrix is symmetric positive definite and stiff enough.
 
     Raises
     ------
@@ -343,7 +345,7 @@ def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
 
 def require_damping(damping: Array, name: str = 'cup.damping') -> None:
     """
-    Refuse a 6x6 matrix that is not symmetric positive semidefinite.
+    Raise BellowsError for a 6x6 matrix that is not symmetric positive semidefinite.
 
     Raises
     ------
@@ -361,7 +363,7 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
 
 
 def has_coupling(stiffness: Array) -> bool:
-    """Return whether K[x, ry] puts the centre of stiffness off the middle of the cup."""
+    """Return whether K[x, ry] shifts the centre of stiffness out of the middle of the cup."""
     couplings = np.abs([stiffness[0, 4], stiffness[1, 3]])
     return bool(np.any(couplings > 1e-4 * stiffness[[0, 1], [0, 1]]))  # m
 
@@ -375,7 +377,7 @@ def require_stretch(
     high: float = STRETCH_RANGE,
 ) -> None:
     """
-    Refuse coefficients a and b if the energy is not positive definite in an axial range (m).
+    Raise BellowsError if coefficients a and b make the energy indefinite in an axial range (m).
 
     At an axial shift s the energy is 1/8 h^T (K + 16 s diag(0, 0, a, b, b, 0)) h, as h_z = 2 s.
 
@@ -396,7 +398,7 @@ def require_stretch(
 
 
 def require_symmetric(values: Array, name: str) -> None:
-    """Raise BellowsError, with the entries that differ most, for a matrix that is asymmetric."""
+    """Raise BellowsError, with the entries that differ most, for an asymmetric matrix."""
     asymmetry = np.abs(values - values.T)
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(asymmetry)), values.shape))
     if asymmetry[row, column] > 1e-9 * float(np.max(np.abs(values))):
@@ -410,13 +412,13 @@ def check_inertia(inertia: Array) -> None:
     """
     Raise BellowsError unless a rigid body can have this inertia tensor (3, 3), kg m^2.
 
-    It must be symmetric and positive definite, and no principal moment above the sum of the
-    other two.
+    The tensor must be symmetric and positive definite, and no principal moment above the sum of
+    the other two.
     """
     require_symmetric(inertia, 'package.inertia')
     moments = np.linalg.eigvalsh(inertia)
     shown = ', '.join(f'{moment:.6g}' for moment in moments)
-    # a thin plate's data are rounded
+    # data of thin plates are rounded
     if moments[0] <= 0.0 or (moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-3)):
         raise BellowsError(
             f'No body has this package.inertia: its principal moments are {shown} kg m^2; '
@@ -431,7 +433,7 @@ MAX_MASS = 50.0
 """Largest plausible mass of a package, kg."""
 
 GYRATION = (0.01, 0.3, 1.0)
-"""Radii of gyration of packages: the smallest, the largest usual and the largest plausible, m."""
+"""Radii of gyration of packages: smallest, largest usual and largest plausible, m."""
 
 INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 """Other units of moments of inertia, and their number in 1 kg m^2."""
@@ -473,8 +475,8 @@ def unit_doubts(
 
 
 def too_dense(mass: float, gyration: float) -> str:
-    """Return a question if a package (kg, m) would be denser than a ball of lead, else ''."""
-    # the density of lead, kg/m^3, is the largest of a package
+    """Return a question if a package (kg, m) is denser than a ball of lead, else ''."""
+    # density of lead, kg/m^3
     least = float(np.sqrt(1.2) * (3.0 * mass / (4.0 * np.pi * 11_340.0)) ** (1 / 3))
     return '' if gyration >= least else (
         f'package.inertia has a radius of gyration of {gyration:.3g} m; even a ball of lead of '
@@ -482,6 +484,6 @@ def too_dense(mass: float, gyration: float) -> str:
 
 
 def unit_of_inertia(gyration: float) -> str:
-    """Return the likely unit of moments of inertia with this radius of gyration (m)."""
+    """Return the likely unit of moments of inertia by their radius of gyration (m)."""
     return next((unit for unit, many in INERTIA_UNITS
                  if gyration < GYRATION[1] * float(np.sqrt(many))), INERTIA_UNITS[-1][0])

@@ -25,18 +25,18 @@ DIRECTIONS = (
 TYPICAL_BENDING = math.radians(20.0)
 """Largest bending of real cups, rad."""
 FLAT_MOMENT_BENDING = 0.6
-"""Bending from which the moment of (3.17) hardly grows, rad."""
+"""Bending beyond which the moment of (3.17) hardly grows, rad."""
 PEAK_MOMENT_BENDING = math.pi / 4.0
 """Bending with the largest moment of (3.17), rad."""
 
 OVERTURN_ANGLE = 1.5
-"""Rotation beyond which a swinging package has left any cup, rad."""
+"""Rotation beyond which no package is still on its cup, rad."""
 
 MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
 """Smallest width of a validity range, above the noise (m, rad; m/s, rad/s)."""
 
 MIN_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
-"""Bands reach at least this high (Hz), and are exceeded by a frequency this many times higher."""
+"""Smallest upper end of a frequency band (Hz), and ratio by which a frequency exceeds a band."""
 
 DOWN, UP = (Context(prec=6, rounding=mode) for mode in (ROUND_FLOOR, ROUND_CEILING))
 ROUNDING_MODES = {
@@ -55,7 +55,7 @@ RANGE_PARAMETERS = {
 @dataclass(frozen=True, eq=False)
 class Envelope:
     """
-    Ranges that the recordings of a fit cover.
+    Ranges covered by the recordings of a fit.
 
     Parameters
     ----------
@@ -81,7 +81,6 @@ class Envelope:
     vacuum: ArrayLike = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         for name, shape in zip(FIELDS, ((6,), (6,), (6,), (2, 2), (2,), (2,)), strict=True):
             array = frozen_array(getattr(self, name), shape, f"envelope's {name}")
             object.__setattr__(self, name, array)
@@ -111,7 +110,7 @@ class Envelope:
 
 
 def joined_envelopes(parts: Sequence[Envelope]) -> Envelope:
-    """Return the validity range of all recordings together: the widest of each."""
+    """Return the validity range of all recordings: the union of their ranges."""
     low, high, rates, bands, mass = (
         np.array([getattr(part, name) for part in parts]) for name in FIELDS[:5])
     return Envelope(
@@ -130,7 +129,7 @@ class Distance:
     value : float
         0 in the middle of all ranges, 1 on the edge of one, above 1 outside.
     outside : tuple of str
-        A phrase for each range that is left, the farthest first.
+        A phrase for each exceeded range, the farthest first.
 
     """
 
@@ -139,7 +138,7 @@ class Distance:
 
     @property
     def text(self) -> str:
-        """A sentence on a state outside."""
+        """Sentence on a state outside the range."""
         return f'Outside the validity range: {"; ".join(self.outside)}.'
 
 
@@ -149,8 +148,8 @@ def distance(
     """
     Return the distance of a state from the validity range.
 
-    A state has no frequency: a motion faster than the motions of the fit exceeds their rates.
-    Bands are compared in `beyond`.
+    A state has no frequency: motion faster than in the fit exceeds the rates. `beyond` compares
+    bands.
 
     Parameters
     ----------
@@ -171,7 +170,7 @@ def distance(
 
 
 def _worst_first(distances: list[tuple[float, str]]) -> Distance:
-    """Return the largest distance, and the phrases for those above 1."""
+    """Return the largest distance, and the phrases for distances above 1."""
     ranked = sorted(distances, key=lambda item: -item[0])
     return Distance(ranked[0][0], tuple(phrase for size, phrase in ranked if size > 1.0))
 
@@ -214,9 +213,9 @@ def _rates(valid: Envelope, value: Array) -> list[tuple[float, str]]:
 
 def _frequencies(valid: Envelope, bands: Array) -> list[tuple[float, str]]:
     """
-    Return distance and phrase for the upper ends of frequency bands, if those are known.
+    Return distance and phrase for the upper ends of frequency bands, if known.
 
-    Slower motion is no extrapolation: the spring is the same at rest.
+    Slower motion is no extrapolation: the spring also holds at rest.
     """
     tops = np.maximum(valid.frequencies[:, 1], MIN_FREQUENCY).tolist()
     return [
