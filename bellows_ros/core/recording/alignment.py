@@ -1,13 +1,13 @@
 """
 From recorded marker frames to tool tip E, lip S and centre of mass B (4.1-4.13).
 
-A motion capture system gives poses of marker bodies whose axes are turned against E and S, and the
-package hangs a little beside the cup's axis. At rest the axes of E and S are parallel to the
-world's, and S lies below E: deviations at the first standstill are removed by constant rigid
-transformations of each body. Poses that need no such correction go through the same
-transformations, with the identity in them.
+A motion capture system gives poses of marker bodies whose axes are rotated relative to E and S,
+and the package hangs with a lateral offset from the cup's axis. At rest the axes of E and S are
+parallel to the axes of the world, and S lies below E: deviations at the first standstill are
+removed by constant rigid transformations of each body. Poses without need of correction are
+transformed by the identity.
 
-The offset of two clocks follows from when two bodies turn alike.
+The offset of two clocks follows from the correlation of both bodies' rotations.
 
 If tool and package are tracked in two worlds, the package's poses are first transformed into the
 frame of the tool's poses.
@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 
 class Remark(NamedTuple):
-    """A fact that the user should know: its code in the texts 'recording', and SI numbers."""
+    """A fact for the user: its code in the texts 'recording', and numbers in SI units."""
 
     code: str
     numbers: Mapping[str, Any]
@@ -36,18 +36,19 @@ class Remark(NamedTuple):
 DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of gravity in a world with z up."""
 
-# The rotation part of A_H_M (4.1): Motive's y is up, and its x points the other way.
+# Rotation part of A_H_M (4.1): Motive's y points up, and its x is reversed.
 R_WORLD_MOTIVE = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
 """Rotations from axes of a recording to axes with z up, by the value of recording.world."""
 
-# Minimum number of valid samples of a standstill, and their minimum part by the rate.
+# Smallest number of valid samples of a standstill, and smallest fraction of the samples by the
+# rate.
 MIN_SAMPLES_AT_REST, MIN_PART_AT_REST = 10, 0.5
-# A beginning at rest: over how long (s) poses are averaged, and how long (s) a body stands still.
+# Duration of the averaged poses at the beginning, and shortest rest at the beginning, s.
 START_SECONDS = 0.2
 MIN_REST = 0.5
-# Marker frames are turned against each other if by more than this (rad), and by more than this
-# part of the tool's tilt, with which a package bends the cup.
+# Smallest rotation (rad) of marker frames relative to each other, also relative to the tool's
+# tilt, by which a package bends the cup.
 MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT = np.deg2rad(1.5), 0.5
 
 
@@ -59,14 +60,15 @@ class Alignment:
     Parameters
     ----------
     R_tool_markers_tool : array (3, 3)
-        From axes of the tool E to those its pose is recorded in (4.4); the origins coincide.
+        Rotation from axes of the tool E to axes of its recorded pose (4.4); the origins coincide.
     R_package_markers_lip : array (3, 3)
-        From axes of the lip S to those the package's pose is recorded in (4.5).
+        Rotation from axes of the lip S to axes of the package's recorded pose (4.5).
     origin_to_com : array (3,)
-        From the origin of the recorded package pose to the centre of mass B, in axes of S, m.
+        Vector from the origin of the recorded package pose to the centre of mass B, in axes of S,
+        m.
     lateral_offset : array (3,)
-        Correction of the position of the lip (4.10), in axes of S, at rest parallel to E, m; z is
-        0; included in `origin_to_com`.
+        Lateral correction of the lip's position (4.10) in axes of S, at rest parallel to E, m; z
+        is 0; included in `origin_to_com`.
 
     """
 
@@ -77,7 +79,7 @@ class Alignment:
 
     def tool(self, markers: Trajectory) -> Trajectory:
         """
-        Return the poses of E from recorded ones, in the world already (4.12).
+        Return the poses of E from recorded poses in the world (4.12).
 
         Parameters
         ----------
@@ -94,11 +96,11 @@ class Alignment:
 
     def package(self, markers: Trajectory) -> Trajectory:
         """
-        Return the poses of B from recorded ones, in the world already (4.13), (4.64).
+        Return the poses of B from recorded poses in the world (4.13), (4.64).
 
-        The lateral offset is constant in S, as a package that was picked up beside its middle
-        carries it; (4.10) takes it in axes of E, which is the same at rest and differs by the
-        offset times the bending angle in motion.
+        The lateral offset is constant in S, as for a package that is gripped off-centre. (4.10)
+        takes it in axes of E, which is equal at rest and differs by the offset times the bending
+        angle in motion.
 
         Parameters
         ----------
@@ -138,7 +140,7 @@ def world_rotation(world: str, gravity_direction: ArrayLike = DOWN) -> Array:
 
 
 def in_world(poses: Trajectory, R_world_recorded: Array) -> Trajectory:
-    """Return recorded poses of any body in the world, by its `world_rotation`."""
+    """Return recorded poses of any body in the world; see `world_rotation`."""
     return replace(poses, position=frozen(lie.apply(R_world_recorded, poses.position)),
                    rotation=frozen(R_world_recorded @ poses.rotation))
 
@@ -147,14 +149,14 @@ def aligned_at_rest(
     tool: MeanPose, package: MeanPose, package_frame: str, com: ArrayLike
 ) -> Alignment:
     """
-    Return the alignment that makes a standstill the nominal one (4.2-4.13).
+    Return the alignment with which a standstill has the nominal pose (4.2-4.13).
 
     Parameters
     ----------
     tool, package : MeanPose
         Mean poses of the recorded frames in the world, z up, at the same time.
     package_frame : str
-        Frame of the package's poses: 'com' or 'lip'. Only the origin counts.
+        Frame of the package's poses, 'com' or 'lip', with respect to the origin.
     com : array (3,)
         Centre of mass B in S, m.
 
@@ -165,7 +167,7 @@ def aligned_at_rest(
     Raises
     ------
     BellowsError
-        If the lip is more beside the tool tip than below it.
+        If the lateral offset of the lip from the tool tip exceeds the vertical offset.
 
     """
     origin = np.zeros(3) if package_frame == 'lip' else -np.asarray(com, dtype=np.float64)
@@ -185,28 +187,28 @@ def aligned_at_rest(
 
 def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -> MeanPose:
     """
-    Return the pose of a body during a standstill, after checking that it stands still.
+    Return the pose of a body during a standstill; raise if the body moves.
 
     Parameters
     ----------
     poses : Trajectory
-        As recorded; invalid samples are left out.
+        Recorded poses; invalid samples are ignored.
     start_ns : int
-        When the standstill begins, ns.
+        Begin of the standstill, ns.
     duration_s : float
-        How long it lasts, s.
+        Duration of the standstill, s.
     body : str
         Name for messages.
 
     Returns
     -------
     MeanPose
-        Without the samples that are far from the median.
+        Mean without the samples far from the median.
 
     Raises
     ------
     BellowsError
-        If too few valid samples are there, or the body moves.
+        If there are too few valid samples, or the body moves.
 
     """
     poses = poses.between(start_ns, start_ns + int(duration_s * NS_PER_S))
@@ -230,9 +232,9 @@ def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -
 
 class Rest(NamedTuple):
     """
-    How both bodies begin: how long they stand still (s), their tilts and relative rotation (rad).
+    Initial rest of both bodies: duration (s), tilts and relative rotation (rad).
 
-    The tilts are of tool and package, from the vertical.
+    Tilts of tool and package are from the vertical.
     """
 
     seconds: float
@@ -241,20 +243,20 @@ class Rest(NamedTuple):
 
     @property
     def is_turned(self) -> bool:
-        """Whether marker frames are turned against each other, by more than a cup bends."""
+        """Whether the marker frames' relative rotation is larger than a cup's bending."""
         return (self.seconds >= MIN_REST
                 and bool(self.turned > max(MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT * self.tilts[0])))
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """The rotation of the marker frames against each other, if it is large."""
+        """Remark on the relative rotation of the marker frames, if it is large."""
         tool, package = self.tilts
         return (Remark('turned', {'tool': tool, 'package': package, 'turned': self.turned}),) * (
             self.is_turned)
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
-    """Return the rest of both bodies at the first common samples; poses in the world, z up."""
+    """Return the rest of both bodies from the first common samples; poses in the world, z up."""
     begin, _ = common_span(tool, package)
     spans = [body.between(begin, begin + 20 * NS_PER_S) for body in (tool, package)]
     if not all(body.valid.any() for body in spans):
@@ -265,7 +267,7 @@ def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
 
 
 def _beginning(body: Trajectory) -> tuple[Array, float]:
-    """Return the median orientation (3, 3) of the first moments, and how long it stays, s."""
+    """Return the median orientation (3, 3) at the beginning, and its duration, s."""
     start = body.select(body.seconds <= START_SECONDS)
     reference = _median_rotation(start.rotation)
     moves = np.zeros(len(body), dtype=bool)
@@ -273,36 +275,35 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
             (body.position - np.median(start.position, axis=0), 1e-3),  # m, rad
             (lie.log_so3(reference.T @ body.rotation), 5e-3)):
         size = np.linalg.norm(change, axis=1)
-        # Smooth motion hardly enters second differences: their median is the noise.
+        # Smooth motion hardly affects second differences: their median is the noise.
         noise = np.median(np.abs(np.diff(size, 2))) if len(size) > 2 else 0.0
         moves |= size > smallest + 3.0 * noise
-    # A jump of tracking is over at once, a motion is not.
+    # A jump of tracking ends at once, a motion does not.
     lasting = moves & np.roll(moves, -max(1, len(start) // 4))
     return reference, float(
         body.seconds[int(np.argmax(lasting))] if lasting.any() else body.seconds[-1])
 
 
 def _median_rotation(rotation: Array) -> Array:
-    """Return the rotation (3, 3) that is the median, axis by axis, of rotations (N, 3, 3)."""
+    """Return the median rotation (3, 3), axis by axis, of rotations (N, 3, 3)."""
     reference = rotation[len(rotation) // 2]
     from_reference = np.median(lie.log_so3(reference.T @ rotation), axis=0)
     return np.asarray(reference @ lie.exp_so3(from_reference))
 
 
 def _is_typical(deviation: Array) -> Mask:
-    """Return the mask of samples within a factor of the typical deviation in every axis."""
+    """Return the mask of samples within five robust deviations of the median in every axis."""
     typical = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
-    # Without noise the median is nothing but rounding: then all that is tiny is typical.
-    # robust deviations
+    # Without noise the median is a rounding error: the constant tolerates such deviations.
     return np.asarray(np.all(np.abs(deviation) <= 5.0 * typical + 1e-6, axis=1))
 
 
 def levelling(direction: ArrayLike) -> Array:
     """
-    Return the smallest rotation (3, 3) that turns a direction to -z.
+    Return the smallest rotation (3, 3) that maps a direction to -z.
 
-    Poses of a world with that direction of gravity become poses of a world whose z is up; for a
-    gravity along z, the half turn is about x.
+    It maps poses of a world with gravity in this direction to a world with z up; for gravity along
+    z, the half turn is about x.
     """
     down = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
     axis = np.cross(down, DOWN)
@@ -313,10 +314,12 @@ def levelling(direction: ArrayLike) -> Array:
 
 
 ROTATION_RATE_HZ, ROTATION_SAMPLES = 50.0, 15
-"""Rate at which rotations of the bodies are compared, and over how many samples each goes."""
+"""Rate at which rotations of the bodies are compared (Hz), and number of samples of each
+rotation."""
 
 MIN_CORRELATION = 0.3
-"""Correlation of these rotations at which two clocks are aligned: of others it is below 0.2."""
+"""Smallest correlation of the rotations of two aligned clocks; other recordings have less than
+0.2."""
 
 
 def rotation_correlation(
@@ -325,7 +328,7 @@ def rotation_correlation(
     """
     Return lags (K,), s, of the tool's stamps behind the package's, and the rotations' correlation.
 
-    Sizes of rotations are compared, or rotations in axes of the world, if both bodies have one
+    Angles of rotations are correlated or, if both bodies have one world, rotations in axes of this
     world. The result is empty if a body hardly rotates, or its time span is too short or
     implausibly long (damaged stamps).
     """
@@ -341,7 +344,7 @@ def rotation_correlation(
         rotation = rotation if one_world else np.linalg.norm(rotation, axis=1, keepdims=True)
         rotation -= rotation.mean(axis=0)
         size = float(np.linalg.norm(rotation))
-        if size < 0.01 * np.sqrt(len(rotation)):  # rad; bodies hardly turn
+        if size < 0.01 * np.sqrt(len(rotation)):  # rad; the body hardly rotates
             return np.empty(0), np.empty(0)
         rotations.append(rotation / size)
     count, before = sum(map(len, rotations)) - 1, len(rotations[1]) - 1
@@ -354,15 +357,15 @@ def rotation_correlation(
 
 def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
     """
-    Return likely delays (s) of the tool's stamps behind the package's: their rotations agree.
+    Return the likely delays (s) of the tool's stamps behind the package's, by their rotations.
 
-    A motion that repeats itself is alike at several lags; a package that swings is not most alike
-    at the true one. The one nearest to the stamps as they are comes first.
+    Repetitive motion has several lags of similar correlation, and with a swinging package the true
+    lag may not have the largest. The lag nearest to 0 comes first.
 
     Raises
     ------
     BellowsError
-        If their rotations agree at no offset; with little rotation they must overlap.
+        If the rotations agree at no lag, or, with little rotation, the streams do not overlap.
 
     """
     lags, correlation = rotation_correlation(tool, package)
@@ -381,7 +384,7 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
 
 
 MIN_ROTATION = 0.02
-"""Smallest rotation (rad) between two poses that determines the rotation between the worlds."""
+"""Smallest rotation between two poses that determines the rotation between the worlds, rad."""
 
 
 def pose_of(text: str) -> Array:
@@ -390,7 +393,7 @@ def pose_of(text: str) -> Array:
 
 
 def in_tool_world(package: PoseStream, pose: Array, frame_id: str) -> PoseStream:
-    """Return the package's poses in the frame of the tool's, by the pose (7,) of their world."""
+    """Return the package's poses in the frame of the tool's, from the pose (7,) of their world."""
     R = lie.quaternion_to_rotation(pose[3:])
     return replace(package, frame_id=frame_id, position=pose[:3] + lie.apply(R, package.position),
                    rotation=R @ package.rotation)
@@ -402,22 +405,22 @@ def closed_form(
     """
     Return a first guess (7,) of the pose of the package's world in the tool's.
 
-    The slowest poses count as poses of one rigid body (hand and eye) whose frames have the same
-    axes.
+    The slowest poses are treated as poses of one rigid body (hand-eye calibration), with parallel
+    frames.
 
     Parameters
     ----------
     tool, package : Trajectory
-        Each in the frame of its world.
+        Poses, each in the frame of its world.
     length : float
         Length of the cup, m.
     origin_to_lip : ndarray (3,)
-        From the origin of the package's poses to the lip, in axes of S, m.
+        Vector from the origin of the package's poses to the lip, in axes of S, m.
 
     Raises
     ------
     BellowsError
-        If the two have too few poses in common.
+        If there are too few common poses.
 
     """
     hand, eye = slow_poses(tool, package)
@@ -432,9 +435,9 @@ def hand_eye(
     tool: Trajectory, package: Trajectory, length: float, com: Array
 ) -> tuple[Array, Alignment]:
     """
-    Return first guesses of the pose (7,) of the package's world, and of the marker's alignment.
+    Return initial guesses of the pose (7,) of the package's world, and of the marker's alignment.
 
-    The slowest poses count as poses of one rigid body.
+    The slowest poses are treated as poses of one rigid body.
 
     Parameters
     ----------
@@ -448,7 +451,7 @@ def hand_eye(
     Raises
     ------
     BellowsError
-        If the tool turns too little.
+        If the tool's rotation is too small.
 
     """
     hand, eye = slow_poses(tool, package)
@@ -465,7 +468,7 @@ def hand_eye(
 
 def shifted_pose(pose: Array, R_world_recorded: Array, middle: Array, theta: Array) -> Array:
     """
-    Return a pose (7,) of a world after a small motion theta (6,) of it.
+    Return a pose (7,) of a world after a small motion theta (6,) of the world.
 
     The motion is about a point (3,) and in axes of the levelled world, m and rad.
     """
@@ -478,13 +481,13 @@ def shifted_pose(pose: Array, R_world_recorded: Array, middle: Array, theta: Arr
 
 
 def motion_of(pose: Array, middle: Array) -> Array:
-    """Return the motion (6,) about a point (3,) that brings a world to its pose (7,), m, rad."""
+    """Return the motion (6,) about a point (3,) that moves a world to its pose (7,), m and rad."""
     R = lie.quaternion_to_rotation(pose[3:])
     return np.concatenate([pose[:3] + R @ middle - middle, lie.log_so3(R)])
 
 
 def motion_sentence(theta: Array, std: Array | None = None) -> str:
-    """Return by how much the worlds differ (6,), m and rad, with standard errors (6,) if given."""
+    """Return a sentence on the difference of the worlds (6,), m and rad, with its errors (6,)."""
     sizes = []
     for part, scale, unit in ((slice(3, 6), np.rad2deg(1.0), 'degrees'), (slice(0, 3), 1e3, 'mm')):
         size = float(np.linalg.norm(theta[part]))
@@ -496,14 +499,14 @@ def motion_sentence(theta: Array, std: Array | None = None) -> str:
 
 
 def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory]:
-    """Return valid poses of both at common stamps, the slowest ones."""
+    """Return valid poses of both bodies at common stamps, the slower half."""
     first, last = common_span(tool, package)
     count = int((last - first) / NS_PER_S * 50.0)  # Hz
     if count < 20:
         raise BellowsError(
             'The poses of tool and package overlap too little to estimate '
             'recording.package_world. Record longer, or give its seven numbers.')
-    stamps = first + np.linspace(0, last - first, count).astype(np.int64)  # exact to the ns
+    stamps = first + np.linspace(0, last - first, count).astype(np.int64)  # exact to 1 ns
     hand, eye = (resample(body, stamps) for body in (tool, package))
     rotation = np.zeros((count, 3))
     rotation[1:] = lie.log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:])
@@ -515,7 +518,7 @@ def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Traje
 
 
 def rotation_of(R_tool: Array, R_package: Array) -> Array:
-    """Return the rotation between the worlds that makes both bodies rotate alike."""
+    """Return the rotation between the worlds with which the rotations of both bodies agree."""
     step = len(R_tool) // 15 + 1
     a, b = (np.concatenate([lie.log_so3(R[first::step] @ R[first].T)
                             for first in range(0, len(R), step)]) for R in (R_tool, R_package))

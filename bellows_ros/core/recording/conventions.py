@@ -1,4 +1,4 @@
-"""Units and quaternion orders in which poses of tool and package fit together."""
+"""Units and quaternion orders with which poses of tool and package are consistent."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,47 +14,47 @@ from bellows_ros.errors import shown
 import numpy as np
 
 SAMPLES = 300
-"""Poses that are compared."""
+"""Number of compared poses."""
 
 MAX_DISTANCE = 2.0
-"""Distance (m) of the package from the tool that no cup reaches."""
+"""Largest distance of a package from the tool, m."""
 
 REACH, MAX_CHANGE = (0.01, 0.5), 0.25
-"""Distances (m) of a package on a cup, and by which part they vary at most."""
+"""Range of the distance of a package on a cup (m), and largest relative variation of this
+distance."""
 
 MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
-"""Smallest similarity of the rotations of two bodies in another order of their quaternions, and
-largest remaining part of their difference: read with w first, a rotation is inverted in world
-axes."""
+"""Smallest similarity of two bodies' rotations with another quaternion order, and largest ratio of
+the remaining differences: with w first, a rotation is inverted in world axes."""
 
 
 class Convention(NamedTuple):
-    """How poses were recorded: positions in mm, quaternions with w first."""
+    """Convention of recorded poses: positions in mm, quaternions with w first."""
 
     millimetres: bool = False
     w_first: bool = False
 
     @property
     def words(self) -> str:
-        """The fault, as in 'The poses of x are ...'."""
+        """Description of the fault, as in 'The poses of x are ...'."""
         return ' and '.join([*['in millimetres'] * self.millimetres,
                              *['of quaternions with w first'] * self.w_first])
 
 
 def reordered(rotation: Array) -> Array:
-    """Return rotations (N, 3, 3) whose quaternions were read as if w came last."""
+    """Return rotations (N, 3, 3) of quaternions stored with w first but read with w last."""
     return lie.quaternion_to_rotation(np.roll(lie.rotation_to_quaternion(rotation), -1, axis=-1))
 
 
 def converted(poses: Posed, convention: Convention) -> Posed:
-    """Return poses in metres, with w last, that were recorded by a convention."""
+    """Return poses in metres, with w last, from poses of another convention."""
     return replace(
         poses, position=poses.position * (1e-3 if convention.millimetres else 1.0),
         rotation=reordered(poses.rotation) if convention.w_first else poses.rotation)
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
-    """Return the conventions of two streams: the standard ones if consistent."""
+    """Return the conventions of two streams: standard ones if consistent."""
     first, last = common_span(tool, package)
     units = Convention(), Convention()
     if last <= first:
@@ -75,18 +75,18 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     best = min(range(4), key=lambda i: sum(motions[i]))
     (moves, tilt), (moves_read, tilt_read) = motions[best], motions[0]
     upright = moves < moves_read and tilt < 0.2 and 0.5 < tilt_read  # rad
-    # another order must fit clearly better
+    # the threshold for another order
     return orders[best] if moves < 0.4 * moves_read or upright else units
 
 
 def _of_two_worlds(bodies: Sequence[Trajectory]) -> tuple[Convention, Convention]:
-    """Return the conventions with which two bodies move and turn alike, each in its world."""
+    """Return the conventions with which motions of two bodies agree, each in its world."""
     lengths = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
                for body in bodies]
-    units = [Convention(x > 100.0 * min(lengths) or min(lengths) > 20.0)  # no tool travels 20 m
+    units = [Convention(x > 100.0 * min(lengths) or min(lengths) > 20.0)  # no tool moves 20 m
              for x in lengths]
     turns = [[lie.log_so3(R[len(R) // 2].T @ R) for R in (body.rotation, reordered(body.rotation))]
-             for body in bodies]  # from the middle of the path
+             for body in bodies]  # relative to the middle of the path
     alike = {(a, b): similarity(turns[0][a], turns[1][b])
              for a, b in ((0, 0), (1, 0), (0, 1))}
     a, b = max(alike, key=lambda order: alike[order])
@@ -97,14 +97,14 @@ def _of_two_worlds(bodies: Sequence[Trajectory]) -> tuple[Convention, Convention
 
 
 def similarity(first: Array, second: Array) -> float:
-    """Return the correlation of vectors (N, 3) up to a rotation between them: 1 if equal."""
+    """Return the correlation of vectors (N, 3) up to a rotation between them, 1 if equal."""
     U, sizes, V = np.linalg.svd(first.T @ second)
     sizes[2] *= np.sign(np.linalg.det(U @ V))
     return float(sizes.sum() / max(np.linalg.norm(first) * np.linalg.norm(second), 1e-12))
 
 
 def _is_on_cup(bodies: Sequence[Trajectory], units: tuple[Convention, Convention]) -> bool:
-    """Return whether the bodies are apart as tool and package, in some units."""
+    """Return whether the distance of the bodies is plausible for a cup, in given units."""
     distance, change = distance_of(bodies, units)
     return REACH[0] < distance < REACH[1] and change < MAX_CHANGE
 
@@ -112,7 +112,7 @@ def _is_on_cup(bodies: Sequence[Trajectory], units: tuple[Convention, Convention
 def distance_of(
     bodies: Sequence[Trajectory], units: tuple[Convention, Convention]
 ) -> tuple[float, float]:
-    """Return the median distance of the bodies, m, and by which part it varies."""
+    """Return the median distance of the bodies, m, and its relative variation."""
     tool, package = map(converted, bodies, units)
     distance = np.linalg.norm(package.position - tool.position, axis=1)
     low, middle, high = np.percentile(distance, (25, 50, 75))
@@ -123,9 +123,10 @@ def motion_in_tool(
     bodies: Sequence[Trajectory], given: tuple[Convention, Convention]
 ) -> tuple[float, float]:
     """
-    Return how the package moves in the tool, and how far it is from hanging along its z axis.
+    Return the motion of the package in the tool, and its misalignment with the tool's z axis.
 
-    The first is a rotation (rad) and a path in parts of the distance, the second of two cosines.
+    The motion is a rotation (rad) plus a path in units of the distance, the misalignment a sum of
+    two deviations of cosines from 1.
     """
     tool, package = map(converted, bodies, given)
     back = np.swapaxes(tool.rotation, 1, 2)
@@ -144,7 +145,7 @@ def spread(values: Array) -> float:
 def convention_sentence(
     tool: PoseStream, package: PoseStream, bag: str | os.PathLike[str] = ''
 ) -> str:
-    """Return the warning on two streams that fit in other conventions, with commands, or ''."""
+    """Return the warning on two inconsistent streams, with commands for a remedy, or ''."""
     wrong: dict[Convention, list[str]] = {}
     for convention, stream in zip(conventions_of(tool, package), (tool, package), strict=True):
         if convention.words:

@@ -1,14 +1,14 @@
 """
 Errors of the measured pose of a body or of a detected tag.
 
-The error of a detected tag depends on the direction in which it is measured: the depth and the
-rotation across the line of sight come from a small difference between its corners, the other
-directions from their mean. Motion during the exposure blurs the image; the errors of a blurred tag
-grow with the square of its speed across the line of sight. A flat tag has a second solution, its
-tilt mirrored at the line of sight, for which a detector may take it by mistake (a flip).
+The error of a detected tag depends on the direction: depth and rotation across the line of sight
+follow from small differences between its corners, the other directions from their mean. Motion
+during the exposure blurs the image; errors of a blurred tag grow with the square of its speed
+across the line of sight. A flat tag has a second solution, its tilt mirrored at the line of sight,
+which a detector may return by mistake (a flip).
 
-The observer and its alarms weigh a measured pose by `pose_noise`, the fit and the verdict of
-`replay` by `MeasurementModel.errors`.
+The observer and its alarms weigh a measured pose by `pose_noise`; fits and `replay` use
+`MeasurementModel.errors`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 import numpy as np
 
 Sizes = tuple[float, float, float, float]
-"""Of an error: lateral (m), depth (m), rotation across and along the line of sight (rad)."""
+"""Standard deviations of an error: lateral (m), depth (m), rotation across and along the line of
+sight (rad)."""
 
 Sensor = tuple[bool, Sizes, Sizes, Vector]
 """A `MeasurementModel` for kernels: is_tag, at_rest, in_motion, camera."""
@@ -40,23 +41,24 @@ TAG_AT_REST: Sizes = (5e-4, 5e-3, 1.2e-2, 4e-3)
 """Default standard deviations of a tag at rest, 1 m from the camera, m and rad."""
 
 TAG_IN_MOTION: Sizes = (8e-3, 4e-2, 2e-1, 6e-2)
-"""Default growth of a tag's errors with its squared speed, 1 m from the camera, s^2/m and rad."""
+"""Default growth of a tag's errors per squared speed, 1 m from the camera, s^2/m and s^2
+rad/m^2."""
 
 NO_GROWTH: Sizes = (0.0, 0.0, 0.0, 0.0)
 """Growth of a tracked body's errors with its speed."""
 
 LEAST_DISTANCE = 0.05
-"""Smallest distance of a tag from the camera, m: nearer ones are not in focus."""
+"""Smallest distance of a tag from the camera, the limit of focus, m."""
 
 
 @kernel
 def sizes_of(sensor: Sensor, position: Vector, velocity: Vector) -> Sizes:
     """
-    Return the standard deviations of a measured pose by its position and velocity.
+    Return the standard deviations of a measured pose from its position and velocity.
 
-    A tag's lateral error and its rotations grow with the distance from the camera, its depth error
-    with the square of the distance: errors of its corners in the image are constant. The depth
-    error of a blurred tag grows with the distance.
+    Errors of a tag's corners in the image are constant: the lateral error and the rotations grow
+    with the distance from the camera, the depth error with the squared distance, or, if blurred,
+    with the distance.
     """
     is_tag, at_rest, in_motion, camera = sensor
     if not is_tag:
@@ -102,10 +104,10 @@ def mirrored(camera: Vector, position: Vector, q: Quaternion) -> Quaternion:
 
 class PoseErrors(NamedTuple):
     """
-    Errors of recorded poses: stamps (N,), ns; axes (N, 3, 3), the third along the line of sight.
+    Errors of recorded poses at stamps (N,), ns, in axes (N, 3, 3) with z along the line of sight.
 
-    In these axes the standard deviations (N, 6), m and rad, of a point (3,) in body axes, m, and
-    the part of the variances (N, 6) that comes of motion; and whether they were estimated before.
+    The fields are standard deviations (N, 6), m and rad, of a point (3,) in body axes, m; the
+    share of motion in the variances (N, 6); and whether the errors are estimated.
     """
 
     stamps_ns: Stamps
@@ -116,7 +118,7 @@ class PoseErrors(NamedTuple):
     are_known: bool = False
 
     def at(self, stamps_ns: Stamps) -> PoseErrors:
-        """Return the errors of the poses next to some stamps."""
+        """Return the errors of the poses nearest to some stamps."""
         middles = self.stamps_ns[:-1] + np.diff(self.stamps_ns) // 2
         nearest = np.searchsorted(middles, stamps_ns)
         return self._replace(stamps_ns=stamps_ns, axes=self.axes[nearest], std=self.std[nearest],
@@ -134,12 +136,12 @@ class PoseErrors(NamedTuple):
 @dataclass(frozen=True)
 class MeasurementModel:
     """
-    The errors of measured poses, all in the frame of the poses.
+    The errors of measured poses, in the frame of the poses.
 
     Parameters
     ----------
     kind : {'body', 'tag'}
-        A tracked body errs alike in all directions, a tag as described above.
+        A tracked body has equal errors in all directions, a tag those described above.
     at_rest : tuple of 4 floats
         Standard deviations at rest: lateral (m), depth (m), rotation across and along the line of
         sight (rad); of a tag at a distance of 1 m.
@@ -150,7 +152,7 @@ class MeasurementModel:
     scale : float
         Factor of the positions relative to the camera that corrects the size of the tag.
     latency, latency_std : float
-        Lateness of the stamps and its standard deviation, s.
+        Delay of the stamps and its standard deviation, s.
     are_estimated : bool
         Whether the errors were estimated from these poses.
 
@@ -171,7 +173,7 @@ class MeasurementModel:
         return self.kind == 'tag', self.at_rest, self.in_motion, self.camera
 
     def moved(self, origin: Vector, rotation: Quaternion) -> MeasurementModel:
-        """Return the model in a frame in which the frame of the poses has a pose."""
+        """Return the model in a frame in which the frame of the poses has a given pose."""
         camera = t3.add(origin, t3.apply(t3.rotation_matrix(rotation), self.camera))
         return replace(self, camera=camera)
 
@@ -183,7 +185,7 @@ class MeasurementModel:
         return t3.add(self.camera, t3.scale(self.scale, sight))
 
     def scaled_errors(self, at_rest: Array, in_motion: Array) -> MeasurementModel:
-        """Return the model with errors times factors (6,) in the axes of `PoseErrors`."""
+        """Return the model with errors multiplied by factors (6,) in the axes of `PoseErrors`."""
         def scaled(sizes: Sizes, factors: Array) -> Sizes:
             lateral, across = (float(np.sqrt(np.mean(factors[part]**2))) for part in (
                 slice(2), slice(3, 5)))
@@ -194,7 +196,7 @@ class MeasurementModel:
                        in_motion=scaled(self.in_motion, in_motion), are_estimated=True)
 
     def errors(self, poses: PoseStream) -> PoseErrors:
-        """Return the errors of a recorded tag, by its velocity over three poses."""
+        """Return the errors of a recorded tag, with its velocity over three poses."""
         stamps, sight = poses.stamps_ns, poses.position - self.camera
         seconds = (stamps - stamps[0]) / NS_PER_S
         velocity = np.gradient(poses.position, seconds, axis=0)
@@ -221,7 +223,7 @@ def measurement_model(values: Values) -> MeasurementModel:
     """
     Return the model of the parameters measured.*, in the frame of the measured poses.
 
-    A number of measured.noise or measured.blur that is 0 stands for the default of measured.model.
+    A number 0 in measured.noise or measured.blur stands for the default of measured.model.
     """
     given, kind = values.measured, values.measured.model
     at_rest, in_motion = (TAG_AT_REST, TAG_IN_MOTION) if kind == 'tag' else (
@@ -233,6 +235,6 @@ def measurement_model(values: Values) -> MeasurementModel:
 
 
 def _chosen(given: Sequence[float], defaults: Sizes) -> Sizes:
-    """Return the given numbers, a default for each that is 0."""
+    """Return the given numbers, with defaults for zeros."""
     a, b, c, d = (each or default for each, default in zip(given, defaults, strict=True))
     return a, b, c, d

@@ -1,13 +1,13 @@
 """
 Detection of tracking errors: excursions, lasting steps and frozen poses (appendix H).
 
-A body with finite speed cannot jump. The jump between two samples is the least distance, over the
-time between them, of two straight continuations: of the two samples before, and of the two after.
-Constant acceleration and sudden changes of velocity make no jump. A Hampel filter finds jumps
-that exceed a multiple of the median in their surroundings. Jumps that cancel each other enclose
-an excursion, of which all samples are marked; a flip of a flat tag is a short one. A jump that
-nothing cancels is a lasting step. Exact repeats of a pose are marked if the body moved on
-meanwhile. Positions (m) and rotation vectors (rad) are treated alike.
+A body with finite speed cannot jump. The jump between two samples is the least distance, within
+the interval between them, of two straight continuations: of the two samples before, and of the two
+after. Constant acceleration and sudden changes of velocity cause no jump. A Hampel filter detects
+jumps above a multiple of the local median. Jumps that cancel each other enclose an excursion,
+whose samples are all marked; a flip of a flat tag is a short excursion. A jump without a
+cancelling one is a lasting step. Exact repeats of a pose are marked if the body moved meanwhile.
+Positions (m) and rotation vectors (rad) are treated alike.
 """
 
 from collections.abc import Iterable
@@ -27,17 +27,17 @@ QUANTITIES = ('position', 'rotation')
 """Names of the two quantities of a pose."""
 
 THRESHOLD_FACTOR = 4.5
-"""Threshold over the median of the surroundings; of 2 million samples of white noise the largest
-is 4.0 times their median."""
+"""Ratio of threshold and local median; the largest of 2 million samples of white noise is 4.0
+times their median."""
 
 MIN_JUMP = np.array([1e-3, 4e-3])
-"""Smallest jump that counts (m, rad): the fit weighs smaller ones as noise."""
+"""Smallest detected jump (m, rad); the fit treats smaller ones as noise."""
 
 MEDIAN_SAMPLES = 51
-"""Samples of the running median."""
+"""Number of samples of the running median."""
 
 MIN_SAMPLES = 30
-"""Number of jumps below which none stands out."""
+"""Number of jumps below which no outlier can be detected."""
 
 MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
 """Median of the jump along an axis per standard deviation of white noise: 0.6745 of a normal
@@ -47,31 +47,31 @@ MAX_EXCURSION = 2.0
 """Longest excursion, s."""
 
 MIN_EXCURSION_SAMPLES = 15
-"""Number of samples that an excursion may have at any rate."""
+"""Number of samples that an excursion may have irrespective of the rate."""
 
 LONG_GAP, LONG_GAP_SAMPLES = 0.05, 5
-"""Gap (s; samples) over which no jump is estimated."""
+"""Longest gap over which a jump is estimated, s and samples."""
 
 MIN_RUN = 3
-"""Number of samples between gaps or marked samples below which they are not judged, but marked."""
+"""Smallest number of consecutive good samples; shorter runs are marked."""
 
 SIDE_SAMPLES = 6
-"""Samples on each side of repeated poses, or of a lasting step, that are compared."""
+"""Number of compared samples on each side of repeated poses, or of a lasting step."""
 
 SIDES = slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)
 """Samples before and after a jump."""
 
 ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
-"""Smallest step of a moving body: as a multiple of the smallest of all, which is rounding, and in
-m or rad."""
+"""Smallest step of a moving body, as a multiple of the smallest nonzero step, which is rounding,
+and in m or rad."""
 
 
 FLIP_NEIGHBOURS = 8
-"""Poses before and after a pose of a tag with which its two solutions are compared."""
+"""Number of poses on each side of a tag's pose with which its two solutions are compared."""
 
 
 class LastingStep(NamedTuple):
-    """A jump without a return: the sample before it, and its size, m and rad."""
+    """A jump without a return: index of the sample before it, and its size, m and rad."""
 
     before: int
     position: float
@@ -87,14 +87,14 @@ class Outliers:
     ----------
     good : bool array (N,)
         False for excursions, exact repeats of a pose in motion, the two samples beside a lasting
-        step, and single samples between marked or missing ones.
+        step, and isolated samples between marked or missing ones.
     steps : tuple of LastingStep
         Jumps without a return.
     flips : int
         Number of excursions.
     noise : dict of str to array (3,)
         Standard deviation of white noise per axis, 'position' in m in the world and 'rotation' in
-        rad on the body; fast motion without noise adds to it.
+        rad in body axes; fast motion without noise increases it.
 
     """
 
@@ -130,7 +130,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     Parameters
     ----------
     poses : Trajectory
-        As recorded, at stamps that need not be uniform, without filling.
+        Recorded poses, not necessarily at uniform stamps, without filling.
     longest_step_ns : int
         Longest time between two samples that is not a gap, ns.
 
@@ -154,7 +154,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
 
 def find_flips(poses: Trajectory, second: Array) -> Outliers:
     """
-    Find the poses of a flat tag whose second solutions (N, 3, 3) are nearer to their neighbours.
+    Find the poses of a flat tag whose second solutions (N, 3, 3) fit their neighbours better.
 
     Blurred poses are no outliers: the measurement model weighs them.
     """
@@ -171,15 +171,15 @@ def find_flips(poses: Trajectory, second: Array) -> Outliers:
 
 
 def _jumps(poses: Trajectory) -> _Jumps:
-    """Return the jumps from sample to sample; none over a long gap."""
+    """Return the jumps between samples; zero over a long gap."""
     increments, steps = increments_of(poses), np.diff(poses.stamps_ns)
     _cancel_half_turns(increments[1])
     period = float(np.median(steps))
     velocity = increments / steps[:, None]
-    start, end = np.zeros((2, *increments.shape))  # from the continuation of each side
+    start, end = np.zeros((2, *increments.shape))  # errors of the continuation of each side
     start[:, :-1] = increments[:, :-1] - velocity[:, 1:] * steps[:-1, None]
     end[:, 1:] = increments[:, 1:] - velocity[:, :-1] * steps[1:, None]
-    if len(steps) > 2:  # at the ends the acceleration goes on
+    if len(steps) > 2:  # constant acceleration at the ends
         start[:, 0], end[:, -1] = start[:, 0] - start[:, 1], end[:, -1] - end[:, -2]
     start[:, -1], end[:, 0] = end[:, -1], start[:, 0]
     change = end - start
@@ -190,16 +190,16 @@ def _jumps(poses: Trajectory) -> _Jumps:
     size[:, steps > max(LONG_GAP * NS_PER_S, LONG_GAP_SAMPLES * period)] = 0.0
     middle = 0.5 * (start + end)
     surroundings = np.array([_surroundings(np.linalg.norm(part, axis=1)) for part in middle])
-    longer = np.maximum(steps / period, 1.0) ** 2  # over a gap acceleration adds so much more
+    longer = np.maximum(steps / period, 1.0) ** 2  # growth by acceleration over a gap
     return _Jumps(size, longer * np.maximum(THRESHOLD_FACTOR * surroundings, MIN_JUMP[:, None]),
                   np.median(np.abs(middle), axis=1))
 
 
 def _cancel_half_turns(rotation: Array) -> None:
     """
-    Choose the rotation vectors (M, 3) of large steps so that consecutive ones cancel.
+    Choose the sign of large rotation vectors (M, 3) so that successive ones cancel.
 
-    A rotation near 180 degrees has two vectors, and noise decides between them.
+    A rotation near 180 degrees has two vectors, between which noise decides.
     """
     total = np.zeros(3)
     for i in np.flatnonzero(np.linalg.norm(rotation, axis=1) > 2.5):  # rad
@@ -215,7 +215,7 @@ def _surroundings(values: Array) -> Array:
     if len(values) < MIN_SAMPLES:
         return np.full_like(values, np.inf)
     median, half = median_filter(values, size=MEDIAN_SAMPLES, mode='mirror'), MEDIAN_SAMPLES // 2
-    place = np.arange(len(values))  # a motion that begins is compared with itself, not with rest
+    place = np.arange(len(values))  # the onset of a motion is compared with the motion
     return np.asarray(np.maximum(*(
         median[np.clip(place + shift, 0, len(values) - 1)] for shift in (-half, half))))
 
@@ -242,7 +242,7 @@ def _paired(poses: Trajectory, jumps: _Jumps) -> tuple[list[slice], list[Lasting
         else:
             excursions.append(run)
             done = run.stop - 1
-    lasting = [step for step in steps if not any(  # of steps in a row none lasts
+    lasting = [step for step in steps if not any(  # successive steps are not lasting
         0 < abs(other.before - step.before) <= MIN_EXCURSION_SAMPLES
         or 0.0 < abs(seconds[other.before] - seconds[step.before]) < MAX_EXCURSION
         for other in steps)]
@@ -253,7 +253,7 @@ def _paired(poses: Trajectory, jumps: _Jumps) -> tuple[list[slice], list[Lasting
 def _excursion(
     poses: Trajectory, jumps: _Jumps, edges: list[int], k: int, within: tuple[int, int]
 ) -> slice | None:
-    """Return the samples between a jump and the nearest ones that cancel it, if any."""
+    """Return the samples between a jump and the nearest jumps that cancel it, if any."""
     i, seconds = edges[k], poses.seconds
     for direction in (1, -1):
         total = _forms(poses, jumps, i, direction > 0)
@@ -276,14 +276,14 @@ def _excursion(
 
 
 def _forms(poses: Trajectory, jumps: _Jumps, i: int, before: bool) -> Array:
-    """Return a jump (2, 2, 3) in axes of the world and of the body, before it or after it."""
+    """Return a jump (2, 2, 3) in axes of the world and of the body, before or after the jump."""
     position, rotation = jumps.size[:, i]
     R = poses.rotation[i if before else i + 1]
     return np.array([[position, R.T @ position], [R @ rotation, rotation]])
 
 
 def _to_an_end(i: int, first: int, last: int, seconds: Array) -> slice | None:
-    """Return the shorter part between a jump and an end of its part, if it is short enough."""
+    """Return the samples between a jump and the nearer end of its part, if they are few."""
     before, after = float(seconds[i] - seconds[first]), float(seconds[last - 1] - seconds[i + 1])
     if min(before, after) >= 1.0:  # s
         return None
@@ -291,7 +291,7 @@ def _to_an_end(i: int, first: int, last: int, seconds: Array) -> slice | None:
 
 
 def _lasts(poses: Trajectory, jumps: _Jumps, i: int) -> bool:
-    """Return whether lines through the samples on both sides show a jump, too."""
+    """Return whether lines fitted to the samples on both sides also have a jump."""
     around = np.arange(i + 1 - SIDE_SAMPLES, i + 1 + SIDE_SAMPLES)
     if around[0] < 0 or around[-1] >= len(poses):
         return True
@@ -306,33 +306,32 @@ def _lasts(poses: Trajectory, jumps: _Jumps, i: int) -> bool:
     sizes = np.linalg.norm(jumps.size[:, i], axis=1)
     least = np.maximum(jumps.threshold[:, i], 0.5 * sizes)
     return bool(np.any(seen[0] >= np.maximum(
-        least, 3.0 * np.sqrt(np.mean(misfit**2, axis=0)))))  # a swing has at most 2
+        least, 3.0 * np.sqrt(np.mean(misfit**2, axis=0)))))  # a swing reaches 2
 
 
 def _exclude(good: Mask, runs: Iterable[slice]) -> None:
-    """Mark the samples of runs."""
     for run in runs:
         good[run] = False
 
 
 def _isolated(good: Mask, gap: Mask) -> list[slice]:
-    """Return the runs of good samples, without a gap in them, that are too short to be judged."""
+    """Return the runs of good samples, without a gap, that are too short."""
     begins = np.concatenate([[True], gap | (good[1:] != good[:-1])])
     first = np.append(np.flatnonzero(begins), len(good)).tolist()
     return [slice(i, after) for i, after in pairwise(first) if good[i] and after - i < MIN_RUN]
 
 
 def _repeats(poses: Trajectory | PoseStream) -> Mask:
-    """Return the samples after which the identical pose comes again (M,)."""
+    """Return the mask of samples followed by an identical pose (M,)."""
     return np.asarray(np.all(poses.position[1:] == poses.position[:-1], axis=1)
                       & np.all(poses.rotation[1:] == poses.rotation[:-1], axis=(1, 2)))
 
 
 def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
     """
-    Count the poses that repeat the one before while others near them, on both sides, do not.
+    Count the poses that repeat the previous one while poses on both sides change.
 
-    A slow motion recorded without noise repeats its poses by rounding; these do not count.
+    Repeats of a slow noise-free motion are rounding, and do not count.
     """
     repeats = _repeats(poses)
     if not repeats.any():
@@ -347,7 +346,7 @@ def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
 
 
 def _frozen(poses: Trajectory) -> list[slice]:
-    """Return the exact repeats that end with a step too large for the motion around."""
+    """Return the exact repeats that end with a step too large for the surrounding motion."""
     repeats = _repeats(poses)
     moves = np.flatnonzero(~repeats)
     if len(moves) in (0, len(repeats)):
@@ -361,7 +360,7 @@ def _frozen(poses: Trajectory) -> list[slice]:
                 for side, place in zip(beside, (first, last), strict=True)]
         if any(np.count_nonzero(side) < MIN_RUN for side, end in zip(
                 near, (first > 0, k < len(moves)), strict=True) if end):
-            continue  # at rest, recorded coarsely
+            continue  # at rest, coarsely recorded
         typical = np.median(lengths[:, np.concatenate(beside)], axis=1)
         excess = (last - first + 1) * typical if k == len(moves) else (
             lengths[:, moves[k]] - 1.5 * typical)  # a catch-up step is larger

@@ -1,9 +1,9 @@
 """
 Preparation of recorded streams for identification and validation.
 
-Each stream goes into the world's axes (4.1), loses what tracking got wrong (appendix H), comes to
-a uniform rate, is aligned at rest (4.2-4.13) and filtered (4.15-4.63); then the tool comes to the
-package's stamps. Nothing is repaired in silence: all that is left out is in the report.
+Each stream is transformed into the world's axes (4.1), cleaned of tracking errors (appendix H),
+resampled to a uniform rate, aligned at rest (4.2-4.13) and filtered (4.15-4.63); the tool is then
+interpolated at the package's stamps. The report lists all omitted data.
 """
 
 from collections.abc import Iterator
@@ -23,14 +23,13 @@ from .measurement_model import MeasurementModel
 from .outliers import find_flips, find_outliers, increments_of, LastingStep, repeats_in_motion
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
-# Default half window of the filter, s. With order 6 the filter takes less than 0.1 % from
-# K and P of a cup shaken at 3 Hz, and averages as much noise as that allows.
+# Default half window of the filter, s. With order 6 the filter reduces K and P of a cup shaken at
+# 3 Hz by less than 0.1 %, with the most averaging of noise at that error.
 AUTOMATIC_HALF_WINDOW = 1 / 12
-# Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
-# poses repeated in motion (part of them), travel (m) that is no cell's, but millimetres.
+# Thresholds of warnings: lateral offset of the lip at rest (m), lateral centre of mass (m),
+# fraction of poses repeated in motion, and travel (m), beyond which positions are in mm.
 MAX_LATERAL_OFFSET, MAX_LATERAL_COM, MAX_REPEAT_FRACTION, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
-# So many poses in a row that are lost are interpolated, if it is no longer than this (s).
-# More steps than that are noise with tails and a memory: no package slips so often.
+# Largest number of lasting steps of a slipping package; more are noise with outliers and memory.
 MAX_POSE_STEPS = 6
 
 
@@ -44,22 +43,22 @@ def prepare(
     Parameters
     ----------
     tool, package : PoseStream
-        As recorded, in one frame and stamped by one clock.
+        Recorded poses, in one frame and stamped by one clock.
     settings : PrepareSettings
-        How.
+        Settings of the preparation.
     tool_twist : TwistStream, optional
-        Recorded twist of the tool tip. It goes into `measured_tool` alone: for least squares the
-        filter's twist is better even where the recorded one is exact, because tool and package
-        then lose the same part of their motion, which cancels in their relative twist.
+        Recorded twist of the tool tip, used in `measured_tool` alone: least squares need the
+        filter's twist even if the recorded one is exact, because tool and package then lose equal
+        parts of their motion, which cancel in the relative twist.
     alignment : Alignment, optional
-        Alignment of another recording with these markers and this grasp, instead of a standstill
+        Alignment of another recording with the current markers and grasp, instead of a standstill
         of this recording.
 
     Raises
     ------
     BellowsError
-        If the streams do not overlap by the windows of the filters, are too short for them, or do
-        not begin at rest where they should, or nothing valid is left.
+        If the streams overlap by less than the windows of the filters, are too short for them, or
+        do not begin at rest although required, or no valid sample remains.
 
     """
     of_tool, _, tool_poses = _clean(tool, settings.R_world_recorded)
@@ -92,7 +91,7 @@ def prepare(
 
 
 def with_tool_earlier(recording: Recording, seconds: float) -> Recording:
-    """Return a recording with the stamps of the tool earlier by so many seconds."""
+    """Return a recording with the stamps of the tool earlier by some seconds."""
     twist, (of_tool, of_package) = recording.tool_twist, recording.filters
     return _joined(replace(
         recording, tool_pose=trajectory.earlier(recording.tool_pose, seconds),
@@ -129,7 +128,7 @@ def _joined(recording: Recording) -> Recording:
 def _alignment(
     tool_poses: Trajectory, package_poses: Trajectory, settings: PrepareSettings
 ) -> Alignment:
-    """Return the alignment at the standstill once both streams have begun, or None."""
+    """Return the alignment at the standstill after the begin of both streams, or None."""
     given = settings.package_frame, settings.payload.com
     if not settings.align_at_rest:
         return Alignment(np.eye(3), np.eye(3), given[1] * (given[0] == 'lip'), np.zeros(3))
@@ -143,7 +142,7 @@ def _alignment(
 def _clean(
     recorded: PoseStream, R_world_recorded: Array, tag: MeasurementModel | None = None
 ) -> tuple[StreamReport, Trajectory, Trajectory]:
-    """Return the faults of a topic, and its poses in the world, also at a uniform rate, marked."""
+    """Return the faults of a topic, and its marked poses in the world, recorded and uniform."""
     recorded, arrivals = resampling.at_sampling(recorded)
     poses = in_world(recorded.trajectory(), R_world_recorded)
     with _naming(recorded.name):
@@ -152,7 +151,7 @@ def _clean(
             poses, in_world(replace(recorded.trajectory(), rotation=tag.second_solution(
                 recorded.position, recorded.rotation)), R_world_recorded).rotation)
         marked = replace(poses, valid=outliers.good)
-        good = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
+        good = np.flatnonzero(outliers.good)  # poses outside the recording's time are ignored
         if len(good) > 2:
             marked = marked.select(slice(good[0], good[-1] + 1))
         return (StreamReport(recorded, timing, outliers, arrivals=arrivals), marked,
@@ -161,7 +160,7 @@ def _clean(
 
 @contextmanager
 def _naming(topic: str) -> Iterator[None]:
-    """Say of errors which topic they are of."""
+    """Add the topic to messages of errors."""
     try:
         yield
     except BellowsError as error:
@@ -169,7 +168,6 @@ def _naming(topic: str) -> Iterator[None]:
 
 
 def _filter(poses: Trajectory, half_window: int, order: int, name: str) -> Filter:
-    """Return the filter of the poses of a topic."""
     rate_hz, good = trajectory.uniform_rate_hz(poses.stamps_ns), poses.select(poses.valid)
     if 1 < len(good) < len(poses):
         poses = resampling.filled(
@@ -205,7 +203,7 @@ def _with_twist(
          else np.swapaxes(tool.rotation, -1, -2) @ settings.R_world_recorded)
     stamps_ns, wanted_ns = recorded.stamps_ns, tool.stamps_ns
     end = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, len(stamps_ns) - 1)
-    ends = stamps_ns[[end - 1, end]]  # of the step that a wanted stamp lies in
+    ends = stamps_ns[[end - 1, end]]  # ends of the step that contains a wanted stamp
     is_valid = (wanted_ns >= stamps_ns[0]) & (wanted_ns <= stamps_ns[-1]) & (
         (ends[1] - ends[0] <= resampling.timing(stamps_ns).longest_step_ns)
         | (ends == wanted_ns).any(axis=0))
@@ -216,14 +214,14 @@ def _with_twist(
 
 
 def _shifted_alike(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> Stamps:
-    """Return stamps shifted as others were."""
+    """Return stamps with the corrections of other stamps, interpolated."""
     moved = np.interp(stamps_ns - before_ns[0], before_ns - before_ns[0], after_ns - before_ns)
     return np.maximum.accumulate(stamps_ns + np.rint(moved).astype(np.int64) - np.arange(
         len(stamps_ns))) + np.arange(len(stamps_ns))
 
 
 def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[Remark]:
-    """Return remarks on the place at which the package was picked up."""
+    """Return remarks on the lateral offsets of lip and centre of mass."""
     aside = float(np.linalg.norm(alignment.lateral_offset))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
     return [Remark(code, {'aside': size}) for code, size, is_due in (
@@ -272,13 +270,13 @@ def _in_bursts(report: StreamReport) -> bool:
 
 
 def lasting_steps(report: StreamReport) -> list[LastingStep]:
-    """Return the jumps without a return that are neither of uneven stamps nor of quick motion."""
+    """Return the jumps without a return that neither uneven stamps nor fast motion explain."""
     if not report.outliers.steps:
         return []
     poses, time = report.recorded, report.timing
     moved, typical = np.linalg.norm(increments_of(poses), axis=2), np.zeros(2)
-    if time.rate_hz < LOW_RATE_HZ:  # then a body moves far between two poses
-        # a frequent step, or one of an error with a memory (m, rad), is none
+    if time.rate_hz < LOW_RATE_HZ:  # large motion between two poses
+        # frequent steps, and errors with memory (m, rad), do not count
         typical = np.maximum(np.percentile(moved, 99.0, axis=1), (0.1, 0.5))
 
     def exceeds_motion(step: LastingStep) -> bool:

@@ -1,8 +1,8 @@
 """
-A recording after reading and preparation: the input of everything that follows.
+A prepared recording: the input of fits, predictions and reports.
 
-A recording is never changed. Expensive results, such as its noise or the statistics of a fit, are
-computed at their first use and kept.
+A recording is immutable. Expensive results, such as its noise or the statistics of a fit, are
+computed at their first use and cached.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -24,32 +24,35 @@ from bellows_ros.errors import BellowsError, shown, UndeterminedError
 import numpy as np
 
 HALF_WINDOW, ORDER = 4, 4
-"""Half window and order of a polynomial that follows any motion of a package up to noise."""
+"""Half window and order of a polynomial that follows the motion of a package up to noise."""
 
 NOISE_SAMPLES = 20_000
-"""Windows or samples that determine the noise to a percent; slightly more are used."""
+"""Number of windows or samples that determine the noise to 1 %; slightly more are used."""
 
 TOOL_HALF_WINDOW, TOOL_ORDER = 6, 6
 """
-Polynomials through so many of the tool's poses give its pose and twist beside poses as measured.
+Half window and order of the polynomials that give the tool's pose and twist from its measured
+poses.
 
-At 125 Hz a motion of 3 Hz is off by 1e-5. Shorter windows leave more noise in the twists, whose
-products with the noise of the poses (which linearised noise models neglect) then bias the damping.
+At 125 Hz a motion of 3 Hz has an error of 1e-5. Shorter windows leave more noise in the twists,
+whose products with the noise of the poses (which linearised noise models neglect) bias the
+damping.
 """
 
 PLACES = 8
-"""Interpolation points between two tool poses that represent all others."""
+"""Number of interpolation points between two tool poses that represent all others."""
 
 
 LOW_RATE_HZ = 100.0
-"""Rate of poses below which polynomials do not follow the motion on a cup."""
+"""Rate of poses below which polynomials do not follow the motion on a cup, Hz."""
 
 REST_PART, MIN_SAMPLES_AT_REST = 0.9, 10
-"""Part of a standstill whose poses count as at rest, and the fewest that determine noise."""
+"""Fraction of a standstill whose poses count as at rest, and smallest number of poses for their
+noise."""
 
 MIN_STRIDE_HZ, MIN_STILL, MIN_CORRELATION = 200.0, 100, 0.2
-"""Rate of poses from which a stride is longer than a sample; fewest poses of a body that is still,
-and the correlation of neighbours, from which it counts as memory of the noise."""
+"""Rate of poses from which a stride exceeds one sample, Hz; smallest number of poses of a body at
+rest, and smallest correlation of neighbours that counts as memory of the noise."""
 
 
 class Noise(NamedTuple):
@@ -61,13 +64,13 @@ class Noise(NamedTuple):
 
 def ripple(poses: Trajectory) -> tuple[Array, Array]:
     """
-    Return the residuals of quartics through nine poses at the middle ones, and these rotations.
+    Return the residuals of quartics through nine poses at their centres, and the rotations there.
 
     Parameters
     ----------
     poses : Trajectory
-        At a uniform rate, some of them not valid. Of many windows every second is enough, or every
-        third, ...
+        Poses at a uniform rate, possibly with invalid samples. Of many windows only every second,
+        third, ... is used.
 
     Returns
     -------
@@ -98,7 +101,7 @@ def ripple(poses: Trajectory) -> tuple[Array, Array]:
 
 
 def ripple_part(ar1: Array | float) -> Array:
-    """Return the variance of the ripple of first-order noise over the variance of the noise."""
+    """Return the ratio of the ripple's variance and the noise's variance for first-order noise."""
     residue = -weights(HALF_WINDOW, ORDER, 1.0)[0]
     residue[HALF_WINDOW] += 1.0
     steps = np.arange(len(residue))
@@ -110,7 +113,7 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
     """
     Return the standard deviations (6,) of poses at a uniform rate, in body axes, m and rad.
 
-    The noise is of first order, with this correlation from pose to pose. Errors as of `ripple`.
+    The noise is of first order, with a given correlation from pose to pose. Raises like `ripple`.
     """
     residuals, rotation = ripple(poses)
     residuals[:, :3] = apply(np.swapaxes(rotation, 1, 2), residuals[:, :3])
@@ -119,7 +122,7 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
 
 
 def noise_at_rest(poses: Trajectory) -> 'BodyNoise':
-    """Return the noise of poses of a body at rest: correlated poses count as fewer."""
+    """Return the noise of poses of a body at rest; correlated poses count as fewer."""
     moved = _at_rest(poses)
     kept = max(_correlation(moved, 1), 0.0)
     count = max(len(moved) * (1.0 - kept) / (1.0 + kept), 2.0)
@@ -128,7 +131,7 @@ def noise_at_rest(poses: Trajectory) -> 'BodyNoise':
 
 
 def _correlation(moved: Array, lag: int) -> float:
-    """Return the correlation of noise (N, 6) so many samples apart, on average over the axes."""
+    """Return the mean over axes of the autocorrelation of noise (N, 6) at a lag."""
     squares = np.maximum(np.sum(moved**2, axis=0), 1e-30)
     return float(np.mean(np.sum(moved[lag:] * moved[:-lag], axis=0) / squares))
 
@@ -142,7 +145,7 @@ def _at_rest(poses: Trajectory) -> Array:
 
 
 def _clipped(residuals: Array) -> Array:
-    """Return residuals (N, 6) in which outliers do not count."""
+    """Return residuals (N, 6) clipped at five robust deviations."""
     limit = 5.0 * resampling.MAD_TO_STD * np.median(np.abs(residuals), axis=0)
     return np.clip(residuals, -limit, limit)
 
@@ -151,8 +154,8 @@ def noise_of(poses: Trajectory) -> Noise:
     """
     Estimate the white noise of poses at a uniform rate.
 
-    It is the median residual of a local polynomial, so that outliers do not count. Noise-free
-    recordings give their rounding. Errors as of `ripple`.
+    The estimate is the median residual of a local polynomial, insensitive to outliers. Noise-free
+    recordings give their rounding. Raises like `ripple`.
     """
     scale = resampling.MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of the fit
     return Noise(*(float(scale * np.median(part))
@@ -160,7 +163,7 @@ def noise_of(poses: Trajectory) -> Noise:
 
 
 class AR1Noise(NamedTuple):
-    """Noise of first order: its standard deviation, and its correlation with the sample before."""
+    """Noise of first order: its standard deviation, and its correlation at lag 1."""
 
     size: float
     correlation: float
@@ -172,9 +175,9 @@ def ar1_noise_of(
     """
     Return the noise of positions (m) and of rotations (rad) of poses at a uniform rate.
 
-    It is white, or has the correlation time that explains the ratio of the noise of poses a stride
-    apart to the given noise of neighbours. Of slow poses the correlation is estimated while the
-    body is still, unless it swings then.
+    The noise is white, or has the correlation time that explains the ratio of the noise of poses a
+    stride apart to the given noise of neighbours. For slow poses the correlation is estimated
+    while the body is still, unless the body swings.
     """
     rate_hz = trajectory.NS_PER_S / float(np.median(np.diff(poses.stamps_ns)))
     if LOW_RATE_HZ < rate_hz < MIN_STRIDE_HZ and len(still) > MIN_STILL:
@@ -188,15 +191,15 @@ def ar1_noise_of(
         wide = noise_of(poses.select(slice(None, None, stride))) if stride > 1 else noise
     except UndeterminedError:
         wide = noise
-    times = np.array([1e-12, *np.geomspace(1.0, 200.0, 24)]) / 1e3  # as good as white, first
+    times = np.array([1e-12, *np.geomspace(1.0, 200.0, 24)]) / 1e3  # the first is nearly white
     ar1 = np.exp(-1.0 / (times * rate_hz))
     sizes = np.sqrt(ripple_part(np.stack([ar1, ar1**stride], axis=1)) / ripple_part(0.0))
     ratios = sizes[:, 1] / sizes[:, 0]
 
     def fitted(one: float, other: float) -> AR1Noise:
-        """Return the noise that is seen so in neighbours and in poses a stride apart."""
+        """Return the noise with given sizes in neighbours and in poses a stride apart."""
         ratio = other / one if one > 0.0 else 1.0
-        at = int(np.argmin(np.abs(ratios - ratio))) if ratio > 1.15 else 0  # chance makes less
+        at = int(np.argmin(np.abs(ratios - ratio))) if ratio > 1.15 else 0  # less is chance
         return AR1Noise(one / float(sizes[at, 0]), float(ar1[at]))
 
     return fitted(noise.position, wide.position), fitted(noise.rotation, wide.rotation)
@@ -206,7 +209,7 @@ class BodyNoise(NamedTuple):
     """
     Noise of a body's poses: standard deviations (6,), and its correlation from pose to pose.
 
-    And of how many independent poses it was estimated.
+    `independent` is the equivalent number of independent poses of the estimate.
     """
 
     std: Array
@@ -217,14 +220,14 @@ class BodyNoise(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class FilterNoise:
     """
-    Noise of a recording's poses and the filters that it went through.
+    Noise of a recording's poses, and the filters of the poses.
 
     Parameters
     ----------
     tool, package : Noise
         White noise of the measured poses, m and rad per axis.
     tool_weights, package_weights : ndarray (3, m)
-        Weights of the filters (see `trajectory.Filtered`), or others with the same products.
+        Weights of the filters (see `trajectory.Filtered`), or other weights with equal products.
     tool_half_window : int
         Half window of the tool's filter, samples.
     correlation : tuple of float
@@ -242,15 +245,15 @@ class FilterNoise:
 
 def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) -> Array:
     """
-    Return weights (3, m) with the products of a filtered motion at other stamps, on average.
+    Return weights (3, m) with the mean products of a filtered motion at other stamps.
 
-    Between two filtered poses are the cubic polynomials of `resample`, whose slope holds the
-    difference of the two poses, and so more noise than the twists at its ends.
+    Between two filtered poses are the cubic polynomials of `resample`, whose slope contains the
+    difference of the two poses, and hence more noise than the twists at its ends.
 
     Parameters
     ----------
     measured_ns, wanted_ns : int ndarray (N,), (M,)
-        Uniform stamps of the filtered motion, and the stamps it was interpolated at, ns.
+        Uniform stamps of the filtered motion, and the stamps of the interpolation, ns.
     weights : ndarray (3, 2n+1)
         Weights of the filter.
 
@@ -278,24 +281,24 @@ class PrepareSettings:
     world : str
         recording.world: 'z_up' or 'motive_y_up' (4.1).
     gravity_direction : tuple of 3 floats
-        gravity.direction in that world.
+        Direction of gravity in that world, gravity.direction.
     package_frame : str
         recording.package_frame: 'com' or 'lip'.
     align_at_rest : bool
         recording.align_at_rest: whether (4.2-4.13) are applied.
     rest_duration : float
-        recording.rest_duration, s.
+        Duration of the initial rest, recording.rest_duration, s.
     payload : Package
-        package.*: mass, inertia and centre of mass B in S of the package.
+        Mass, inertia and centre of mass B in S of the package, package.*.
     gravity : float
-        gravity.magnitude, m/s^2 along -z of the world once it is level.
+        Magnitude of gravity along -z of the levelled world, gravity.magnitude, m/s^2.
     tool_half_window, tool_order, package_half_window, package_order : int
-        filter.tool.half_window and so on; a half window of 0 is chosen from the rate.
+        Parameters filter.tool.half_window and so on; a half window of 0 is chosen from the rate.
     tool_twist_frame : str
-        tool_twist.frame: axes of a recorded tool twist, 'world' or 'tool'; its linear part is the
+        Axes of a recorded tool twist, 'world' or 'tool' (tool_twist.frame); its linear part is the
         velocity of the tool tip.
     tag : MeasurementModel or None
-        measured.*, in the frame of the package's poses, if they are of a detected tag.
+        Measurement model in the frame of the package's poses, for a detected tag (measured.*).
 
     """
 
@@ -315,7 +318,7 @@ class PrepareSettings:
 
     @property
     def moves_with_com(self) -> tuple[bool, bool, bool]:
-        """Components of the centre of mass with which the poses of B move."""
+        """Components of the centre of mass that shift the poses of B."""
         lip = self.package_frame == 'lip'
         return (lip or self.align_at_rest, lip or self.align_at_rest, lip)
 
@@ -326,7 +329,7 @@ class PrepareSettings:
 
     @cached_property
     def R_world_recorded(self) -> Array:
-        """The rotation from recorded axes to a world whose z is up."""
+        """Rotation from recorded axes to a world with z up."""
         return world_rotation(self.world, self.gravity_direction)
 
 
@@ -338,17 +341,17 @@ class StreamReport:
     Parameters
     ----------
     recorded : PoseStream
-        The poses that were read, and which messages were left out.
+        The recorded poses, and the omitted messages.
     timing : Timing
-        Rate, jitter, and gaps by sample.
+        Rate, jitter and gaps.
     outliers : Outliers
-        Marked poses, steps by sample, and the noise.
+        Marked poses, lasting steps and noise.
     overlapping_gap : int
-        Filtered samples left out because their windows touch invalid ones.
+        Number of filtered samples omitted because their windows contain invalid ones.
     interpolated : int
-        Poses lost or marked, one or two in a row, that the filter has interpolated.
+        Number of lost or marked poses, at most two in succession, interpolated by the filter.
     arrivals : ArrivalStamps or None
-        Recorded stamps, if they were replaced by the times of sampling.
+        Report on times of sampling that replaced recorded stamps, if any.
 
     """
 
@@ -361,7 +364,7 @@ class StreamReport:
 
     @cached_property
     def repeated_stamps(self) -> int:
-        """Number of messages left out since their stamps repeat the one before."""
+        """Number of messages omitted because of repeated stamps."""
         return len(self.recorded.refused.get('duplicate_stamp', ()))
 
     @cached_property
@@ -374,14 +377,14 @@ class StreamReport:
 
     @property
     def stamp_std(self) -> float:
-        """Standard deviation of rounded stamps, s; of repeated ones the first pose is used."""
+        """Standard deviation of rounded stamps, s; for repeated stamps the first pose is used."""
         count = len(self.recorded)
         part = count / (count + self.repeated_stamps)
         return float(part * self.stamp_resolution / np.sqrt(12.0))
 
     @property
     def marked(self) -> int:
-        """Poses marked as wrong."""
+        """Number of poses marked as wrong."""
         return int(np.count_nonzero(~self.outliers.good))
 
     def as_json(self) -> dict[str, Any]:
@@ -404,7 +407,7 @@ class PackageWorld(NamedTuple):
     The estimated pose of the package's world in the tool's.
 
     Position (m) and quaternion (x y z w) (7,), and standard errors (6,) of the position at the
-    middle of the package's way (m) and of the rotation (rad), in axes of the tool's world.
+    middle of the package's path (m) and of the rotation (rad), in axes of the tool's world.
     """
 
     pose: Array
@@ -420,7 +423,7 @@ class PackageWorld(NamedTuple):
 
 
 class TimeOffset(NamedTuple):
-    """Time by which the stamps of the tool are behind the package's, and its error, s."""
+    """Delay of the tool's stamps behind the package's, and its standard error, s."""
 
     value: float
     std: float
@@ -440,9 +443,9 @@ class Report:
     tool, package : StreamReport
         Reports on the two topics.
     remarks : tuple of Remark
-        Facts on the poses and on their alignment that the user should know.
+        Facts on the poses and on their alignment.
     warnings : tuple of str
-        Sentences that workflows make of them, and notes on the files.
+        Sentences of the remarks made by workflows, and notes on the files.
     time_offset : TimeOffset or None
         Offset subtracted from the tool's stamps, None if not requested or not identifiable.
     package_world : PackageWorld or None
@@ -462,11 +465,11 @@ class Report:
 
 
 MIN_SEGMENT = 1.0
-"""Shortest segment that is used, s."""
+"""Shortest segment, s."""
 
 
 class Span(NamedTuple):
-    """First and last stamp (ns) of a segment, and its samples among the common stamps."""
+    """First and last stamp (ns) of a segment, and its range of common stamps."""
 
     first_ns: int
     last_ns: int
@@ -475,7 +478,7 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """Aligned poses at a uniform rate and the filter (4.15-4.63) that they go through."""
+    """Aligned poses at a uniform rate, and their filter (4.15-4.63)."""
 
     poses: Trajectory
     half_window: int
@@ -490,11 +493,11 @@ class Filter:
 
     @property
     def whole(self) -> Mask:
-        """Mask of the filtered poses whose windows have no gaps and outliers."""
+        """Mask of the filtered poses without gaps and outliers in their windows."""
         return whole_windows(self.poses, self.half_window)
 
     def is_whole_at(self, stamps_ns: Stamps) -> Mask:
-        """Return whether the poses beside some stamps have such windows."""
+        """Return whether the filtered poses next to some stamps are `whole`."""
         before = np.searchsorted(self.stamps_ns, stamps_ns, side='right') - 1
         return np.asarray(
             self.whole[before] & self.whole[np.searchsorted(self.stamps_ns, stamps_ns)])
@@ -519,26 +522,26 @@ class Recording:
     Parameters
     ----------
     settings : PrepareSettings
-        How it was prepared; it holds the package.
+        Settings of the preparation, with the package.
     tool_pose, package_pose : PoseStream
-        As recorded, but for a time offset that was taken from the tool's stamps.
+        Recorded poses, with a time offset subtracted from the tool's stamps.
     tool_twist : TwistStream or None
         Recorded twists of the tool, None without any.
     filters : (Filter, Filter)
         Filters of tool and package, each at a uniform rate, from start to end.
     measured_tool, measured_package : Trajectory
-        E and B aligned but not filtered. The tool has the recorded body twists where there are
-        any; where poses or twists are missing or wrong, samples are not valid.
+        E and B aligned but not filtered. The tool has the recorded body twists, if any; samples
+        with missing or wrong poses or twists are invalid.
     tracked_package : Trajectory
-        B aligned but not filtered, from start to end, at the stamps at which it was measured.
-        Uniform stamps include missing ones, which are not valid. Others are not interpolated: the
-        motion between the poses of a slow camera is unknown.
+        B aligned but not filtered, from start to end, at the stamps of the measurements. Uniform
+        stamps include missing, invalid ones. Others are not interpolated: the motion between the
+        poses of a slow camera is unknown.
     alignment : Alignment
-        From the recorded frames to E and B.
+        Transformations from the recorded frames to E and B.
     report : Report
         Omitted data, and the reasons.
     name : str
-        Name by the user: the path of a rosbag2 folder or file; '' for one of no file.
+        Path of a rosbag2 folder or file as given by the user; '' without a file.
     digest : str
         Digest of its stored messages, independent of the path; '' if not requested.
     files : tuple of mapping
@@ -562,7 +565,7 @@ class Recording:
     _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return a result computed from the recording, computed at the first request."""
+        """Return a result, computed at the first request and cached."""
         if key not in self._cache:
             self._cache[key] = make()
         result: T = self._cache[key]
@@ -615,10 +618,10 @@ class Recording:
     @cached_property
     def segments(self) -> tuple[Span, ...]:
         """
-        Segments between gaps of the tool that cannot be bridged, each with an own first state.
+        Segments between gaps of the tool that cannot be bridged, each with its own initial state.
 
         In a gap of the package alone its motion follows from the tool's. Segments without a pose
-        of the package are left out.
+        of the package are omitted.
         """
         stamps, common = self.aligned_tool.stamps_ns, self.measured_tool.stamps_ns
         stamps = stamps[self.aligned_tool.valid & (stamps >= common[0]) & (stamps <= common[-1])]
@@ -634,7 +637,7 @@ class Recording:
 
     @cached_property
     def noise(self) -> FilterNoise:
-        """White noise of the poses as they were measured, and the filters that it went through."""
+        """White noise of the measured poses, and the filters of the poses."""
         of_tool, of_package = self.filters
         position, rotation = self.ar1_noise[1]
         return FilterNoise(
@@ -655,7 +658,8 @@ class Recording:
         """
         Noise of tool and package per axis, each at the stamps of the body.
 
-        Polynomials do not follow a package between slow poses: there it is the noise at rest.
+        Polynomials do not follow a package between slow poses; the noise is then estimated at
+        rest.
         """
         of_tool, of_package = (
             BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
@@ -687,7 +691,7 @@ class Recording:
 
     @cached_property
     def sharp_package(self) -> Trajectory:
-        """B as tracked, not valid where an image of a tag is blurred more than it errs at rest."""
+        """B as tracked; invalid if blur contributes more than half of the variance of a tag."""
         poses, errors = self.tracked_package, self.pose_errors
         if errors is None:
             return poses
@@ -703,7 +707,7 @@ class Recording:
         return replace(self, settings=replace(self.settings, tag=tag))
 
     def _still(self, poses: Trajectory) -> Trajectory:
-        """Return the valid poses of a body while both stand still at the beginning."""
+        """Return the valid poses of a body while both bodies are at rest at the beginning."""
         tool, package = self.aligned_tool, self.tracked_package
         first = max(tool.stamps_ns[0], package.stamps_ns[0])
         rest_ns = REST_PART * rest_of(tool, package).seconds * trajectory.NS_PER_S
@@ -747,7 +751,7 @@ class Recording:
 
 def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
     """
-    Refuse poses in two frames without a transform between them.
+    Raise BellowsError for poses in two frames without a transform between them.
 
     Raises
     ------

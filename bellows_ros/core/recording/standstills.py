@@ -1,8 +1,8 @@
 """
 Standstills of tool and package in a recording.
 
-At rest no damper and no acceleration take part: the package hangs where spring and gravity balance
-(3.9), and the mean of a standstill has little noise.
+At rest, damping and inertia vanish: the package hangs in balance of spring and gravity (3.9), and
+the mean of a standstill has little noise.
 """
 
 from collections.abc import Sequence
@@ -23,17 +23,17 @@ MIN_DURATION = 0.5
 """Shortest standstill, s."""
 
 MAX_MOTION = Noise(1.5e-4, 1.5e-3)
-"""Largest difference of block means of a still body, beside noise, m and rad."""
+"""Largest difference of block means of a body at rest, without noise, m and rad."""
 
 NOISE_DEVIATIONS = 5.0
-"""Largest difference of block means by noise, in standard deviations."""
+"""Largest difference of block means due to noise, standard deviations."""
 
 CREEP_CHI2, MAX_SPREAD = 45.0, 8.0
-"""Smallest chi^2 of significant creep, of 6 degrees of freedom (chance 5e-8), and largest ratio of
-the errors of the rest pose and the mean pose."""
+"""Smallest chi^2 of significant creep with 6 degrees of freedom (false-alarm rate 5e-8), and
+largest ratio of the standard errors of the rest pose and the mean pose."""
 
 BLOCK_SECONDS, MIN_BLOCK_SAMPLES = 0.1, 3
-"""Time (s) that block means are of, shorter than a body sways, and their fewest samples."""
+"""Duration (s) of the blocks, shorter than a period of swing, and smallest number of samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,18 +44,18 @@ class Standstill:
     Parameters
     ----------
     start_ns, duration : int, float
-        When it began, and how long it lasted (s).
+        Begin (ns) and duration (s) of the standstill.
     tool, package : Trajectory
         One pose each: the means of E and B in the world.
     samples : int
-        How many package poses the mean is of.
+        Number of averaged package poses.
     error : Noise
         Standard error of the relative pose, m and rad per axis.
     payload : Package
         Package on the cup.
     creep : array (6,)
-        How far the relative pose still moves from the begin of the standstill on (m, rad), where
-        rubber creeps; the pose of the package is then that in which it comes to rest.
+        Remaining motion of the relative pose from the begin of the standstill on (m, rad) by creep
+        of rubber; `package` is then the final rest pose.
 
     """
 
@@ -83,17 +83,17 @@ class Standstill:
 
 def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
     """
-    Return the standstills of a recording, in the order of time, and how often one failed.
+    Return the standstills of a recording in the order of time, and the number of failed ones.
 
     The unfiltered poses are averaged over short blocks. From the end of a standstill, where the
-    package has come to rest, blocks are taken in backwards for as long as both bodies stay where
-    they are, so that the swinging after a move is left out. A standstill of the tool fails where
-    the package does not come to rest in its time.
+    package has come to rest, blocks are added backwards while both bodies keep their poses, so
+    that swinging after a move is excluded. A standstill of the tool fails if the package does not
+    come to rest.
 
     Raises
     ------
     BellowsError
-        If there are too few valid poses to tell noise from motion, or no standstill.
+        If there are too few valid poses to separate noise from motion, or no standstill.
 
     """
     bodies, noise = (recording.measured_tool, recording.measured_package), recording.measured_noise
@@ -118,10 +118,10 @@ def _standstill(
     tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise], payload: Package
 ) -> Standstill:
     """
-    Return a standstill of its samples.
+    Return a standstill from its samples.
 
-    Creep is fitted as c exp(-t / tau_2) beside a rest pose, with the longer time of the model of
-    relaxing rubber. If it is significant, the rest pose replaces the mean.
+    Creep is fitted as c exp(-t / tau_2) plus a rest pose, with the longer time constant of the
+    model of relaxing rubber. If the creep is significant, the rest pose replaces the mean.
     """
     every = np.arange(len(package))
     at_rest, hanging = _means(tool, [every]), _means(package, [every])
@@ -130,7 +130,7 @@ def _standstill(
                       _error(relative, stamps_ns, noise), payload)
     design = np.stack([np.ones(len(every)), np.exp(-package.seconds / RELAXATION_TIMES[1])], 1)
     rest, creep = np.linalg.lstsq(design, relative, rcond=None)[0]
-    # over the error of a mean
+    # ratio to the error of a mean
     spread = np.sqrt(len(every) * np.diag(np.linalg.inv(design.T @ design)))
     error = _error(relative - design @ [rest, creep], stamps_ns, noise)
     chi2 = np.sum((creep / (spread[1] * np.repeat(error, 3))) ** 2)
@@ -157,7 +157,7 @@ def _spans_at_rest(
         first = last
         while first > 0 and _continues(means, limits, ends, first, last):
             first -= 1
-        # The first and the last block may have a little of the moves before and after in them.
+        # The first and the last block may contain some of the moves before and after.
         inner = slice(first + 1, last) if last - first > 3 else slice(first, last + 1)
         span = np.concatenate(blocks[inner])
         is_long = _seconds(stamps, span) >= MIN_DURATION
@@ -167,7 +167,7 @@ def _spans_at_rest(
 
 
 def _blocks(tool: Trajectory, package: Trajectory) -> list[Stamps]:
-    """Return the indices of valid samples, block by block of time."""
+    """Return the indices of valid samples by blocks of time."""
     valid = np.flatnonzero(tool.valid & package.valid)
     if not len(valid):
         raise BellowsError('No valid sample is left to find standstills in.')
@@ -186,7 +186,7 @@ def _means(body: Trajectory, spans: Sequence[Stamps]) -> Trajectory:
 def _continues(
     means: list[Trajectory], limits: list[Noise], ends: Stamps, first: int, last: int
 ) -> bool:
-    """Return whether the block before the first is near blocks first to last."""
+    """Return whether the block before the first agrees with blocks first to last."""
     if means[0].stamps_ns[first] - ends[first - 1] > BLOCK_SECONDS * NS_PER_S:
         return False
     rest = slice(first, last + 1)
@@ -198,7 +198,6 @@ def _continues(
 
 
 def _seconds(stamps_ns: Stamps, span: Stamps) -> float:
-    """Return the time from the first to the last of some samples, s."""
     return float(stamps_ns[span[-1]] - stamps_ns[span[0]]) / NS_PER_S
 
 
@@ -206,8 +205,8 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
     """
     Return the standard errors of the mean of relative poses (N, 6).
 
-    The larger one of the standard error by noise and of that by the scatter of means over short
-    blocks, which includes residual swing.
+    They are the larger of the standard error by noise and the standard error by the scatter of
+    block means, which includes residual swing.
     """
     blocks = (stamps_ns - stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
     starts = np.unique(blocks, return_index=True)[1]
@@ -222,7 +221,7 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
 def with_standstills(
     envelope: Envelope, standstills: Sequence[Standstill], cup_length: float
 ) -> Envelope:
-    """Return a validity range with the deflections of standstills in it; these have no rates."""
+    """Return a validity range that includes the deflections of standstills, without rates."""
     nominal = np.array([0.0, 0.0, -cup_length, 0.0, 0.0, 0.0])
     deflections = np.array([still.lip - nominal for still in standstills])
     return replace(

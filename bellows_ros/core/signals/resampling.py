@@ -1,13 +1,13 @@
 """
 Rates and gaps of stamps; trajectories at other stamps, on SO(3) x R^3, never extrapolated.
 
-The filter needs uniform samples. Stamps that are uniform but for their rounding keep their samples
-as they are; others are interpolated along geodesics. Samples in a gap get interpolated poses, so
-that arrays stay finite, and are invalid.
+The filter needs uniform samples. If stamps are uniform up to rounding, samples are kept; others
+are interpolated along geodesics. Samples in a gap get interpolated poses, so that arrays stay
+finite, and are invalid.
 
-Poses that come over a network in bursts are late by some time each, so that a moving body seems to
-go to and fro. If a sensor samples uniformly, the delay of each pose follows from all stamps.
-Whether it does, the poses tell: at the times of sampling their motion is smoother.
+Poses that come over a network in bursts have delayed stamps, with which a moving body seems to
+oscillate. If a sensor samples uniformly, the delay of each pose follows from all stamps; the
+delays are corrected if this makes the motion smoother.
 """
 
 from dataclasses import dataclass, replace
@@ -23,14 +23,14 @@ from .trajectory import checked_stamps, frozen, NS_PER_S, PoseStream, Trajectory
 
 # A step of more than this many periods is a gap: at least one sample is missing.
 GAP_PERIODS = 1.5
-# Range of the mean of steps in typical steps; a mean mostly outside shows bursts: half the
-# samples may be lost, but none comes twice.
+# Range of the ratio of the mean step to the typical step without bursts: up to half of the samples
+# may be lost, but none is repeated.
 MEAN_RANGE = (0.8, 2.5)
 # Standard deviation of a normal distribution per median absolute deviation.
 MAD_TO_STD = 1.4826
 
 MAX_RELATIVE_JITTER = 0.1
-"""Jitter in parts of the period that is worth a look."""
+"""Jitter above which a warning is given, as a fraction of the period."""
 
 SAMPLES_BESIDE_GAP = 30
 """Number of samples compared on both sides of a gap."""
@@ -57,7 +57,7 @@ class Gap:
 @dataclass(frozen=True)
 class Timing:
     """
-    How the stamps of a stream lie in time.
+    Rate, jitter and gaps of the stamps of a stream.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Timing:
     uniform : bool
         Whether the stamps are uniform, so that no sample needs interpolation.
     gaps : tuple of Gap
-        In order of time.
+        Gaps in the order of time.
 
     """
 
@@ -87,8 +87,7 @@ def timing(stamps_ns: Stamps) -> Timing:
     """
     Estimate the rate and jitter of stamps, and find the gaps.
 
-    The rate comes from the stamps alone, by medians, so that neither gaps nor a clock that runs
-    fast or slow misleads it.
+    Medians of the steps give the rate, so that neither gaps nor a drifting clock biases it.
 
     Parameters
     ----------
@@ -125,10 +124,10 @@ def resolution(stamps_ns: Stamps) -> float:
     """
     Return the resolution of rounded stamps of a uniform rate, s; 0 if it is fine enough.
 
-    Rounded stamps have few different steps, multiples of the resolution, and stay near a line;
-    lost samples make fewer unusual steps in a window, or move later stamps farther.
+    Rounded stamps have few different steps, multiples of the resolution, and stay close to a line;
+    lost samples cause fewer unusual steps in a window, or larger deviations from the line.
     """
-    n, equal_us = 100, 5.0  # steps in a window, and difference of equal steps
+    n, equal_us = 100, 5.0  # steps in a window; difference of equal steps, us
     steps = np.diff(stamps_ns[:4000]) / 1e3  # us
     if len(steps) < 2 * n:
         return 0.0
@@ -155,7 +154,7 @@ def in_bursts(stamps_ns: Stamps, timing: Timing) -> bool:
     of the burst; lost samples leave gaps of any length and number.
     """
     steps = np.diff(stamps_ns) / NS_PER_S
-    if np.mean(steps * timing.rate_hz < 0.2) > 0.3:  # no sensor repeats a fifth of its period
+    if np.mean(steps * timing.rate_hz < 0.2) > 0.3:  # no sensor samples this early
         return True
     begins = np.flatnonzero(steps > timing.longest_step_ns / NS_PER_S) + 1
     gaps = steps[begins - 1]
@@ -169,25 +168,25 @@ def _period(steps: Stamps) -> float:
     """
     Return the time between samples without gaps, ns.
 
-    The median step knows the period to the stamps' resolution; the mean of the steps near it,
-    which average that out, knows it better. Of stamps in pairs or bursts only the mean over many
-    steps is the period.
+    The median step is accurate to the stamps' resolution; the mean of steps near the median
+    averages the resolution out. For stamps in pairs or bursts only the mean over many steps is the
+    period.
     """
-    count = min(20, max(len(steps) // 4, 1))  # steps of a mean
+    count = min(20, max(len(steps) // 4, 1))  # number of averaged steps
     typical = _typical_value(steps)
     mean = _typical_value(np.convolve(steps, np.ones(count), 'valid')) / count
     return typical if MEAN_RANGE[0] * typical <= mean <= MEAN_RANGE[1] * typical else mean
 
 
 def _typical_value(values: Array | Stamps) -> float:
-    """Return the mean of the values near their median, or the median if there are none."""
+    """Return the mean of the values near their median, or the median if none is near."""
     median = float(np.median(values))
     typical = values[np.abs(values - median) < 0.5 * median]
     return float(np.mean(typical)) if len(typical) else median
 
 
 def common_span(one: PoseStream | Trajectory, other: PoseStream | Trajectory) -> tuple[int, int]:
-    """Return first and last stamp (ns) of the overlap of two trajectories, if any."""
+    """Return first and last stamp (ns) of the overlap of two trajectories."""
     starts, ends = zip(*(body.stamps_ns[[0, -1]].tolist() for body in (one, other)), strict=True)
     return max(starts), min(ends)
 
@@ -199,9 +198,9 @@ def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
     Parameters
     ----------
     stamps_ns : int array (N,)
-        ns.
+        Stamps, ns.
     parts : int array (N - 1,)
-        Into how many parts each step is cut.
+        Number of parts of each step.
 
     """
     last = len(parts) - 1
@@ -212,17 +211,17 @@ def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
 
 class ArrivalStamps(NamedTuple):
     """
-    Stamps that were times of arrival.
+    Report on stamps that were times of arrival.
 
     Parameters
     ----------
     replaced : int
-        Stamps that were replaced.
+        Number of replaced stamps.
     jitter_s, latest_s : float
-        Standard deviation and range of how late the poses came, s.
+        Standard deviation and range of the poses' delays, s.
     rougher, smoother : array (2,)
-        Deviation (m, rad) of the poses from smooth motion at the recorded stamps, and at the
-        times of sampling.
+        Deviation (m, rad) of the poses from smooth motion by recorded stamps, and by times of
+        sampling.
 
     """
 
@@ -256,11 +255,11 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
 
 def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
     """
-    Return the latest possible times of sampling for times of arrival; None if unknown.
+    Return the latest possible times of sampling from times of arrival; None if unknown.
 
-    No sample arrives before it is taken, so the uniform stamps are the earliest that touch one.
-    After a gap all samples seem late, by whole periods. Samples lost every few periods, or
-    jitter of many periods, leave it unknown.
+    No sample arrives before it is taken: the uniform stamps are the line below all arrivals. After
+    lost samples later ones seem delayed by whole periods, which is corrected. Frequent losses, or
+    jitter of many periods, make the times unknown.
     """
     since, number = (stamps_ns - stamps_ns[0]).astype(np.float64), np.arange(len(stamps_ns))
     n = SAMPLES_BESIDE_GAP
@@ -272,7 +271,7 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
         drift = float(np.median(steps))
         period += drift / n
         i = int(np.argmax(steps))
-        missing = int((steps[i] - drift) / period + 0.35)  # lost from 0.65 periods on
+        missing = int((steps[i] - drift) / period + 0.35)  # a loss is assumed from 0.65 periods on
         if missing < 1:
             sampled = _tangent_below(number, since)
             return np.asarray(stamps_ns[0] + np.rint(sampled).astype(np.int64))
@@ -282,10 +281,10 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
 
 
 def _tangent_below(x: Array | Stamps, y: Array) -> Array:
-    """Return the line (N,) below all points that is nearest to them in the mean."""
+    """Return the line (N,) below all points with the least mean distance to them."""
     middle, slope = int(np.searchsorted(x, np.mean(x))), (y[-1] - y[0]) / (x[-1] - x[0])
     ends = -1, -1
-    while True:  # Newton's steps: through the lowest points of both halves above that slope
+    while True:  # Newton's method: the lowest points of both halves, relative to the slope
         above = y - slope * x
         new = int(np.argmin(above[:middle])), middle + int(np.argmin(above[middle:]))
         if new == ends:
@@ -317,10 +316,10 @@ def resample(
     With twists the interpolant is the cubic Hermite polynomial on SO(3) x R^3: in the position,
     with the end velocities R v, and in the rotation vector c of R = R_0 exp(c), with c(0) = 0,
     c'(0) = h w_0, c(1) = log(R_0^T R_1) and c'(1) = dexp(-c(1))^-1 h w_1, where w is the body rate
-    and h the interval. It is once differentiable and of fourth order; its body twist is
-    returned. Without twists positions go straight and rotations along the geodesic, and no twist
-    is returned. A stamp of the trajectory itself returns that very sample. The result has no
-    accelerations.
+    and h the interval. The interpolant is once differentiable and of fourth order; its body twist
+    is returned. Without twists, positions are interpolated linearly, rotations along the geodesic,
+    and no twist is returned. At a stamp of the trajectory its sample is returned unchanged. The
+    result has no accelerations.
 
     Parameters
     ----------
@@ -329,12 +328,12 @@ def resample(
     stamps_ns : int array (M,)
         Wanted stamps, strictly increasing, ns, inside the trajectory's first and last.
     longest_gap_ns : int, optional
-        A stamp between two samples further apart than this is not valid, ns.
+        Longest interval (ns) in which an interpolated sample is valid.
 
     Returns
     -------
     Trajectory
-        Its sample is valid when the sample it repeats, or both samples it lies between, are.
+        Valid where the copied sample, or both neighbours of an interpolated one, are valid.
 
     Raises
     ------
@@ -351,7 +350,7 @@ def resample(
             f'{span}. Poses are never extrapolated; request stamps inside the trajectory.')
     before = np.searchsorted(stamps, wanted, side='right') - 1
     same = slice(before[0], before[-1] + 1) if len(before) else slice(0)
-    if np.array_equal(stamps[same], wanted):  # nothing to interpolate, or to copy
+    if np.array_equal(stamps[same], wanted):  # nothing to interpolate
         return replace(trajectory.select(same), acceleration=None)
     position, rotation = trajectory.position[before], trajectory.rotation[before]
     twist = None if trajectory.twist is None else trajectory.twist[before]
@@ -389,7 +388,7 @@ def _interpolated(
 
 
 def cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Array, Array]:
-    """Return the cubic over 0..1 from zero to `end` with these end rates, and its derivative."""
+    """Return the cubic over 0..1 from zero to `end` with given end rates, and its derivative."""
     quadratic = 3.0 * end - 2.0 * rate_start - rate_end
     cubic = rate_start + rate_end - 2.0 * end
     value = s * (rate_start + s * (quadratic + s * cubic))
@@ -397,7 +396,7 @@ def cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Arr
 
 
 MAX_GRID_SAMPLES = 1_000_000
-"""Largest number of samples of a grid, unless it has fewer than 10 per message."""
+"""Largest number of samples of a grid with at least 10 samples per message."""
 
 
 def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
@@ -420,12 +419,12 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
     Raises
     ------
     BellowsError
-        If the stamps cover far more time than the samples fill.
+        If the stamps cover far more time than the samples.
 
     """
     span = float(trajectory.stamps_ns[-1] - trajectory.stamps_ns[0])
     count = span * timing.rate_hz / NS_PER_S
-    if count > max(MAX_GRID_SAMPLES, 10 * len(trajectory)):  # a stamp far away
+    if count > max(MAX_GRID_SAMPLES, 10 * len(trajectory)):  # an isolated stamp
         raise BellowsError(
             f'{len(trajectory)} poses at {timing.rate_hz:.6g} Hz should cover '
             f'{len(trajectory) / timing.rate_hz:.6g} s, but their stamps cover '
@@ -441,7 +440,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
 
 
 def filled(poses: Trajectory, known: Trajectory, longest_gap_ns: int | None = None) -> Trajectory:
-    """Return poses with missing ones interpolated by `resample`."""
+    """Return poses with missing samples interpolated by `resample`."""
     missing = ~poses.valid & (
         poses.stamps_ns > known.stamps_ns[0]) & (poses.stamps_ns < known.stamps_ns[-1])
     between = resample(known, poses.stamps_ns[missing], longest_gap_ns)

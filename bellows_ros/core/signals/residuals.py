@@ -1,9 +1,9 @@
 """
 Errors of a prediction against a measurement: per axis, their spectra and whiteness.
 
-Residuals with samples missing (NaN) are taken as they are: powers, and pairs, of the samples
-there. A motion with samples missing is interpolated first: cut to zero there, it would seem to
-have power at all frequencies.
+With missing samples (NaN), powers and correlations are computed from the available samples.
+Motions are interpolated first: with zeros for missing samples a motion would have power at all
+frequencies.
 """
 
 from dataclasses import dataclass
@@ -55,15 +55,15 @@ class Scores:
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """
-    Predicted and measured package as seen from the tool.
+    Predicted and measured package in the tool frame.
 
     Parameters
     ----------
     stamps_ns : ndarray (N,)
         Common stamps of prediction and recording.
     measured, predicted : ndarray (N, 6)
-        Tool-relative coordinates: position of B (m) and rotation vector (rad) in E axes. NaN where
-        the tool was lost; measured ones also where the package was.
+        Tool-relative coordinates: position of B (m) and rotation vector (rad) in E axes. NaN if
+        the tool is lost, and in `measured` also if the package is lost.
     scores : Scores
         Errors per axis, at samples valid in both.
 
@@ -76,7 +76,7 @@ class Comparison:
 
     @property
     def error(self) -> Array:
-        """Predicted minus measured (N, 6); NaN where the tool or the package was lost."""
+        """Predicted minus measured (N, 6); NaN if the tool or the package is lost."""
         return self.predicted - self.measured
 
     def select(self, which: Mask) -> 'Comparison':
@@ -99,7 +99,7 @@ def relative_coordinates(tool: Trajectory, package: Trajectory) -> Array:
 
 
 def score(measured: Array, predicted: Array) -> Scores:
-    """Return the errors of predicted against measured coordinates, both (N, 6), NaN where lost."""
+    """Return the errors of predicted against measured coordinates, both (N, 6), NaN if lost."""
     both = np.isfinite(measured + predicted).all(axis=1)
     if not both.any():
         raise BellowsError('No sample has both a prediction and a measurement.')
@@ -154,7 +154,7 @@ def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajector
 
 
 SEGMENT_S = 2.0
-"""Length of the segments of a spectrum, s: separates lines half a hertz apart."""
+"""Length of the segments of a spectrum, s: a resolution of 0.5 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ class Spectrum:
         """
         Return the bands (C,), (C,) in Hz with the middle part of each channel's power.
 
-        The rest is left out in equal shares below and above. NaN where there is no power.
+        The remaining power is split equally below and above. NaN without power.
         """
         total = np.cumsum(self.density, axis=0)
         share = total / np.where(total[-1] > 0.0, total[-1], np.nan)
@@ -195,7 +195,7 @@ class Spectrum:
 
 
 def _is_finite(values: Array) -> Mask:
-    """Return which samples (N,) of values (N, C) are not missing, or refuse values without any."""
+    """Return the mask (N,) of complete samples of values (N, C); raise without any."""
     present = np.isfinite(values).all(axis=1)
     if not present.any():
         raise BellowsError('There is no sample of which to take a spectrum.')
@@ -212,14 +212,14 @@ def interpolated(values: Array) -> Array:
 
 def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spectrum:
     """
-    Return power spectral densities by Welch's method: Hann windows that overlap by half.
+    Return power spectral densities by Welch's method with Hann windows that overlap by half.
 
     Parameters
     ----------
     values : ndarray (N, C)
-        At a uniform rate; their mean is taken out. NaN where a sample is missing: it counts as
-        zero, and the density is scaled up for the missing power. That is right for white signals;
-        see `interpolated` for others.
+        Values at a uniform rate; their mean is subtracted. A missing sample (NaN) counts as zero,
+        and the density is scaled up for the missing power. This is right for white signals; see
+        `interpolated` for others.
     rate_hz : float
         Samples per second.
     segment_s : float
@@ -231,7 +231,7 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
     window = np.sin(np.pi * np.arange(length) / length) ** 2
     scale = 2.0 * len(values) / np.count_nonzero(present) / (rate_hz * np.sum(window**2))
     filled = np.where(present[:, None], values - values[present].mean(axis=0), 0.0)
-    # Channel by channel: SciPy's takes a second and 50 MB to load, and more memory.
+    # SciPy's function takes 1 s and 50 MB to load, and more memory than this loop over channels.
     density = scale * np.column_stack([
         np.mean(np.abs(np.fft.rfft(window * segments)) ** 2, axis=0)
         for segments in (sliding_window_view(channel, length)[::length - length // 2]
@@ -250,10 +250,10 @@ class Whiteness:
     samples : int
         Samples of each channel.
     autocorrelation : ndarray (L, C)
-        At lags 1 to L, without unit.
+        Autocorrelation at lags 1 to L.
     statistic : ndarray (C,)
-        Q = n (n + 2) sum of r_k^2 / n_k over the lags k, with n_k pairs of samples k apart; for a
-        white channel distributed as chi^2 with L degrees of freedom. NaN for a constant channel.
+        Q = n (n + 2) sum of r_k^2 / n_k over the lags k, with n_k pairs of samples k apart; chi^2
+        with L degrees of freedom for a white channel. NaN for a constant channel.
     p_value : ndarray (C,)
         Probability of at least this Q for a white channel.
 
@@ -271,7 +271,7 @@ class Whiteness:
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """'white', 'nearly white' or 'coloured' for each channel."""
+        """Verdict of each channel: 'white', 'nearly white' or 'coloured'."""
         small = self.largest < 0.1
         return tuple(
             'white' if not p < 0.01 else 'nearly white' if little else 'coloured'
@@ -279,7 +279,7 @@ class Whiteness:
 
     @property
     def largest(self) -> Array:
-        """Largest autocorrelation of any lag (C,): how coloured, however many the samples are."""
+        """Largest absolute autocorrelation over the lags (C,), independent of the sample size."""
         return np.asarray(np.abs(self.autocorrelation).max(axis=0))
 
 
@@ -290,9 +290,9 @@ def portmanteau(residuals: Array, lags: int = 20) -> Whiteness:
     Parameters
     ----------
     residuals : ndarray (N, C)
-        At a uniform rate, about zero; NaN where a sample is missing.
+        Residuals at a uniform rate with zero mean; NaN for a missing sample.
     lags : int
-        How many lags count.
+        Number of lags.
 
     Raises
     ------

@@ -21,8 +21,8 @@ from .trajectory import any_within, Filtered, frozen, Trajectory, uniform_rate_h
 
 # The polynomial must have a second derivative, for the accelerations.
 MIN_ORDER = 2
-# rad. Beyond pi the logarithm jumps to the opposite side; a window in which the body turns as far
-# as this from the centre is not trusted.
+# Rotation between a sample and the centre beyond which a window is invalid, as the logarithm jumps
+# at pi, rad.
 MAX_ROTATION = 0.75 * pi
 # Samples processed at a time: the working arrays stay in the processor's cache, and memory is
 # bounded.
@@ -68,7 +68,7 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     coefficients = np.linalg.solve(r_factor, basis.T)[:3]
     scale = rate_hz / half_window
     fitted = coefficients * np.array([[1.0], [scale], [2.0 * scale**2]])
-    # Exactly even, odd and even in time, as they are before rounding.
+    # Exactly even, odd and even in time, without rounding errors.
     parity = np.array([[1.0], [-1.0], [1.0]])
     return np.asarray(0.5 * (fitted + parity * fitted[:, ::-1]))
 
@@ -89,7 +89,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     Parameters
     ----------
     trajectory : Trajectory
-        Poses at a uniform rate, N samples. Its twists are not used.
+        Poses at a uniform rate, N samples. Twists are ignored.
     half_window : int
         Samples n on each side of the centre.
     order : int
@@ -141,7 +141,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
 
 
 def weights_for(trajectory: Trajectory, half_window: int, order: int) -> Array:
-    """Return the weights of a filter of a trajectory; raise like `savgol`."""
+    """Return the weights of a filter for a trajectory; raise like `savgol`."""
     if len(trajectory) < 2 * half_window + 1:
         raise BellowsError(
             f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
@@ -160,7 +160,7 @@ def _filter_block(
     """Return position, rotation, body twist, its derivative and the trusted mask of a block."""
     n = W.shape[1] // 2
     centre = slice(n, len(position) - n)
-    # Component by component in memory, which the same arithmetic takes a third less time for.
+    # Components are contiguous in memory, which takes a third less time.
     quaternions = np.asfortranarray(lie.rotation_to_quaternion(rotation))
     position = np.asfortranarray(position)
     (o, o_rate, o_rate2), _ = _fit(position, np.subtract, W)
@@ -182,8 +182,8 @@ def _fit(
     Return the fit relative to each centre (3, M - 2n, 3), and the largest increments.
 
     The rows are the value and its first and second derivative. The increment from k to k - j is
-    minus the one from k - j to k, so each pair of samples is visited once. The increment from a
-    sample to itself is zero: a standstill gives zeros, exactly.
+    minus the one from k - j to k, so each pair of samples is computed once. Increments of a
+    standstill are exactly zero.
     """
     n = W.shape[1] // 2
     end = len(samples) - n
@@ -203,7 +203,7 @@ def _fit(
 
 
 def _turn(ahead: Array, behind: Array) -> Array:
-    """Return log(R_ahead R_behind^T) of quaternions, as in (4.45)."""
+    """Return log(R_ahead R_behind^T) of quaternions (4.45)."""
     return lie.log_quaternion(lie.quaternion_product(ahead, lie.quaternion_conjugate(behind)))
 
 
@@ -212,21 +212,21 @@ def with_filtered_noise(
     draw: np.random.Generator,
 ) -> Trajectory:
     """
-    Return a filtered motion with the noise of its poses added once more.
+    Return a filtered motion with added noise that is equal in distribution to its own.
 
     Parameters
     ----------
     motion : Trajectory
         Motion of a body, with twists.
     noise : array_like (2,)
-        Standard deviation of the poses that were filtered, m and rad per axis.
+        Standard deviation of the unfiltered poses, m and rad per axis.
     ar1 : ndarray (2,)
-        Of first-order noise of positions and of rotations, the part kept over a period; 0 where
-        it is white.
+        Correlation between successive samples of the noise of positions and of rotations; 0 if
+        white.
     weights : ndarray (3, 2n+1)
         Weights of the filter.
     period : float
-        Between these poses, s.
+        Period of the poses, s.
     draw : Generator
         Generator of random numbers.
 
@@ -265,7 +265,7 @@ def bridged(poses: Trajectory) -> Trajectory:
     """Return poses with gaps bridged by cubics that meet poses and twists on both sides."""
     if poses.valid.all():
         return poses
-    quartic = savgol(poses, 2, 4)  # exactly through five poses
+    quartic = savgol(poses, 2, 4)  # exact for five poses
     valid = quartic.select(quartic.valid)
     if not len(valid):
         return poses
@@ -288,9 +288,9 @@ def first_order(inputs: Array, ar1: float) -> Array:
     Parameters
     ----------
     inputs : ndarray (N, C)
-        In any unit.
+        Inputs, in any unit.
     ar1 : float
-        Weight of the value before, below 1.
+        Weight of the previous value, below 1.
 
     """
     diagonals = np.ones((2, len(inputs)))

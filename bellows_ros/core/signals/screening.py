@@ -1,11 +1,10 @@
 """
 Checks of stamps and poses, live and recorded.
 
-Stamps are judged by a state machine over header stamps and times of arrival. A stamp that is wrong
-once is refused; one that goes on in a consistent way is believed after a short run: then a clock
-was set, or a recording has started again. Recorded messages are judged by the same machine with
-hindsight: if a clock was set back, the stamps before and after overlap, and as few messages as
-possible are left out.
+A state machine judges header stamps by their times of arrival. A single wrong stamp is rejected; a
+consistent run of them is accepted: a clock was set, or a recording has restarted. Recorded
+messages are judged by the same state machine with hindsight: after a clock was set back, the
+stamps before and after overlap, and as few messages as possible are omitted.
 """
 
 import math
@@ -22,20 +21,21 @@ MAX_TOOL_RATE = 60.0
 """Largest angular speed of an arm, rad/s."""
 
 UNIT_TOLERANCE = 0.01
-"""Largest deviation of a quaternion's length from 1 that is normalised, 1."""
+"""Largest deviation of a quaternion's length from 1 that is normalised."""
 
 
 LONGEST_GAP_NS = 500_000_000
 """Longest gap over which a prediction continues; after it, prediction restarts from rest, ns."""
 
 BACKWARD_RUN = 5
-"""Consecutive backward stamps, increasing among themselves, that mean a clock set back."""
+"""Number of consecutive backward stamps, increasing among themselves, that indicate a clock set
+back."""
 
 LEAP_NS = 20_000_000
 
 
 class PoseSample(NamedTuple):
-    """A pose of the tool in the world that has been accepted."""
+    """An accepted pose of the tool in the world."""
 
     stamp_ns: int
     position: Vector
@@ -43,7 +43,7 @@ class PoseSample(NamedTuple):
 
 
 def why_no_pose(o: Vector, q: Quaternion) -> str:
-    """Return the reason why numbers are no pose, or ''."""
+    """Return the reason why numbers are not a pose, or ''."""
     squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
     if not math.isfinite(o[0] + o[1] + o[2] + squared):
         return 'nan'
@@ -56,14 +56,14 @@ def why_no_pose(o: Vector, q: Quaternion) -> str:
 
 class StampScreen:
     """
-    Judge stamps one after the other.
+    State machine that judges stamps in the order of arrival.
 
     Attributes
     ----------
     newest_ns : int
-        The newest accepted stamp, -1 before the first.
+        Newest accepted stamp, -1 before the first.
     period_ns : int
-        Between the last two accepted stamps, 0 before the second.
+        Interval between the last two accepted stamps, 0 before the second.
 
     """
 
@@ -82,15 +82,15 @@ class StampScreen:
 
     def judge_stamp(self, stamp_ns: int, arrival_ns: int | None) -> str:
         """
-        Return why a stamp is refused, or prediction restarts with it, or ''.
+        Return the reason why a stamp is rejected or restarts the prediction, or ''.
 
         Parameters
         ----------
         stamp_ns : int
             Header stamp, ns.
         arrival_ns : int or None
-            Arrival on a monotonic clock. Tells a pause of the driver from a
-            stamp that lies in the future; without it a late stamp is taken for a pause.
+            Arrival on a monotonic clock, which distinguishes a pause of the driver from a stamp in
+            the future; without it a late stamp counts as a pause.
 
         """
         if self.newest_ns < 0:
@@ -108,14 +108,14 @@ class StampScreen:
         return 'clock_set_forward' if leads else 'gap'  # or fast playback
 
     def accept_stamp(self, stamp_ns: int, arrival_ns: int | None, restart: str) -> None:
-        """Make this stamp the reference; after a restart, the only one."""
+        """Make a stamp the reference; after a restart, the only one."""
         if restart:
             self.forget_stamps()
         elif self.newest_ns >= 0:
             self.period_ns = stamp_ns - self.newest_ns
         self.newest_ns = stamp_ns
         if arrival_ns is not None:
-            # The least time between stamp and arrival; it grows again, as clocks drift.
+            # Smallest age of a stamp at arrival; it grows slowly, as clocks drift.
             above = arrival_ns - stamp_ns - self._least_age_ns
             self._least_age_ns += above // 1024 if self._accepted and above > 0 else above
             self._accepted += 1
@@ -123,7 +123,7 @@ class StampScreen:
         self._leaps = restart == 'clock_set_forward'
 
     def _leads(self, stamp_ns: int, arrival_ns: int) -> bool:
-        """Return whether a stamp lies in the future; a pause of the driver explains half of it."""
+        """Return whether a stamp is in the future: a pause explains less than half of its step."""
         lead_ns = self._least_age_ns - (arrival_ns - stamp_ns)
         step_ns = stamp_ns - self.newest_ns
         if step_ns > LONGEST_GAP_NS:
@@ -132,7 +132,7 @@ class StampScreen:
             lead_ns > max(LEAP_NS, 4 * self.period_ns))
 
     def _judge_backward(self, stamp_ns: int) -> str:
-        """Refuse stamps that go back until this persists."""
+        """Reject backward stamps unless they form a run."""
         if self._backward_run and stamp_ns <= self._backward_last_ns:
             self._backward_run = 0
         self._backward_run += 1
@@ -150,14 +150,14 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps) -> dict[str, Mask]:
     Parameters
     ----------
     stamps_ns : int array (N,)
-        Header stamps in the order the messages came in, ns.
+        Header stamps in the order of arrival, ns.
     arrivals_ns : int array (N,)
-        When they came, ns, not decreasing.
+        Times of arrival, ns, not decreasing.
 
     Returns
     -------
     dict of str to bool array (N,)
-        The messages left, those under no reason, have stamps that increase strictly.
+        The other messages have strictly increasing stamps.
 
     """
     unusable = {reason: np.zeros(len(stamps_ns), dtype=bool) for reason in REASONS}
@@ -197,10 +197,10 @@ def _in_place(stamps_ns: Stamps, unusable: dict[str, Mask]) -> Mask:
 
 def _first_is_smaller_loss(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> bool:
     """
-    Return whether the first of two parts loses the overlapping stamps.
+    Return whether the overlapping stamps of the first of two parts are dropped.
 
-    At about equal costs, as after a clock was set back, the shorter part decides: unlike chance,
-    it agrees for all topics of a recording.
+    With similar costs, as after a clock was set back, the shorter part is dropped: this choice is
+    equal for all topics of a recording.
     """
     costs = np.count_nonzero(one[0]), np.count_nonzero(other[0])
     if max(costs) > 2 * min(costs):
@@ -209,7 +209,7 @@ def _first_is_smaller_loss(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps])
 
 
 def _are_plain(stamps_ns: Stamps, arrivals_ns: Stamps) -> bool:
-    """Return whether the screen would accept all stamps, so that checking each is unnecessary."""
+    """Return whether the screen would accept all stamps, without checking each."""
     ages = arrivals_ns - stamps_ns
     leaps = np.maximum.accumulate(ages)[:-1] - ages[1:] > LEAP_NS
     return not np.any(leaps | (np.diff(stamps_ns) <= 0))
@@ -218,7 +218,7 @@ def _are_plain(stamps_ns: Stamps, arrivals_ns: Stamps) -> bool:
 def _parts(
     stamps_ns: Stamps, arrivals_ns: Stamps, unusable: dict[str, Mask]
 ) -> list[Stamps]:
-    """Return the indices of the usable messages between the moments at which a clock was set."""
+    """Return the indices of the usable messages between the times at which a clock was set."""
     screen = StampScreen()
     parts: list[list[int]] = [[]]
     for i, (stamp_ns, arrival_ns) in enumerate(zip(

@@ -1,9 +1,9 @@
 """
 Recorded streams and trajectories: stamped poses and twists.
 
-All check themselves once, on construction, and are read-only from then on.
-Stamps are integer nanoseconds throughout; only their differences become seconds. With
-tool_pose.offset, the tool tip E is at that pose in the recorded or received frame.
+All classes check themselves on construction, and are read-only. Stamps are integer nanoseconds;
+only differences become seconds. With tool_pose.offset, the tool tip E has this pose in the
+recorded or received frame.
 """
 
 from collections.abc import Mapping
@@ -17,14 +17,13 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Largest entry of R^T R - I that is still taken for rounding of a recorded rotation.
+# Largest entry of R^T R - I by rounding of a recorded rotation.
 ORTHONORMALITY_TOLERANCE = 1e-6
-# Largest deviation of a step from the mean step, as a part of it, at which a rate counts as
-# uniform. At 360 Hz and 1 m/s it moves a sample by 28 um, less than the noise of a motion capture
-# system.
+# Largest deviation of a step from the mean step of a uniform rate, relative. At 360 Hz and 1 m/s
+# it shifts a sample by 28 um, less than the noise of a motion capture system.
 UNIFORMITY_TOLERANCE = 0.01
 NS_PER_S = 1_000_000_000
-# Rotations whose entries are in the processor's cache while they are checked.
+# Number of rotations checked at a time, with entries in the processor's cache.
 CHECK_BLOCK = 2048
 
 
@@ -34,7 +33,6 @@ class _Stamped:
     stamps_ns: Stamps
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self.stamps_ns)
 
 
@@ -48,7 +46,7 @@ class PoseStream(_Stamped):
     name : str
         Topic or other source, for messages.
     frame_id : str
-        Frame the poses are given in.
+        Frame of the poses.
     stamps_ns : int array (N,)
         Header stamps, strictly increasing, ns.
     position : array (N, 3)
@@ -56,8 +54,7 @@ class PoseStream(_Stamped):
     rotation : array (N, 3, 3)
         R_world_body.
     refused : mapping of str to tuple of int
-        Reason to the indices, in the recording's order for this topic, of the messages that were
-        left out.
+        Indices of the omitted messages by reason, in the order of the topic.
     covariance : array (N, 6, 6), optional
         Covariance of position (m) and rotation (rad) about axes of the frame, as in messages.
 
@@ -78,7 +75,6 @@ class PoseStream(_Stamped):
     covariance: Array | None = None
 
     def __post_init__(self) -> None:
-        """Check and freeze the arrays."""
         _freeze_arrays(self, f"Poses '{self.name}'", position=(3,), rotation=(3, 3))
 
     def trajectory(self) -> 'Trajectory':
@@ -89,7 +85,7 @@ class PoseStream(_Stamped):
 @dataclass(frozen=True, eq=False)
 class TwistStream(_Stamped):
     """
-    Twists of one body as recorded on one topic, in the axes they were recorded in.
+    Twists of one body as recorded on one topic, in the recorded axes.
 
     Parameters
     ----------
@@ -102,8 +98,7 @@ class TwistStream(_Stamped):
     linear, angular : array (N, 3)
         m/s and rad/s.
     refused : mapping of str to tuple of int
-        Reason to the indices, in the recording's order for this topic, of the messages that were
-        left out.
+        Indices of the omitted messages by reason, in the order of the topic.
 
     Raises
     ------
@@ -120,7 +115,6 @@ class TwistStream(_Stamped):
     refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check and freeze the arrays."""
         _freeze_arrays(self, f"Twists '{self.name}'", linear=(3,), angular=(3,))
 
 
@@ -142,8 +136,8 @@ class Trajectory(_Stamped):
     acceleration : array (N, 6), optional
         Time derivative of the body twist, m/s^2 and rad/s^2.
     valid : bool array (N,) or bool, optional
-        False where a sample must not be used; one value stands for all. Invalid samples still hold
-        finite poses.
+        False for samples that must not be used; one value stands for all. Invalid samples also
+        have finite poses.
 
     Raises
     ------
@@ -168,7 +162,6 @@ class Trajectory(_Stamped):
     valid: Mask = field(default_factory=lambda: np.array(True))
 
     def __post_init__(self) -> None:
-        """Check and freeze the arrays."""
         _freeze_arrays(self, 'Trajectory', position=(3,), rotation=(3, 3), twist=(6,),
                        acceleration=(6,))
         mask = np.array(self.valid)
@@ -187,7 +180,7 @@ class Trajectory(_Stamped):
 
     def select(self, index: slice | Mask | Stamps) -> 'Trajectory':
         """
-        Return the samples that a slice, a mask or increasing indices pick.
+        Return the samples selected by a slice, a mask or increasing indices.
 
         Samples are not checked again, and a slice copies nothing.
         """
@@ -212,10 +205,10 @@ class Filtered(Trajectory):
     Parameters
     ----------
     weights : array (3, 2n+1), keyword only
-        How the value, the first and the second derivative (rows; 1, 1/s, 1/s^2) at a sample weigh
-        the positions, and the rotation vectors relative to the sample, from n samples before to n
-        after it. With independent noise of standard deviation sigma in each, their standard
-        deviations are sigma times the rows' Euclidean norms.
+        Weights of the positions and relative rotation vectors in the value, first and second
+        derivative (rows; 1, 1/s, 1/s^2) at a sample, from n samples before to n after it.
+        Independent noise of standard deviation sigma contributes sigma times the Euclidean norm of
+        a row.
 
     Notes
     -----
@@ -263,7 +256,7 @@ def uniform_rate_hz(stamps_ns: Stamps) -> float:
 
 
 def any_within(mask: Mask, width: int) -> Mask:
-    """Return whether any of each `width` neighbours is set (N - width + 1,)."""
+    """Return whether any of each `width` consecutive samples is set (N - width + 1,)."""
     total = np.concatenate([[0], np.cumsum(mask)])
     return np.asarray(total[width:] > total[:-width])
 
@@ -278,7 +271,7 @@ def pose_rows(poses: Trajectory | PoseStream) -> Array:
 
 
 def earlier(stream: Stamped, seconds: float) -> Stamped:
-    """Return a stream with stamps that are earlier by so many seconds."""
+    """Return a stream with stamps earlier by some seconds."""
     return replace(stream, stamps_ns=stream.stamps_ns - round(seconds * NS_PER_S))
 
 
@@ -301,7 +294,7 @@ def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
 
 
 def _freeze_arrays(owner: Any, of: str, **shapes: tuple[int, ...]) -> None:
-    """Check and freeze the owner's stamps and arrays with so many numbers for each, if given."""
+    """Check and freeze the owner's stamps and arrays, given the number of entries per sample."""
     _store(owner, 'stamps_ns', checked_stamps(owner.stamps_ns, of))
     for name, of_one in shapes.items():
         given, shape = getattr(owner, name), (len(owner), *of_one)
@@ -324,7 +317,7 @@ def _freeze_arrays(owner: Any, of: str, **shapes: tuple[int, ...]) -> None:
 
 
 def frozen(array: NDArray[Any]) -> Any:
-    """Return an array made read-only, so that objects built from it need not copy it."""
+    """Return a read-only view of an array, which objects need not copy."""
     array.setflags(write=False)
     return array
 
@@ -342,9 +335,9 @@ def _store(owner: object, name: str, array: NDArray[Any] | None) -> None:
 
 
 def _require_rotations(rotation: Array, of: str) -> None:
-    """Refuse matrices that are not rotations."""
+    """Raise BellowsError for matrices that are not rotations."""
     for start in range(0, len(rotation), CHECK_BLOCK):
-        # Entry by entry along the samples: twenty times faster than matrix by matrix.
+        # Loops over entries are twenty times faster than loops over samples.
         x, y, z = rotation[start:start + CHECK_BLOCK].transpose(1, 2, 0).copy()
         across = x[[1, 2, 0]] * y[[2, 0, 1]] - x[[2, 0, 1]] * y[[1, 2, 0]]
         error = np.max(np.abs([
@@ -359,7 +352,7 @@ def _require_rotations(rotation: Array, of: str) -> None:
 
 
 def at_tip(motion: Posed, tip: Array | None) -> Posed:
-    """Return a motion with body twists of frames at poses (4, 4) or (N, 4, 4) in a moving one."""
+    """Return the motion of frames with poses (4, 4) or (N, 4, 4) in a moving frame."""
     if tip is None:
         return motion
     X, rates = lie.adjoint(lie.inverse_transform(tip)), ('twist', 'acceleration')
@@ -372,7 +365,7 @@ def at_tip(motion: Posed, tip: Array | None) -> Posed:
 
 
 def from_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
-    """Return the motion of the frame in which E, that moves so, has a pose (4, 4)."""
+    """Return the motion of the frame in which E has a pose (4, 4), from the motion of E."""
     return at_tip(motion, None if tip is None else lie.inverse_transform(tip))
 
 
@@ -384,7 +377,7 @@ def streams_at_tip(
     if tip is None or twists is None:
         return moved, twists
     R, lever = tip[:3, :3], np.broadcast_to(tip[:3, 3], twists.linear.shape)
-    if in_world:  # with the orientation at the nearest pose
+    if in_world:  # orientation of the nearest pose
         later = np.searchsorted(poses.stamps_ns, twists.stamps_ns).clip(1, len(poses) - 1)
         before = twists.stamps_ns - poses.stamps_ns[later - 1]
         nearest = np.where(before < poses.stamps_ns[later] - twists.stamps_ns, later - 1, later)

@@ -1,4 +1,4 @@
-"""The tool's pose from a tree of transforms, as they arrive on tf or were recorded."""
+"""The tool's pose from a tree of transforms, live from tf or recorded."""
 
 from bisect import bisect_left
 from collections import deque
@@ -13,15 +13,15 @@ QUEUE_LENGTH = 500
 """Transforms stored for each moving link."""
 
 MAX_FRAMES = 10_000
-"""Most frames in a tree."""
+"""Largest number of frames in a tree."""
 
 
 class Chain:
     """
-    The links of a tree from one frame to another, which need not be above it.
+    Links of a tree from one frame to another, which may be on different branches.
 
     The links have different stamps. A pose is returned for each stamp of the moving link next to
-    the tool, as soon as the others reach it; these are interpolated.
+    the tool, once the other links reach this stamp; they are interpolated.
 
     Parameters
     ----------
@@ -31,12 +31,11 @@ class Chain:
     Attributes
     ----------
     dropped : int
-        Stamps for which some link had nothing so old, or that waited too long for one.
+        Number of stamps without a sample of some link, or after too long a wait for one.
 
     """
 
     def __init__(self, world: str, tool: str) -> None:
-        """Start without transforms."""
         self.world, self.tool, self.dropped = world, tool, 0
         self._parents: dict[str, str] = {}
         self._static: dict[str, PoseSample] = {}
@@ -55,14 +54,14 @@ class Chain:
             self._update_links()
         samples = self._moving.get(child)
         if samples is None or (samples and sample.stamp_ns == samples[-1].stamp_ns):
-            return  # repeated, as by publishers of joints
+            return  # repeated, as by joint state publishers
         if samples and sample.stamp_ns < samples[-1].stamp_ns:
             samples.clear()
         samples.append(sample)
         if child != self._first:
             return
         before = len(self._waiting)
-        while self._waiting and self._waiting[-1] > sample.stamp_ns:  # the clock went back
+        while self._waiting and self._waiting[-1] > sample.stamp_ns:  # the clock was set back
             self._waiting.pop()
         if len(self._waiting) == QUEUE_LENGTH:
             self._waiting.popleft()
@@ -93,7 +92,7 @@ class Chain:
 
     @property
     def missing(self) -> str:
-        """Why there is no pose of the tool, or ''."""
+        """Reason for a missing pose of the tool, or ''."""
         if self._links[0] is None:
             roots = [self._ancestors(frame)[-1] for frame in (self.world, self.tool)]
             return (f"no transforms connect '{self.world}' and '{self.tool}': they lead up to "
@@ -108,7 +107,7 @@ class Chain:
         return f"the transforms of '{slow}' are {behind:.3g} s behind those of '{self._first}'"
 
     def due(self) -> Iterator[PoseSample]:
-        """Yield the tool's poses in the world that are newly determined."""
+        """Yield the newly determined poses of the tool in the world."""
         others = [samples for link, samples in self._moving.items() if link != self._first]
         while self._waiting and all(o and o[-1].stamp_ns >= self._waiting[0] for o in others):
             stamp_ns = self._waiting.popleft()
@@ -123,7 +122,7 @@ class Chain:
                     t3.quaternion_conjugate(world.quaternion_xyzw), tool.quaternion_xyzw))
 
     def _pose(self, branch: Sequence[str], stamp_ns: int) -> PoseSample:
-        """Return the pose of the first frame of a branch in the parent of the last."""
+        """Return the pose of the first frame of a branch in the parent of the last frame."""
         o: Vector = t3.ZERO
         q: Quaternion = (0.0, 0.0, 0.0, 1.0)
         for link in branch:
@@ -152,7 +151,7 @@ def interpolated_pose(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSampl
 
 
 def warm_up() -> None:
-    """Compile the kernels for a pose from moving and fixed links."""
+    """Return a link's pose at a stamp between two samples, the rotation along the chord."""
     chain, q = Chain('world', 'tool'), (0.0, 0.0, 0.0, 1.0)
     for stamp_ns in range(5):
         parent, child = ('world', 'base', 'tool')[stamp_ns % 2:][:2]
