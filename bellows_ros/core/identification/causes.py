@@ -1,9 +1,9 @@
 """
-What may be wrong with a recording, or with what was given with it: one list of causes.
+Causes of a misfit: faults of a recording, or of quantities given with it.
 
-Each cause has a name; the parameter to change and a sentence with a remedy stand in the texts of
-the room 'causes'. Some are seen in a recording without any fit, and corrected in it; the others
-are tried by simulation (`diagnosis`). All of them end in a `Finding`.
+Each cause has a name; its parameter and a sentence with a remedy are in the texts of the room
+'causes'. Some causes are detected in a recording without a fit, and corrected; the others are
+tested by simulation (`diagnosis`). Each becomes a `Finding`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,74 +31,76 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 MATERIAL = 0.05
-"""Part by which a material change moves an entry of K, or a twist."""
+"""Smallest material relative change of an entry of K, or of a twist."""
 
 DISTINCT = 0.5
-"""What is distinct explains more than this part of the squares that another leaves. The square of
-it is asked where a cause must explain nearly all."""
+"""Minimum fraction of a rival's remaining chi² that a cause removes; squared if the cause must
+explain nearly all."""
 
 DOUBTED = 1.0
-"""Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
+"""Chi² beyond noise above which a cup is doubted, relative to the chi² expected of noise and
+rubber."""
 
 MISREAD: Mapping[str, str] = tomllib.loads(Path(__file__).with_name('misread.toml').read_text())
 
 NONE = np.empty(0)
 
 MAX_FACTS = 4
-"""Most findings without a fit."""
+"""Largest number of findings without a fit."""
 
 MAX_BODY_DISTANCE = 1e-3
-"""Poses that stay within this distance (m) of each other are of one body."""
+"""Largest distance between two poses of one body, m."""
 
 MAX_LIP_DEPTH = 0.3
-"""No lip is further below a tool (m); it seems to be where tool and package are in two worlds."""
+"""Largest distance of a lip below its tool, m; beyond, tool and package are in two worlds."""
 
 MIN_LENGTH_OFFSET = 0.02
-"""Error (m) of cup.length beyond which it is seen without a fit, if the lip is also nearer by half
-of the length, or farther by all of it: no weight stretches a cup so far."""
+"""Smallest error of cup.length detected without a fit, m. The lip must also be nearer by half of
+the length, or farther by all of it, more than by any weight."""
 
 MAX_SPREAD = 0.1
-"""By so much (m) no lip moves about its tool; see `conventions.spread`."""
+"""Largest plausible spread of the lip in the tool frame, m; see `conventions.spread`."""
 
 MAX_SPREAD_RATIO = 0.3
-"""In its own world the lip moves by at most this part of what it does in another."""
+"""Largest ratio of the lip's spread in its own world to the spread in another world."""
 
 SAMPLE_STEP = 20
-"""Every such sample is used where only the arrangement matters."""
+"""Step between the samples that determine the arrangement of tool and package."""
 
 MIN_SWING, MAX_SWING = -0.2, 0.05
-"""Time offsets (s) that the swing of the package can explain: it turns after its tool, not before.
+"""Range of time offsets explained by the swing of the package, which rotates after its tool, s.
 Smaller offsets of clocks are fitted."""
 
 SWING_DELAY = 0.07
-"""Usual time (s) by which a package turns after its tool."""
+"""Usual delay of the package's rotation behind the tool's, s."""
 
 ROUGH_STD = 0.05
-"""Standard deviation of an offset by when both bodies turn alike (s), as the package swings."""
+"""Standard deviation of a clock offset by correlated rotations, due to swing, s."""
 
 MIN_CORRELATION_GAP = 0.1
-"""Difference of two correlations of turns, by Fisher's transform (atanh), that is not by chance or
-of a motion that nearly repeats."""
+"""Smallest significant difference of two correlations of rotations by Fisher's transform (atanh),
+above chance and nearly repetitive motion."""
 
 SPECTRUM_SECONDS, MIN_RATE_HZ, DIFFERENCES = 1.0, 100.0, 4
-"""Length of the periodograms of poses, the least rate (Hz) at which they are taken, and the order
-of the differences that motion leaves little of."""
+"""Length of the periodograms of poses (s), their lowest rate of poses (Hz), and the order of
+differences that suppress motion."""
 
 NOISE_HZ, NYQUIST_PART = 25.0, 0.9
-"""Frequency (Hz) above which poses have noise alone, and up to which part of the highest one."""
+"""Lowest frequency (Hz) of noise without motion, and its highest as a fraction of the Nyquist
+frequency."""
 
 MAX_NOISE_ORDER = 3.4
-"""Power of frequency with which the density of noise falls: 2 where it has a memory, with heavy
-tails up to 3; behind a filter of second order, 4."""
+"""Largest exponent of the decay of noise density with frequency: 2 with memory, up to 3 with heavy
+tails; 4 behind a filter of second order."""
 
 TAIL_SHARE = 0.25
-"""Part of a jump by which other poses jump, too, where the noise has heavy tails."""
+"""Relative size of other jumps that indicates noise with heavy tails."""
 
 MAX_SLIP_ANGLE = 1.2
-"""Angle (rad) beyond which no package turns on the lip between two poses."""
+"""Largest rotation of a package on the lip between two poses, rad."""
 
 MIN_DENSITY = 1e-18
-"""Density (m^2/Hz) below which there is no noise to see a filter by."""
+"""Smallest density of noise from which a filter is detected, m^2/Hz."""
 
 
 class Finding(NamedTuple):
@@ -109,23 +111,25 @@ class Finding(NamedTuple):
     ----------
     name, value : str
         Name of the cause: a name of fit.free, a parameter, or a property of the cup; and its
-        correct setting, or the body of a marker, '' for freed numbers.
+        correct setting, or the body of a marker, '' for freed quantities.
     theta, std : ndarray (n,)
-        The numbers freed, and their standard errors.
+        Estimates of the freed quantities, and their standard errors.
     left : float
         RMS of the residuals beyond noise, relative to the fit without the cause.
     moved : float
-        Largest part by which it moves an entry of the diagonal of K that is identifiable.
+        Largest relative change of an identifiable diagonal entry of K.
     datum, certain : bool
-        Whether it is of what was given, and whether nothing else explains the recordings so well.
+        Whether the cause is a given quantity, and whether no other cause explains the recordings
+        equally well.
     instead : str
-        Name or value of another datum that these recordings cannot tell from it; '' for none.
+        Name or value of another given quantity that cannot be distinguished from the cause; '' for
+        none.
     is_fact : bool
-        Whether it is seen without any fit.
+        Whether the cause is detected without a fit.
     untried : tuple of str
-        Names of candidates that the time did not allow to try.
+        Names of candidates not tried for lack of time.
     sentence : str
-        Message about the cause, if not the text of its name in the room 'causes'.
+        Message about the cause, if other than the text of its name in the room 'causes'.
 
     """
 
@@ -144,30 +148,29 @@ class Finding(NamedTuple):
 
     @property
     def material(self) -> bool:
-        """Whether a cup is wrong without it: whatever is certain halves errors, or moves K."""
+        """Whether the cup is wrong without the cause, which halves residuals or changes K."""
         return self.certain and self.datum
 
     @property
     def likely(self) -> bool:
         """
-        Whether it is worth a word: it explains most, whatever else does.
+        Whether the cause is worth reporting: it explains most of chi², even with rivals.
 
-        Others are found by their standard errors alone: of each pose a drift or a slip is hardly
-        any, and friction counts to first order only.
+        A slip is detected by its standard error alone, as it affects few poses.
         """
         return self.certain or self.left**2 < DISTINCT or self.name == 'slip'
 
 
 class Diagnosis(NamedTuple):
     """
-    The causes that were found.
+    The causes of a misfit.
 
     Parameters
     ----------
     excess : float
         Chi² beyond noise, over the chi² expected of noise.
     findings : tuple of Finding
-        The likeliest; or all that is wrong without any fit.
+        The likeliest causes, or all detected without a fit.
     besides : tuple of Finding
         Further causes after correction of the first one.
 
@@ -179,23 +182,22 @@ class Diagnosis(NamedTuple):
 
 
 IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
-"""Of twists of the tool, which are to be in rad/s."""
+"""Cause of tool twists in degrees per second instead of rad/s."""
 
 
 def implausible_inputs(recording: Recording) -> tuple[Finding, ...]:
-    """Return what is wrong with a recording or what was given with it, without any fit."""
+    """Return the faults of a recording, or of its given quantities, detected without a fit."""
     found = (_bursts(recording), implausible_package(recording.payload), *(
         test(recording) for test in (_clocks, _twists, _smoothed, _jump)))
     return tuple(wrong._replace(is_fact=True) for wrong in found if wrong)
 
 
 def corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
-    """Return what is wrong with a recording without any fit, and the recording without that."""
+    """Return the faults of a recording detected without a fit, and the corrected recording."""
     return recording.cached('corrected', lambda: _corrected(recording))
 
 
 def _corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
-    """Return the same, each correction showing what is wrong beside it."""
     facts = list[Finding]()
     while len(facts) < MAX_FACTS:
         try:
@@ -216,25 +218,24 @@ def _corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
 
 
 def _fact(name: str, sentence: str) -> Finding:
-    """Return what is seen without any fit, in a sentence of its own."""
     return Finding(name, '', is_fact=True, sentence=sentence)
 
 
 def misread(recording: Recording) -> Finding | None:
     """
-    Return why a package is mostly not below the tool, None where it is.
+    Return the reason why a package is mostly not below the tool, or None.
 
     Raises
     ------
     BellowsError
-        If that cannot be corrected without the user.
+        If the fault cannot be corrected automatically.
 
     """
     return recording.cached('misread', lambda: _misread(recording))
 
 
 def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
-    """Return some poses of tool and package, and the lip (N, 3) from the tool in world axes, m."""
+    """Return selected poses of tool and package, and the lip relative to the tool (N, 3), m."""
     some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
     tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
     lip = package.position - apply(package.rotation, recording.payload.com)
@@ -242,21 +243,21 @@ def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
 
 
 def facts(recordings: Sequence[Recording], length: float) -> tuple[Finding, ...]:
-    """Return what is wrong with recordings of a cup of a length (m) without any fit."""
+    """Return the faults of recordings of a cup with a length (m), detected without a fit."""
     found = tuple(fact for recording in recordings for fact in corrected(recording)[0])
     off = None if found or not recordings else wrong_length(recordings[0], length)
     return (off,) if off else found
 
 
 def wrong_length(recording: Recording, length: float) -> Finding | None:
-    """Return that a cup's length (m) is far from where its lip is below the tool, else None."""
+    """Return a finding if the lip's distance below the tool contradicts the cup's length (m)."""
     tool, _, in_world = _arrangement(recording)
     if not len(tool):
         return None
     below = -apply(np.swapaxes(tool.rotation, 1, 2), in_world)
     x, y, depth = np.median(below, axis=0)
     offset, com = float(depth) - length, np.linalg.norm(recording.payload.com)
-    if abs(abs(offset) - com) < 0.5 * com:  # poses of the lip or of the centre of mass
+    if abs(abs(offset) - com) < 0.5 * com:  # poses of the lip instead of the com, or vice versa
         return None
     if abs(offset) < MIN_LENGTH_OFFSET + length * (1.0 if offset > 0.0 else 0.5) or (
             depth > MAX_LIP_DEPTH or np.hypot(x, y) + conventions.spread(below) > abs(offset)):
@@ -265,7 +266,6 @@ def wrong_length(recording: Recording, length: float) -> Finding | None:
 
 
 def _misread(recording: Recording) -> Finding | None:
-    """Return the same."""
     streams = recording.tool_pose, recording.package_pose
     names = {'tool': streams[0].name, 'package': streams[1].name}
     tool, package, in_world = _arrangement(recording)
@@ -282,23 +282,23 @@ def _misread(recording: Recording) -> Finding | None:
         raise BellowsError(MISREAD['one_body'].format(**names))
     if away <= conventions.MAX_DISTANCE and above <= 0.0 and conventions.spread(lip) < MAX_SPREAD:
         return None
-    with suppress(BellowsError):  # of a recording that other clocks do not explain
+    with suppress(BellowsError):  # remains unexplained by clocks
         if (clocks := _clocks(recording)) and not misread(_by_one_clock(recording, clocks)):
             return clocks._replace(is_fact=True)
     if apart := _two_worlds(recording, tool, package, lip):
         return _fact('package_world', apart)
     if away > conventions.MAX_DISTANCE:
         raise BellowsError(MISREAD['apart'].format(**names, away=away))
-    # mostly below the tool, it may have fallen since
+    # mostly below the tool: the package may have fallen
     return _above_the_tool(recording, centre, in_world, 1e3 * above) if above > 0.0 else None
 
 
 def _above_the_tool(
     recording: Recording, centre: Array, in_world: Array, above: float
 ) -> Finding:
-    """Return why a lip is above the tool (mm), by positions (N, 3) from there as `_misread`."""
+    """Return the cause of a lip above the tool (mm), by positions (N, 3) in tool and world."""
     below, upward, other = (1e3 * float(np.median(offset[:, 2])) for offset in (
-        -centre, in_world, apply(alignment.R_WORLD_MOTIVE, in_world)))  # its own inverse
+        -centre, in_world, apply(alignment.R_WORLD_MOTIVE, in_world)))  # inverse of itself
     if recording.settings.package_frame == 'com' and below > 0.0:
         return _fact('recording.package_frame', MISREAD['lip'].format(below=below, above=above))
     if upward > 0.0 or other > -upward:
@@ -309,10 +309,10 @@ def _above_the_tool(
 
 
 def _two_worlds(recording: Recording, tool: Trajectory, package: Trajectory, lip: Array) -> str:
-    """Return a sentence where another world of the package keeps its lip in place, else ''."""
+    """Return a sentence if another world of the package reduces the lip's spread, else ''."""
     try:
         pose = _world_of(recording)
-    except BellowsError:  # too short to say
+    except BellowsError:  # too short
         return ''
     moved = pose[:3] - tool.position + apply(
         lie.quaternion_to_rotation(pose[3:]),
@@ -349,7 +349,7 @@ def _by_convention(recording: Recording, finding: Finding) -> Recording:
 
 
 def _by_one_clock(recording: Recording, finding: Finding) -> Recording:
-    """Return a recording with the stamps of the tool earlier by what was found."""
+    """Return a recording with the stamps of the tool earlier by the estimated offset."""
     seconds, twist = float(finding.theta[0]), recording.tool_twist
     return _prepared(recording, tool=earlier(recording.tool_pose, seconds),
                      tool_twist=twist and earlier(twist, seconds))
@@ -373,7 +373,7 @@ def _prepared(recording: Recording, **changes: Any) -> Recording:
 
 
 def _bursts(recording: Recording) -> Finding | None:
-    """Return that many poses come right after another, as messages do and exposures do not."""
+    """Return a finding if many poses follow in bursts, as delayed messages do."""
     names = []
     for report in (recording.report.tool, recording.report.package):
         if in_bursts(report.recorded.stamps_ns, report.timing):
@@ -382,7 +382,7 @@ def _bursts(recording: Recording) -> Finding | None:
 
 
 def implausible_package(payload: Package) -> Finding | None:
-    """Return what is wrong with a mass or an inertia that no package has, None where one may."""
+    """Return a finding on an implausible mass or inertia of a package, else None."""
     mass = payload.mass
     gyration = float(np.sqrt(np.trace(payload.inertia) / mass))
     if mass > structure.MAX_MASS:
@@ -395,12 +395,12 @@ def implausible_package(payload: Package) -> Finding | None:
 
 def _clocks(recording: Recording) -> Finding | None:
     """
-    Return by how much the clocks are apart, where both bodies turn alike only later.
+    Return the offset of the clocks if the rotations of both bodies agree only at a lag.
 
-    Two parts of a motion may be alike by chance. Where the correlation at small offsets is less
-    than half of the largest, the package does not follow the tool as stamped, and a smaller one
-    is enough. Where both turn about the same axes as stamped, sizes that are more alike at another
-    offset are those of a motion that nearly repeats.
+    Two parts of a motion may be similar by chance. If the correlation at small lags is less than
+    half of the largest, the package does not follow the tool as stamped, and a lower threshold is
+    used. If the rotations agree in axes without a lag, the larger correlation of angles at another
+    lag is due to nearly repetitive motion.
     """
     bodies = recording.aligned_tool, recording.aligned_package
     lags, correlation = alignment.rotation_correlation(*bodies)
@@ -425,11 +425,11 @@ def _correlation_gap(small: float, large: float) -> float:
 
 
 def _twists(recording: Recording) -> Finding | None:
-    """Return in which axes or unit the tool's recorded twists are, None where it is as given."""
+    """Return the correct axes or unit of the tool's recorded twists, None if correct as given."""
     measured, half_window = recording.measured_tool, recording.filters[1].half_window
     if measured.twist is None or len(measured) <= 2 * half_window:
         return None
-    if len(measured) > NOISE_SAMPLES:  # those in which it moves most
+    if len(measured) > NOISE_SAMPLES:  # the part with most motion
         moved = np.cumsum(np.sum(measured.twist**2, axis=1))
         first = int(np.argmax(moved[NOISE_SAMPLES:] - moved[:-NOISE_SAMPLES]))
         measured = measured.select(slice(first, first + NOISE_SAMPLES))
@@ -445,7 +445,7 @@ def _twists(recording: Recording) -> Finding | None:
                 markers.T @ R.T @ measured.rotation)  # from the other axes
 
     def misfit(twist: Array) -> float:
-        """Return how far twists (N, 2, 3) are off the poses' own, in squares of their size."""
+        """Return the relative mean squared error of twists (N, 2, 3) by the poses' own twists."""
         return float(np.sum(np.mean((twist - true) ** 2, axis=(0, 2))
                             / np.mean(true**2 + 1e-12, axis=(0, 2))))
 
@@ -462,7 +462,7 @@ def _twists(recording: Recording) -> Finding | None:
 
 
 def _jump(recording: Recording) -> Finding | None:
-    """Return that package or marker jump and do not return, at the largest of a few jumps."""
+    """Return a finding on the largest of a few jumps without return, of package or marker."""
     stream = recording.report.package
     steps = lasting_steps(stream)
     if not 0 < len(steps) <= MAX_POSE_STEPS:
@@ -475,14 +475,14 @@ def _jump(recording: Recording) -> Finding | None:
     has_tails = any(step.position > TAIL_SHARE * largest.position for step in others)
     if turns.max() > MAX_SLIP_ANGLE:
         name, largest, sizes = 'flip', steps[np.argmax(turns)], [turns.max()]
-    elif has_tails or stream.timing.rate_hz < LOW_RATE_HZ:  # the fit tells a slip from tails
+    elif has_tails or stream.timing.rate_hz < LOW_RATE_HZ:  # the fit separates slips from tails
         return None
     since = (stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S
     return Finding(name, '', np.array([*sizes, since]), np.zeros(len(sizes) + 1))
 
 
 def _smoothed(recording: Recording) -> Finding | None:
-    """Return that poses are low-pass filtered: their noise falls too steeply."""
+    """Return a finding if poses are low-pass filtered: their noise decays too steeply."""
     topics = [topic for topic, poses in (('tool_pose', recording.aligned_tool),
                                          ('package_pose', recording.aligned_package))
               if _noise_order(poses) > MAX_NOISE_ORDER]
@@ -490,7 +490,7 @@ def _smoothed(recording: Recording) -> Finding | None:
 
 
 def _noise_order(poses: Trajectory) -> float:
-    """Return the power of frequency with which noise of positions falls, 0 if it is not seen."""
+    """Return the exponent of the decay of position noise with frequency, 0 without noise."""
     rate_hz = uniform_rate_hz(poses.stamps_ns)
     changes = np.diff(np.where(poses.valid[:, None], poses.position, np.nan), DIFFERENCES, axis=0)
     if rate_hz < MIN_RATE_HZ or not np.isfinite(changes).any():
@@ -513,4 +513,4 @@ CORRECTIONS: Mapping[str, Callable[[Recording, Finding], Recording]] = {
     'package_world': _in_one_world,
     'time_offset': _by_one_clock,
     **dict.fromkeys(('mass', 'inertia'), _in_other_units)}
-"""How a recording is corrected by what is wrong with it without any fit."""
+"""Corrections of a recording by the name of a finding without a fit."""

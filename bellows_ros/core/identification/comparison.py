@@ -1,8 +1,8 @@
 """
 Test whether fits are of one cup.
 
-The estimates of independent fits scatter about their weighted mean by their covariances:
-Wald's chi^2 is the sum of their squared deviations, in standard errors.
+Estimates of independent fits scatter about their weighted mean by their covariances: Wald's chi^2
+is the sum of their squared deviations in standard errors.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ SIGNIFICANT_ERRORS = 3.0
 """Smallest significant deviation of one entry, standard errors: by chance in 0.3 %."""
 
 MATERIAL_DIFFERENCE = 0.05
-"""Smallest material relative deviation of an entry: one of K shifts a frequency by 2.5 %."""
+"""Smallest material relative deviation of an entry; 5 % of K shift a frequency by 2.5 %."""
 
 
 TIED_VARIANCE = 1e-12
@@ -35,7 +35,7 @@ class Estimates(NamedTuple):
     Parameters
     ----------
     structure : Structure
-        Form of K and P.
+        Structure of K and P.
     values : ndarray (p,)
         Free parameters, in the order of the structure's labels.
     covariance : ndarray (p, p)
@@ -59,7 +59,7 @@ class Consistency(NamedTuple):
     values, std : ndarray (n, p)
         Free parameters of the structure and their standard errors.
     mean : ndarray (p,)
-        Weighted mean; 0 where no fit identifies the parameter.
+        Weighted mean; 0 if no fit identifies the parameter.
     probability, probability_stiffness, probability_damping : float
         Probability of a larger chi^2 for one cup: of all parameters, of K alone, and of P alone;
         NaN if fewer than two fits identify a parameter.
@@ -132,7 +132,7 @@ def same_cup(fits: Sequence[Estimates]) -> Consistency:
 
 
 def _propagated(jacobian: Array, covariance: Array) -> Array:
-    """Return the covariance of a quantity with Jacobian (m, n); infinite entries stay so."""
+    """Return the covariance of a quantity with Jacobian (m, n), with infinite entries kept."""
     finite = np.isfinite(np.diag(covariance))
     part = jacobian[:, finite]
     unknown = np.any(jacobian[:, ~finite] != 0.0, axis=1)
@@ -141,7 +141,7 @@ def _propagated(jacobian: Array, covariance: Array) -> Array:
 
 
 def _weighted_mean(x: Array, covariances: Array) -> tuple[Array, float]:
-    """Return the weighted mean (p,) and the probability of more scatter."""
+    """Return the weighted mean (p,) and the probability of a larger chi^2."""
     weights = np.array([information_of(covariance) for covariance in covariances])
     covariance = covariance_of(weights.sum(axis=0))
     finite = np.isfinite(np.diag(covariance))

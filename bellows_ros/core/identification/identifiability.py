@@ -1,9 +1,9 @@
 """
-Which parts of a cup are identifiable from recordings, before anything is fitted.
+Identifiability of a cup's parameters from recordings, before a fit.
 
-What the motion changes in the direction of a parameter is information on it. Noise of the sensors
-looks like motion there, too, and biases least squares towards zero (errors in variables): the
-bias that it compensates where the noise is given.
+Information on a parameter grows with the motion's sensitivity to it. Sensor noise resembles motion
+and biases least squares towards zero (errors in variables); the bias is compensated if the noise
+is given.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,14 +22,14 @@ MAX_SHARE, WEAK_SHARE = 0.5, 0.05
 """Noise share in a parameter's equations above which it is not, or only weakly, identifiable."""
 
 MAX_LISTED = 3
-"""Pairs or couplings named in a warning."""
+"""Largest number of pairs or couplings named in a warning."""
 
 DIRECTIONS: Mapping[str, tuple[str, str]] = NOTE_TEXTS['directions']
-"""The motion in each direction, and how to excite it."""
+"""Motion in each direction, and its excitation."""
 
 
 def remedy_for(axis: str, structure: Structure) -> str:
-    """Return how a direction becomes identifiable, where other cups of a gripper support it."""
+    """Return the remedy for an unidentifiable direction, with regard to a gripper's other cups."""
     if structure.places and axis.startswith('r'):
         return NOTES['of_one_cup']
     return DIRECTIONS.get(axis, ('', 'move all axes at once'))[1]
@@ -37,21 +37,21 @@ def remedy_for(axis: str, structure: Structure) -> str:
 
 class Axis(NamedTuple):
     """
-    How one direction is excited.
+    Excitation of one direction.
 
     Parameters
     ----------
     name : str
         'x' to 'rz'.
     strain, motion : float
-        RMS of the lip's displacement in the tool from the nominal pose, and from its mean; m
-        or rad.
+        RMS of the lip's displacement in the tool from the nominal pose, and from its mean; m or
+        rad.
     twist : float
-        RMS of its velocity, m/s or rad/s.
+        RMS of the velocity, m/s or rad/s.
     band_hz : (float, float)
-        Frequencies between which 90 % of the velocity's power lies; nan where nothing moves.
+        Frequencies between which 90 % of the velocity's power lies; nan without motion.
     strain_noise, twist_noise : float
-        Standard deviation of the noise in them after filtering.
+        Standard deviations of the noise in strain and twist after filtering.
 
     """
 
@@ -66,20 +66,19 @@ class Axis(NamedTuple):
 
 class Identifiability(NamedTuple):
     """
-    How identifiable one parameter is.
+    Identifiability of one parameter.
 
     Parameters
     ----------
     label : str
         'K x', 'P rz', ...
     value : float
-        An estimate, SI; nan where it is not identifiable.
+        Estimate, SI units; nan if not identifiable.
     noise_share : float
-        Part (0 to 1) of least squares' information on it that is nothing but measurement noise;
-        nan where the noise is not given, or for another method, 1 where there is no other.
+        Share (0 to 1) of measurement noise in least squares' information on the parameter; nan if
+        the noise is not given, or for another method; 1 if there is only noise.
     bias : float
-        Expected error of least squares that comes from noise, as a part of the value; nan where
-        the noise share is.
+        Expected relative error of least squares by noise; nan if the noise share is.
 
     """
 
@@ -90,7 +89,7 @@ class Identifiability(NamedTuple):
 
     @property
     def signal_to_noise(self) -> float:
-        """Amplitude of the information from motion over that from noise."""
+        """Amplitude ratio of the information from motion and from noise."""
         if not self.noise_share > 0.0:
             return np.inf if self.noise_share == 0.0 else np.nan
         return float(np.sqrt(max(1.0 / self.noise_share - 1.0, 0.0)))
@@ -102,7 +101,7 @@ class Identifiability(NamedTuple):
 
     @property
     def weak(self) -> bool:
-        """Whether it is identifiable, but least squares depends on the noise compensation."""
+        """Whether the parameter is identifiable, but depends on the noise compensation."""
         return self.identifiable and max(self.noise_share, abs(self.bias)) > WEAK_SHARE
 
 
@@ -130,7 +129,7 @@ def advice(
 def _direction_warnings(
     axes: list[str], both: Sequence[Identifiability], source: str, structure: Structure,
 ) -> Iterator[str]:
-    """Yield warnings about a direction's stiffness and damping."""
+    """Yield warnings about stiffness and damping of a direction."""
     named = dict(zip(('stiffness', 'damping'), both, strict=True))
     unknown = [name for name, each in named.items() if not each.identifiable]
     title = ' and '.join([DIRECTIONS[axes[0]][0], *(axis[-1] for axis in axes[1:2])])
@@ -153,7 +152,7 @@ MIN_HALF_WINDOW = 4
 
 def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
     """
-    Yield a warning for each direction whose motion the filter does not follow.
+    Yield a warning for each direction with motion beyond the filter's pass band.
 
     Parameters
     ----------
@@ -187,17 +186,17 @@ class Excitation(NamedTuple):
     Parameters
     ----------
     structure : str
-        The structure of K and P that was asked for.
+        Requested structure of K and P.
     axes : tuple of Axis
         The six directions.
     parameters : tuple of Identifiability
         The free parameters.
     rank, size : int
-        How many combinations of parameters are identifiable, of how many.
+        Number of identifiable combinations of parameters, and number of parameters.
     condition_number : float
         Condition number of the whitened equations with columns of unit length.
     pairs : tuple of (str, str, float)
-        Parameters that can hardly be separated, and the correlation of their estimates.
+        Pairs of parameters that can hardly be separated, and the correlation of their estimates.
     warnings : tuple of str
         Sentences with facts and advice for the user.
 
@@ -220,18 +219,17 @@ def excitation_of(
     """
     Return the identifiability of K and P from recordings.
 
-    Where there is a fit its standard errors decide. Before, it is what has less
-    information from noise than from motion.
+    With a fit, its standard errors decide; without, the shares of noise in the information.
 
     Parameters
     ----------
     parts : sequence of ReducedRecording
         Recordings, reduced.
     method : str
-        Of the fit: of what biases least squares of filtered motion, noise and what is too fast
-        for the filter, is not judged where it is another.
+        Method of the fit: the bias of least squares by noise and fast motion is not judged for
+        another method.
     fit : (ndarray (2 n,), ndarray (2 n, 2 n)), optional
-        Parameters and their covariance, where they are estimated already.
+        Parameters and their covariance, if estimated already.
 
     Raises
     ------
@@ -273,8 +271,8 @@ def _noise_effects(
     """
     Return the share of noise (6, q, 6, q) in the information on each parameter, and its bias.
 
-    The share is the noise's energy in a parameter's column, over the energy of the part of
-    that column that no other parameter explains. The bias is at most the parameter's size.
+    The share is the noise's energy in a parameter's column, over the energy of the part of this
+    column that is orthogonal to all others. The bias is at most the parameter's size.
     """
     energy = np.einsum('ij,ipjp->p', whitening.T @ whitening, noise)[:-1]
     bias, *_ = noise_bias(noise, whitening, solution.x, solution.inverse)
@@ -285,7 +283,7 @@ def _noise_effects(
 
 
 def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:
-    """Return how the six directions are excited."""
+    """Return the excitation of the six directions."""
     strain, twist, strain_noise, twist_noise = (
         joined(getattr(part, kind) for part in parts)
         for kind in ('strain', 'twist', 'strain_noise', 'twist_noise'))

@@ -1,9 +1,9 @@
 """
 Weighted linear least squares on accelerations (4.66-4.81).
 
-Sufficient statistics of the recordings are weighted and joined by QR factorisations: the normal
-equations of the raw data are never formed. Noise in the equations adds M to A^T A and m to A^T b
-on average; where it is given both are subtracted (compensated least squares).
+Sufficient statistics of the recordings are weighted and joined by QR factorisations, without
+normal equations of the raw data. Noise in the equations adds M to A^T A and m to A^T b on average;
+if the noise is given, both are subtracted (compensated least squares).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,16 +21,16 @@ from bellows_ros.errors import UndeterminedError
 import numpy as np
 
 MAX_LISTED = 4
-"""Most parameters named in a sentence."""
+"""Largest number of parameters named in a sentence."""
 
 MAX_CONDITION = 1e6
-"""Ratio of singular values beyond which a combination of parameters is not identifiable."""
+"""Largest ratio of singular values of identifiable combinations of parameters."""
 
 NO_EFFECT = 1e-8
-"""A parameter whose column is smaller than this fraction of others of its kind has no effect."""
+"""Relative size of a column, among columns of its kind, below which a parameter has no effect."""
 
 QR_ROWS = 512
-"""Rows reduced to an R factor at a time, so that they stay in the processor's cache."""
+"""Number of rows reduced to an R factor at a time, which fit into the processor's cache."""
 
 CLUSTERS_PER_PARAMETER = 2
 """Clusters per parameter required for the correlations of the estimates."""
@@ -39,22 +39,23 @@ MIN_CLUSTERS = 10
 """Clusters required for the variances of the estimates."""
 
 MIN_SHARE = 1e-3
-"""Share of the information on a direction that other clusters need for a residual to count."""
+"""Smallest share of the information on a direction in other clusters for a residual to count."""
 
 MIN_SIGNAL_SHARE = 0.1
-"""Share of the information that must be signal for noise to be removed from a direction."""
+"""Smallest share of signal in the information on a direction whose noise is subtracted."""
 
 MAX_RESIDUAL_TO_NOISE, MAX_RESIDUAL_TO_WRENCH = 1.5, 0.1
-"""Residuals are too large beyond this multiple of noise and this fraction of the wrench."""
+"""Ratios of residuals to noise and to the wrench beyond which residuals are too large."""
 
 MIN_SQUARED_DISTANCE = 13.8
-"""Squared Mahalanobis distance of an extension of the spring from zero; false alarms 1 in 1000."""
+"""Smallest squared Mahalanobis distance of a significant extension of the spring from zero;
+false-alarm rate 1 in 1000."""
 
 MIN_CLUSTER_DISTANCE = 25.0
 """
-Squared Mahalanobis distance of the couplings from zero for least squares.
+Smallest squared Mahalanobis distance of significant couplings from zero for least squares.
 
-Covariances of few clusters make false alarms more frequent: at most 2 of 40 cups by simulation.
+Covariances of few clusters cause more false alarms: at most 2 of 40 cups by simulation.
 """
 
 
@@ -69,7 +70,7 @@ def r_factor(parts: Iterable[Array], columns: int) -> Array:
     for rows in parts:
         rows = np.vstack([R, rows])
         whole = len(rows) // QR_ROWS * QR_ROWS
-        # R factors of small parts, then of these: four times faster than at once.
+        # R factors of small parts, then of the stacked factors: four times faster than at once.
         small = np.linalg.qr(rows[:whole].reshape(-1, QR_ROWS, columns), mode='r')
         R = np.asarray(np.linalg.qr(np.concatenate([*small, rows[whole:]]), mode='r'))
     return R
@@ -79,8 +80,8 @@ class LinearSolution(NamedTuple):
     """
     The least-squares solution of p parameters.
 
-    x (p,): of what is not identifiable the smallest that fits as well as any. Inverse (p, p) of
-    R; which of the p are identifiable; the rank; the condition number with columns of unit length.
+    x (p,), the smallest of equally good solutions; the inverse (p, p) of R; the mask of
+    identifiable parameters; the rank; and the condition number with columns of unit length.
     """
 
     x: Array
@@ -92,9 +93,9 @@ class LinearSolution(NamedTuple):
 
 def solution(R: Array, structure: Structure) -> LinearSolution:
     """
-    Solve the equations of an R factor (q, q) of rows [A b] as far as they go (4.74).
+    Solve the equations of an R factor (q, q) of rows [A b], up to their rank (4.74).
 
-    Columns of K or P of the same units are compared with each other, and scaled.
+    Columns of K or P with equal units are compared with each other, and scaled.
     """
     sizes = np.linalg.norm(R[:-1, :-1], axis=0)
     angular = [(row > 2) + (column > 2) for row, column in structure.leads]
@@ -114,7 +115,7 @@ def solution(R: Array, structure: Structure) -> LinearSolution:
 
 def least_squares(parts: Sequence[Statistics]) -> Fit:
     """
-    Fit K and P so that the cup's wrench is the one that the motion needs (4.66, 4.74).
+    Fit K and P so that the cup's wrench is the wrench required by the motion (4.66, 4.74).
 
     Parameters
     ----------
@@ -124,10 +125,9 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     Returns
     -------
     Fit
-        K and P with standard errors that allow for the correlation that the filter's window puts
-        into the residuals, and are infinite where a parameter is not identifiable. Where the noise
-        is known, the bias that it causes is taken out. A result that is not positive definite is
-        returned as it is, with a warning.
+        K and P with standard errors that allow for the correlation of residuals within the
+        filter's window, infinite for unidentifiable parameters. With known noise its bias is
+        subtracted. An indefinite result is returned with a warning.
 
     Raises
     ------
@@ -178,8 +178,8 @@ def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
     """
     Return the fit of least squares, in the simpler structure unless couplings are significant.
 
-    The covariance is robust against residuals of whole clusters of samples: a coupling that it
-    confirms is confirmed by clusters that are left out.
+    The covariance is robust against correlated residuals in clusters: a significant coupling is
+    confirmed by held-out clusters.
     """
     couplings = parts[0].structure.couplings
     if parts[0].structure != simpler:
@@ -194,9 +194,10 @@ def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
 
 def weighted(parts: Sequence[Statistics]) -> tuple[Array, LinearSolution, Array | None]:
     """
-    Return the whitening (6, 6), the solution as it is with noise, and what this adds to products.
+    Return the whitening (6, 6), the solution with noise, and the noise in its products.
 
-    The last (6, q, 6, q) is that of all parts (see `noise_products`), None where one lacks it.
+    The products (6, q, 6, q) are summed over all parts (see `noise_products`), None if one lacks
+    them.
     """
     structure = parts[0].structure
     whitening = whitening_of(joined(part.moments for part in parts).covariance(structure))
@@ -218,17 +219,16 @@ def _uncertainty(
     """
     Return the covariance (p, p) of x, and the squares (6,) of wrench residuals.
 
-    The covariance needs no independence of residuals that are less than a cluster apart, and
-    no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
-    G (sum of u u^T) G^T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
-    root makes up for residuals that the fit itself has shrunk, and G is R^-1, but where noise is
-    compensated; then the u have a mean, which is subtracted). Correlations of many parameters
-    do not follow from too few clusters; they are then those of the equations.
+    The cluster-robust covariance needs neither independent residuals within a cluster nor equal
+    noise: with Z = A R^-1 it is G (sum of u u^T) G^T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for
+    cluster j, whose root corrects for the shrinking of residuals by the fit. G is R^-1 without
+    compensation of noise; with it the u have a mean, which is subtracted. Too few clusters do not
+    determine the correlations of many parameters, which are then taken from the equations.
 
-    A fit brings the scores of its clusters to a sum of zero: those of few clusters say next to
-    nothing of the variances, that of one says zero. Then these are at least what they are if
-    residuals in a filter window are one, else independent; infinite where so many windows leave
-    no residual. The last cluster may be short and is not counted there.
+    A fit makes the sum of the clusters' scores zero, so that few clusters underestimate the
+    variances. A lower bound are the variances with residuals that are constant within a filter
+    window and independent between windows; infinite if so many windows leave no residual. A short
+    last cluster is not counted.
     """
     size, colour, scores = len(x), np.linalg.inv(whitening), []
     squares, whitened, products = np.zeros(6), np.zeros(6), np.zeros((6, size, size))
@@ -264,12 +264,12 @@ def noise_bias(
     noise: Array, whitening: Array, x: Array, inverse: Array
 ) -> tuple[Array, Array, Mask]:
     """
-    Return the expected error (p,) of x by noise (6, q, 6, q), and the gain without it.
+    Return the expected error (p,) of x by noise (6, q, 6, q), and the gain without noise.
 
-    With noise that adds M to A^T A and m to A^T b on average, the truth is near
-    (A^T A - M)^-1 (A^T b - m), and the estimate off it by -(A^T A - M)^-1 (M x - m). The gain
-    (p, p) is G = (A^T A - M)^-1 R^T. Directions that are nearly all noise stay as they are, and
-    parameters with a part in them are not identifiable (p,).
+    With noise that adds M to A^T A and m to A^T b on average, the truth is near (A^T A - M)^-1
+    (A^T b - m), and the error of the estimate is -(A^T A - M)^-1 (M x - m). The gain (p, p) is G =
+    (A^T A - M)^-1 R^T. Directions with nearly pure noise are not corrected, and parameters with
+    components in them are not identifiable (p,).
     """
     added = np.einsum('ij,ipjq->pq', whitening.T @ whitening, noise)
     share, V = np.linalg.eigh(inverse.T @ added[:-1, :-1] @ inverse)
@@ -283,7 +283,7 @@ def noise_bias(
 
 
 def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> str:
-    """Return a sentence if the residual wrench (6,) is larger than noise explains."""
+    """Return a sentence if the residual wrench (6,) is larger than noise explains, else ''."""
     if noise_rms is None:
         return ''
     spread = np.linalg.norm(np.linalg.inv(whitening), axis=1)

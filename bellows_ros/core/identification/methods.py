@@ -40,27 +40,28 @@ TYPICAL_STEPS = 12
 """Typical number of steps of a fit by simulation."""
 
 MIN_NOISE = Noise(1e-5, 5e-5)
-"""Noise (m, rad) below which its bias is negligible."""
+"""Noise with negligible bias, m and rad."""
 
 MAX_DAMPING_STD, UNLOADED_PARAMETER = 0.25, 'K rz'
 """
-Standard error of the most certain damping, in its size, with which a cup counts as moved.
+Largest relative standard error of the most certain damping of a moving cup.
 
-Or of the stiffness that no weight loads, where tool or package moves: at rest it is of noise.
+The stiffness that no weight loads also counts, if tool or package moves; at rest noise determines
+it.
 """
 
 MIN_REST_SHARE = 0.5
-"""Part of the time that recordings of standstills stand still, at least."""
+"""Smallest fraction of the time at rest in recordings of standstills."""
 
 MAX_MISFIT_TO_NOISE = 2.0
-"""Times the noise by which output error may be off: a free simulation, and what it leaves."""
+"""Largest ratio of misfit and noise for output error, in free simulations and residuals."""
 
 MIN_MASS_RATIO = 1.3
 """
 Smallest ratio of masses for the automatic fit of stretch.
 
-From one mass, stretch extrapolates worse than K alone: for bellows by finite elements, identified
-with 1.8 kg, a swing of 1 kg is off by 26 % instead of 15 %; from 0.8 and 1.8 kg by 1.4 %.
+From one mass, stretch extrapolates worse than K alone: for finite-element bellows identified with
+1.8 kg, the error of a swing of 1 kg is 26 % instead of 15 %; with 0.8 and 1.8 kg it is 1.4 %.
 """
 
 LENGTH_STEP = 1e-5
@@ -82,21 +83,20 @@ def fit(
     length_std: float = 0.0,
 ) -> Result:
     """
-    Fit a cup to recordings as the parameters specify.
+    Fit a cup to recordings, as the parameters specify.
 
-    It may be called again with other parameters: what does not depend on them is kept with the
-    recordings.
+    For calls with other parameters, results independent of them are cached with the recordings.
 
     Parameters
     ----------
     recordings : sequence of Recording or ReducedRecording
-        All of one cup. Least squares does with reduced ones, unless the length is uncertain.
+        Recordings of one cup. For least squares with exact length, reduced recordings suffice.
     values : mapping
         Parameters by name: fit.*, cup.*, gravity.
     progress : callable, optional
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
     standstills : sequence of Standstill
-        Standstills of the same cup, whose balance counts, too.
+        Standstills of the cup, whose balance is included.
     length_std : float
         Standard error of cup.length, m.
 
@@ -122,7 +122,7 @@ def fit(
     largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
     explained = max(result.chi2 or 0.0, result.robust_chi2 or 0.0) <= (
         MAX_MISFIT_TO_NOISE**2) and not any(
-        cause.certain for cause in result.causes)  # else errors are of the misfit
+        cause.certain for cause in result.causes)  # otherwise errors of the misfit
     certain = [
         parameter.label for parameter in excitation.parameters if parameter.identifiable
         and std[parameter.label] <= largest * abs(parameter.value)]
@@ -149,11 +149,11 @@ def fit(
 
 
 def _stand_still(recordings: Sequence[AnyRecording]) -> bool:
-    """Return whether tool and package stand still for most of the recorded time."""
+    """Return whether tool and package are at rest for most of the recorded time."""
     still = total = 0.0
     for recording in whole_recordings(recordings):
         total += float(np.ptp(recording.measured_package.stamps_ns)) / NS_PER_S
-        with suppress(BellowsError):  # no standstill
+        with suppress(BellowsError):  # without standstills
             still += sum(each.duration for each in standstills_of(recording)[0])
     return still >= MIN_REST_SHARE * total
 
@@ -181,7 +181,6 @@ def fitted(
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:
-    """Report a step of a fit."""
     step = iteration.number + 1
     K, P = (' '.join(f'{x:.3g}' for x in np.diag(matrix))
             for matrix in (iteration.stiffness, iteration.damping))
@@ -194,9 +193,9 @@ def by_output_error(
     exactly: bool = False,
 ) -> Fit:
     """
-    Return the fit by simulation, with all that is uncertain free beside K and P.
+    Return the fit by simulation, with all uncertain quantities estimated jointly with K and P.
 
-    Or with what was given taken exactly, as least squares do, so that causes are what they miss.
+    Alternatively with given quantities exact, as in least squares, so that causes are found.
     """
     structure = given_structure(values)
     start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
@@ -218,13 +217,13 @@ def by_output_error(
 
 
 def _stretch(recordings: Sequence[Recording], wanted: str) -> str:
-    """Return fit.stretch, 'off' instead of 'auto' for recordings of one mass alone."""
+    """Return fit.stretch, with 'auto' replaced by 'off' for recordings of a single mass."""
     masses = [recording.payload.mass for recording in recordings]
     return 'off' if wanted == 'auto' and max(masses) < MIN_MASS_RATIO * min(masses) else wanted
 
 
 def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
-    """Return a fit with the total time offsets: those removed before, and those of the fit."""
+    """Return a fit with total time offsets: those subtracted before plus those of the fit."""
     removed = [offset or TimeOffset(0.0, math.inf) for offset in offsets]
     if not result.delays:
         values, errors = zip(*removed, strict=True)
@@ -234,7 +233,7 @@ def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
 
 
 def _length_jacobian(recordings: Sequence[Recording], values: Values) -> Array:
-    """Return the derivatives (2 n,) of the parameters that least squares finds by cup.length."""
+    """Return the derivatives (2 n,) of the parameters of least squares by cup.length."""
     structure = given_structure(values)
     ends = [
         least_squares.least_squares([
@@ -258,7 +257,7 @@ def with_freed(values: Values, freed: Sequence[Freed]) -> Values:
 
 def start_cup(parts: Sequence[reduction.Statistics], given: Cup) -> Cup:
     """
-    Return the cup that the output error starts from, by least squares of few parameters.
+    Return the initial cup of output error, by least squares of few parameters.
 
     Unidentifiable or negative entries are taken from the given cup.
     """

@@ -1,13 +1,13 @@
 """
-Output error: K and P by simulation, with their uncertainty and what would explain the rest.
+Output error: K and P by simulation, with their uncertainty and the causes of a misfit.
 
-Near the minimum, given quantities are estimated jointly with K and P; with quick poses from the
-start of the search. Directions that the recordings determine better than their standard deviations
-are estimated. The others keep their given values, and their effect on K and P is an error of its
-own: mass, inertia, K and P larger by one factor give the same motion, so that no recording
-determines the size of K better than the mass.
+Near the minimum, given quantities are estimated jointly with K and P; for quick poses from the
+start of the search. Directions that the recordings determine better than the given standard
+deviations are estimated. The others keep their given values, whose errors add to the covariance of
+K and P: mass, inertia, K and P scaled by one factor give equal motion, so that K is as uncertain
+as the mass.
 
-Also two clocks, two worlds and a marker anywhere on the package, from one recording.
+Two clocks, two worlds and a marker anywhere on the package are also estimated, from one recording.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -74,39 +74,41 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
 Ends = tuple[tuple[Solution, Array], list[Solution]]
-"""Where a search ends, as of `with_given`, and the ends at which causes are looked for."""
+"""Solution of a search with the covariance by given quantities, as `with_given` returns it, and
+the solutions that are searched for causes."""
 
 MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
-"""Most noise in information that errors allow for, and in the error of what is identifiable, if
-that is above a part of its size: the noise may be of another number."""
+"""Largest share of noise in the information for which errors are corrected; largest share of noise
+in the error of an identifiable number, if this error exceeds a fraction of its limit."""
 
 OF_SPRING = ('relaxation', 'stretch')
 """Free quantities that are parameters of the cup."""
 
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
-"""Of the noise that tests this, and its sizes in that of the poses."""
+"""Seed of the noise that is added to test the information, its size relative to the noise of the
+poses, and its smallest size."""
 
 FIXED_INFORMATION = 1e8
-"""Information that fixes directions of what was given that the recordings do not know."""
+"""Information that fixes directions of given quantities undetermined by the recordings."""
 
 MAX_REMAINING_SHARE = 0.2
 """Largest share of the chi² beyond noise that remains with relaxation."""
 
 MAX_CHI2 = 1.2
-"""Chi^2 per degree of freedom above this triggers a warning."""
+"""Chi^2 per degree of freedom above which a warning is given."""
 
 COMMON_WEIGHT = 10.0
 """Weight of the scatter common to all parameters, in segments of the recordings."""
 
 MIN_SCATTER = 0.25
-"""Scatter below this fraction of the noise model's belongs to directions without information."""
+"""Smallest scatter relative to the noise model; less occurs in directions without information."""
 
 MIN_DIAGNOSIS_S, DIAGNOSIS_TO_FIT = 30.0, 2.0
-"""Largest processor time of a diagnosis, s, and its largest ratio to that of the fit."""
+"""Largest processor time of a diagnosis, s, and its largest ratio to the time of the fit."""
 
 LEAST_OF_SETTING = 4.0
 """
-Smallest chi² per residual that a wrong world or a frame rotated by 90 degrees can leave.
+Smallest chi² per residual left by a wrong world or a frame rotated by 90 degrees.
 
 In the tests' recordings wrong settings leave 14 and more, even with a symmetric package.
 """
@@ -130,7 +132,7 @@ def output_error(
     common: tuple[str, ...] = (),
 ) -> Fit:
     """
-    Fit K and P so that the model, moved as the tool was, meets the package's poses.
+    Fit K and P so that the model, driven by the measured tool, reproduces the package's poses.
 
     Parameters
     ----------
@@ -139,26 +141,26 @@ def output_error(
     structure : Structure
         Structure of K and P: their free entries.
     start : Cup
-        First guess, definite, with the cup length l0.
+        Initial guess, definite, with the cup length l0.
     progress : callable, optional
-        Called with every iteration.
+        Callback after every iteration.
     free : mapping, optional
         Standard deviations, SI units, of quantities of `KINDS` that are free from the start.
     named : sequence of str
-        Those of them that are results, too.
+        Names of the free quantities that are results.
     relaxation : str
-        Whether the strengths of relaxation are free: 'off', 'auto' where they are significant,
-        'on' where the recordings are refused else.
+        Whether the strengths of relaxation are free: 'off'; 'auto' if significant; 'on' with an
+        error if insignificant.
     given : mapping, optional
-        Standard deviations of quantities that were given; see `with_given`.
+        Standard deviations of given quantities; see `with_given`.
     other_start : Cup, optional
-        Where a search of quick poses begins again that leaves a misfit.
+        Second initial guess, for a search of quick poses with a misfit.
     richer : Structure, optional
         Structure that replaces the first one if its couplings are significant.
     stretch : str
-        Whether the coefficients of stretch are free, as relaxation.
+        Whether the coefficients of stretch are free, like `relaxation`.
     common : tuple of str, optional
-        Names of quantities that all recordings share, though others have their own.
+        Names of quantities that all recordings share instead of having their own.
 
     Raises
     ------
@@ -173,7 +175,7 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
-    if any(each.sensor for each in measured):  # the marker of a tag is free, and moves the com
+    if any(each.sensor for each in measured):  # the marker of a tag is free and shifts the com
         free = {**{name: given[name] for name in ('com',) if name in given}, **free}
 
     def diagnosed() -> Report:
@@ -193,7 +195,7 @@ def output_error(
         near, given, relaxation, record, other_start or start)
     reasons: tuple[Finding, ...] = ()
     if not is_explained(ends[0], given):
-        from bellows_ros.core.identification.diagnosis.ranking import rank  # what few fits need
+        from bellows_ros.core.identification.diagnosis.ranking import rank  # rarely needed
 
         reasons = rank(ends, given, diagnosed())
     return _fit(found, from_given, iterations, named, given, reasons)
@@ -202,7 +204,7 @@ def output_error(
 def _extended(
     near: Solution, given: Free, richer: Structure | None, stretch: str, report: Report
 ) -> Solution:
-    """Return the search with couplings and with stretch, if these are significant."""
+    """Return the search with couplings and with stretch, each if significant."""
     if richer is None and stretch == 'off':
         return near
     found = root(near, report)
@@ -219,10 +221,10 @@ def _tried(
     found: Solution, given: Free, more: Free, structure: Structure, report: Report
 ) -> Solution:
     """
-    Return the solution with an extension of the spring if this is significant, else as it is.
+    Return the solution with an extension of the spring if significant, else without.
 
-    The score allows for errors of the given quantities; the covariance is that of a jackknife, so
-    that motion which is left out confirms the extension.
+    The score allows for errors of the given quantities; the covariance is from a jackknife, so
+    that held-out motion confirms the extension.
     """
     problem = found.problem
 
@@ -261,11 +263,11 @@ def _from_quick_poses(
     near: Solution, given: Free, relaxation: str, report: Report, other_start: Cup
 ) -> Ends:
     """
-    Return where a search ends whose recordings may know what was given better than the user.
+    Return the ends of a search from quick poses, which may determine given quantities better.
 
-    Where a misfit is left without, that is free, too: held at first while the search approaches
-    from another cup, as least squares, which the start is from, take what was given for exact;
-    then free from the start, as it may be far off.
+    If a misfit remains, given quantities are freed: first held while the search approaches from
+    another cup, as least squares takes them as exact; then free from the start, as their errors
+    may be large.
     """
     base = problem = near.problem
     more = {name: std for name, std in given.items() if name not in base.places}
@@ -278,24 +280,24 @@ def _from_quick_poses(
         problem = problem.freed(problem.unknowns(cup), more)
         near = approach(problem, report, held)
         found = root(near, report)
-    # where it does not converge, it may have run far away
+    # a search without convergence may have diverged
     found = _with_relaxation(found, relaxation, report) if found.converged else near
     end = near_with_given(found, more, report)
     ends = _open_ends(found, end[0])
-    if problem is not base and not _explains(end[0]):  # what was given hides the cause
+    if problem is not base and not _explains(end[0]):  # free given quantities hide the cause
         ends = [minimise(base)]
     return end, ends
 
 
 def _from_slow_poses(near: Solution, given: Free, relaxation: str, report: Report) -> Ends:
-    """Return where a search ends that estimates the noise of poses, too."""
+    """Return the ends of a search from slow poses, whose noise is estimated as well."""
     stiff = found = root(near, report)
     end, is_open = (found, unmoved(found)), True
     if given and relaxation != 'on' and not found.is_plausible:
         end = with_given(found, given, report)
         is_open = not end[0].converged or (
             end[0].squares > MAX_NOISE_CHI2 * end[0].residual_count)
-    if is_open:  # rubber may be why
+    if is_open:  # possibly relaxation
         found = _with_relaxation(found, relaxation, report)
         if end[0] is stiff or found is not stiff:
             end = with_given(found, given, report)
@@ -304,12 +306,12 @@ def _from_slow_poses(near: Solution, given: Free, relaxation: str, report: Repor
 
 def with_given(found: Solution, given: Free, report: Report) -> tuple[Solution, Array]:
     """
-    Return the minimum near one with what was given free, by its standard deviations.
+    Return the minimum near another with given quantities free, by their standard deviations.
 
-    With what the rest adds to the covariance (s, s) of the shared unknowns, SI units. Where that
-    leaves a cause to look for, the minimum from the start with all that was given free, if it
-    leaves less and nothing is off by more than `SIGNIFICANT` times its standard deviation, or the
-    search near it ended at no plausible cup (`Solution.is_plausible`).
+    The second result is the covariance (s, s), SI units, of the shared unknowns by the remaining
+    given quantities. If a misfit remains, the minimum from the start with all given quantities
+    free is returned, provided that chi² is smaller and no deviation exceeds `SIGNIFICANT` standard
+    deviations, or that the first cup is implausible (`Solution.is_plausible`).
     """
     problem = found.problem
     more = {name: std for name, std in given.items() if name not in problem.places}
@@ -328,15 +330,15 @@ def with_given(found: Solution, given: Free, report: Report) -> tuple[Solution, 
 
 
 def unmoved(found: Solution) -> Array:
-    """Return no covariance (s, s) by what was given."""
+    """Return a zero covariance (s, s) by given quantities."""
     return np.zeros((found.problem.shared,) * 2)
 
 
 def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Solution, Array]:
     """
-    Return the minimum near one with that part of `more` free which the recordings know better.
+    Return the minimum near another with the part of `more` free that recordings determine better.
 
-    The rest of what recordings share stays as it was given. With a covariance as `with_given`.
+    Other shared quantities keep their given values; their covariance is as in `with_given`.
     """
     problem, count = found.problem, found.problem.count
     wide = problem.freed(
@@ -345,7 +347,7 @@ def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Soluti
         return found, unmoved(found)
     start = found.near(wide)
     parts, H, g = system_of(wide, start)
-    if not np.all(np.isfinite(g)):  # what was given is so wrong that derivatives by it diverge
+    if not np.all(np.isfinite(g)):  # derivatives diverge for very wrong given quantities
         return replace(found, converged=False), unmoved(found)
     tested = np.concatenate([np.empty(0, dtype=np.int64), *(
         wide.places[name].ravel() for name in more if not wide.is_own(name))])
@@ -353,7 +355,7 @@ def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Soluti
     known = H.plus(-wide.prior(start.theta, 0.0)[0].shared).reduced
     S = known[np.ix_(tested, tested)] - known[np.ix_(tested, rest)] @ np.linalg.lstsq(
         known[np.ix_(rest, rest)], known[np.ix_(rest, tested)], rcond=None)[0]
-    values, vectors = np.linalg.eigh(std[:, None] * S * std)  # what was given has 1
+    values, vectors = np.linalg.eigh(std[:, None] * S * std)  # given information is 1
     fixed = vectors[:, values <= 1.0] / std[:, None]
     fixing = np.zeros((wide.shared,) * 2)
     fixing[np.ix_(tested, tested)] = FIXED_INFORMATION * fixed @ fixed.T
@@ -382,7 +384,7 @@ def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Soluti
 
 
 def _of_given(found: Solution, given: Free) -> Array:
-    """Return the covariance (s, s), SI units, that is of what was given and is free now."""
+    """Return the covariance (s, s), SI units, by the priors of freed given quantities."""
     problem, H = found.problem, found.information
     weights = np.zeros(len(found.theta))
     for name in given.keys() & problem.places.keys():
@@ -395,17 +397,17 @@ def _of_given(found: Solution, given: Free) -> Array:
 
 
 def _open_ends(found: Solution, end: Solution) -> list[Solution]:
-    """Return where causes are looked for: first the end with what was given, if it explains."""
+    """Return the solutions searched for causes, first the one with given quantities free."""
     return [end, found] if _explains(end) and end.problem is not found.problem else [found]
 
 
 def _explains(found: Solution) -> bool:
-    """Return whether a minimum leaves no misfit."""
+    """Return whether a solution has no misfit."""
     return found.robust_chi2 < MISFIT_CHI2
 
 
 def _with_relaxation(found: Solution, relaxation: str, report: Report) -> Solution:
-    """Return the solution with strengths of relaxation where they explain most, else as it is."""
+    """Return the solution with relaxation if it explains most of the misfit, else without."""
     if relaxation == 'off':
         return found
     (score,) = scores(found, ['relaxation']).values()
@@ -424,7 +426,7 @@ def _with_relaxation(found: Solution, relaxation: str, report: Report) -> Soluti
 
 
 def _strengths(found: Solution, covariance: Array) -> tuple[Array, Array]:
-    """Return the strengths of relaxation (2,) with their covariance, zeros without it."""
+    """Return the strengths of relaxation (2,) with their covariance, zeros without relaxation."""
     if 'relaxation' not in found.problem.places:
         return np.zeros(2), np.zeros((2, 2))
     (place,) = found.problem.places['relaxation']
@@ -437,8 +439,7 @@ def covariance_of(
     """
     Return the covariance (s, s) of the shared unknowns, and variances (m,) of all, SI units.
 
-    And what noise (m,) is of their errors. By the jackknife. Information that is noise in the
-    derivatives steers no step.
+    The third result is the share of noise (m,) in their errors. Variances are from a jackknife.
     """
     problem, H = found.problem, found.information
     directions = np.linalg.inv(np.linalg.cholesky(H.reduced)).T
@@ -468,10 +469,10 @@ def _gradients_without(covariance: Array, part: WhitenedSegment) -> Array:
 
 def _relative_variances(influences: Array) -> Array:
     """
-    Return the variances (m,) along directions over those of the noise model.
+    Return the variances (m,) along directions relative to the noise model.
 
-    Influences (c, m) are by how much each part of the recordings moves the estimates along them,
-    in standard deviations.
+    Influences (c, m) are shifts of the estimates by each part of the recordings, in standard
+    deviations.
     """
     count = len(influences)
     if count < 2:
@@ -485,7 +486,7 @@ def _fit(
     found: Solution, from_given: Array, iterations: list[Iteration], named: Sequence[str],
     given: Free, reasons: tuple[Finding, ...],
 ) -> Fit:
-    """Return the result, with the covariance of what is identifiable."""
+    """Return the result of a solution, with the covariance of identifiable parameters."""
     problem = found.problem
     size, x = problem.count, problem.units * found.theta
     of_given = _of_given(found, given)
@@ -545,9 +546,10 @@ def _identifiable(
     found: Solution, from_given: Array, of_given: Array, named: Sequence[str]
 ) -> tuple[Array, Array, Mask, list[str]]:
     """
-    Return the covariance (s, s) by recordings alone, without the part by what was given.
+    Return the covariance (s, s) by recordings alone, without the part by given quantities.
 
-    And standard errors (m,), SI units, what is identifiable, and notes on the rest.
+    Further results are standard errors (m,), SI units, the mask of identifiable numbers, and notes
+    on the others.
     """
     problem, size = found.problem, found.problem.count
     covariance, variances, shares = covariance_of(
@@ -584,7 +586,7 @@ def _identifiable(
 
 
 def _ordinary_damping(found: Solution) -> Array:
-    """Return the unknowns (m,) with ordinary damping of each axis, inf for all other numbers."""
+    """Return the unknowns (m,) with ordinary damping of each axis, inf for other numbers."""
     problem, K = found.problem, found.cup.stiffness
     count, leads = problem.count, problem.structure.leads
     ordinary = problem.structure.parameters(K, problem.ordinary_damping(K)) / problem.units[:count]
@@ -595,9 +597,9 @@ def _ordinary_damping(found: Solution) -> Array:
 
 def _damped_std(found: Solution, ordinary: Array, is_low: Mask) -> Array:
     """
-    Return the standard errors (m,), SI units, if unknown damping were ordinary at least.
+    Return the standard errors (m,), SI units, with unidentifiable damping at least ordinary.
 
-    Noise that rings at a mode tells its frequency, and so K, far too well.
+    Noise that rings at an undamped mode would determine its frequency, and hence K, too well.
     """
     if not is_low.any():
         return np.zeros(len(is_low))
@@ -609,10 +611,10 @@ def _damped_std(found: Solution, ordinary: Array, is_low: Mask) -> Array:
 
 def noise_information(found: Solution) -> Arrow:
     """
-    Return the information on the unknowns that is of noise, not of motion.
+    Return the part of the information on the unknowns that is due to noise.
 
-    Noise in the path shakes the simulated package, too. With some more of it, once with either
-    sign, information of motion stays, and that of noise grows with the noise squared.
+    Noise in the path also shakes the simulated package. With additional noise of either sign the
+    information of motion is unchanged, and the information of noise grows with the squared noise.
     """
     size, known, differences = NOISE_FACTOR, found.information, list[Arrow]()
     while len(differences) < 2:
@@ -637,7 +639,7 @@ def noise_information(found: Solution) -> Arrow:
             differences.append(H)
         elif size < MIN_NOISE_FACTOR:
             return known
-        else:  # so much noise turns the package over
+        else:  # large noise may turn the package over
             size, differences = 0.5 * size, []
     return replace(known, **{
         name: (np.mean([getattr(one, name) for one in differences], axis=0)
@@ -647,7 +649,7 @@ def noise_information(found: Solution) -> Arrow:
 def _with_noise(
     body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
 ) -> Trajectory:
-    """Return poses with more noise, in units of theirs."""
+    """Return poses with added noise, in units of their own."""
     e = size * noise.std * correlated(draw.standard_normal((len(body), 6)), noise.correlation)
     return replace(body, position=body.position + e[:, :3],
                    rotation=body.rotation @ exp_so3(e[:, 3:]))
@@ -656,7 +658,7 @@ def _with_noise(
 def _unidentifiable(
     problem: Problem, errors: Array, shares: Array, is_overdamped: Mask, identifiable: Mask
 ) -> Iterator[str]:
-    """Yield a sentence about each number that is not identifiable, with what would make it so."""
+    """Yield a sentence on each unidentifiable number, with a remedy."""
     size = len(identifiable)
     for label, error, share, is_too_large, is_identifiable in zip(
             problem.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
@@ -664,7 +666,7 @@ def _unidentifiable(
         if is_identifiable:
             continue
         less = MAX_RELATIVE_ERROR / error
-        words = 'unknown' if error >= 1.0 else 'uncertain'  # the prior limits it
+        words = 'unknown' if error >= 1.0 else 'uncertain'  # limited by the prior
         if is_too_large:
             words = 'overdamped'
         if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
@@ -677,11 +679,11 @@ def _unidentifiable(
 
 class Registered(NamedTuple):
     """
-    Estimates beside K and P from one recording, None where not wanted or not identifiable.
+    Estimates jointly with K and P from one recording, None if not requested or unidentifiable.
 
-    The motion of the package's world (6,) about a point (3,), with its standard errors (6,), the
-    alignment with which the streams are to be filtered again, the time offset, the relative error
-    of the positions' scale, and the factors (2, 6) of a tag's errors at rest and in motion.
+    They are the motion of the package's world (6,) about a point (3,) with its standard errors
+    (6,), the alignment for filtering the streams again, the time offset, the relative error of the
+    positions' scale, and the factors (2, 6) of a tag's errors at rest and in motion.
     """
 
     world: Array | None
@@ -693,7 +695,7 @@ class Registered(NamedTuple):
     error_factors: Array | None = None
 
     def require_world(self) -> None:
-        """Refuse a world that is not identifiable, for a method that takes it as exact."""
+        """Raise if the world is unidentifiable, for a method that takes it as exact."""
         if np.any(self.world_std > KINDS['package_world'].max_std):
             each = [f'{x:.2g}' for x in DISPLAY_FACTORS * self.world_std]
             raise UndeterminedError(
@@ -707,15 +709,15 @@ def registered(
     recording: Recording, structure: Structure, start: Cup, free: Free
 ) -> Registered:
     """
-    Find what is free beside K and P by simulation; leave out a clock that is not identifiable.
+    Estimate free quantities jointly with K and P by simulation; omit an unidentifiable clock.
 
-    First guesses come from what needs no cup: both bodies turn alike, and at about the same
-    distance (see `recording.alignment`). Then all is free beside K and P, whatever the method.
+    Initial guesses need no cup: rotations of both bodies agree, and their distance is nearly
+    constant (see `recording.alignment`).
 
     Raises
     ------
     UndeterminedError
-        If the search ends nowhere, and not for the clock alone.
+        If the search does not converge, unless the clock alone is free.
 
     """
     measured = measured_segments(recording)
@@ -730,7 +732,7 @@ def registered(
     estimates = {name: found.estimate(name) for name in found.problem.places}
     if 'package_marker' in estimates:
         shift, turn = np.split(estimates['package_marker'][0], 2)
-        R = exp_so3(turn)  # origin_to_com is in axes of the lip, which has turned by R
+        R = exp_so3(turn)  # origin_to_com is in lip axes, rotated by R
         alignment = replace(
             alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
             origin_to_com=R.T @ (alignment.origin_to_com + shift))

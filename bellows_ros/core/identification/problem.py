@@ -1,10 +1,10 @@
 """
-The unknowns of a fit by simulation: what they make of cup, package, poses and their differences.
+The unknowns of a fit by simulation, and their effect on cup, package, poses and innovations.
 
-All uncertain quantities are free beside K and P, with their prior as one more measurement. K and P
-move along geodesics of the definite matrices, with a wide prior on the logarithm of their size, K
-about the start, P about ordinary rubber; the prior is negligible for entries that the recordings
-determine.
+All uncertain quantities are free jointly with K and P, with their priors as additional
+measurements. K and P move along geodesics of the definite matrices, with a wide prior on the
+logarithm of their size: of K about the start, of P about ordinary rubber. The prior is negligible
+for entries that the recordings determine.
 """
 
 from collections.abc import Callable, Mapping
@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 BLOCK_DURATION = 1.0
-"""Length (s) of the parts of a recording whose information is kept."""
+"""Length of the parts of a recording whose information is stored, s."""
 
 INITIAL_STD = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
 """
@@ -42,10 +42,10 @@ strains; SI units.
 """
 
 REST_SIGMAS = 3.0
-"""Standard deviations of a pose beyond which a package swings at first."""
+"""Deviation from rest beyond which a package swings initially, standard deviations."""
 
 MIN_STRENGTH, TYPICAL_STRENGTH = 1e-6, 0.05
-"""Strengths of relaxation: the smallest one in a search for them, and that of soft rubber."""
+"""Strengths of relaxation: smallest in a search, and typical of soft rubber."""
 
 DEFAULT_RATIO = 1.05
 """Ratio r2 / r1 of rubber with a constant loss factor."""
@@ -54,28 +54,28 @@ RATIO_STD = 0.4
 """Standard deviation of the ratio r2 / r1 among rubbers."""
 
 MAX_INTEGRATION_STEP = 0.005
-"""Longest step of the integrator (s)."""
+"""Longest step of the integrator, s."""
 
 MIN_INTEGRATION_STEP = 5e-6
 """
-Shortest step of the integrator (s).
+Shortest step of the integrator, s.
 
-A cup that needs shorter ones, for modes faster than 20,000/s, is no cup: the search turns back.
+A cup with modes faster than 20,000/s, which needs shorter steps, is rejected by the search.
 """
 
 MAX_QUICKENING = 30.0
-"""Times as fast as with the start that modes may become: 100 times as stiff, they are 10 times as
-fast, and some three times that with ten times ordinary damping."""
+"""Largest ratio of the speed of modes to the start: 10 with 100-fold stiffness, and three times
+more with ten times ordinary damping."""
 
 COARSE_FACTOR = 4.0
-"""Factor of the integrator's steps during the approach: fast modes need no accuracy there."""
+"""Factor of the integrator's steps during the approach, in which fast modes need no accuracy."""
 
 PRIOR_LOG_STD, APPROACH_LOG_STD = (2.0, 1.0), 0.3
-"""Standard deviation of the logarithm of the size of K, about the start, and of P; that of P in
-the approach."""
+"""Standard deviations of the logarithms of K, about the start, and of P; and of P in the
+approach."""
 
 LOSS_FACTOR = 0.25
-"""Loss factor of ordinary rubber. Without damping a fit to noise would ring."""
+"""Loss factor of ordinary rubber, without which a fit to noise would ring."""
 
 MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
@@ -96,17 +96,17 @@ MAX_CLIPPED = 3.0
 @dataclass(frozen=True, eq=False)
 class Arrow:
     """
-    A symmetric matrix (m, m), zero between own unknowns of two recordings.
+    A symmetric matrix (m, m) without coupling between own unknowns of two recordings.
 
-    The own unknowns of each recording are eliminated alone (Schur complement): work and memory
-    grow with the number of recordings, not with its square.
+    The own unknowns of each recording are eliminated separately (Schur complement): work and
+    memory grow linearly with the number of recordings.
 
     Parameters
     ----------
     shared : ndarray (s, s)
         Information on the shared unknowns.
     coupling : ndarray (R, o, s)
-        Between own unknowns of each of R recordings and the shared ones.
+        Information between own unknowns of each of R recordings and the shared ones.
     own : ndarray (R, o, o)
         Information on the own unknowns of each recording.
     places : int ndarray (R, o)
@@ -120,11 +120,11 @@ class Arrow:
     places: Places
 
     def plus(self, shared: Array | float) -> 'Arrow':
-        """Return it with more information (s, s) on the shared unknowns."""
+        """Return the matrix with additional information (s, s) on the shared unknowns."""
         return replace(self, shared=self.shared + shared)
 
     def damped(self, damping: float) -> 'Arrow':
-        """Return it with its diagonal larger by a part."""
+        """Return the matrix with its diagonal increased by a fraction."""
         return replace(self, shared=self.shared * (1.0 + damping * np.eye(len(self.shared))),
                        own=self.own * (1.0 + damping * np.eye(self.own.shape[1])))
 
@@ -137,7 +137,7 @@ class Arrow:
 
     @cached_property
     def carried(self) -> Array:
-        """Own unknowns (R, o, s) that follow the shared ones, with the opposite sign."""
+        """Negative coefficients (R, o, s) with which own unknowns follow the shared ones."""
         return np.asarray(np.linalg.solve(self.own, self.coupling))
 
     @cached_property
@@ -146,13 +146,13 @@ class Arrow:
         return self.along(self)
 
     def along(self, other: 'Arrow') -> Array:
-        """Return it (s, s) along shared unknowns that own ones follow as with another."""
+        """Return the matrix (s, s) along shared unknowns, with own ones as in another matrix."""
         crossed = np.einsum('ros,rot->st', self.coupling, other.carried)
         return np.asarray(self.shared - crossed - crossed.T + np.einsum(
             'ros,rop,rpt->st', other.carried, self.own, other.carried, optimize=True))
 
     def followed(self, g: Array) -> Array:
-        """Return the slope (s,) along shared unknowns that the own ones follow."""
+        """Return the slope (s,) along shared unknowns, with own ones following."""
         return np.asarray(g[:len(self.shared)] - np.einsum(
             'ros,ro->s', self.carried, g[self.places]))
 
@@ -190,7 +190,7 @@ class Arrow:
         return self.variances_with(self.covariance)
 
     def within(self, used: Mask) -> 'Arrow':
-        """Return it with the identity instead of unknowns (m,) that are not in use."""
+        """Return the matrix with the identity for unused unknowns (m,)."""
         a, b = used[:len(self.shared)], used[self.places]
         return replace(
             self, shared=np.where(np.outer(a, a), self.shared, np.eye(len(a))),
@@ -198,15 +198,15 @@ class Arrow:
             own=np.where(b[:, :, None] & b[:, None], self.own, np.eye(b.shape[1])))
 
     def fall(self, g: Array, used: Mask) -> float:
-        """Return by how much the squares fall if the unknowns in use (m,) follow a slope (m,)."""
+        """Return the fall of chi² if the used unknowns (m,) follow a slope (m,)."""
         slope = np.where(used, g, 0.0)
         try:
             return float(slope @ self.within(used).solve(slope))
-        except np.linalg.LinAlgError:  # of a simulation that diverges with these unknowns
+        except np.linalg.LinAlgError:  # diverging simulation
             return math.nan
 
     def step_by(self, g: Array, along: Array, used: Mask) -> Array:
-        """Return the step (m,) by a slope along directions (s, d) and own unknowns in use (o,)."""
+        """Return the step (m,) by a slope along directions (s, d) and used own unknowns (o,)."""
         size, count = along.shape
         part = replace(
             self, shared=along.T @ self.shared @ along,
@@ -223,10 +223,10 @@ class WhitenedSegment(NamedTuple):
     """
     The whitened differences of a segment.
 
-    Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the segment, the places (q,)
-    of these among all m unknowns, the variance (N, 6) of each difference, that (6,) of the
-    innovation of a pose's noise, the relative size (N, 6) of the noise and the part of its
-    variance that comes of motion, the likeliest changes of the tool's path and first state of the
+    Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the segment, the indices (q,)
+    of these among all m unknowns, the variance (N, 6) of each difference, the variance (6,) of the
+    innovation of a pose's noise, the relative size (N, 6) of the noise and the share of its
+    variance due to motion, the likeliest changes of the tool's path and first state of the
     package, and information (c, q, q) and slope (c, q) of each second.
     """
 
@@ -244,12 +244,12 @@ class WhitenedSegment(NamedTuple):
 
     @property
     def residuals(self) -> Array:
-        """The differences (N, 6) themselves, m and rad."""
+        """Differences (N, 6) without whitening, m and rad."""
         return np.asarray(self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
 
     @property
     def is_white(self) -> bool:
-        """Whether neighbouring innovations are uncorrelated."""
+        """Whether successive innovations are uncorrelated."""
         e = np.clip(self.innovations.reshape(-1, 6), -MAX_CLIPPED, MAX_CLIPPED)
         correlation = [np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
                        for lag in WHITE_LAGS if lag < len(e)]
@@ -260,11 +260,11 @@ class WhitenedSegment(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Problem:
     """
-    Recordings of one cup, and what is unknown.
+    Recordings of one cup, and the unknowns of their fit.
 
-    The m unknowns theta are those of the structure in units of their size, then the quantities of
-    `KINDS` that are free, in theirs: first those that all recordings share, s with those of the
-    structure, then those that each recording has of its own.
+    The m unknowns theta are the parameters of the structure in units of their size, then the free
+    quantities of `KINDS` in their units: first the s that all recordings share, including the
+    parameters, then the own ones of each recording.
 
     Parameters
     ----------
@@ -273,15 +273,15 @@ class Problem:
     structure : Structure
         Structure of K and P.
     guess : Cup
-        First guess, with the length.
+        Initial guess, with the length.
     free : mapping
-        Standard deviation, SI units, of what else is free, by names of `KINDS`.
+        Standard deviations, SI units, of other free quantities, by names of `KINDS`.
     slip_ns : int
-        Stamp at which the package slips, if that is free.
+        Stamp of a slip of the package, if free.
     fixing : ndarray (s, s), optional
-        More information on the start of the shared unknowns.
+        Additional information about the start of the shared unknowns.
     common : tuple of str
-        Names of quantities that all recordings share, though others have their own.
+        Names of quantities that all recordings share instead of having their own.
 
     """
 
@@ -294,17 +294,17 @@ class Problem:
     common: tuple[str, ...] = ()
 
     def freed(self, theta: Array, more: Free, structure: Structure | None = None) -> 'Problem':
-        """Return the problem from the cup of unknowns, with more that is free."""
+        """Return the problem from the cup of unknowns, with more free quantities."""
         return replace(self, structure=structure or self.structure, guess=self.cup(theta),
                        free={**self.free, **more}, fixing=0.0)
 
     def is_own(self, name: str) -> bool:
-        """Return whether each recording has a quantity of its own."""
+        """Return whether each recording has its own value of a quantity."""
         return KINDS[name].each and name not in self.common
 
     @cached_property
     def first_cup(self) -> Cup:
-        """The first guess, its matrices definite, with internal strains if relaxation is free."""
+        """Initial cup with definite matrices, and with internal strains if relaxation is free."""
         cup = self.guess
         if 'relaxation' in self.free:
             cup = replace(cup, relaxation=_not_below(cup.relaxation))
@@ -320,7 +320,7 @@ class Problem:
 
     @cached_property
     def places(self) -> Mapping[str, Places]:
-        """Places of free quantities among the unknowns: a row for each recording, or for all."""
+        """Indices of free quantities among the unknowns: a row per recording, or one for all."""
         recordings = 1 + max(segment.measured.recording for segment in self.segments)
         shapes = {name: (recordings if self.is_own(name) else 1, KINDS[name].size)
                   for name in sorted(self.free, key=self.is_own)}
@@ -330,18 +330,18 @@ class Problem:
 
     @cached_property
     def own(self) -> Places:
-        """Places (R, o) of what each recording has of its own."""
+        """Indices (R, o) of the own unknowns of each recording."""
         recordings = 1 + max(segment.measured.recording for segment in self.segments)
         return np.hstack([np.empty((recordings, 0), dtype=np.int64), *(
             place for name, place in self.places.items() if self.is_own(name))])
 
     @property
     def shared(self) -> int:
-        """Number s of unknowns that all recordings share."""
+        """Number s of shared unknowns."""
         return len(self.units) - self.own.size
 
     def _of_all(self, of_cup: Array, of_free: Callable[[str], ArrayLike]) -> Array:
-        """Return numbers (m,) of the cup's unknowns and of what is free, by its name."""
+        """Return numbers (m,) from those of the cup and those of each free quantity, by name."""
         numbers = np.pad(of_cup, (0, sum(place.size for place in self.places.values())))
         for name, place in self.places.items():
             numbers[place] = of_free(name)
@@ -355,19 +355,19 @@ class Problem:
 
     @cached_property
     def weights(self) -> Array:
-        """Information (m,) of the priors of what is free."""
+        """Information (m,) of the priors of free quantities."""
         return self._of_all(np.zeros(self.count), lambda name: (
             np.asarray(self.free[name]) / KINDS[name].unit) ** -2)
 
     @cached_property
     def max_std(self) -> Array:
-        """Largest standard errors (m,) of what is identifiable."""
+        """Largest standard errors (m,) of identifiable unknowns."""
         return self._of_all(np.full(self.count, MAX_RELATIVE_ERROR), lambda name: (
             KINDS[name].max_std / KINDS[name].unit))
 
     @cached_property
     def start(self) -> Array:
-        """Unknowns (m,) of the first guess."""
+        """Unknowns (m,) of the initial guess."""
         return self._of_all(self.structure.parameters(
             self.first_cup.stiffness, self.first_cup.damping) / self.units[:self.count],
             lambda name: 0.0)
@@ -393,12 +393,12 @@ class Problem:
             np.pad(diagonal, ((0, 0), (0, more))), directions[self.count:]]).T
 
     def cup(self, theta: Array) -> Cup:
-        """Return the cup of the unknowns, one of those of a gripper."""
+        """Return the cup of the unknowns, a single one of a gripper."""
         K, P = self._matrices(theta)
         return replace(self.first_cup, stiffness=K, damping=P)
 
     def unknowns(self, cup: Cup) -> Array:
-        """Return the unknowns of a cup, and nothing else changed."""
+        """Return the unknowns of a cup, with other unknowns at the start."""
         theta = self.start.copy()
         theta[:self.count] = self.structure.parameters(
             cup.stiffness, cup.damping) / self.units[:self.count]
@@ -419,24 +419,24 @@ class Problem:
         return a, b
 
     def places_of(self, segment: Segment) -> dict[str, Places]:
-        """Return where a segment's free quantities are, by name."""
+        """Return the indices of a segment's free quantities, by name."""
         return {name: rows[segment.measured.recording if self.is_own(name) else 0]
                 for name, rows in self.places.items()}
 
     def index_of(self, segment: Segment) -> Places:
-        """Return the places (q,) of a segment's unknowns, of the cup and its free quantities."""
+        """Return the indices (q,) of a segment's unknowns, of the cup and its free quantities."""
         return np.sort(np.concatenate([
             np.arange(self.count), *self.places_of(segment).values()]).astype(np.int64))
 
     def transferred(self, other: 'Problem', theta: Array) -> Array:
-        """Return the unknowns at those of another problem with the same cup."""
+        """Return the unknowns equal to those of another problem with the same cup."""
         moved = self.start.copy()
         for name in self.places.keys() & other.places:
             moved[self.places[name]] = theta[other.places[name]]
         return moved
 
     def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
-        """Return the model of a segment, and what is free in it, SI units."""
+        """Return the model of a segment, and its free quantities, SI units."""
         values = self.units * theta
         free = {name: values[places] for name, places in self.places_of(segment).items()}
         cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
@@ -468,7 +468,7 @@ class Problem:
         return self.structure.matrices((self.units * theta)[:self.count])
 
     def ordinary_damping(self, stiffness: Array) -> Array:
-        """Return the damping (6, 6) with which each mode of the package has one loss factor."""
+        """Return the damping (6, 6) with one loss factor for each mode of the package."""
         payload = self.segments[0].measured.payload
         to_com, inertia = np.eye(6), np.zeros((6, 6))
         to_com[:3, 3:] = -lie.hat(payload.com)
@@ -478,7 +478,7 @@ class Problem:
         return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
 
     def largest_damping(self, theta: Array) -> float:
-        """Return the most that a cup damps in some direction, in ordinary damping."""
+        """Return the largest ratio of a cup's damping to ordinary damping over all directions."""
         K, P = self._matrices(theta)
         inverse = symmetric_roots(self.ordinary_damping(K))[1]
         return float(np.linalg.eigvalsh(inverse @ P @ inverse)[-1])
@@ -502,7 +502,7 @@ class Problem:
             difference = (vectors * np.log(values)) @ vectors.T
             H[index, index] += np.einsum('aij,bji->ab', slopes, slopes) / std**2
             g[index] = np.einsum('aij,ji->a', slopes, difference) / std**2
-        for place in self.places.get('relaxation', ()):  # rubbers differ in the ratio of r2 to r1
+        for place in self.places.get('relaxation', ()):  # the prior on the ratio of r2 and r1
             r = self.strengths(theta)
             std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
             slope = np.array([-DEFAULT_RATIO, 1.0]) * self.units[place] / std
@@ -514,7 +514,7 @@ class Problem:
     def whitened(
         self, theta: Array, segment: Segment, course: Course, forgetting: float = 0.0
     ) -> WhitenedSegment:
-        """Return a segment's whitened differences about a course."""
+        """Return a segment's whitened differences, linearised about a course."""
         model, free = self.model(theta, segment)
         nodes = segment.nodes(*(
             float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate')))
@@ -548,7 +548,7 @@ class Problem:
         change = np.zeros_like(course.deviation)
         change[nodes.sampled] = smoothed[nodes.samples]
         correction = mean - initial_std**2 * slope[:len(mean)]
-        with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
+        with np.errstate(divide='ignore'):  # no weights for a diverging simulation
             variance = gains[:, :, -1] ** -2
         length = max(round(BLOCK_DURATION / segment.period), 1)
         seconds = [(J.reshape(-1, len(index)), r.ravel()) for J, r in (
@@ -563,7 +563,7 @@ class Problem:
             np.array([J.T @ J for J, _ in seconds]), np.array([J.T @ r for J, r in seconds]))
 
     def _integration_step(self, model: ModelTuple, factor: float) -> float:
-        """Return the longest step (s) of the integrator, or refuse a cup that is too fast."""
+        """Return the longest step (s) of the integrator, or raise for too fast a cup."""
         longest = min(factor * largest_step(model), MAX_INTEGRATION_STEP)
         if longest < self.shortest_step:
             raise BellowsError(
@@ -623,7 +623,7 @@ def _poses(
     for name, place in places.items():
         known = quantities.carried(poses, course.path) if name == 'scale' else poses
         by_unknowns[:, :, place] = -quantities.pose_changes(name, known, *context)
-    mean = segment.period**2 / 24.0  # over an exposure as long as the period
+    mean = segment.period**2 / 24.0  # for an exposure as long as the period
     by_unknowns[:, :, places.get('exposure', [])] = mean
     rows = np.column_stack([
         package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays,
@@ -637,7 +637,7 @@ def _poses(
 
 
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:
-    """Return strengths of relaxation with which internal strains are followed."""
+    """Return strengths of relaxation large enough for internal strains."""
     r = np.maximum(strengths, MIN_STRENGTH)
     return float(r[0]), float(r[1])
 
@@ -651,10 +651,10 @@ def symmetric_roots(M: Array) -> tuple[Array, Array]:
 
 def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -> State:
     """
-    Return a first state that hangs at rest where its pose is within the noise of the poses.
+    Return a first state at rest if its pose is within the noise of the poses.
 
-    Noise in it would ring, and that the derivatives would take for motion. Its twist tells nothing
-    of that: of a slow camera's poses it is known worse than ordinary swings are large.
+    Noise in the first state would ring, which derivatives would take for motion. Its twist does
+    not decide: for a slow camera its uncertainty exceeds ordinary swings.
     """
     try:
         rest = simulation.rest(model, tool)
@@ -666,7 +666,7 @@ def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -
 
 
 def _difference(body: State, other: State) -> Array:
-    """Return what separates a state from another (12,), with internal strains (24,)."""
+    """Return the difference (12,) of two states, with internal strains (24,)."""
     return np.concatenate([*pose_error(body, other[0], other[1]), *(
         np.ravel(np.array(end) - np.array(begin))
         for begin, end in zip(body[2:], other[2:], strict=True))])

@@ -1,7 +1,7 @@
 """
-Quantities that were given and may be free beside K and P: what they do to model and poses.
+Given quantities that may be estimated jointly with K and P: their effect on model and poses.
 
-Each of them is a measurement with a standard deviation.
+Each given quantity is a measurement with a standard deviation.
 """
 
 from collections.abc import Iterable, Mapping
@@ -24,7 +24,7 @@ import numpy as np
 
 
 class Kind(NamedTuple):
-    """A kind of quantity that may be estimated together with K and P, see `quantities.toml`."""
+    """A kind of quantity that may be estimated jointly with K and P, see `quantities.toml`."""
 
     unit: float
     size: int
@@ -36,7 +36,7 @@ class Kind(NamedTuple):
 KINDS: Mapping[str, Kind] = {
     name: Kind(**numbers) for name, numbers in tomllib.loads(
         Path(__file__).with_name('quantities.toml').read_text()).items()}
-"""By their names in fit.free."""
+"""Kinds by their names in fit.free."""
 
 CHANGING = ('slip', 'length_drift')
 """Quantities that change within a recording; their effect is added to first order."""
@@ -44,7 +44,7 @@ CHANGING = ('slip', 'length_drift')
 COLUMNS: Mapping[str, slice] = {
     'length': jac.BY_LENGTH, 'length_drift': jac.BY_LENGTH, 'com': jac.BY_COM,
     'relaxation': slice(-2, None), 'slip': slice(jac.BY_COM.start, jac.BY_COM.start + 2)}
-"""Derivatives of the model by quantities, among `jacobians.PARAMETER_COLUMNS`."""
+"""Columns of the quantities among `jacobians.PARAMETER_COLUMNS`."""
 
 STRETCH_UNITS = np.array([1e3, 1.0])
 """Units of the two coefficients of stretch in a search, N/m^2 and N."""
@@ -56,14 +56,14 @@ Free = Mapping[str, Array]
 NOTHING: Free = MappingProxyType({})
 
 CLOCK_RATE_STD, EXPOSURE_STD = 5e-5, 0.5
-"""Standard deviations of the rates of two quartz clocks (50 ppm), and of the squared exposure time
-in the squared period."""
+"""Standard deviations of the relative rate of two quartz clocks, and of the ratio of squared
+exposure time and squared period."""
 
 MIN_STD = 1e-9
 """Smallest standard deviation, SI units."""
 
 PACKAGE_STD: Mapping[str, float] = {'mass': 0.01, 'inertia': 0.05, 'com': 2e-3}
-"""Standard deviations of a package where none is stated: parts of mass and inertia, and m."""
+"""Standard deviations of a package's quantities by default: relative for mass and inertia, m."""
 
 
 def weak_prior(names: Iterable[str]) -> dict[str, Array]:
@@ -72,7 +72,7 @@ def weak_prior(names: Iterable[str]) -> dict[str, Array]:
 
 
 def payload_of(payload: Package, free: Free) -> Package:
-    """Return the package with the free quantities in it."""
+    """Return the package with the values of free quantities."""
     changes = {name: free[name] for name in ('com', 'mass', 'inertia') if name in free}
     return varied(payload, **changes) if changes else payload
 
@@ -81,10 +81,10 @@ def poses_of(
     package: Trajectory, free: Free, moves: Array, middle: Array | None = None
 ) -> Trajectory:
     """
-    Return the poses of B, and its twists if there are any, for given free quantities.
+    Return the poses of B, and twists if any, for given free quantities.
 
-    Moves (3,) is 1 for the components of the centre of mass that B moves with, else 0. The world
-    turns about a middle, see `middle_of`, that of the poses where none is given.
+    Moves (3,) is 1 for the components of the com that shift B, else 0. The world rotates about a
+    middle, see `middle_of`; by default of the poses.
     """
     if 'com' in free:
         package = of_fixed_frame(package, np.zeros(3), moves * free['com'])
@@ -103,21 +103,21 @@ def poses_of(
 
 
 def of_fixed_frame(body: Trajectory, rotation: Array, shift: Array) -> Trajectory:
-    """Return the motion of a frame that is fixed in a body, turned (rad) and moved (m) there."""
+    """Return the motion of a frame fixed in a body, rotated (rad) and shifted (m) there."""
     return at_tip(body, lie.transform(lie.exp_so3(rotation), shift))
 
 
 def middle_of(package: Trajectory) -> Array:
-    """Return the mean (3,) of the positions in use (m), and their first stamp (s)."""
+    """Return the mean (3,) of the valid positions (m), and their first stamp (s)."""
     used = package.select(package.valid)
     return np.append(used.position.mean(axis=0), used.stamps_ns[0] / NS_PER_S)
 
 
 def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
     """
-    Return the package as if it were fixed to the tool's smooth path.
+    Return the package as if fixed to the tool's smooth path.
 
-    Noisy positions in a derivative by their scale would bias that scale towards zero.
+    Noisy positions in the derivative by their scale would bias the scale towards zero.
     """
     nearest = np.minimum(np.searchsorted(tool.stamps_ns, package.stamps_ns), len(tool) - 1)
     position, R = tool.position[nearest], tool.rotation[nearest]
@@ -126,7 +126,7 @@ def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
 
 
 def gravity_of(gravity: Array | float, free: Free) -> Array:
-    """Return the vector (3,) of gravity in a world that is not level."""
+    """Return the vector (3,) of gravity in a tilted world."""
     return np.asarray(lie.exp_so3(-np.append(free.get('gravity', (0.0, 0.0)), 0.0))
                       @ gravity_vector(gravity))
 
@@ -161,7 +161,7 @@ def pose_changes(
     """
     Return the derivatives of poses (M, 6, count) by a quantity, in body axes.
 
-    By offset and rate of the clocks in units of the twist.
+    Derivatives by offset and rate of the clocks are in units of the twist.
     """
     change = np.zeros((len(package), 6, KINDS[name].size))
     if name == 'com':
@@ -184,7 +184,7 @@ def pose_changes(
 
 
 def given_std(values: Values) -> dict[str, Array]:
-    """Return the standard deviations of what was given, by names of `KINDS`, SI units."""
+    """Return the standard deviations of given quantities, by names of `KINDS`, SI units."""
     marker = np.repeat(values.recording.marker_std, 3)
     stds = {'length': np.array([values.cup.length_std]), 'package_marker': marker,
             'time_offset': np.array([values.recording.clock_std]),
@@ -202,23 +202,23 @@ def given_std(values: Values) -> dict[str, Array]:
 
 
 def stated(given: Free) -> list[str]:
-    """Return the names of what is as uncertain as a user stated."""
+    """Return the names of given quantities whose uncertainty the user stated."""
     return [name for name, std in given.items()
             if name in PACKAGE_STD and np.any(std != PACKAGE_STD[name])]
 
 
 def as_found(recording: Recording, found: Free, number: int) -> Recording:
     """
-    Return a recording with what a fit found beside K and P: its package, marker, world and clock.
+    Return a recording with the estimates of a fit for package, marker, world and clock.
 
     Parameters
     ----------
     recording : Recording
-        As it was given.
+        Recording with the given quantities.
     found : mapping
         See `Fit.nuisances`.
     number : int
-        Number of the recording in the fit.
+        Index of the recording in the fit.
 
     """
     if not found:

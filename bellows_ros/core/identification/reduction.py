@@ -1,15 +1,14 @@
 """
 The sufficient statistics of a recording for fits and findings.
 
-The weight W of (4.66) comes from the wrenches of all recordings, so it is not known when one is
-reduced; what is stored can be weighted later. For a fit that are sufficient statistics: cluster by
-cluster the rows [L c] of each wrench component, reduced by QR to an R factor with the same inner
-products. Where W couples the components six R factors would not do and those of all products would
-be larger than the samples, so that these themselves are stored. With them is stored what noise
-adds to the products on average, estimated by adding it once more; how the lip moved, hence the
-validity range of the fit; and whether the filter follows: it attenuates fast motion, and each
-derivative differently, which biases K and P of least squares beyond their standard errors. All is
-added up over recordings, wherever they were made.
+The weight W of (4.66) depends on the wrenches of all recordings, and is unknown when one recording
+is reduced; stored statistics can be weighted later. For a fit the sufficient statistics are, by
+cluster, the rows [L c] of each wrench component, reduced by QR to an R factor with equal inner
+products. If W couples the components, six R factors do not suffice, and R factors of all products
+would be larger than the samples, which are stored instead. Also stored are the mean contribution
+of noise to the products, estimated by adding noise once more; the motion of the lip, and hence the
+validity range of the fit; and the attenuation by the filter, which biases K and P of least squares
+for fast motion beyond their standard errors. All statistics are additive over recordings.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,19 +32,20 @@ import numpy as np
 from scipy.linalg import block_diag
 
 MAX_STORED = 50_000
-"""Samples of the longest recording whose motion of the lip is stored for reuse."""
+"""Largest number of samples of a recording whose lip motion is stored for reuse."""
 
 MAX_ATTENUATION = 0.013
 """Largest fraction of a velocity that a suitable filter removes; automatic filters reach 6 Hz."""
 
 BAND_RESOLUTION = 0.05
-"""Resolution (Hz) of the end of a pass band."""
+"""Resolution of the end of a pass band, Hz."""
 
 MAX_REMOVED_VELOCITY, MIN_POWER_TO_NOISE = 0.03, 5.0
 """
-A direction is too fast if the filter takes more than this part of its velocities.
+Largest fraction of a direction's velocity that the filter may remove.
 
-Velocities count as so many times the power of the noise at least, which is exact to some percent.
+The second number is the smallest ratio of the velocity's power to the noise's, which is accurate
+to a few percent.
 """
 
 MIN_NOISE_TRANSMISSION = 1e-3
@@ -65,8 +65,8 @@ def noise_products(
     """
     Return the expected contribution of noise to the products of [L c] (6, q, 6, q), q = p + 1.
 
-    They are sums over all valid samples, of each two components of the wrench, by adding
-    noise of the same kind once more. Those of several recordings can be added.
+    They are sums over all valid samples, for each two components of the wrench, by adding noise of
+    equal distribution once more. Contributions of several recordings can be added.
     """
     size = 2 * structure.size + 1
     products = np.zeros((6 * size, 6 * size))
@@ -84,7 +84,7 @@ def noise_products(
 
 class Statistics(NamedTuple):
     """
-    Sufficient statistics of one recording, whatever the weight will be.
+    Sufficient statistics of one recording for any weight.
 
     Parameters
     ----------
@@ -93,14 +93,14 @@ class Statistics(NamedTuple):
     cup_length : float
         Cup length l0, m.
     used, rejected : int
-        Valid samples, and the others.
+        Numbers of valid and of invalid samples.
     moments : Moments
-        Moments of the needed wrenches.
+        Moments of the required wrenches.
     r_factors : ndarray (C, 6, q, q)
-        For each of C clusters and each component the R factor of its rows [L c], q = p + 1; none
-        where the structure couples the components.
+        R factor of the rows [L c] for each of C clusters and each component, q = p + 1; empty if
+        the structure couples the components.
     lip : LipMotion or None
-        There instead, the motion of the lip itself.
+        Motion of the lip, if the structure couples the components.
     noise : ndarray (6, q, 6, q) or None
         Bias of the products of the rows by noise (see `noise_products`), None without given noise.
 
@@ -116,7 +116,7 @@ class Statistics(NamedTuple):
     noise: Array | None
 
     def of(self, structure: Structure) -> 'Statistics':
-        """Return the statistics in a simpler structure; of no other structure as they are."""
+        """Return the statistics in a simpler structure; otherwise unchanged."""
         if structure == self.structure or not self.structure.contains(structure):
             return self
         T = block_diag(structure.within(self.structure), np.eye(1))
@@ -125,7 +125,7 @@ class Statistics(NamedTuple):
         return self._replace(structure=structure, r_factors=self.r_factors @ T, noise=noise)
 
     def rows(self) -> Iterator[Equations]:
-        """Yield rows [L c], or others with the same inner products, cluster by cluster."""
+        """Yield rows [L c], or rows with equal inner products, cluster by cluster."""
         if self.lip is not None:
             yield from self.lip.equations(self.cup_length, self.structure)
         elif len(self.r_factors):
@@ -139,7 +139,7 @@ def statistics(
     samples: Samples, cup_length: float, structure: Structure, noise: FilterNoise | None = None
 ) -> Statistics:
     """
-    Return the sufficient statistics of a recording, which may be without valid samples.
+    Return the sufficient statistics of a recording, possibly without valid samples.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
     Parameters
     ----------
     samples : Samples
-        As they go into the fit; samples that are not valid are left out.
+        Samples of the fit; invalid samples are omitted.
     cup_length : float
         Cup length l0, m.
 
@@ -215,8 +215,8 @@ class PassBand(NamedTuple):
     """
     The transmission of a package's filter for the lip's twist.
 
-    Mean squares (6,) of the motion that the filter has removed, and their limits; the end (Hz) of
-    its pass band; half windows (samples) of the filters of tool and package.
+    It consists of the mean squares (6,) of the motion removed by the filter, and their limits; the
+    end (Hz) of the pass band; and half windows (samples) of the filters of tool and package.
     """
 
     removed: Array
@@ -229,14 +229,14 @@ class PassBand(NamedTuple):
         """
         Return the pass band of all samples of a recording, with a noise level (6,) of twists.
 
-        In an axis where noise is larger, the spectrum beyond the pass band shows it.
+        For axes with larger noise, the spectrum beyond the pass band replaces this level.
         """
         twist, rate_hz = samples.twist_spectrum, uniform_rate_hz(samples.package.stamps_ns)
         part = transmission(noise.package_weights, rate_hz, twist.frequency)
         white = (part * twist.frequency) ** 2
         end = pass_band(noise.package_weights, rate_hz)
         beyond = (twist.frequency > 2.0 * end) & (white > MIN_NOISE_TRANSMISSION * white.max())
-        back = np.exp(-2j * np.pi * twist.frequency / rate_hz)  # to the sample before
+        back = np.exp(-2j * np.pi * twist.frequency / rate_hz)  # to the previous sample
         colour = np.abs(1.0 - np.multiply.outer(back, noise.correlation)) ** -2.0
         noise_density = white[:, None] * np.repeat(colour, 3, axis=1)
         floor = np.zeros(6)
@@ -254,16 +254,16 @@ class PassBand(NamedTuple):
 
 class Movement(NamedTuple):
     """
-    How the lip moved in one recording, as seen from the tool.
+    Motion of the lip in the tool frame during one recording.
 
     Parameters
     ----------
     strain, twist : Moments
-        Moments of its displacement from nominal (m, rad) and of its twist (m/s, rad/s).
+        Moments of the lip's displacement from nominal (m, rad) and of its twist (m/s, rad/s).
     strain_noise, twist_noise : Moments
         Moments of the noise in strain and twist.
     bands_hz : ndarray (2, 6)
-        Frequencies between which most of the twist's power lies; nan where nothing moves.
+        Frequency bands with most of the twist's power; nan without motion.
     passed : PassBand
         Pass band of the filter for the twist.
 
@@ -279,7 +279,7 @@ class Movement(NamedTuple):
 
 def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Movement:
     """
-    Return how the lip moved in a recording.
+    Return the motion of the lip in a recording.
 
     Parameters
     ----------
@@ -324,11 +324,11 @@ class ReducedRecording(NamedTuple):
     time_offset : TimeOffset or None
         Offset subtracted from the tool's stamps, None if not requested or not identifiable.
     package_world : PackageWorld or None
-        The transform between two worlds, where it was to be estimated.
+        Transform between two worlds, if estimated.
     statistics : Statistics
         Statistics for least squares.
     movement : Movement
-        How the lip moved.
+        Motion of the lip.
     envelope : Envelope
         Its validity range.
 
@@ -354,16 +354,15 @@ AnyRecording = Recording | ReducedRecording
 
 
 def whole_recordings(recordings: Sequence[AnyRecording]) -> list[Recording]:
-    """Return recordings of which more than the sufficient statistics is at hand."""
+    """Return the recordings that are not reduced."""
     return [recording for recording in recordings if isinstance(recording, Recording)]
 
 
 def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
     """
-    Return a recording reduced with the structure and the cup length that parameters name.
+    Return a recording reduced with the structure and the cup length of the parameters.
 
-    A reduced recording, or one that was reduced before, is expressed in that structure if its own
-    structure contains it.
+    A reduced recording is converted to this structure if its own structure contains it.
 
     Raises
     ------
@@ -392,9 +391,9 @@ def envelope_of(recording: Recording, cup_length: float) -> Envelope:
 def _reduced(recording: Recording, length: float, structure: Structure) -> ReducedRecording:
     """Return a recording reduced."""
     samples, noise = sampling.samples_of(recording), recording.noise
-    if len(samples.tool) > MAX_STORED:  # a copy, with which the motion of the lip is dropped
+    if len(samples.tool) > MAX_STORED:  # as a copy, without the cached motion of the lip
         samples = replace(samples)
-    seen = recording.cached(  # refuses a recording without valid samples
+    seen = recording.cached(  # raises without valid samples
         ('envelope', length), lambda: envelope(samples, length))
     return ReducedRecording(
         recording.as_json(), recording.digest, recording.files, recording.payload,

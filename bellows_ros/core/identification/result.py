@@ -1,8 +1,8 @@
 """
-The result of a fit, frozen, with its uncertainty and its warnings.
+The result of a fit, with its uncertainty and its warnings.
 
-A parameter that has a part in a direction which is not identifiable has an infinite variance and
-no covariances; the information about it is zero.
+A parameter with a component in an unidentifiable direction has infinite variance, no covariances,
+and zero information.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ import numpy as np
 
 NOTE_TEXTS = tomllib.loads(Path(__file__).with_name('notes.toml').read_text())
 NOTES: Mapping[str, str] = NOTE_TEXTS['notes']
-"""Messages about fits, to be filled in."""
+"""Templates of messages about fits."""
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
 """Units of entries of K and P: translation, coupling, rotation."""
@@ -38,15 +38,15 @@ MAX_RELATIVE_ERROR = 0.5
 """Largest relative standard error of an identifiable parameter."""
 
 IN_NULL_SPACE = 0.05
-"""A parameter with a larger component in the null space is not identifiable."""
+"""Largest component of an identifiable parameter in the null space."""
 
 
 def covariance_of(information: Array) -> Array:
     """
-    Return the covariance (n, n) of parameters with this information.
+    Return the covariance (n, n) of parameters with a given information.
 
-    Unidentifiable parameters have inf on the diagonal and 0 elsewhere, the others their covariance
-    without these.
+    Unidentifiable parameters have inf on the diagonal and 0 elsewhere; the others have the
+    covariance without them.
     """
     diagonal = np.diag(information)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
@@ -57,12 +57,12 @@ def covariance_of(information: Array) -> Array:
 
 
 def information_of(covariance: Array) -> Array:
-    """Return the information (n, n) of a covariance, zero where that is infinite."""
+    """Return the information (n, n) of a covariance, zero for infinite variances."""
     return inverse_of(covariance, np.isfinite(np.diag(covariance)))
 
 
 def inverse_of(matrix: Array, used: Mask) -> Array:
-    """Return the pseudo-inverse (n, n) of the rows and columns in use, zero elsewhere."""
+    """Return the pseudo-inverse (n, n) of the used rows and columns, zero elsewhere."""
     part = np.ix_(used, used)
     scale = np.sqrt(np.diag(matrix)[used])
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -73,7 +73,7 @@ def inverse_of(matrix: Array, used: Mask) -> Array:
 
 
 def with_unidentifiable(covariance: Array, unidentifiable: Mask) -> Array:
-    """Return a covariance in which some parameters (n,) are unknown."""
+    """Return a covariance with some parameters (n,) unidentifiable."""
     identifiable = ~unidentifiable
     result = np.where(np.outer(identifiable, identifiable), covariance, 0.0)
     result[np.diag_indices_from(result)] = np.where(identifiable, np.diag(covariance), np.inf)
@@ -105,16 +105,15 @@ class StandstillPart:
     Parameters
     ----------
     count : int
-        How many.
+        Number of standstills.
     chi2 : float
-        Squares of their whitened equations that the result leaves, per degree of freedom; 1 where
-        the errors of the mean poses explain all. Above 1 the equations count by as much less.
+        Chi² of the whitened equations per degree of freedom, 1 if the errors of the mean poses
+        explain the residuals. Above 1 the weight of the equations is reduced accordingly.
     narrowed : ndarray (2 n,)
-        Standard error of each parameter with the standstills over that without; 0 where they alone
-        determine it, 1 where they say nothing of it.
+        Ratio of each parameter's standard errors with and without the standstills; 0 if they alone
+        determine the parameter, 1 if they contribute nothing.
     length, length_std : float
-        The cup's length that belongs to the fit, and its standard error, m; 0 where the
-        length was given as exact.
+        The cup's length of the fit, and its standard error, m; 0 if the length was given as exact.
 
     """
 
@@ -133,44 +132,44 @@ class Fit:
     Parameters
     ----------
     method : str
-        As fit.method.
+        Method of fit.method.
     structure : str
         Name of the structure of K and P.
     parameters : ndarray (2 n,)
         Free parameters of K, then those of P, SI units.
     covariance : ndarray (2 n, 2 n)
-        Of the parameters, from the recordings alone; what is not identifiable has inf on the
-        diagonal and 0 beside it.
+        Covariance of the parameters by the recordings alone; unidentifiable ones have inf on the
+        diagonal and 0 elsewhere.
     samples_used, samples_rejected : int
-        Samples in the fit, and samples of the recordings left out of it.
+        Numbers of used and of omitted samples.
     condition_number : float
         Condition number of the whitened regressor with columns of unit length.
     weight : ndarray (6, 6)
         Inverse covariance of the residuals: W of (4.66) at the lip, or of the innovations.
     residual_rms : ndarray (6,)
-        RMS of what the fit leaves unexplained: of the wrench (N, N m), or of the pose (m, rad).
+        RMS of the residual wrench (N, N m) or pose (m, rad).
     notes : tuple of str
-        Warnings on how it was estimated, in sentences.
+        Warnings on the estimation, as sentences.
     misfit : str
-        That model and white noise do not explain the recordings; '' where they do.
+        Sentence on a misfit of model and white noise, '' without.
     converged : bool
         Whether the search converged; if not, all standard errors are infinite.
     chi2, robust_chi2 : float or None
-        Chi^2 per degree of freedom of the whitened differences, and the same from their median,
-        which outliers and heavy tails do not move, with the noise of slow poses as these alone
-        show it, where the fit leaves more; None for least squares.
+        Chi^2 per degree of freedom of the whitened differences; and chi^2 from their median,
+        insensitive to outliers and heavy tails, relative to the noise of slow poses at rest if
+        larger; None for least squares.
     iterations : tuple of Iteration
-        The steps to the minimum; empty for least squares.
+        Steps to the minimum; empty for least squares.
     delays, delays_std : tuple of float
-        Times (s) by which each recording's tool stamps are behind the package's, where wanted, and
-        their standard errors; inf where it is not identifiable.
+        Delays (s) of each recording's tool stamps behind the package's, if requested, and their
+        standard errors, inf if not identifiable.
     freed : tuple of Freed
-        Other estimates: com and length as changes, m, inertia and mass as logarithms of
-        factors; inf as the standard error of what is not identifiable.
+        Other estimates: com and length as changes, m; inertia and mass as logarithms of factors;
+        standard error inf if not identifiable.
     standstills : StandstillPart or None
         Contribution of standstills, None without any.
     noise_rms : ndarray (6,) or None
-        RMS of the wrench that noise alone would leave, N and N m; None without noise.
+        RMS of the residual wrench expected of noise alone, N and N m; None without noise.
     relaxation, relaxation_std : (float, float)
         Strengths r1, r2 of the cup's relaxation, and their standard errors; zeros without it.
     noise_in_motion : mapping
@@ -180,15 +179,15 @@ class Fit:
         Coefficients a, b of the cup's stretch (N/m^2, N), and their standard errors; zeros without
         stretch.
     bias : ndarray (2 n,) or None
-        Error of the parameters from noise in the motions that least squares has taken out; None
-        where the noise is not given.
+        Bias of the parameters by noise in the motions, subtracted by least squares; None if the
+        noise is not given.
     causes : tuple of Finding
         Possible causes of the residual of output error, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
-        Covariance that what was given adds, by its standard deviations; None for none.
+        Additional covariance by the given quantities' standard deviations; None for none.
     nuisances : mapping
-        What else output error has estimated beside K and P, by names of `KINDS`: changes, SI
-        units, a row for each recording or one for all; without what `freed` has.
+        Other quantities estimated jointly with K and P, by names of `KINDS`: changes, SI units, a
+        row for each recording or one for all; without those in `freed`.
     nuisances_std : mapping
         Standard errors of the nuisances.
 
@@ -242,17 +241,17 @@ class Fit:
 
     @property
     def stiffness_std(self) -> Array:
-        """Errors (6, 6) of K with what was given: 0 where fixed, inf if not identifiable."""
+        """Standard errors (6, 6) of K with given quantities: 0 if fixed, inf if unidentifiable."""
         return self._errors[0]
 
     @property
     def damping_std(self) -> Array:
-        """Errors (6, 6) of P with what was given: 0 where fixed, inf if not identifiable."""
+        """Standard errors (6, 6) of P with given quantities: 0 if fixed, inf if unidentifiable."""
         return self._errors[1]
 
     @property
     def exactly_given(self) -> 'Fit':
-        """The same with the standard errors from the recordings alone."""
+        """The fit with the standard errors from the recordings alone."""
         return replace(self, from_given=None)
 
     @property
@@ -271,17 +270,17 @@ class Fit:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences that a user must know."""
+        """Sentences for the user."""
         return (*self._indefinite, *self.notes)
 
     @property
     def usable(self) -> bool:
-        """Whether it is a minimum that the predictor can take: K definite, P semidefinite."""
+        """Whether the fit is a minimum usable for prediction: K definite, P semidefinite."""
         return self.converged and not self._indefinite
 
 
 def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> tuple[str, ...]:
-    """Return a sentence, with a remedy, for each matrix that is not definite."""
+    """Return a sentence, with a remedy, for each indefinite matrix."""
     simplest = next(iter(STRUCTURES.values()))
     simpler = (f', or use fit.structure: {simplest.name}, which has fewer parameters'
                if structure_named(structure).size > simplest.size else '')

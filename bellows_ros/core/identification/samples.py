@@ -1,8 +1,8 @@
 """
 The filtered motions of a recording, as inputs of the identification.
 
-How the lip moves, the wrench c that the motion needs, and the equations L x = c between them, x
-being the parameters of K and P (4.66-4.68); and the same with noise once more.
+The lip's motion, the required wrench c, and the equations L x = c, with x the parameters of K and
+P (4.66-4.68); also with noise added once more.
 """
 
 from collections.abc import Iterable, Iterator
@@ -21,35 +21,35 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 CLUSTER_WINDOWS = 4
-"""Residuals this many filter windows apart count as independent for standard errors."""
+"""Distance of independent residuals for standard errors, in filter windows."""
 
 NOISE_SEED = 20210801
-"""Seed of the added noise: the same recording always gives the same result."""
+"""Seed of the added noise, fixed for reproducible results."""
 
 MOMENT_LEVER = 0.01
-"""Moments are compared with forces at this lever, m."""
+"""Lever with which moments are compared with forces, m."""
 
 MIN_RELATIVE_VARIANCE, ADDED_VARIANCE = 1e-10, 1e-8
-"""Relative variance below which a component of the wrench is zero, and what is then added."""
+"""Relative variance below which a component of the wrench is zero, and its replacement."""
 
 
 Equations = tuple[Array, list[slice]]
-"""Rows [A b] (N, 6, p + 1) of A x = b of N samples, and which of the N are a cluster."""
+"""Rows [A b] (N, 6, p + 1) of A x = b of N samples, and the clusters of samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class LipMotion:
     """
-    Motion of the lip in the tool, and the wrench that it needs, at the valid samples.
+    Motion of the lip in the tool, and the required wrench, at the valid samples.
 
     Parameters
     ----------
     index : ndarray (N,)
-        Indices of these samples in the recording.
+        Indices of the valid samples in the recording.
     stamps_ns : ndarray (N,)
-        ns.
+        Stamps, ns.
     window : float
-        Duration of the filter's window, s: so far residuals are correlated.
+        Duration of the filter's window, the correlation length of residuals, s.
     position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
         E_o_S (m), E_R_S and S_v_ES (m/s, rad/s).
     wrench : ndarray (N, 6)
@@ -66,12 +66,12 @@ class LipMotion:
     wrench: Array
 
     def displacement(self, cup_length: float) -> Array:
-        """Return how the lip is displaced from nominal (N, 6): E_o_S + l0 z (m), and rotation."""
+        """Return the displacement of the lip from nominal (N, 6): E_o_S + l0 z (m), rotation."""
         return np.hstack([self.position + [0.0, 0.0, cup_length], log_so3(self.rotation)])
 
     def equations(self, cup_length: float, structure: Structure) -> Iterator[Equations]:
         """
-        Yield [L c] of (4.67), (4.68), block by block.
+        Yield [L c] of (4.67), (4.68) in blocks.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class LipMotion:
             yield np.dstack([L, self.wrench[block]]), self._clusters(self.stamps_ns[block])
 
     def _clusters(self, stamps_ns: Stamps) -> list[slice]:
-        """Return samples cut into clusters that are several windows long."""
+        """Return clusters of samples, each several windows long."""
         cluster_ns = int(CLUSTER_WINDOWS * self.window * NS_PER_S)
         starts = np.unique((stamps_ns - stamps_ns[:1]) // cluster_ns, return_index=True)[1]
         return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(stamps_ns)], strict=True)]
@@ -111,7 +111,7 @@ class Samples:
     gravity : float
         m/s^2 along -z of the world.
     window : float
-        Duration of the package's filter window, s: so far residuals are correlated.
+        Duration of the package's filter window, the correlation length of residuals, s.
 
     """
 
@@ -123,7 +123,7 @@ class Samples:
 
     @property
     def valid(self) -> Mask:
-        """Mask (N,) of the samples with two usable motions."""
+        """Mask (N,) of the samples with usable motion of both bodies."""
         return self.tool.valid & self.package.valid
 
     @property
@@ -135,7 +135,7 @@ class Samples:
     def lip(self) -> LipMotion:
         """The motion of the lip, the basis of the equations."""
         index = np.flatnonzero(self.valid)
-        used = slice(None) if len(index) == len(self.tool) else index  # which copies nothing
+        used = slice(None) if len(index) == len(self.tool) else index  # copies nothing
         tool, package = self.tool.select(used), self.package.select(used)
         return LipMotion(
             index, tool.stamps_ns, self.window, *lip_relative(tool, package, self.payload.com),
@@ -157,7 +157,7 @@ class Samples:
         return interpolated(every)
 
     def select(self, index: slice | Mask | Stamps) -> 'Samples':
-        """Return the samples that a slice, a mask or increasing indices pick."""
+        """Return the samples selected by a slice, a mask or increasing indices."""
         return replace(
             self, tool=self.tool.select(index), package=self.package.select(index))
 
@@ -168,7 +168,7 @@ class Samples:
             yield self.select(valid[start:start + BLOCK])
 
     def thinned(self, max_count: int) -> 'Samples':
-        """Return every n-th sample, to about the number asked for."""
+        """Return every n-th sample, with about the requested count."""
         step = max(len(self.tool) // max_count, 1)
         return self if step == 1 else self.select(slice(None, None, step))
 
@@ -186,9 +186,10 @@ def lip_relative(
     """
     Return E_o_S (N, 3), E_R_S (N, 3, 3) and the body twist S_v_ES (N, 6) of the lip in the tool.
 
-    `kernels.lip_relative_to_tool` for arrays: S_v_ES = X(S_H_B) B_v_AB - X(E_H_S)^-1 E_v_AE.
+    This is `kernels.lip_relative_to_tool` for arrays: S_v_ES = X(S_H_B) B_v_AB - X(E_H_S)^-1
+    E_v_AE.
     """
-    assert tool.twist is not None and package.twist is not None  # filtered
+    assert tool.twist is not None and package.twist is not None  # is filtered
     com = np.asarray(com, dtype=float)
     R_E_A = np.swapaxes(tool.rotation, 1, 2)
     R_E_S = R_E_A @ package.rotation
@@ -202,12 +203,12 @@ def lip_relative(
 
 def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> Array:
     """
-    Return c (N, 6), the cup's wrench at the lip that the motion of the package needs (4.68).
+    Return c (N, 6), the cup's wrench at the lip required by the package's motion (4.68).
 
-    c = X(S_H_B)^-T (M dv + v x* M v - f_g) in lip axes; gravity is its size along -z of the
-    world, or the vector (3,) there, m/s^2.
+    c = X(S_H_B)^-T (M dv + v x* M v - f_g) in lip axes; gravity is its magnitude along -z of the
+    world, or its vector (3,) there, m/s^2.
     """
-    assert motion.twist is not None and motion.acceleration is not None  # filtered
+    assert motion.twist is not None and motion.acceleration is not None  # is filtered
     v, w = motion.twist[:, :3], motion.twist[:, 3:]
     dv, dw = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     g_B = apply(np.swapaxes(motion.rotation, 1, 2), gravity_vector(gravity))
@@ -217,7 +218,7 @@ def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> A
 
 
 def sizes(displacement: Array) -> Array:
-    """Return sizes of displacements (N, 6): x and y together, as they are of a round cup."""
+    """Return sizes of displacements (N, 6), with x and y combined as for a round cup."""
     x, y, z, rx, ry, rz = displacement.T
     radial, bent = np.hypot(x, y), np.hypot(rx, ry)
     return np.asarray(np.abs(np.column_stack([radial, radial, z, bent, bent, rz])))
@@ -225,10 +226,10 @@ def sizes(displacement: Array) -> Array:
 
 def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) -> Samples:
     """
-    Return samples as they would be if the poses had as much noise once more.
+    Return samples with noise of the poses added once more.
 
-    Noise of one sample is as the filter makes it, correlated between value and derivatives; that
-    of neighbours is independent, which no mean square and no mean product notices.
+    The noise of one sample has the filter's correlation between value and derivatives; noise of
+    neighbours is independent, which does not affect mean squares and products.
     """
     def noisy(motion: Trajectory, sizes: Iterable[float], weights: Array) -> Trajectory:
         root = np.linalg.cholesky(weights @ weights.T)
@@ -249,9 +250,9 @@ class Moments:
     Parameters
     ----------
     count : int
-        How many.
+        Number of vectors.
     mean : ndarray (6,)
-        In their units.
+        Mean of the vectors.
     scatter : ndarray (6, 6)
         Sum of the products of the deviations from the mean.
 
@@ -279,7 +280,7 @@ class Moments:
 
 
 def joined(parts: Iterable[Moments]) -> Moments:
-    """Return the moments of all parts together, from deviations rather than raw squares."""
+    """Return the moments of all parts, from deviations rather than raw squares."""
     parts = list(parts)
     counts, means = np.array([part.count for part in parts]), np.array([p.mean for p in parts])
     mean = counts @ means / max(counts.sum(), 1)
@@ -289,7 +290,7 @@ def joined(parts: Iterable[Moments]) -> Moments:
 
 
 def regularised(covariance: Array) -> Array:
-    """Return a covariance (6, 6) of wrenches, made regular in directions without a wrench."""
+    """Return a covariance (6, 6) of wrenches, regularised in directions without a wrench."""
     force, moment = (float(np.mean(np.diag(covariance)[part]))
                      for part in (slice(0, 3), slice(3, 6)))
     scale = np.repeat([max(force, moment), max(moment, MOMENT_LEVER**2 * force)], 3)

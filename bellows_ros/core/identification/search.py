@@ -1,13 +1,12 @@
 """
-Search for K and P with which the model, driven by the measured tool, meets all poses.
+Search for K and P with which the model, driven by the measured tool, reproduces all poses.
 
-The steps are Gauss-Newton steps, with derivatives along the likeliest path of the tool: their
-mean is zero at the truth, unlike the gradient of chi² along the measured path, or of the
-likelihood with its weights. The iterate includes likeliest paths, first states and the noise of
-slow poses.
+The steps are Gauss-Newton steps, with derivatives along the likeliest path of the tool: their mean
+is zero at the truth, unlike the gradient of chi² along the measured path, or of the likelihood
+with its weights. The iterate includes likeliest paths, first states and the noise of slow poses.
 
 A remote start approaches first, with nearly constant damping and without couplings, which noise
-would move anywhere: with an unknown acceleration of the package the differences forget the past.
+would dominate: an unknown acceleration of the package makes the differences forget the past.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -37,65 +36,67 @@ FORGETTING_RATE = 30.0
 """Rate at which an unknown acceleration makes the model forget during the approach, 1/s."""
 
 APPROACH_DAMPING, MAX_FINAL_DAMPING = 1e-2, 1e-2
-"""Smallest damping of the approach, in which noise would carry away what is hardly determined, and
-largest of the last step: a damped step is short wherever the minimum is."""
+"""Smallest damping of steps in the approach, which limits poorly determined unknowns; largest
+damping of the last step, as a damped step is short anywhere."""
 
 ANDERSON_DEPTH, MAX_ANDERSON_WEIGHT, MIN_SINGULAR_VALUE = 3, 0.9, 0.1
 """
-How many earlier steps a step is mixed with, the largest weight of one of them (a step 10 times
-too long has 0.9), and the smallest singular value, in the largest, that counts.
+Number of previous steps mixed into a step, the largest weight of one of them (0.9 for a step 10
+times too long), and the smallest used singular value relative to the largest.
 """
 
 NOISE_TOLERANCE, TAG_TOLERANCE = 0.03, 0.1
-"""Relative changes of the noise of slow poses, and of a tag, below which it is kept."""
+"""Relative changes of the noise of slow poses, and of a tag, below which the noise is kept."""
 
 MAX_APPROACH_STEPS, MAX_STEPS, MAX_MISFIT_STEPS = 10, 60, 30
 """
-Largest numbers of steps: of the approach, after that, and after that with a misfit.
+Largest numbers of steps: in the approach, in the search, and in a search with a misfit.
 
-So a search simulates a wrong recording 53 times at most (with clocks or frames free, 64). A whole
-fit is several: with relaxation, the likeliest causes and what was given free in turn.
+A search simulates a wrong recording 53 times at most (with clocks or frames free, 64). A fit
+consists of several searches: with relaxation, for the likeliest causes and with given quantities
+free.
 """
 
 MAX_WANDERING_STEPS = 10
-"""Steps that a search goes on after the shortest one, if that is short enough: where noise has
-changed derivatives, it may leave the root again."""
+"""Number of steps after the shortest one, with which a search may return to a root from noisy
+derivatives."""
 
 MAX_DAMPING, MAX_STIFFENING = 10.0, 100.0
-"""Times ordinary damping, and the stiffness of the start, that a cup hardly has."""
+"""Largest ratio of damping to ordinary damping, and of stiffness to the start, of a plausible
+cup."""
 
 DIVERGED = 1e3
-"""Difference of a pose from a diverging simulation, standard deviations."""
+"""Difference assigned to poses of a diverging simulation, standard deviations."""
 
 CHANCE = 3.0
-"""Deviation of an estimated variance of noise by chance, standard deviations."""
+"""Largest chance deviation of an estimated variance of noise, standard deviations."""
 
 MIN_ERRORS = 30
-"""Number of poses at rest, or in motion, that determine the errors of a tag."""
+"""Smallest number of poses at rest, or in motion, for estimates of a tag's errors."""
 
 MAX_NOISE_CHI2, MISFIT_CHI2 = 1.2, 1.5
-"""Chi^2 per difference that is put down to noise, and above which surely more is left."""
+"""Largest chi^2 per difference attributed to noise, and smallest of a certain misfit."""
 
 APPROACH_TOLERANCE, TOLERANCE, LOOSE_TOLERANCE = 3.0, 3e-3, 0.1
 """
-Squared length of a step, in standard deviations, that ends the approach, and the search.
+Squared length of a step at the end of the approach and of the search, squared standard errors.
 
-And the largest of the last step allowed: numbers that are barely identifiable keep oscillating.
+The third number is the largest accepted for the last step, as barely identifiable numbers keep
+oscillating.
 """
 
 SHORTER = 0.25
-"""Fraction of a step that is tried if chi² rises with the whole step."""
+"""Fraction of a step that is tried if chi² increases with the whole step."""
 
 MAX_RISE = 1.2
-"""Factor by which the sum of squares, in noise as it is estimated now, may rise in a step: their
-weights change, too."""
+"""Largest ratio by which chi², with the current noise, may increase in a step, as weights
+change."""
 
 MAX_SMALL_RISE = 1.02
-"""Factor of a rise of chi² after which the next step is shorter."""
-
+"""Ratio of chi² after a step to before, above which the next step is damped more."""
 
 Report = Callable[[Cup, float], None]
-"""Called with the cup after a step, and chi^2."""
+"""Callback with the cup and chi^2 after a step."""
 
 
 def no_report(cup: Cup, chi2: float) -> None:
@@ -110,10 +111,10 @@ class Iterate(NamedTuple):
 
 
 System = tuple[list[WhitenedSegment], Arrow, Array]
-"""The whitened segments without Jacobians, and information (m, m) and slope (m,) of the whole."""
+"""The whitened segments without Jacobians, and information (m, m) and slope (m,) of their sum."""
 
 Directions = tuple[Array, Mask]
-"""Directions (s, d) of shared unknowns, and which of the own ones (o,) are in use."""
+"""Directions (s, d) of shared unknowns, and the mask of used own unknowns (o,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +125,15 @@ class Solution:
     Parameters
     ----------
     problem : Problem
-        That was solved.
+        Solved problem.
     theta : ndarray (m,)
         Unknowns.
     courses : tuple of Course
         The likeliest motion in each segment, and the noise of its poses.
     parts : list of WhitenedSegment
-        The differences.
+        Whitened differences.
     information : Arrow
-        On the unknowns.
+        Information on the unknowns.
     converged : bool
         Whether it is a minimum.
 
@@ -152,18 +153,17 @@ class Solution:
 
     @property
     def squares(self) -> float:
-        """The sum of squares."""
         return squares(self.parts)
 
     @property
     def robust_chi2(self) -> float:
-        """Chi^2 per difference, from their median: tails of the noise do not count."""
+        """Chi^2 per difference from their median, insensitive to tails of the noise."""
         r = np.concatenate([part.innovations for part in self.parts])
         return float(np.median(np.abs(r)) * MAD_TO_STD) ** 2
 
     @property
     def colour(self) -> float:
-        """Squares that memory and tails of the noise make of those of white normal noise."""
+        """Factor of chi² by memory and tails of the noise, relative to white normal noise."""
         r = [part.innovations.reshape(-1, 6) for part in self.parts]
         kept = sum(np.sum(one[1:] * one[:-1]) for one in r) / max(self.squares, 1e-99)
         kept = min(max(float(kept), 0.0), 0.95)
@@ -176,26 +176,24 @@ class Solution:
 
     @property
     def cup(self) -> Cup:
-        """The cup."""
         return self.problem.cup(self.theta)
 
     @property
     def iterate(self) -> Iterate:
-        """Unknowns and courses."""
         return Iterate(self.theta, self.courses)
 
     def near(self, problem: Problem) -> Iterate:
-        """Return where another problem of the same recordings has the same cup and courses."""
+        """Return the iterate of another problem of these recordings with equal cup and courses."""
         return Iterate(problem.transferred(self.problem, self.theta), self.courses)
 
     def estimate(self, name: str) -> tuple[Array, Array]:
-        """Return what is free by a name, SI units, with standard errors by its information."""
+        """Return the estimate of a free quantity, SI units, with its standard errors."""
         place, units = self.problem.places[name].ravel(), self.problem.units
         return (units * self.theta)[place], (units * np.sqrt(self.information.variances))[place]
 
     @property
     def is_plausible(self) -> bool:
-        """Whether the search converged to a cup that is not too stiff, nor too damped."""
+        """Whether the search converged to a cup that is neither too stiff nor too damped."""
         inverse = symmetric_roots(self.problem.first_cup.stiffness)[1]
         stiffness = inverse @ self.cup.stiffness @ inverse
         return bool(self.converged and self.problem.largest_damping(self.theta) < MAX_DAMPING
@@ -203,7 +201,7 @@ class Solution:
 
     @property
     def fits(self) -> bool:
-        """Whether the search ended at a plausible cup that leaves no more than noise."""
+        """Whether the search ended at a plausible cup without a misfit."""
         return self.is_plausible and self.robust_chi2 * max(self.learned, 1.0) < MISFIT_CHI2
 
     @property
@@ -211,8 +209,8 @@ class Solution:
         """
         Ratio of the estimated variance of slow poses to their variance at rest.
 
-        Below 1 within chance. White residuals are noise, larger in motion than at rest: a misfit
-        leaves correlated ones.
+        Below 1 within chance. Segments with white residuals are excluded: their larger noise is
+        noise in motion, while a misfit leaves correlated residuals.
         """
         return max((
             float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
@@ -226,7 +224,7 @@ class Solution:
         """
         Standard deviations (6,) of white noise in motion by recording, m and rad.
 
-        With a measurement model, the estimated noise, also with a memory.
+        With a measurement model it is the estimated noise, possibly with memory.
         """
         return {segment.measured.recording: course.std if sensor and not sensor.are_known else (
             np.maximum(course.std, segment.measured.package_noise.std))
@@ -257,12 +255,11 @@ def _clipped_rms(values: Array) -> Array:
 
 
 def squares(parts: Sequence[WhitenedSegment]) -> float:
-    """Return the sum of squares."""
     return float(sum(part.innovations @ part.innovations for part in parts))
 
 
 def deviance(parts: Sequence[WhitenedSegment]) -> float:
-    """Return -2 times the logarithm of the likelihood, at the best scale of all variances."""
+    """Return -2 log likelihood at the best common scale of all variances."""
     count = sum(len(part.innovations) for part in parts)
     logs = sum(float(np.sum(np.log(part.variance))) for part in parts)
     return float(count * np.log(squares(parts) / count)) + logs
@@ -273,18 +270,18 @@ def minimise(
     system: System | None = None,
 ) -> Solution:
     """
-    Return the root of a problem, from a first guess, or near a start.
+    Return the root of a problem, from the initial guess, or near a start.
 
     Parameters
     ----------
     problem : Problem
-        Recordings, and what is unknown.
+        Recordings and unknowns.
     start : Iterate, optional
-        Near the root; without it the search approaches from the first guess.
+        Iterate near the root; without it the search approaches from the initial guess.
     report : callable
-        Called after each step.
+        Callback after each step.
     system : System, optional
-        At the start, where it is known.
+        System at the start, if known.
 
     """
     if start is not None:
@@ -294,8 +291,8 @@ def minimise(
 
 
 def root(near: Solution, report: Report = no_report) -> Solution:
-    """Return the root from where an approach ended."""
-    with suppress(BellowsError):  # the long steps of the approach took a cup that is too fast
+    """Return the root, searched from the end of an approach."""
+    with suppress(BellowsError):  # the approach may end at too fast a cup
         return minimise(near.problem, near.iterate, report)
     return near
 
@@ -305,12 +302,12 @@ def approach(
     with_couplings: bool = True,
 ) -> Solution:
     """
-    Return where the search comes near to the root.
+    Return an approach to the root.
 
-    Without couplings, which noise would disturb; with them, if they are wanted, where a misfit
-    remains without. Clocks and frames of each recording approach first: as long as they are
-    far off, a cup that does not swing explains most. Names that are held stay: the differences
-    forget what they are known by.
+    The approach is first without couplings, which noise would disturb; with them, if requested,
+    when a misfit remains. Clocks and frames of each recording approach first: with large errors of
+    clocks or frames, a rigid cup would fit best. Held quantities keep their values, as differences
+    with forgetting do not determine them.
     """
     stays = np.isin(np.arange(len(problem.start)), [
         row for name in held for row in problem.places[name].ravel()])
@@ -331,7 +328,7 @@ def approach(
 
 
 def as_measured(problem: Problem) -> Iterate:
-    """Return the first guess, with the motions as they were measured."""
+    """Return the initial guess, with the motions as measured."""
     return Iterate(problem.start, tuple(segment.first for segment in problem.segments))
 
 
@@ -340,9 +337,9 @@ def _descended(
     system: System | None = None,
 ) -> Solution:
     """
-    Return the root in some directions, or where the poses were likeliest.
+    Return the root along some directions, or the likeliest iterate.
 
-    The latter if the search does not converge, and with an unknown acceleration of the
+    The latter is returned if the search does not converge, and with an unknown acceleration of the
     package that forgets at a rate (1/s).
     """
     (theta, courses), segments = start, problem.segments
@@ -359,8 +356,8 @@ def _descended(
         (0.0, TOLERANCE, MAX_STEPS))
     damping, settled, is_fresh = min_damping, True, True
     objective = squares if forgetting else deviance
-    history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
-    expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
+    history: list[tuple[Array, Array]] = []  # steps, and resulting changes
+    expected = sum(len(part.innovations) for part in parts)  # with the assumed noise
     largest = MAX_RISE * max(squares(parts), expected)
     best, lowest = Solution(problem, theta, courses, parts, H, False), (True, math.inf)
     best_number = 0
@@ -382,7 +379,7 @@ def _descended(
             history = []
             if is_fresh:
                 damping = max(10.0 * damping, 1e-2)
-            else:  # squares are compared along the same path, in the same noise
+            else:  # compare chi² along one path and with one noise
                 again = system_of(problem, Iterate(theta, courses), forgetting)
                 if not np.all(np.isfinite(again[2])):
                     break
@@ -412,7 +409,7 @@ def _descended(
 def accepted(
     segments: Sequence[Segment], courses: Sequence[Course], parts: Sequence[WhitenedSegment]
 ) -> tuple[Course, ...]:
-    """Return the likeliest courses, but for a simulation that diverges."""
+    """Return the likeliest courses, unchanged for a diverging simulation."""
     return tuple(
         segment.course(part.tool_change, part.start, course.std)
         if all(np.isfinite(values).all() for values in (part.tool_change, *part.start)) else course
@@ -422,7 +419,7 @@ def accepted(
 def _with_noise(
     segments: Sequence[Segment], courses: Sequence[Course], parts: Sequence[WhitenedSegment]
 ) -> tuple[tuple[Course, ...], bool]:
-    """Return courses with the noise of poses that come slowly, and whether it hardly changes."""
+    """Return courses with the estimated noise of slow poses, and whether the noise has settled."""
     new, settled = [], True
     for segment, course, part in zip(segments, courses, parts, strict=True):
         sensor = segment.measured.sensor
@@ -435,7 +432,7 @@ def _with_noise(
             simulated = np.median(part.variance / sizes**2, axis=0) - part.new_variance
             std = np.maximum(MIN_POSE_STD, np.sqrt(
                 np.maximum(total - simulated, 0.1 * total) / (1.0 - correlation**2)))
-            if sensor and sensor.are_known:  # but for a common factor
+            if sensor and sensor.are_known:  # up to a common factor
                 std = course.std * _clipped_rms(part.innovations)
             if np.any(np.abs(std - course.std) > tolerance * course.std):
                 course, settled = course._replace(std=std), False
@@ -446,12 +443,12 @@ def _with_noise(
 def _moved_below(
     problem: Problem, start: Iterate, steps: Iterable[Array], forgetting: float, largest: float
 ) -> tuple[Array, System | None]:
-    """Return where squares are below the largest after the first step, if any, and there."""
+    """Return the first iterate with chi² below the largest, and its system, if any."""
     for step in steps:
         moved = start._replace(theta=problem.moved(start.theta, step))
-        with suppress(BellowsError):  # no cup is that short or fast, no clock that far off
+        with suppress(BellowsError):  # too short or fast a cup, or too large a clock offset
             system = system_of(problem, moved, forgetting)
-            if squares(system[0]) < largest:  # nor nan
+            if squares(system[0]) < largest:  # also false for nan
                 return moved.theta, system
     return start.theta, None
 
@@ -459,9 +456,9 @@ def _moved_below(
 def _damped_step(
     problem: Problem, theta: Array, H: Arrow, g: Array, damping: float, directions: Directions
 ) -> Array:
-    """Return the step in some directions that no strength of relaxation takes below zero."""
+    """Return the step along some directions, with nonnegative strengths of relaxation."""
     step, (shared, own) = g, directions
-    for _ in range(3):  # as each strength may be stopped by the step, too
+    for _ in range(3):  # each strength may be stopped by the step as well
         along = shared
         for place in problem.places.get('relaxation', ()):
             stopped = place[(problem.strengths(theta) <= MIN_STRENGTH) & ~(step[place] > 0.0)]
@@ -474,9 +471,9 @@ def _damped_step(
 
 def _squared_length(problem: Problem, step: Array, H: Arrow) -> float:
     """
-    Return the squared length of a step in standard errors, at some information.
+    Return the squared length of a step in standard errors, by an information.
 
-    Unidentifiable unknowns may drift on: they do not decide on convergence.
+    Unidentifiable unknowns may drift, and do not affect convergence.
     """
     identifiable = np.sqrt(H.variances) < problem.max_std
     part = np.where(identifiable | ~identifiable.any(), step, 0.0)
@@ -485,10 +482,10 @@ def _squared_length(problem: Problem, step: Array, H: Arrow) -> float:
 
 
 def system_of(problem: Problem, at: Iterate, forgetting: float = 0.0) -> System:
-    """Return the whitened segments, and information and slope of the whole."""
+    """Return the whitened segments, and information and slope of their sum."""
     def whitened(segment: Segment, course: Course) -> WhitenedSegment:
         part = problem.whitened(at.theta, segment, course, forgetting)
-        return part._replace(jacobian=part.jacobian[:0])  # its information needs little room
+        return part._replace(jacobian=part.jacobian[:0])  # store its information only
 
     if len(problem.segments) == 1:
         parts = [whitened(problem.segments[0], at.courses[0])]
@@ -508,10 +505,10 @@ def system_of(problem: Problem, at: Iterate, forgetting: float = 0.0) -> System:
 
 def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]) -> Array:
     """
-    Return the change after steps before this one, and how far the search went after each.
+    Return the change by a step, mixed with previous steps and their resulting changes.
 
-    Mixed by Anderson's method (1965). Where K and P are inaccurate, derivatives have noise and
-    change from step to step: a step is too short, or so long that the next turns back.
+    Anderson's method (1965) is used: with inaccurate K and P, derivatives have noise and change
+    between steps, so that steps are too short, or overshoot.
     """
     if not history:
         return step

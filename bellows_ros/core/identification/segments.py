@@ -1,8 +1,8 @@
 """
-The parts of recordings that a fit by simulation goes through.
+Segments of recordings for a fit by simulation.
 
-Each has the tool's poses at a uniform rate and those of the package at any stamps; its course has
-the likeliest path of the tool so far. Quick poses are taken as means over a few of them.
+Each segment has the tool's poses at a uniform rate and the package's at any stamps; its course has
+the current likeliest path of the tool. Quick poses are averaged in small groups.
 """
 
 from dataclasses import dataclass, replace
@@ -32,45 +32,47 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
 HALF_WINDOWS, PATH_ORDER, MIN_HALF_WINDOW = (1 / 6, 1 / 8, 1 / 12), 6, 4
-"""Half windows (s) and order of the polynomials of the tool's path, and their fewest samples."""
+"""Half windows (s) and order of the polynomials of the tool's path, and smallest half window
+(samples)."""
 
 MAX_REMOVED_POWER = 1.5
-"""Largest power that a longer window removes beyond a shorter one, over that of noise in it."""
+"""Largest ratio of the power that a longer window removes in excess of a shorter one to its
+noise."""
 
 MIN_POSE_STD = np.repeat([2e-7, 2e-6], 3)
-"""Smallest noise of a pose (m, rad): interpolation and rounding."""
+"""Smallest noise of a pose, by interpolation and rounding, m and rad."""
 
 MAX_SEGMENT = 15.0
 """
-Longest segment, s; longer ones are split, as each core whitens one at a time.
+Longest segment, s; longer ones are split for parallel processing.
 
-Two in 26 s make standard errors 1 % larger.
+Two segments in 26 s increase standard errors by 1 %.
 """
 
 MEAN_HALF_WINDOW, MAX_STEP_CHANGE, MIN_IN_MEANS = 5, 0.1, 0.85
-"""Of means of poses: the half window of the path about which they are taken, in lengths of a mean;
-the largest change of a uniform step; and the part of the valid poses that must be in them."""
+"""Half window of the path for means of poses, in lengths of a mean; largest relative change of a
+uniform step; and smallest fraction of valid poses in the means."""
 
 BRIDGED_STD = np.repeat([5e-3, 5e-2], 3)
-"""Standard deviation of a pose of the tool that is bridged (m, rad)."""
+"""Standard deviation of a bridged pose of the tool, m and rad."""
 
 SIMULTANEITY_TOLERANCE = 2e-4
-"""Poses of the package this close (s) to a sample of the tool count as simultaneous, so that a
-small change of the clock does not change which comes first. The twist bridges the rest."""
+"""Largest time difference of simultaneous poses of package and tool, s, within which a change of
+the clock does not change their order. The twist bridges the difference."""
 
 MAX_NODE_STEP = 0.01
-"""Longest step (s) between nodes of the linearised model, and time of a mean of poses."""
+"""Longest step between nodes of the linearised model, and duration of a mean of poses, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredSegment:
     """
-    A part of a recording in which the tool is measured.
+    A part of a recording with a measured tool.
 
     Parameters
     ----------
     tool : Trajectory
-        Poses of E in the world at a uniform rate; what is missing or wrong is not valid.
+        Poses of E in the world at a uniform rate; missing or wrong ones are invalid.
     package : Trajectory
         Poses of B, at any stamps.
     payload : Package
@@ -80,15 +82,14 @@ class MeasuredSegment:
     tool_noise, package_noise : BodyNoise
         Noise of the measured poses.
     recording : int
-        Number of the recording it is of.
+        Index of the recording.
     moves_with_com : tuple of 3 bool
-        Components of the centre of mass with which the poses of B move, as those of the lip are
-        known.
+        Components of the com that shift the poses of B, as poses of the lip are measured.
     middle : ndarray (4,), optional
-        Point (m) about which the package's world may be turned, and time (s) since which it may
-        drift; see `quantities.middle_of`.
+        Point (m) about which the package's world may rotate, and start (s) of its possible drift;
+        see `quantities.middle_of`.
     world : str
-        That of the recording, as of the parameter recording.world.
+        World of the recording, the parameter recording.world.
     sensor : PoseErrors or None
         Errors of the package's poses by a measurement model; None for white noise in body axes.
 
@@ -114,7 +115,7 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
     Raises
     ------
     UndeterminedError
-        If there is none that is long enough.
+        If no part is long enough.
 
     """
     bodies = tool, package = recording.aligned_tool, recording.tracked_package
@@ -142,20 +143,20 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
 
 class Nodes(NamedTuple):
     """
-    The stamps at which something happens.
+    Stamps of the samples of tool and package.
 
     Parameters
     ----------
     stamps : int ndarray (M,)
-        ns, by the tool's clock.
+        Stamps by the tool's clock, ns.
     samples : int ndarray (S,)
-        The nodes from which on each of the tool's samples is the nearest one.
+        First node for which each of the tool's samples is the nearest.
     place : int ndarray (M,)
-        Number of the package's pose at each node, -1 for none.
+        Index of the package's pose at each node, -1 for none.
     sampled, used : bool ndarray
-        The tool's samples and the package's poses that are used.
+        Masks of the used samples of the tool and poses of the package.
     delays : ndarray (N,)
-        Time (s) from the nodes to the poses used, of those at a sample of the tool.
+        Delays (s) of the used poses after their nodes, nonzero at a sample of the tool.
 
     """
 
@@ -169,14 +170,14 @@ class Nodes(NamedTuple):
 
 class Course(NamedTuple):
     """
-    The likeliest motion in a segment so far.
+    The current likeliest motion of a segment.
 
     Parameters
     ----------
     path : Trajectory
         Smooth path of the tool.
     deviation : ndarray (S, 6)
-        From the tool's samples to the path, m and rad.
+        Deviation of the path from the tool's samples, m and rad.
     start : State
         First state of the package.
     std : ndarray (6,)
@@ -198,9 +199,9 @@ class Segment:
     Parameters
     ----------
     measured : MeasuredSegment
-        With means of quick poses.
+        Measured segment, with means of quick poses.
     tool : Trajectory
-        Its poses of the tool, with gaps bridged.
+        Poses of the tool, with gaps bridged.
     half_window : int
         Half window of the filter of the tool's path, samples.
 
@@ -212,8 +213,8 @@ class Segment:
 
     @classmethod
     def of(cls, measured: MeasuredSegment, half_window: int = 0) -> 'Segment':
-        """Return a part of a recording prepared, with the best half window where none is given."""
-        first_ns = int(measured.tool.stamps_ns[0])  # means of equal rates share their stamps
+        """Return a prepared part of a recording, by default with the best half window."""
+        first_ns = int(measured.tool.stamps_ns[0])  # means of equal rates have equal stamps
         tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
         package, package_noise = measured.package, measured.package_noise
         if measured.sensor:
@@ -239,7 +240,7 @@ class Segment:
 
     @property
     def is_slow(self) -> bool:
-        """Whether the noise of the package's poses is estimated together with K and P."""
+        """Whether the noise of the package's poses is estimated jointly with K and P."""
         return self.period * LOW_RATE_HZ > 1.0
 
     @cached_property
@@ -255,7 +256,7 @@ class Segment:
 
     @cached_property
     def errors(self) -> PoseErrors:
-        """Errors of the valid poses, their standard deviations in units of the typical ones."""
+        """Errors of the valid poses, with standard deviations relative to the typical ones."""
         stamps, sensor = self.package.stamps_ns, self.measured.sensor
         if sensor is None:
             ones = np.ones((len(stamps), 6))
@@ -265,7 +266,7 @@ class Segment:
 
     @cached_property
     def middle(self) -> Array:
-        """See `quantities.middle_of`."""
+        """Middle of the package, see `quantities.middle_of`."""
         own = self.measured.middle
         return quantities.middle_of(self.package) if own is None else own
 
@@ -329,10 +330,10 @@ class Segment:
 
 def _half_window_of(tool: Trajectory, correlation: float) -> int:
     """
-    Return the half window (samples) of the tool's path: the longest that spares the motion.
+    Return the half window (samples) of the tool's path: the longest that preserves the motion.
 
-    Noise in the path is noise in the derivatives, so slow noise needs a long window. Of noise with
-    a memory below one sample the shortest leaves little.
+    Noise in the path is noise in the derivatives: slow noise needs a long window. Noise with a
+    memory below one sample is small even with the shortest.
     """
     rate = uniform_rate_hz(tool.stamps_ns)
     *longer, short = (max(round(duration * rate), MIN_HALF_WINDOW) for duration in HALF_WINDOWS)
@@ -350,11 +351,11 @@ def _half_window_of(tool: Trajectory, correlation: float) -> int:
 
 def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajectory, BodyNoise]:
     """
-    Return means of poses that come quickly at a uniform rate, with their noise.
+    Return means of quick poses at a uniform rate, with their noise.
 
-    Each is of an odd number of poses, at most `MAX_NODE_STEP` long, about a smooth path, so that
-    no motion is lost. Poses stay as they are where their means would lose too many, or where noise
-    has a memory, of which quick differences know most.
+    Each is the mean of an odd number of poses, at most `MAX_NODE_STEP` long, relative to a smooth
+    path, so that no motion is lost. Poses are kept if means would lose too many, or if noise has a
+    memory, which quick differences determine best.
     """
     steps, correlation = np.diff(poses.stamps_ns), noise.correlation
     period = float(np.median(steps))
@@ -384,12 +385,12 @@ def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajecto
 
 
 def _removed(tool: Trajectory, half_window: int, correlation: float) -> tuple[Array, float]:
-    """Return the innovations (N, 6) of what a window removes, and the part of noise it leaves."""
+    """Return the innovations (N, 6) of the motion removed by a window, and the remaining noise."""
     path = savgol(tool, half_window, PATH_ORDER)
     removed = relative_coordinates(path, tool.select(slice(half_window, len(tool) - half_window)))
     return _innovations(removed, correlation)[1:], float(path.weights[0, half_window])
 
 
 def _innovations(noise: Array, correlation: float) -> Array:
-    """Return the innovations of noise (S, 6) that is correlated from sample to sample."""
+    """Return the innovations of noise (S, 6) that is correlated between samples."""
     return np.vstack([noise[:1], noise[1:] - correlation * noise[:-1]])

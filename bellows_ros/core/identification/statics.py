@@ -1,8 +1,8 @@
 """
 The cup's length from standstills (4.2), and a check of its spring.
 
-The spring can be checked pose by pose, and the length of the cup under several loads, seen without
-noise, leads to its length under none.
+The spring is checked pose by pose. Lengths of the cup under several loads, extrapolated, give its
+length without load.
 
 Standstills are equations for K, solved jointly with the equations of a motion. At rest the spring
 alone balances gravity (3.9): the acceleration a(q, k) is zero, with the entries k of K and the
@@ -10,9 +10,9 @@ pose q of the lip. Near a guess k0, whose equilibrium is q0, a measured pose is
 
     q = q0 - (da/dq)^-1 da/dk (k - k0) + error,
 
-six equations that are linear in K. The derivatives are taken at the equilibrium: at the
-measured pose, noise would look like strain without a load. The errors of mean
-pose and cup length whiten the equations.
+six equations that are linear in K. Derivatives are taken at the equilibrium: at the measured pose,
+noise would resemble strain without a load. The errors of mean pose and cup length whiten the
+equations.
 """
 
 from collections.abc import Sequence
@@ -44,10 +44,10 @@ MASSES_FOR_CUBIC = 5
 """Smallest number of different masses for a cubic of length against load (4.2)."""
 
 MAX_SCATTER = 0.25
-"""Largest scatter about the line, as a fraction of the elongation by the loads."""
+"""Largest scatter about the line, relative to the elongation by the loads."""
 
 MIN_STIFFNESS, MAX_STIFFNESS = 100.0, 1e6
-"""Axial stiffness of cups, N/m."""
+"""Range of the axial stiffness of cups, N/m."""
 
 MAX_LENGTH_STD = 1e-4
 """Largest acceptable standard error of the cup length, m."""
@@ -66,14 +66,13 @@ class CupLength(NamedTuple):
     stiffness : float
         Axial stiffness at no load, N/m.
     linear_load : float
-        Load up to which the spring is linear, N; at most the largest load that was measured.
+        Load up to which the spring is linear, N; at most the largest measured load.
     loads, lengths, errors : ndarray (N,)
-        Load (N), length (m) and its standard error (m) of every standstill that was used.
+        Load (N), length (m) and its standard error (m) of every used standstill.
     coefficients : ndarray
         Coefficients of the polynomial, m, m/N, m/N^2, m/N^3.
     pick_std : float
-        Standard deviation of the length from pick to pick of the same mass, m; NaN where no mass
-        was picked often enough.
+        Standard deviation of the length between picks of one mass, m; NaN with too few picks.
 
     """
 
@@ -91,7 +90,7 @@ class CupLength(NamedTuple):
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """Doubts about the length, by their codes in the texts 'static'."""
+        """Remarks on the length, by their codes in the texts 'static'."""
         masses, count = len(set(_groups(self.loads).tolist())), self.degrees_of_freedom
         told, known = np.isfinite([self.pick_std, self.length_std])
         numbers = {
@@ -109,16 +108,16 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
     """
     Return the cup's length without load from standstills of several masses (4.2).
 
-    Length against load is straight, or a cubic where that predicts masses left out better; its
-    value at no load is l0. Masses that were picked several times tell the scatter from pick to
-    pick, which counts as an error of each standstill.
+    Length against load is a line, or a cubic if it predicts held-out masses better; its value at
+    no load is l0. Repeated picks of a mass determine the scatter between picks, an additional
+    error of each standstill.
 
     Parameters
     ----------
     standstills : sequence of Standstill
-        Those with the cup's axis not vertical are left out.
+        Standstills; those with a tilted cup are omitted.
     gravity : float
-        m/s^2.
+        Gravitational acceleration, m/s^2.
 
     Raises
     ------
@@ -169,10 +168,10 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
 
 
 def _groups(loads: Array) -> Places:
-    """Return the number (N,) of the group of like loads that each is in, in their order."""
+    """Return the index (N,) of each standstill's group of equal loads, in the order of load."""
     order = np.argsort(loads)
     number = np.empty(len(loads), dtype=np.int64)
-    # N: masses closer than 1 g are equal
+    # N: masses within 1 g are equal
     number[order] = np.cumsum(np.diff(loads[order], prepend=loads[order][:1]) > 1e-2)
     return number
 
@@ -189,7 +188,7 @@ def _pick_scatter(measured: Array, groups: Places) -> float:
 
 
 def _cross_validation_error(measured: Array, groups: Places, degree: int) -> float:
-    """Return the summed squared errors (m^2) of predicting each mass from the others."""
+    """Return the summed squared errors (m^2) of predictions of each mass from the others."""
     total = 0.0
     for out in (groups == group for group in np.unique(groups)):
         loads, lengths, _ = measured[out].T
@@ -200,11 +199,11 @@ def _cross_validation_error(measured: Array, groups: Places, degree: int) -> flo
 
 def _polynomial(measured: Array, degree: int) -> tuple[Array, float, float, int]:
     """
-    Return a weighted polynomial's coefficients, its error at no load, chi^2, and freedom.
+    Return a weighted polynomial's coefficients, error at no load, chi^2, and freedom.
 
-    Measured (N, 3) are load, length and its error. The scatter about the polynomial counts where
-    it is larger than the errors explain. Loads that are repeated do not test it: the error is
-    infinite where no others are left.
+    Measured (N, 3) are load, length and its error. Scatter about the polynomial counts if larger
+    than the errors explain. Repeated loads do not test the polynomial: the error is infinite
+    without other loads.
     """
     loads, lengths, errors = measured.T
     x, covariance = np.polyfit(loads, lengths, degree, w=1.0 / errors, cov='unscaled')
@@ -233,7 +232,7 @@ class PoseCheck(NamedTuple):
     standstill : Standstill
         The measured standstill.
     measured, predicted : ndarray (6,)
-        The lip in the tool: deflection from nominal, m and rad; predicted is nan where the cup
+        Deflection of the lip in the tool from nominal, m and rad; predicted is nan if the cup
         cannot carry the package.
     verdict : str
         'within noise', 'good', 'off' or 'no equilibrium'.
@@ -276,19 +275,19 @@ def check_pose(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
 
 
 def _state(body: Trajectory) -> State:
-    """Return the state at rest of a body in its first pose."""
+    """Return the state at rest in the first pose of a body."""
     return state_row(body.position[0], lie.rotation_to_quaternion(body.rotation[0]))
 
 
 MIN_STANDSTILL_STD = (1e-7, 1e-6)
-"""Smallest standard error of a mean pose (m, rad): rounding, and the error of the model."""
+"""Smallest standard error of a mean pose, by rounding and model error, m and rad."""
 
 
 class Length(NamedTuple):
     """
     An uncertain cup length, and its effect on a fit of motions.
 
-    Its value and standard error (m), and the derivatives (2 n,) of the parameters by it.
+    They are its value and standard error (m), and the derivatives (2 n,) of the parameters by it.
     """
 
     value: float
@@ -303,10 +302,10 @@ def joined_with_standstills(
     """
     Return a fit of motions combined with standstills, weighted by their covariances.
 
-    With the information J of the motions about their estimate x0 + s (l - l0), it minimises
-    |x - x0 - s (l - l0)|^2 in J, |b - A x - g (l - l0)|^2 and (l - l0)^2 over its variance
-    together, like a joint fit of all equations. Chi^2 above its expectation lowers the weight of
-    the standstills.
+    With the information J of the motions about their estimate x0 + s (l - l0), the sum of |x - x0
+    - s (l - l0)|^2 in J, |b - A x - g (l - l0)|^2, and (l - l0)^2 over its variance is minimised,
+    as in a joint fit of all equations. Chi^2 above its expectation reduces the weight of the
+    standstills.
 
     Parameters
     ----------
@@ -315,11 +314,11 @@ def joined_with_standstills(
     standstills : sequence of Standstill
         Standstills of the same cup.
     length : Length
-        Cup length l0 of that fit, with its standard error, 0 where it is exact.
+        Cup length l0 of the fit, with its standard error, 0 if exact.
     gravity : float
-        m/s^2 along -z of the world.
+        Gravitational acceleration along -z of the world, m/s^2.
     typical : ndarray (6, 6)
-        Stiffness that stands for entries that are not identifiable, in weights only.
+        Stiffness used in weights for unidentifiable entries.
     places : tuple of (x, y, z, index)
         Positions of the cups of a gripper (m, in E); the fit is of one cup.
 
@@ -338,11 +337,11 @@ def joined_with_standstills(
                                for still in standstills])
         of_K, b = rows[:, :-2], rows[:, -2]
         large = structure.sizes(guess, guess)[:structure.size]
-        # a change by its size moves no pose by 1e-3 standard errors
+        # a change by its size shifts no pose by 1e-3 standard errors
         of_K[:, np.linalg.norm(of_K, axis=0) * large < 1e-3] = 0.0
         A = np.hstack([of_K, np.zeros_like(of_K), length.std * rows[:, -1:]])
         joint = result.covariance_of(prior + weight * A.T @ A)
-        finite = np.where(np.isfinite(joint), joint, 0.0)  # other entries stay as they are
+        finite = np.where(np.isfinite(joint), joint, 0.0)  # other entries are unchanged
         z = start + finite @ (weight * A.T @ (b - A @ start))
         degrees = len(b) - weight * float(np.trace(A @ finite @ A.T))
         chi2 = float(np.sum((b - A @ z) ** 2)) / max(degrees, 1.0)
@@ -358,7 +357,7 @@ def joined_with_standstills(
 
 
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
-    """Return K (6, 6) for whitening, with typical values for entries that are not identifiable."""
+    """Return K (6, 6) for whitening, with typical values for unidentifiable entries."""
     if structure.couples:
         return structure.matrices(x)[0]
     is_usable = np.isfinite(np.diag(covariance)) & (x > 0.0)
@@ -371,7 +370,7 @@ def _equations(
     """
     Return [A, b, g] (6, n + 2) of b = A k + g dl, in standard errors of the mean pose.
 
-    In coordinates of the lip; k are the n free entries of K, dl is the error of the length, m. A
+    Coordinates are of the lip; k are the n free entries of K, dl is the error of the length, m. A
     guess of K (6, 6) converts errors of poses to errors of wrenches.
     """
     x = structure.parameters(stiffness, stiffness)
@@ -383,7 +382,7 @@ def _equations(
                                 np.concatenate(body_acceleration(model, tool, body)))
         step *= min(1.0, 0.05 / max(float(np.abs(step).max()), 1e-12))
         body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
-    changes: Array = np.empty((6, 43))  # by the entries of K and P, and by the length
+    changes: Array = np.empty((6, 43))  # columns of K and P, and of the length
     parameter_jacobian(model, tool, body, 0, 43, changes)
     of_body = np.linalg.solve(linearise(model, tool, body).body_pose, -changes)
     of_lip = lie.adjoint(lie.transform(np.eye(3), still.payload.com)) @ of_body

@@ -1,10 +1,9 @@
 """
 Selection of the structure of K and P: candidates compared on held-out data.
 
-More parameters always explain the recordings better. Whether they do so because the cup is like
-that, held-out parts of the recordings show: a cup fitted without them has to simulate their
-motion. Without compensation of noise a rich structure would mend with couplings that are not
-there what the bias of the fit spoils.
+More parameters always explain the recordings better. Held-out parts of the recordings test whether
+the cup needs them: a cup fitted without these parts has to simulate their motion. Without
+compensation of noise, false couplings of a rich structure would compensate the bias of the fit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,10 +36,10 @@ MAX_DISTANCE = 1e3
 """Distance (m) of a simulated package from the origin beyond which it has diverged."""
 
 ERROR_TOLERANCE = 0.02
-"""A simpler structure is as good if its held-out error is larger by less than this fraction ..."""
+"""Largest relative excess of the held-out error with which a simpler structure is as good,"""
 
 NEGLIGIBLE_ERROR = 5e-3
-"""... or if it adds less than this to a simulation without errors: filters add as much."""
+"""and largest absolute one, relative to the motion: filters contribute as much."""
 
 
 class Candidate(NamedTuple):
@@ -56,10 +55,10 @@ class Candidate(NamedTuple):
     usable : bool
         Whether the fit to all samples can be used for prediction.
     refused : str
-        Why there is no fit, or ''.
+        Reason for a missing fit, or ''.
     simulated : ndarray (F,)
-        Error of simulated held-out parts over the size of their motion, fold by fold; infinite
-        where there is no simulation.
+        Ratio of error and motion of simulated held-out parts by fold; infinite without a
+        simulation.
 
     """
 
@@ -71,13 +70,13 @@ class Candidate(NamedTuple):
 
     @property
     def held_out(self) -> float:
-        """Error of the simulated held-out parts over the size of their motion, over all folds."""
+        """Ratio of error and motion of the simulated held-out parts, over all folds."""
         return float(np.sqrt(np.mean(self.simulated**2)))
 
 
 class StructureSelection(NamedTuple):
     """
-    The structures compared.
+    Comparison of structures.
 
     Parameters
     ----------
@@ -86,9 +85,9 @@ class StructureSelection(NamedTuple):
     samples : int
         Valid samples.
     advised : str
-        The structure to take.
+        Recommended structure.
     advice : tuple of str
-        Why, in sentences.
+        Reasons, as sentences.
 
     """
 
@@ -114,7 +113,7 @@ def select_structure(
     noises : sequence of FilterNoise
         Noise of each recording.
     of_gripper : Structure, optional
-        That of one cup of the gripper that was recorded.
+        Structure of one cup of the recorded gripper.
 
     Raises
     ------
@@ -123,7 +122,7 @@ def select_structure(
 
     """
     structures = [*([of_gripper] if of_gripper else ()), *STRUCTURES.values()]
-    # The noise draws differ from the draws of a fit, whose bias is already subtracted.
+    # The seeds differ from those of a fit, whose bias is already subtracted.
     added = [noise_products(samples, noise, cup_length, structures[-1], NOISE_SEED + 1)
              / max(samples.count, 1) for samples, noise in zip(recordings, noises, strict=True)]
     candidates = [_candidate(recordings, cup_length, added, each) for each in structures]
@@ -139,10 +138,10 @@ def _candidate(
     structure: Structure,
 ) -> Candidate:
     """
-    Return a structure with its errors: those of each fold, of a fit to all others.
+    Return a structure with its errors on each fold, fitted to all other folds.
 
-    Added is what noise adds to the products of a sample of each recording (see `noise_products`),
-    in the richest structure.
+    Added is the contribution of noise to the products of a sample of each recording (see
+    `noise_products`), in the richest structure.
     """
     T = block_diag(structure.within(list(STRUCTURES.values())[-1]), np.eye(1))
     folds: list[list[Samples]] = [[] for _ in range(FOLDS)]
@@ -169,10 +168,10 @@ def _candidate(
 
 def _over_motion(sums: Array) -> Array:
     """
-    Return errors (F,) over the size of the motion, from sums (F, 2, 2) of all folds.
+    Return the ratios of error and motion (F,), from sums (F, 2, 2) of all folds.
 
-    The size is that of an average fold: one may be a hold. Errors are RMS values of positions and
-    of rotations, taken together as the mean of the two ratios' squares.
+    The motion is averaged over folds, as one may be at rest. The ratio is the root mean square of
+    those of positions and of rotations.
     """
     errors, sizes = sums[:, 0], sums[:, 1].mean(axis=0)
     moving = sizes > 0.0
@@ -185,7 +184,7 @@ def _simulated_errors(cup: Cup, segments: Sequence[Samples]) -> Array:
     """
     Return sums of squares (2, 2) of simulated segments: of errors, and of their motion.
 
-    Each of three positions, and of three rotations in the tool. Errors are infinite where a
+    Each sum is over three positions, or over three rotations in the tool. Errors are infinite if a
     segment diverges.
     """
     squares, sizes = np.zeros(6), np.zeros(6)
@@ -204,7 +203,7 @@ def _simulated_errors(cup: Cup, segments: Sequence[Samples]) -> Array:
 
 
 def _segments(samples: Samples) -> Iterator[Samples]:
-    """Yield the segments with a measured tool, from a package pose on."""
+    """Yield the segments with a measured tool, each from a package pose on."""
     edges = np.flatnonzero(np.diff(samples.tool.valid, prepend=False, append=False))
     for first, last in edges.reshape(-1, 2).tolist():
         is_measured = samples.package.valid[first:last]
@@ -215,7 +214,7 @@ def _segments(samples: Samples) -> Iterator[Samples]:
 
 
 def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
-    """Return the structure to take, and why."""
+    """Return the recommended structure, and the reasons."""
     eligible = [each for each in candidates if each.usable and np.isfinite(each.held_out)]
     sentences = [
         NOTES['no_fit' if each.refused else 'diverging' if each.usable else 'no_cup'].format(
@@ -232,7 +231,7 @@ def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
 
 
 def _is_as_good(candidate: Candidate, best: Candidate) -> bool:
-    """Return whether a candidate is as good as the best, as far as the folds resolve."""
+    """Return whether a candidate is as good as the best, within the resolution of the folds."""
     worse = candidate.simulated**2 - best.simulated**2
     error = float(np.std(worse, ddof=1) / np.sqrt(len(worse)))
     small = (1.0 + ERROR_TOLERANCE) ** 2 - 1.0

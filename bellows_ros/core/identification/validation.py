@@ -1,9 +1,9 @@
 """
-Validation of a cup on a recording that it was not identified from.
+Validation of a cup on a recording that was not used for its identification.
 
-The model runs freely through the whole recording: it sees the tool's motion and never again the
-package. The tool is smoothed lightly, as its noise drives the package, and what the noise of both
-bodies does to the comparison is simulated too: an error beyond that is the model's.
+The model is simulated freely through the whole recording, driven by the tool's motion alone. The
+tool is smoothed lightly, as its noise drives the package. The effect of the noise of both bodies
+on the comparison is simulated too: a larger error is a model error.
 """
 
 from dataclasses import dataclass, replace
@@ -38,48 +38,49 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
-"""Half window (s) and order of the light smoothing of the tool, which passes up to 20 Hz."""
+"""Half window (s) and order of the light smoothing of the tool, with a pass band of 20 Hz."""
 
 MAX_NRMSE = 0.05
-"""NRMSE that the thesis asks for."""
+"""Largest NRMSE accepted in the thesis."""
 
 NOISE_FACTOR = 3.0
-"""RMS error over that due to noise, above which the cup is to blame."""
+"""Ratio of the RMS error to the error by noise, above which the model is wrong."""
 
 NOISE_RUNS = 2
-"""Simulations with added tool noise that give the error due to noise."""
+"""Number of simulations with added tool noise for the error by noise."""
 
 MAX_BRIDGE_TIME = 0.08
-"""Gaps of the tool longer than this (s) are bridged with a warning."""
+"""Longest gap of the tool that is bridged without a warning, s."""
 
 START_SECONDS, START_ITERATIONS, MIN_START_POSES = 0.8, 3, 6
-"""Time (s) over which the first state behind a gap is fitted, iterations, and fewest poses."""
+"""Duration (s) for the fit of the first state behind a gap, iterations, and smallest number of
+poses."""
 
 START_STEPS = np.repeat([1e-4, 1e-3, 1e-3, 1e-2], 3)
-"""Steps of its derivatives: m, rad, m/s, rad/s."""
+"""Steps of the derivatives by the first state: m, rad, m/s, rad/s."""
 
 REST_S = 0.3
-"""A recording begins at rest if both bodies stand still for so long."""
+"""Shortest initial rest of both bodies in a recording that begins at rest, s."""
 
 DRAW_SEED = 0
-"""Seed of the added noise: the same recording gives the same numbers."""
+"""Seed of the added noise, fixed for reproducible results."""
 
 MAX_INNOVATIONS = 3_000
-"""Samples whose innovations are tested; each takes 27 kB of memory."""
+"""Largest number of samples whose innovations are tested, 27 kB of memory each."""
 
 MIN_CORRELATION = 0.01
-"""Correlation from sample to sample below which noise counts as white."""
+"""Smallest correlation between samples of noise that is not white."""
 
 MIN_NOISE = 1e-7
-"""Noise (m, rad) below which rounding dominates the innovations."""
+"""Noise below which rounding dominates the innovations, m and rad."""
 
 
 class OneStep(NamedTuple):
     """
-    The whitened differences of the output error in the middle of a recording's longest part.
+    Whitened differences of output error in the middle of a recording's longest part.
 
-    Chi2: their mean square, 1 where model and noise explain the motion; whiteness; and spectrum,
-    scaled to the noise of the package's poses, m and rad.
+    They are summarised by chi2, the mean square, 1 if model and noise explain the motion; by
+    whiteness; and by their spectrum, scaled to the noise of the package's poses, m and rad.
     """
 
     chi2: float
@@ -91,8 +92,8 @@ class Run(NamedTuple):
     """
     A free simulation of a segment.
 
-    Tool with twists and package at the stamps of the tool, the first state of the package, and
-    its origin: 'equilibrium' or 'measured'.
+    It has the tool with twists and the package at the stamps of the tool, the first state of the
+    package, and its origin: 'equilibrium' or 'measured'.
     """
 
     tool: Trajectory
@@ -104,22 +105,22 @@ class Run(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Validation(residuals.Comparison):
     """
-    A recording compared with the free simulation of it, where the package was measured.
+    Comparison of a recording with its free simulation, at the measured package poses.
 
     Parameters
     ----------
     cup : Cup
-        That was simulated.
+        Simulated cup.
     recording : Recording
-        With which it is compared.
+        Recording.
     tool, package : Trajectory
         Motions of E with twists, and of B in the free simulation, at the stamps of the tool.
     state : State
         State of B in the world at the first stamp.
     start : str
-        'equilibrium' or 'measured': where the simulation begins.
+        Origin of the first state: 'equilibrium' or 'measured'.
     runs : tuple of Run
-        The simulations of the segments, of which `tool` and `package` are.
+        Simulations of the segments, which `tool` and `package` join.
     warnings : tuple of str
         Warnings for the user.
 
@@ -146,7 +147,7 @@ class Validation(residuals.Comparison):
 
     @cached_property
     def noise(self) -> Array:
-        """RMS error (6,) that measurement noise of package and tool alone makes, m and rad."""
+        """RMS error (6,) due to measurement noise of package and tool alone, m and rad."""
         poses, settings = self.recording.aligned_tool, self.recording.settings
         rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(DRAW_SEED)
         W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
@@ -169,12 +170,12 @@ class Validation(residuals.Comparison):
 
     @cached_property
     def spectrum(self) -> Spectrum:
-        """Spectrum of the errors; lost samples interpolated."""
+        """Spectrum of the errors, with lost samples interpolated."""
         return residuals.spectrum(residuals.interpolated(self.error), self._rate_hz)
 
     @cached_property
     def motion(self) -> Spectrum:
-        """Spectrum of the measured coordinates; lost samples interpolated."""
+        """Spectrum of the measured coordinates, with lost samples interpolated."""
         return residuals.spectrum(residuals.interpolated(self.measured), self._rate_hz)
 
     @property
@@ -199,7 +200,7 @@ class Validation(residuals.Comparison):
                                      package=longest.package.between(*middle)))
         problem = Problem((segment,), STRUCTURES['full'], self.cup, {})
         course = segment.first
-        for _ in range(2):  # the path of the tool comes near to the likeliest
+        for _ in range(2):  # the tool's path approaches the likeliest
             part = problem.whitened(problem.start, segment, course)
             (course,) = accepted([segment], [course], [part])
         white = part.innovations.reshape(-1, 6)
@@ -209,30 +210,30 @@ class Validation(residuals.Comparison):
 
     @property
     def moves(self) -> Mask:
-        """Mask (6,) of the axes with enough motion for noise alone to stay within the limit."""
+        """Mask (6,) of the axes with enough motion for noise to stay within the limit."""
         return np.asarray(self.scores.motion * MAX_NRMSE > self.noise)
 
     @property
     def model_error(self) -> Array:
-        """RMS error (6,) beyond that of noise, as part of the motion."""
+        """RMS error (6,) in excess of noise, relative to the motion."""
         excess = np.sqrt(np.maximum(self.scores.rms**2 - self.noise**2, 0.0))
         ratio: Array = np.full(6, np.nan)
         np.divide(excess, self.scores.motion, out=ratio, where=self.scores.motion > 0.0)
         return ratio
 
     def failing(self, limit: float = MAX_NRMSE) -> tuple[str, ...]:
-        """Return the names of the axes that move and whose NRMSE is above a limit."""
+        """Return the names of the moving axes with NRMSE above a limit."""
         above = self.moves & ~(self.scores.nrmse <= limit)
         return tuple(AXES[i] for i in np.flatnonzero(above))
 
     @property
     def worse_than_noise(self) -> tuple[str, ...]:
-        """Names of the axes that fail, by more than `NOISE_FACTOR` times the noise."""
+        """Names of the failing axes with errors above `NOISE_FACTOR` times the noise."""
         beyond = self.scores.rms > NOISE_FACTOR * self.noise
         return tuple(name for name in self.failing() if beyond[AXES.index(name)])
 
     def verdict(self, limit: float = MAX_NRMSE) -> str:
-        """Return in a sentence whether the axes that move are within a limit."""
+        """Return a sentence on whether the moving axes are within a limit."""
         part = f'{100.0 * limit:g} % of the motion'
         if failing := self.failing(limit):
             return f'Above {part}: {", ".join(failing)}.'
@@ -243,16 +244,16 @@ class Validation(residuals.Comparison):
 
 def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> Validation:
     """
-    Simulate a recording from start to end, and compare it, at the rate of the tool.
+    Simulate a recording from start to end, and compare both at the rate of the tool.
 
     Parameters
     ----------
     cup : Cup
         Cup under test.
     recording : Recording
-        Not one that the cup was identified from.
+        Recording that was not used for the identification.
     max_samples : int, optional
-        Samples from the first valid one on; all where left out.
+        Number of samples from the first valid one on; default: all.
 
     Raises
     ------
@@ -291,7 +292,7 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
 def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
     """Return the poses of the tool in the segments of a recording; all if there is one."""
     spans = [span for span in recording.segments if span.first_ns < poses.stamps_ns[-1]]
-    valid = poses.stamps_ns[poses.valid][1:-1]  # the outer ones may lie before and behind a span
+    valid = poses.stamps_ns[poses.valid][1:-1]  # outer stamps may exceed a span
     if len(spans) == 1 and not np.any(
             (valid < spans[0].first_ns) | (valid > spans[0].last_ns)):
         return [poses]
@@ -301,7 +302,7 @@ def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
 def _run(
     cup: Cup, recording: Recording, poses: Trajectory, is_first: bool
 ) -> tuple[Run, list[str]]:
-    """Return the free simulation of a segment, and warnings on gaps of the tool in it."""
+    """Return the free simulation of a segment, and warnings on its bridged gaps of the tool."""
     payload, gravity = recording.payload, recording.settings.gravity
     tool, gaps = recording.cached(
         ('smoothed', int(poses.stamps_ns[0]), len(poses)),
@@ -321,7 +322,7 @@ def _run(
 def _compared(
     recording: Recording, run: Run, first: int, last: int
 ) -> residuals.Comparison:
-    """Return a free simulation with the measured poses of the package."""
+    """Return the comparison of a free simulation with the measured poses of the package."""
     measured = recording.sharp_package.between(
         max(run.tool.stamps_ns[0], first), min(run.tool.stamps_ns[-1], last))
     return residuals.compare(
@@ -331,7 +332,7 @@ def _compared(
 
 
 def _joined(parts: list[Trajectory]) -> Trajectory:
-    """Return trajectories with twists one after the other."""
+    """Return the concatenation of trajectories with twists."""
     if not parts[1:]:
         return parts[0]
     stamps, position, rotation, twist, valid = (
@@ -343,7 +344,7 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
 def _fitted_state(
     cup: Cup, recording: Recording, tool: Trajectory, guess: State
 ) -> State:
-    """Return the package's first state with which its first poses agree best."""
+    """Return the package's first state that fits its first poses best."""
     end = int(tool.stamps_ns[0]) + int(START_SECONDS * NS_PER_S)
     window = tool.between(tool.stamps_ns[0], end)
     package = recording.tracked_package.between(*window.stamps_ns[[0, -1]])
@@ -388,14 +389,14 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
     Returns
     -------
     Trajectory
-        Bridged (see `bridged`), and filtered with a short window.
+        Poses with gaps bridged (see `bridged`), filtered with a short window.
     ndarray (G, 2)
         Start (s, from the first sample) and duration (s) of each gap.
 
     Raises
     ------
     BellowsError
-        If the poses do not fill one window.
+        If there are fewer poses than a window.
 
     """
     filtered = savgol(bridged(measured), half_window, LIGHT_ORDER)

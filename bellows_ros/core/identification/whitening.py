@@ -1,20 +1,20 @@
 """
-Whitened differences between measured poses of the package and those that the model simulates.
+Whitened differences between measured and simulated poses of the package.
 
-The package is simulated from a path of the tool near the measured one. What separates it from the
-true package is a small state x (12,) in body axes, as in `jacobians`. It follows the linearised
-model, and is driven by what separates the tool's path from its measured poses, and by their noise:
-a sample d of the tool (m, rad) acts while it is the nearest one,
+The package is simulated along a path of the tool near the measured one. Its difference from the
+true package is a small state x (12,) in body axes, as in `jacobians`. The state x follows the
+linearised model, driven by the difference of the tool's path from its measured poses, and by their
+noise: a sample d of the tool (m, rad) acts while it is the nearest one,
 
     dx/dt = A x + B d,    B = [T_v; A_v T_v + T_p + T_v ad(v_tool)],
 
 with T_p, T_v and A_v the derivatives of the acceleration by pose and twist of the tool, and twist
-of the package (the noise's slope is integrated by parts). Over a step between nodes A and B are
-held, and d is linear: a stiff cup settles within one. The internal strains of a cup that
-relaxes are 12 states more. A Kalman filter on x whitens the differences and their derivatives by
-parameters. With exact poses of the tool that is output error; with noisy ones the squares that are
-left are those over all paths the tool may have gone (total least squares), and the second pass,
-backwards, finds the likeliest path (Bryson and Frazier).
+of the package (the noise's slope is integrated by parts). Over a step between nodes, A and B are
+constant and d is linear: a stiff cup settles within one step. A cup that relaxes has 12 more
+states, its internal strains. A Kalman filter on x whitens the differences and their derivatives by
+parameters. With exact poses of the tool this is output error; with noisy ones, chi² is the minimum
+over all paths of the tool (total least squares), and a second, backward pass gives the likeliest
+path (Bryson and Frazier).
 """
 
 from __future__ import annotations
@@ -33,13 +33,14 @@ from bellows_ros.core.model.structure import RELAXATION_TIMES
 import numpy as np
 
 HUBER_STD = 3.0
-"""Differences beyond so many standard deviations count linearly, not by their squares (Huber)."""
+"""Size beyond which differences count linearly instead of quadratically (Huber), standard
+deviations."""
 
 MAX_EXPONENTIAL_STEPS = 8
-"""Largest number of the integrator's steps that one fourth-order exponential covers."""
+"""Largest number of integration steps in one fourth-order exponential."""
 
 RIGID_STATES = 12
-"""Number of states of a package whose cup does not relax; 12 more are internal strains."""
+"""Number of states of a package whose cup does not relax; internal strains are 12 more."""
 
 NO_STRAINS: Strains = ((t3.ZERO, t3.ZERO), (t3.ZERO, t3.ZERO))
 """Internal strains of a cup that does not relax."""
@@ -48,11 +49,11 @@ NO_BRANCHES = tuple((0.0, tau) for tau in RELAXATION_TIMES)
 """Branches of a cup that does not relax."""
 
 PARAMETER_COUNT = jac.PARAMETER_COLUMNS + 2
-"""Those of `jacobians.PARAMETER_COLUMNS`, then the two strengths of relaxation."""
+"""Number of parameters: `jacobians.PARAMETER_COLUMNS`, and two strengths of relaxation."""
 
 
 def relaxing(model: ModelTuple) -> ModelTuple:
-    """Return a model with branches of relaxation, of no strength if it has none."""
+    """Return a model with branches of relaxation, of zero strength if it has none."""
     cup, package, gravity = model
     return (*cup[:4], *(cup[4:] or NO_BRANCHES)), package, gravity
 
@@ -63,7 +64,7 @@ def with_inner(body: State) -> State:
 
 
 def shifted(body: State, x: Array) -> State:
-    """Return a state moved by x (m,), with internal strains if it has them."""
+    """Return a state shifted by x (m,), with internal strains if any."""
     moved = with_mean(with_inner(body), x.reshape(-1, 1).copy(), len(x))
     return moved if body[4:] else (moved[0], moved[1], moved[2], moved[3])
 
@@ -72,7 +73,7 @@ def shifted(body: State, x: Array) -> State:
 def _derivatives(
     model: ModelTuple, tool: State, body: State, last: int, A: Any, C: Any, B: Any
 ) -> None:
-    """Write the slope of x by x (m, m) and by the model's parameters (m, 64), and B (m, 6)."""
+    """Write the derivatives of dx/dt by x (m, m) and by the parameters (m, 64), and B (m, 6)."""
     jac.write_slope(model, tool, body, A)
     jac.parameter_jacobian(model, tool, body, 0, last, C[6:])
     of_pose, of_twist = jac.tool_jacobians(model, tool, body)
@@ -88,7 +89,7 @@ def _derivatives(
 def _strain_derivatives(
     model: ModelTuple, tool: State, body: State, A: Any, C: Any, B: Any
 ) -> None:
-    """Write what internal strains add: dz_b/dt = (h - z_b) / tau_b, and their force."""
+    """Add internal strains to the derivatives: dz_b/dt = (h - z_b) / tau_b, and their force."""
     by_strain, by_pose = jac.strain_jacobians(model, tool, body)
     _, o, R, _, _, o_E_S1, _, _ = jac.ends_of_spring(model, tool, body)
     J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
@@ -110,7 +111,7 @@ def _strain_derivatives(
 
 
 class Path(NamedTuple):
-    """The tool's path (M, 13) at M nodes, with time (s) and integration steps (M - 1,) between."""
+    """The tool's path (M, 13) at M nodes, with times (s) and integration steps (M - 1,)."""
 
     rows: Array
     lengths: Array
@@ -119,10 +120,10 @@ class Path(NamedTuple):
 
 class ToolNoise(NamedTuple):
     """
-    Noise of the tool's poses at the nodes: its shift and rotation from the path, m and rad.
+    Noise of the tool's poses at the nodes: shift and rotation from the path, m and rad.
 
-    Innovations (M, 6), each from the node on from which its sample is the nearest, with their
-    variances (M, 6), and the correlation (M,) with the noise at the node before.
+    Innovations (M, 6), each at the first node whose nearest sample it belongs to, with their
+    variances (M, 6), and the correlation (M,) with the noise at the previous node.
     """
 
     innovations: Array
@@ -134,13 +135,13 @@ class Poses(NamedTuple):
     """
     Measured poses of B.
 
-    Their numbers at the nodes (M,), -1 for none; the poses (N, 9) with the little time (s) that
-    each is after its node, and the factor (s^2) of the acceleration in a mean over the exposure;
-    minus their derivatives (N, 6, p) in body axes by the unknowns, by delay and exposure per unit
-    of the simulated twist and acceleration; the axes (N, 3, 3) of the noise in the world, of
-    length 0 for body axes, and the measured point (3,), m, in body axes; the variances of the
-    errors of this point in these axes, m^2 and rad^2: (N, 6) of white noise, and (6,) of
-    correlated noise, with its correlation (M - 1,) from node to node.
+    Their indices at the nodes (M,), -1 for none; the poses (N, 9) with their small delay (s) after
+    the node, and the factor (s^2) of the acceleration in a mean over the exposure; minus their
+    derivatives (N, 6, p) in body axes by the unknowns, for delay and exposure per unit of the
+    simulated twist and acceleration; the axes (N, 3, 3) of the noise in the world, empty for body
+    axes, and the measured point (3,), m, in body axes; the variances of the errors of this point
+    in these axes, m^2 and rad^2: (N, 6) of white noise, and (6,) of correlated noise, with its
+    correlation (M - 1,) between nodes.
     """
 
     place: Places
@@ -158,10 +159,10 @@ class Unknowns(NamedTuple):
     Effect of p unknowns on the model.
 
     Number of used `jacobians.PARAMETER_COLUMNS`, and derivatives (64, p + 1) of the model's
-    parameters; factors of the columns at the nodes (M, p), and values (p,) of the unknowns that
-    the model lacks, whose linear effect is in the mean: empty without such unknowns; the unknowns
-    of the clocks, whose effect is proportional to the twist; the first of the unknowns (6,) of
-    the tool's marker frame, and the unknown of the exposure, each -1 for none.
+    parameters; factors of the columns at the nodes (M, p), and values (p,) of unknowns outside the
+    model, with linear effect on the mean, empty without such unknowns; the unknowns of the clocks,
+    with effects proportional to the twist; the first of the unknowns (6,) of the tool's marker
+    frame, and the unknown of the exposure, each -1 for none.
     """
 
     last: int
@@ -179,35 +180,35 @@ def whiten(
     poses: Poses, unknowns: Unknowns, walk: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """
-    Return whitened differences and their derivatives, and what `smooth` needs.
+    Return whitened differences and their derivatives, and the inputs of `smooth`.
 
-    The states are x (12,), with 12 internal strains where the cup relaxes, then how far the tool
-    is from its path (6,), and, where it is correlated, the noise of the package's pose (6,).
+    The states are x (12,), with 12 internal strains if the cup relaxes, then the tool's deviation
+    from its path (6,), and, if correlated, the noise of the package's pose (6,).
 
     Parameters
     ----------
     model, body : tuples
-        And the package at the first node.
+        Model, and the package at the first node.
     mean, std : ndarray (m,), (n,)
         Mean of x, and standard deviations of the states, before the tool's first pose.
     path, tool_noise, poses, unknowns : tuples
         Arrays of M nodes, N poses and p unknowns.
     walk : ndarray (6,)
-        Variance that a white acceleration gives to the twist in x, per second. Where there is
-        any, the package that is linearised about takes on what is estimated of x.
+        Variance of the twist in x per second by a white acceleration. If nonzero, the
+        linearisation follows the estimated x.
 
     Returns
     -------
     innovations, slopes : ndarray (N, 6), (N, 6, p)
-        In units of their standard deviation.
+        Innovations and derivatives in units of their standard deviations.
     T, B, K : ndarray (M, n, n), (M, n, 6), (N, 6, n + 1)
-        Transitions, effects of the tool's samples on the step before, and gains with one over the
-        standard deviation of what each is of.
+        Transitions, effects of the tool's samples on the previous step, and gains with the inverse
+        standard deviations.
     maps : ndarray (N, 6, 6)
-        From shifts and rotations of the body to those of the measured point, in axes of the noise.
+        Maps of shifts and rotations from the body to the measured point, in axes of the noise.
 
     """
-    rows, lengths, steps = path  # by their order, on which the machine code on disk depends
+    rows, lengths, steps = path  # an order that stored machine code depends on
     place, _, _, axes, point, white_variance, _, _ = poses
     last, columns, _, _, _, marker, exposure = unknowns
     m, n, nodes, count = len(mean), len(std), len(rows), len(poses[1])
@@ -248,7 +249,7 @@ def whiten(
 def _advanced(
     model: ModelTuple, body: State, before: Any, after: Any, length: float, steps: int
 ) -> State:
-    """Return the body after a step in which the tool moves from a row to the next."""
+    """Return the body after a step of the tool from one row to the next."""
     return kernels.advance(model, body, row_state(before), row_state(after), length, steps)
 
 
@@ -275,8 +276,8 @@ def _write_difference(
     Write the difference (6,) of pose i from the body, of the measured point in axes of its noise.
 
     The mean pose over an exposure T differs from the pose at its middle by T^2/24 times the
-    acceleration. Multiply the columns of clocks by the twist and that of the exposure by the
-    acceleration, and map all columns likewise.
+    acceleration. Columns of clocks are multiplied by the twist, the column of the exposure by the
+    acceleration, and all columns are mapped.
     """
     pose, by_unknowns, point = poses[1][i], poses[2][i], poses[4]
     shift, rotation = pose_error(
@@ -284,7 +285,7 @@ def _write_difference(
     linear, angular = body[2], body[3]
     bend = t3.add(acceleration[0], t3.cross(angular, linear)), acceleration[1]
     lever = (point[0], point[1], point[2])
-    # The map is linear in the rotation: blurred tags need the second order.
+    # The map is linear in the rotation, but blurred tags need the second order.
     second = t3.scale(0.5, t3.cross(rotation, t3.cross(rotation, lever)))
     difference = np.empty((6, 1))
     for j in range(3):
@@ -309,7 +310,7 @@ def _write_difference(
 
 @array_kernel
 def with_mean(body: State, S: Any, m: int) -> State:
-    """Return a package moved by the mean of x, the last column, of whose rows m become zero."""
+    """Return a package shifted by the mean of x, the last column, whose m rows become zero."""
     x = S[:, S.shape[1] - 1]
     moved = moved_by(body, x)
     strains = NO_STRAINS
@@ -334,7 +335,7 @@ def _propagate(
     k: int, path: Path, tool_noise: ToolNoise, poses: Poses, unknowns: Unknowns, walk: Array,
     derivatives: tuple[Array, Array, Array], states: tuple[Array, Array, Array, Array],
 ) -> None:
-    """Propagate states, derivatives and covariance over a step to node k; write its T and B."""
+    """Propagate states, derivatives and covariance over a step to node k; write T and B."""
     (A, C, E), (B, S, P, T) = derivatives, states
     (_, lengths, steps), (_, _, tool_correlations) = path, tool_noise
     (_, _, _, _, _, _, variance, correlations) = poses
@@ -381,7 +382,7 @@ def _scale_changes(effect: Any, scales: Any, extra: Any) -> None:
 @array_kernel
 def _exponential(M: Any, steps: int, mean: Any, ramp: Any) -> Any:
     """
-    Return exp(M), M changed; write the means of exp(t M) and (1 - t) exp(t M) for t from 0 to 1.
+    Return exp(M), modifying M; write the means over t of exp(t M) and (1 - t) exp(t M), t <= 1.
 
     To fourth order over `MAX_EXPONENTIAL_STEPS` of the integrator's steps at most, doubled to all
     of them.
@@ -432,7 +433,7 @@ def _add_tool_noise(k: int, tool_noise: ToolNoise, marker: int, B: Any, S: Any, 
     """
     Add the innovation of the tool's noise at node k, and its variances, to the states.
 
-    A constant offset of its samples, of which the unknowns from `marker` on are, counts likewise.
+    A constant offset of the tool's samples, the unknowns from `marker` on, is added likewise.
     """
     innovations, all_variances, correlations = tool_noise
     innovation, variances = innovations[k], all_variances[k]
@@ -453,11 +454,11 @@ def _update(
     variance: Any, M: Any, by_pose: Any, noise_state: int, S: Any, P: Any, out: Any,
     slopes: Any, K: Any,
 ) -> None:
-    """Correct the states by the difference (6,) of a pose, number by number; whiten it."""
+    """Correct the states by the difference (6,) of a pose, component by component; whiten it."""
     n, p = P.shape[0], S.shape[1] - 1
     gain, p_row, s_row = np.empty((n, 1)), np.empty((1, n)), np.empty((1, p + 1))
     for j in range(6):
-        for i in range(n):  # loops: temporary arrays would cost a tenth of the fit
+        for i in range(n):  # loops, as temporary arrays would cost a tenth of the fit
             p_row[0, i] = P[noise_state + j, i] if n > noise_state else 0.0
         for i in range(p + 1):
             s_row[0, i] = S[noise_state + j, i] if n > noise_state else 0.0
@@ -469,7 +470,7 @@ def _update(
         s = variance[j] + (p_row[0, noise_state + j] if n > noise_state else 0.0)
         for k in range(6):
             s += M[j, k] * p_row[0, k]
-        s = max(s, s * abs(e) / (HUBER_STD * np.sqrt(s)))  # Huber's weight: a larger variance
+        s = max(s, s * abs(e) / (HUBER_STD * np.sqrt(s)))  # Huber's weight as a larger variance
         scale = 1.0 / np.sqrt(s)
         for i in range(p):
             slopes[j, i] = s_row[0, i] * scale
@@ -496,10 +497,11 @@ def smooth(
     noise_state: int,
 ) -> tuple[Array, Array]:
     """
-    Return the innovations (M, 6) of the likeliest noise of the tool's poses, going backwards.
+    Return the innovations (M, 6) of the likeliest noise of the tool's poses, in a backward pass.
 
-    Of what `whiten` returns; `noise_state` is the first state of the package's noise. And the
-    slope (n,) of the first states: their likeliest change is minus their covariance times that.
+    Inputs are results of `whiten`; `noise_state` is the first state of the package's noise. The
+    second result is the slope (n,) of the first states: their likeliest change is minus their
+    covariance times this slope.
     """
     out, _, T, B, K, maps = whitened
     innovations, slope = np.zeros(variances.shape), np.zeros(T.shape[1])
@@ -523,7 +525,6 @@ def smooth(
 
 @array_kernel
 def _times_transposed(T: Any, x: Any) -> Any:
-    """Return T^T x."""
     out = np.zeros(T.shape[1])
     for i in range(T.shape[0]):
         for j in range(T.shape[1]):

@@ -1,11 +1,10 @@
 """
 Candidates for the cause of a misfit: quantities that may be freed, and how much each explains.
 
-Each of `CANDIDATES` gets its columns in one pass about the minimum; the fall of chi² if the
-candidate were free is its score. A candidate of a high score is freed, and all is fitted again.
-The open alternative, "something else", is an unknown white force on the package: an explanation
-that no candidate has. Settings that are no numbers (worlds, axes, exchanged packages) are each
-tried by a search.
+Each of `CANDIDATES` gets its columns in one pass about the minimum; its score is the fall of chi²
+with the candidate free. A candidate with a high score is freed in a new fit. The open alternative,
+"something else", is an unknown white force on the package, beyond all candidates. Discrete
+settings (worlds, axes, exchanged packages) are each tested by a search.
 """
 
 from collections.abc import Iterator, Sequence
@@ -42,10 +41,10 @@ SIGNIFICANT = 6.0
 
 CANDIDATES = ('time_offset', 'clock_rate', 'com', 'length', 'length_drift', 'mass', 'gravity',
               'package_world', 'scale', 'package_marker', 'tool_marker')
-"""Quantities that may be the cause of a misfit; besides them a slip, see `with_likeliest_slip`."""
+"""Candidates for the cause of a misfit, without slips; see `with_likeliest_slip`."""
 
 MARKERS = ('package_marker', 'tool_marker')
-"""Two frames that one recording can hardly tell apart."""
+"""Two marker frames that one recording can hardly distinguish."""
 
 MAX_PULL = 4.0
 """Largest deviation of a given quantity, standard deviations; false-alarm rate 1 in 16,000."""
@@ -54,30 +53,31 @@ MAX_RATIO_PULL = 3.0
 """Largest deviation of the ratio of inertia and mass, standard deviations."""
 
 MIN_KNOWN = 0.01
-"""Smallest share of a given variance that recordings reduce, in the scale of a deviation."""
+"""Smallest relative reduction of a given variance by the recordings for a test of the
+deviation."""
 
 SLIP_PERIOD = 1.0
-"""Time between the moments at which a slip is tried first, s."""
+"""Time between the first tried instants of a slip, s."""
 
 MIN_SLIP_PERIOD = 0.03
-"""Resolution of the moment of a slip, s."""
+"""Resolution of the instant of a slip, s."""
 
 MAX_SLIPS = 30
-"""Largest number of moments at which a slip is tried first: each is a simulation."""
+"""Largest number of first tried instants of a slip, each with a simulation."""
 
 UNKNOWN_FORCES = (3.0, 10.0, 30.0)
-"""Rates at which an unknown white force makes the model forget, 1/s; the likeliest is used."""
+"""Forgetting rates of the model under an unknown white force, 1/s; the likeliest is used."""
 
 SQUARED_UNITS = [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]
-"""Squares of the units in which shifts (m) and rotations (rad) of poses are compared."""
+"""Squared units of shifts (m) and rotations (rad) in comparisons of poses."""
 
 
 class OutOfTime(Exception):
-    """The time of a diagnosis is over; its arguments are candidates that were not tried."""
+    """End of the time of a diagnosis; the arguments are candidates not yet tried."""
 
 
 def within(seconds: float) -> Report:
-    """Return a report of steps that ends a diagnosis after some processor time, s."""
+    """Return a callback that ends a diagnosis after some processor time, s."""
     end = time.process_time() + seconds
 
     def report(cup: Cup, chi2: float) -> None:
@@ -88,16 +88,16 @@ def within(seconds: float) -> Report:
 
 
 def is_explained(found: Solution, given: Free) -> bool:
-    """Return whether a minimum leaves no cause to look for, with what was given free."""
+    """Return whether a minimum, with given quantities free, leaves no misfit."""
     names = [name for name in candidates_of(found.problem) if not (
-        # a little off, it is as one of both
+        # small deviations count for both
         name in MARKERS and found.problem.places.keys() & set(MARKERS))]
     return found.fits and not is_off(found, given) and (
         max(scores(found, names).values()) < SIGNIFICANT**2)
 
 
 def candidates_of(problem: Problem, without: Sequence[str] = ()) -> list[str]:
-    """Return the candidates that are not free; with a marker free anywhere, no other marker."""
+    """Return the candidates that are not free; no marker if another marker is free."""
     taken = {*problem.places, *without}
     for name in problem.places.keys() & set(MARKERS):
         kind = quantities.KINDS[name]
@@ -107,13 +107,13 @@ def candidates_of(problem: Problem, without: Sequence[str] = ()) -> list[str]:
 
 
 def is_off(found: Solution, given: Free) -> bool:
-    """Return whether something given is off by more than is allowed."""
+    """Return whether a given quantity deviates by more than allowed."""
     return max(pulls(found, given).values(), default=0.0) > 1.0
 
 
 def pulls(found: Solution, given: Free) -> dict[str, float]:
     """
-    Return by how much what was given is off, by name, in what is allowed: `MAX_PULL`.
+    Return the deviations of given quantities by name, relative to `MAX_PULL`.
 
     For mass and inertia only the ratio is observable.
     """
@@ -121,7 +121,7 @@ def pulls(found: Solution, given: Free) -> dict[str, float]:
     information = found.information.plus(-problem.fixing)
 
     def pull(value: Array, prior: Array, variance: Array) -> float:
-        """Return the largest deviation of values with variances before and after the fit."""
+        """Return the largest deviation of values, by their variances before and after the fit."""
         return float(np.max(np.abs(value) / np.sqrt(
             prior * np.maximum(1.0 - variance / prior, MIN_KNOWN))))
 
@@ -142,14 +142,14 @@ def pulls(found: Solution, given: Free) -> dict[str, float]:
 
 
 class Alternative(NamedTuple):
-    """A solution with one free quantity more, and the fall of chi²."""
+    """A solution with one additional free quantity, and its fall of chi²."""
 
     name: str
     found: Solution
     gain: float
 
     def left(self, before: Solution) -> float:
-        """Return the ratio of the residuals (RMS; 1 mm counts as 10 mrad) to those before."""
+        """Return the ratio of the RMS residuals of two solutions; 1 mm counts as 10 mrad."""
         now, then = (np.sum(np.median(found.residuals**2, axis=0) / SQUARED_UNITS)
                      for found in (self.found, before))
         return float(np.sqrt(now / then))
@@ -158,7 +158,7 @@ class Alternative(NamedTuple):
 def freed(
     before: Solution, name: str, from_start: bool = False, report: Report = no_report
 ) -> Alternative:
-    """Return the solution near one, or from its start, with one quantity more, and its gain."""
+    """Return the solution near another, or from its start, with one more free quantity."""
     wide = before.problem.freed(
         before.problem.start if from_start else before.theta, quantities.weak_prior([name]))
     found = minimise(wide, None if from_start else before.near(wide), report)
@@ -167,16 +167,16 @@ def freed(
 
 def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
     """
-    Return by how much squares fall, with those of what was given, from one solution to another.
+    Return the fall of chi², with the given quantities' priors, between two solutions.
 
-    For slow poses, whose noise is estimated, deviances are compared. For a slip, those of the
-    poses alone: soon after the beginning it is a centre of mass elsewhere, whose squares it would
-    share.
+    For slow poses, with estimated noise, deviances are compared. For a slip, chi² of the poses
+    alone is compared: near the beginning a slip resembles a com offset, whose prior would share
+    its cost.
     """
     is_slow = any(segment.is_slow for segment in before.problem.segments)
 
     def left(found: Solution) -> float:
-        """Return the squares or the deviance, and the squares of what was given."""
+        """Return chi² or the deviance, and the chi² of the given quantities."""
         given = 0.0 if of_poses else float(found.problem.weights @ found.theta**2)
         if not is_slow:
             return found.squares + given
@@ -186,7 +186,7 @@ def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
 
 
 def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
-    """Return by how much the squares would fall with each quantity free."""
+    """Return the fall of chi² with each quantity free, to first order."""
     wide = found.problem.freed(found.theta, quantities.weak_prior(names))
     _, H, g = system_of(wide, found.near(wide))
     tested = {name: np.isin(np.arange(len(g)), wide.places[name]) for name in names}
@@ -195,7 +195,7 @@ def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
 
 
 def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
-    """Return a solution with the likeliest moment of a slip, and by how much the squares fall."""
+    """Return a solution with the likeliest instant of a slip, and its fall of chi²."""
     tried = dict[int, tuple[Solution, float]]()
 
     def fall(slip_ns: int) -> float:
@@ -209,7 +209,7 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
     period = max(round(SLIP_PERIOD * NS_PER_S),
                  sum(last - first for first, last in ends) // MAX_SLIPS)
     moments = [stamp for first, last in ends for stamp in range(first + period, last, period)]
-    margin = period // 2  # nearer to an end a slip is a centre of mass elsewhere
+    margin = period // 2  # near the ends a slip resembles a com offset
     while moments and period > MIN_SLIP_PERIOD * NS_PER_S:
         best = max(moments, key=fall)
         period //= 2
@@ -219,7 +219,7 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
 
 
 def deviance_of_unknown_force(found: Solution) -> float:
-    """Return the smallest deviance with an unknown force on the package, K and P unchanged."""
+    """Return the smallest deviance with an unknown force on the package and fixed K and P."""
     deviances = [np.inf]
     for rate in UNKNOWN_FORCES:
         with suppress(BellowsError):
@@ -228,13 +228,13 @@ def deviance_of_unknown_force(found: Solution) -> float:
 
 
 def moved_between(first: Solution, second: Solution) -> float:
-    """Return the largest part by which the diagonal of K moves from one solution to another."""
+    """Return the largest relative change of the diagonal of K between two solutions."""
     return float(np.max(np.abs(
         np.diag(second.cup.stiffness) / np.diag(first.cup.stiffness) - 1.0)))
 
 
 ROTATIONS = (90, 180, -90)
-"""Angles (degrees) about z by which a frame may be turned."""
+"""Rotations about z of a wrongly mounted frame, degrees."""
 
 Setting = tuple[Finding, list[MeasuredSegment]]
 """A setting, and the recordings with it."""
@@ -249,7 +249,7 @@ def settings_of(measured: Sequence[MeasuredSegment]) -> Iterator[Setting]:
         phi = np.array([0.0, 0.0, -np.radians(degrees)])
         yield Finding('yaw', f'tool {degrees}'), [
             replace(each, tool=of_fixed_frame(each.tool, phi, np.zeros(3))) for each in measured]
-        yield Finding('yaw', f'package {degrees}'), [  # turned about its lip
+        yield Finding('yaw', f'package {degrees}'), [  # rotated about its lip
             replace(each, package=of_fixed_frame(
                 each.package, phi, exp_so3(phi) @ each.payload.com - each.payload.com))
             for each in measured]
@@ -261,26 +261,26 @@ def settings_of(measured: Sequence[MeasuredSegment]) -> Iterator[Setting]:
 
 
 def _worlds(world: str) -> Iterator[tuple[str, Array]]:
-    """Yield worlds other than the given one: values of a setting, and the turn to it."""
+    """Yield worlds other than the given one: values of a setting, and their rotation."""
     other, R = ('motive_y_up', R_WORLD_MOTIVE) if world == 'z_up' else ('z_up', R_WORLD_MOTIVE.T)
     yield other, R
     for down in np.concatenate([np.eye(3), -np.eye(3)[:2]]):
-        if down @ R[2] > -0.5:  # where things fall in the other world
+        if down @ R[2] > -0.5:  # direction of gravity in the other world
             yield f'gravity {down.astype(int).tolist()}', levelling(down)
 
 
 def likeliest_setting(near: Solution, cup: Cup, report: Report = no_report) -> Finding | None:
     """
-    Return the other setting with which recordings fit to the noise, None without one.
+    Return the other setting with which recordings fit to the noise, or None.
 
-    The settings are ranked by the segment of each package with the largest chi², each approached
-    from one cup; the best is fitted to all segments. If recordings do not tell which of two frames
-    is rotated, the finding names both.
+    Settings are ranked by the segment of each package with the largest chi², each with one
+    approach; the best is fitted to all segments. If two frames cannot be distinguished, the
+    finding names both.
 
     Parameters
     ----------
     near : Solution
-        Misfit of the recordings as they were given.
+        Solution with the given settings, with a misfit.
     cup : Cup
         First guess of each search.
     report : callable
@@ -298,7 +298,7 @@ def likeliest_setting(near: Solution, cup: Cup, report: Report = no_report) -> F
 
     ends = list[tuple[float, Finding]]()
     for finding, measured in [(Finding('', ''), worst), *settings_of(worst)]:
-        with suppress(BellowsError, OutOfTime):  # no cup explains that
+        with suppress(BellowsError, OutOfTime):  # no cup explains this setting
             near = approach(problem_of(measured), report, with_couplings=False)
             ends.append((near.squares, finding))
     least, likeliest = min(ends, key=itemgetter(0), default=(0.0, Finding('', '')))

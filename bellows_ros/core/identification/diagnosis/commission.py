@@ -1,7 +1,7 @@
 """
 Checks of a cell before any fit, from a recording with a standstill, tilts and motion.
 
-Each check has a code, its numbers, and the parameters to set. All numbers are rough: a fit
+Each check has a code, its numbers, and the parameters to set. All numbers are approximate: a fit
 estimates them with standard errors.
 """
 
@@ -31,57 +31,57 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 FLANGE_OUTWARD = '0 0 0 1 0 0 0'
-"""Pose of the tool tip in a flange with z out of the arm: half a turn about x."""
+"""Pose of the tool tip in a flange with z out of the arm: a half turn about x."""
 
 MARKER_UP = -0.95
-"""Vertical component of the z axis of a tool whose axes follow from a standstill, below which it
-is a flange with z out of the arm all the same: few marker frames are."""
+"""Largest vertical component of a tool's z axis, with axes from a standstill, that still indicates
+a flange with z out of the arm."""
 
 SWING = (-0.02, 0.08)
-"""Time by which a package rotates after its tool, as it swings on a cup, s."""
+"""Range of the delay of a swinging package's rotation behind its tool, s."""
 
 OFFSET_STEPS = 21
-"""Offsets that are tried about a rough one."""
+"""Number of offsets tried about an approximate one."""
 
 OFFSET_RANGE = 0.1
-"""Largest correction of a rough offset, s."""
+"""Largest correction of an approximate offset, s."""
 
 STILL_SPEED = np.array([0.01, 0.04])
 """Speeds of a tool at rest, m/s and rad/s."""
 
 SPEED_STEP = 20_000_000
-"""Half of the time between the poses of a speed, ns."""
+"""Half of the time step for speeds, ns."""
 
 MAX_COMPARED = 1000
 """Number of poses from which the offset of two clocks is estimated."""
 
 DIFFERENCES, DIFFERENCES_NORM = 4, np.sqrt(70.0)
-"""Order of the differences of poses that motion contributes little to, and their norm."""
+"""Order of the differences of poses that suppress motion, and the norm of their coefficients."""
 
 MAX_STEP_ERROR = 0.2
-"""Relative deviation of steps that count as uniform."""
+"""Largest relative deviation of uniform steps."""
 
 MIN_SAMPLES = 20
-"""Number of differences that determine noise."""
+"""Smallest number of differences for an estimate of noise."""
 
 TAG_ROTATION, TAG_DEPTH, TAG_RATE_HZ = 2e-3, 2.5, 70.0
-"""Noise of the orientation (rad), depth over lateral noise, and rate (Hz) of a detector of tags:
-at least, at least, at most."""
+"""Limits of a tag detector: smallest noise of the orientation (rad), smallest ratio of depth noise
+to lateral noise, largest rate (Hz)."""
 
 MAX_FLIP_PART = 1e-3
-"""Part of the poses that may be in flips of a tracked body."""
+"""Largest fraction of flipped poses of a tracked body."""
 
 BLUR_RATIO = 2.5
-"""Noise in fast motion over noise at rest from which the exposure blurs the image."""
+"""Smallest ratio of noise in fast motion to noise at rest that indicates blur."""
 
 FAST_PART = 0.7
-"""Quantile of the speeds from which motion is fast."""
+"""Quantile of the speeds above which motion is fast."""
 
 MIN_TILT, MIN_TILTS = np.deg2rad(5.0), 2
-"""Smallest tilt (rad) that separates world and marker, and number of directions of tilts."""
+"""Smallest tilt (rad), and smallest number of tilt directions, that separate world and marker."""
 
 MAX_K_ERROR = 0.1
-"""Relative error of an entry of K that is good enough."""
+"""Largest acceptable relative error of an entry of K."""
 
 
 class Check(NamedTuple):
@@ -93,7 +93,7 @@ class Check(NamedTuple):
     code : str
         Its name in the texts of the room 'commission'.
     passed : bool
-        Whether nothing is to be set or changed.
+        Whether nothing has to be set or changed.
     numbers : mapping
         Measured numbers, SI units.
     settings : mapping
@@ -112,16 +112,16 @@ def checks_of(
     separate: bool = False, aligned: bool = False
 ) -> tuple[Check, ...]:
     """
-    Return the checks of a cell, in the order in which they are to be settled.
+    Return the checks of a cell, in the order in which they should be settled.
 
     Parameters
     ----------
     tool, package : PoseStream
-        As recorded.
+        Recorded poses.
     R_world_recorded : ndarray (3, 3)
         Rotation from the tool's recorded axes to a world with z up.
     depth : float
-        Rough distance from the tool tip to the centre of mass below it, m.
+        Approximate distance from the tool tip to the centre of mass below it, m.
     separate : bool
         Whether tool and package are in two worlds.
     aligned : bool
@@ -157,7 +157,7 @@ def checks_of(
 
 
 def _clock_offset(tool: Trajectory, package: Trajectory) -> float:
-    """Return by how much the tool's stamps are behind the package's (s): both rotate alike."""
+    """Return the delay of the tool's stamps behind the package's (s), from both rotations."""
     rough = alignment.rough_offsets(tool, package)[0]
     tried = rough + np.linspace(-OFFSET_RANGE, OFFSET_RANGE, OFFSET_STEPS)
     residuals = [_rotation_residual(earlier(tool, float(offset)), package) for offset in tried]
@@ -170,7 +170,7 @@ def _clock_offset(tool: Trajectory, package: Trajectory) -> float:
 
 
 def _rotation_residual(tool: Trajectory, package: Trajectory) -> float:
-    """Return the median squared rotation (rad^2) of the package in the tool about its mean."""
+    """Return the median squared deviation (rad^2) of the package's orientation in the tool."""
     first, last = resampling.common_span(tool, package)
     eye = package.select((package.stamps_ns >= first) & (package.stamps_ns <= last))
     eye = eye.select(slice(None, None, len(eye) // MAX_COMPARED + 1))
@@ -208,7 +208,7 @@ def _registration(
     position = -marker.origin_to_com + [0.0, 0.0, depth]
     rotation = lie.log_so3(marker.R_package_markers_lip.T)
     turned = float(np.linalg.norm(rotation))
-    plain = not separate  # else recording.align_at_rest corrects it
+    plain = not separate  # otherwise recording.align_at_rest corrects it
     yield Check('marker', plain, {
         'position': position.tolist(), 'angle': turned, 'depth': depth},
         {} if plain else {'fit.free': ('package_marker',), 'recording.package_frame': 'com',
@@ -227,7 +227,7 @@ def _speeds(tool: Trajectory, stamps_ns: Stamps) -> Array:
 
 
 def _noise(body: Trajectory, chosen: Mask) -> Array:
-    """Return the standard deviation (6,) of the noise of some poses, NaN of too few."""
+    """Return the standard deviation (6,) of the noise of selected poses, NaN for too few."""
     n = DIFFERENCES
     steps = np.diff(body.stamps_ns)
     uniform = np.abs(steps / np.median(steps) - 1.0) < MAX_STEP_ERROR
@@ -276,7 +276,7 @@ def _detector(
 def _motion(
     tool: Trajectory, package: Trajectory, pose: Array, separate: bool
 ) -> Iterator[Check]:
-    """Yield whether tilts separate world and marker, and whether the motion identifies K."""
+    """Yield checks on the separation of world and marker, and on the identifiability of K."""
     up = tool.rotation[:, 2, :2] / np.linalg.norm(tool.rotation[:, 2], axis=1)[:, None]
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(up.T)), 0.0))
     tilts = int(np.count_nonzero(2.0 * spread > MIN_TILT))

@@ -1,8 +1,8 @@
 """
-Faults of a recording that its poses and stamps show without a fit.
+Faults of a recording detected in its poses and stamps without a fit.
 
-Each test takes milliseconds. Tool and package on a cup move nearly as one rigid body; a fault of
-one of the two poses breaks this relation in a manner of its own.
+Each test takes milliseconds. Tool and package on a cup move nearly as one rigid body; each fault
+of one of the two poses breaks this relation in a specific manner.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,57 +22,60 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 SAMPLES = 300
-"""Number of pairs of poses that are compared."""
+"""Number of compared pairs of poses."""
 
 MAX_REPEAT_PART = 0.05
-"""Part of the poses that may repeat the pose before in motion: single lost messages."""
+"""Largest fraction of poses that repeat the previous pose in motion, as single lost messages
+do."""
 
 MIN_FROZEN_PART, MIN_SHIFT = 0.95, 5e-3
-"""Part of the steps with a new position and an old rotation, and motion (m), of a frozen one."""
+"""Smallest fraction of steps with a new position and an unchanged rotation, and smallest motion
+(m), of a frozen rotation."""
 
 FIXED = np.repeat([1e-4, 5e-4], 3)
-"""Deflection (m, rad; standard deviation) below which no cup can be identified."""
+"""Smallest deflection of an identifiable cup, standard deviations in m and rad."""
 
 AT_REST = np.repeat([5e-4, 5e-3], 3)
-"""Motion (m, rad; standard deviation) of a body at rest."""
+"""Largest motion of a body at rest, standard deviations in m and rad."""
 
 MOVING = np.repeat([0.02, 0.1], 3)
-"""Motion (m, rad; standard deviation) of a tool that shakes its package."""
+"""Smallest motion of a tool that shakes its package, standard deviations in m and rad."""
 
 NOISE_DEVIATIONS = 2.0
-"""Standard deviation of motion over noise, below which a body only seems to move."""
+"""Smallest ratio of the standard deviations of motion and noise of a moving body."""
 
 MAX_MISFIT_RATIO, MAX_MISFIT = 0.4, 0.6
-"""Part of the relative motion (rad, and 1 for the distance) that remains with a corrected
-convention, and its largest value, of bodies on one cup."""
+"""Largest ratio of relative motion after and before the correction of a convention, and largest
+remaining relative motion (rad, and relative to the distance), of bodies on one cup."""
 
 SIMPLER, OPPOSITE, DISSIMILAR = 0.9, -0.6, 0.5
-"""Ratio of misfits below which a later candidate replaces the one before, correlation of two
-rotations of which one is inverse, and ratio of misfits between two kinds of candidates."""
+"""Ratio of misfits below which a later candidate replaces an earlier one; largest correlation of
+two rotations of which one is inverse; and ratio of misfits between two kinds of candidates."""
 
 AXIS_ROTATIONS = [
     axes for order in permutations(np.eye(3)) for signs in product((1.0, -1.0), repeat=3)
     if np.linalg.det(axes := np.multiply(order, np.array(signs)[:, None])) > 0.0][1:]
-"""Rotations (3, 3) of axes onto axes."""
+"""Rotations (3, 3) that permute axes."""
 
 MIN_RIGID_SIMILARITY = 0.8
-"""Similarity of the rotations of two bodies on one cup."""
+"""Smallest similarity of the rotations of two bodies on one cup."""
 
 MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
-"""Similarity of the rotations in two worlds with a corrected convention, and the remaining part of
-the dissimilarity."""
+"""Smallest similarity of rotations in two worlds with a corrected convention, and largest ratio of
+dissimilarities after and before."""
 
 MIN_FRAME_ANGLE = np.deg2rad(30.0)
-"""Rotation (rad) between two frames that no misplaced camera or marker explains."""
+"""Smallest rotation between two frames that a misplaced camera or marker cannot explain, rad."""
 
 MAX_RESIDUAL_RATIO, MAX_RESIDUAL = 0.3, 0.02
-"""Part of the residual of rigid motion that remains with other axes, and that residual (m)."""
+"""Largest ratio of the residuals of rigid motion with other axes, and largest such residual
+(m)."""
 
 MIN_SPREAD_RATIO = 0.05
-"""Extent of a path in its third direction over the first, from which its handedness is known."""
+"""Smallest ratio of the third to the first extent of a path that determines its handedness."""
 
 MAX_UP = -0.5
-"""Vertical component of the tool's z axis (median) below which it points out of the arm."""
+"""Largest vertical component of the tool's z axis (median) that points out of the arm."""
 
 
 Bodies = tuple[Trajectory, Trajectory]
@@ -80,14 +83,14 @@ Bodies = tuple[Trajectory, Trajectory]
 
 class Fact(NamedTuple):
     """
-    A fault that is seen without a fit.
+    A fault detected without a fit.
 
     Parameters
     ----------
     code : str
         Its name in the texts of the room 'facts'.
     body : str
-        'tool', 'package', 'both', or '' where the poses do not show which.
+        Faulty body: 'tool', 'package', 'both', or '' if unknown.
     numbers : mapping of str to float
         Sizes in SI units.
 
@@ -107,9 +110,9 @@ def facts_of(
     Parameters
     ----------
     tool, package : PoseStream
-        As recorded, in one frame or in two.
+        Recorded poses, in one frame or in two.
     R_world_recorded : ndarray (3, 3), optional
-        Rotation from the tool's recorded axes to a world with z up; z is up where left out.
+        Rotation from the tool's recorded axes to a world with z up; default: z is up.
 
     """
     found = [*_of_streams(tool, package)]
@@ -148,7 +151,7 @@ def _of_streams(tool: PoseStream, package: PoseStream) -> Iterator[Fact]:
 
 
 def _frozen_part(stream: PoseStream) -> float:
-    """Return the part of the steps of a moving body whose rotation is exactly the one before."""
+    """Return the fraction of steps of a moving body with exactly unchanged rotation."""
     moves = np.any(stream.position[1:] != stream.position[:-1], axis=1)
     if not moves.any() or np.ptp(stream.position, axis=0).max() < MIN_SHIFT:
         return 0.0
@@ -166,7 +169,7 @@ def _deviation(body: Trajectory) -> Array:
 def _of_motion(
     tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
 ) -> tuple[Fact, ...]:
-    """Return that the package is fixed to its tool, or that it rests while the tool moves."""
+    """Return whether the package is fixed to its tool, or rests under a moving tool."""
     tool_motion, package_motion = map(_deviation, bodies)
     if np.all(tool_motion < MOVING):
         return ()
@@ -197,7 +200,7 @@ def _of_motion(
 
 
 def _seen_from(tool: Trajectory, package: Trajectory) -> Trajectory:
-    """Return the package in the axes of the tool, in groups of three poses in a row."""
+    """Return the package in the axes of the tool, in groups of three successive poses."""
     first, last = common_span(tool, package)
     inside = np.flatnonzero((package.stamps_ns >= first) & (package.stamps_ns <= last))
     starts = inside[:-2][::max(len(inside) // (2 * SAMPLES), 1)]
@@ -235,7 +238,7 @@ def _inverted(body: Trajectory) -> Trajectory:
 def _of_conventions(
     tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
 ) -> Iterator[Fact]:
-    """Yield units, orders of quaternions and inverse poses, if with these both move as one."""
+    """Yield wrong units, quaternion orders and inverse poses that explain non-rigid motion."""
     orders = conventions.conventions_of(tool, package)
     names = ('tool', 'package')
     yield from (Fact('millimetres', body) for body, order in zip(names, orders, strict=True)
@@ -260,7 +263,7 @@ def _of_conventions(
 
 
 def _of_one_frame(bodies: Bodies) -> tuple[Fact | None, float]:
-    """Return the fault of poses in one frame whose correction fits best, and its misfit."""
+    """Return the fault of poses in one frame with the best correction, and its misfit."""
     tool, package = bodies
     tried = list[tuple[Fact, Trajectory, Trajectory]]()
     for code, change in (('conjugated', _conjugated), ('inverted', _inverted)):
@@ -294,7 +297,7 @@ def _correlation(bodies: Bodies) -> float:
 
 
 def _similarities(bodies: Bodies) -> tuple[float, float]:
-    """Return the similarity of two rotations in two worlds, as read and if one is inverse."""
+    """Return the similarity of two rotations in two worlds, as recorded and with one inverted."""
     a, b = (lie.log_so3(body.rotation[len(body) // 2].T @ body.rotation) for body in bodies)
     R = bodies[1].rotation
     inverse = lie.log_so3(R[len(R) // 2] @ np.swapaxes(R, 1, 2))
@@ -302,7 +305,7 @@ def _similarities(bodies: Bodies) -> tuple[float, float]:
 
 
 def _worse_body(bodies: Bodies) -> str:
-    """Return the body whose inverse rotations make the motion rigid, '' if both do alike."""
+    """Return the body whose inverse rotations make the motion rigid, '' if undecided."""
     tool, package = bodies
     residuals = []
     for each in ((_conjugated(tool), package), (tool, _conjugated(package))):
@@ -314,7 +317,7 @@ def _worse_body(bodies: Bodies) -> str:
 
 
 def _misfit(tool: Trajectory, package: Trajectory) -> float:
-    """Return the motion of a package in its tool, of its distance and rad; infinite if far."""
+    """Return the relative motion of a package in its tool (distance, rad); infinite if far."""
     bodies, plain = (tool, package), (conventions.Convention(), conventions.Convention())
     distance, change = conventions.distance_of(bodies, plain)
     if not (1e-3 < distance < conventions.REACH[1] and change < conventions.MAX_CHANGE):
@@ -325,7 +328,7 @@ def _misfit(tool: Trajectory, package: Trajectory) -> float:
 
 
 def _rigid_motion(tool: Trajectory, package: Trajectory, X: Array) -> tuple[Array, float]:
-    """Return c and t (6,) with o + R c nearest to X p + t, and the RMS distance, m."""
+    """Return c and t (6,) with o + R c nearest to X p + t, and the RMS residual, m."""
     A = np.concatenate(
         [tool.rotation, -np.tile(np.eye(3), (len(tool), 1, 1))], axis=2).reshape(-1, 6)
     b = (lie.apply(X, package.position) - tool.position).ravel()
@@ -336,7 +339,7 @@ def _rigid_motion(tool: Trajectory, package: Trajectory, X: Array) -> tuple[Arra
 def _of_frames(
     tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
 ) -> Iterator[Fact]:
-    """Yield that positions are in a left-handed frame, or in another one than the rotations."""
+    """Yield positions in a left-handed frame, or in another frame than the rotations."""
     try:
         A = alignment.rotation_of(*(body.rotation for body in bodies))
     except BellowsError:  # the tool hardly rotates
@@ -369,7 +372,7 @@ def _rotation_residual(bodies: Bodies, X: Array) -> float:
 def _best_axes(
     tool: Trajectory, package: Trajectory, A: Array, handed: float
 ) -> tuple[float, Array]:
-    """Return the least residual (m) of rigid motion, and the orthogonal X of this handedness."""
+    """Return the least residual (m) of rigid motion, and the orthogonal X of a handedness."""
     p = package.position - package.position.mean(axis=0)
     c, X = np.zeros(3), A
     for _ in range(8):
@@ -383,7 +386,7 @@ def _best_axes(
 
 
 def _wrongly_turned(tool: Trajectory, package: Trajectory, A: Array) -> str:
-    """Return the body whose rotations are in another frame: that of the better correction."""
+    """Return the body whose rotations are in another frame, by the better correction."""
     other = _misfit(replace(tool, rotation=A.T @ tool.rotation), package)
     return 'tool' if other < _misfit(tool, replace(package, rotation=A @ package.rotation)) else (
         'package')
@@ -404,7 +407,7 @@ def _of_arrangement(bodies: Bodies, one_frame: bool, R: Array) -> Iterator[Fact]
 
 
 def _of_gravity(rotation: Array, R: Array) -> Iterator[Fact]:
-    """Yield that the z axis of the tool points down, out of the arm."""
+    """Yield a z axis of the tool that points down, out of the arm."""
     up = float(np.median(rotation[:, :, 2] @ R[2]))
     if up < MAX_UP:
         yield Fact('tool_z', 'tool', {'angle': float(np.arccos(np.clip(up, -1.0, 1.0)))})

@@ -1,10 +1,10 @@
 """
-The likeliest cause of a misfit: one decision on the candidates that were freed.
+The likeliest cause of a misfit, from all freed candidates.
 
 A cause is certain only if the recordings fit to the noise with it, it beats the open alternative
 "something else" (an unknown force on the package), and every rival reduces chi² by less than half
-as much, or by significantly less. Otherwise the cause is unknown: the residual is described by
-its axis, time span and frequency band, and the two likeliest candidates follow without a claim.
+as much, or by significantly less. Otherwise the cause is unknown: the residual is described by its
+axis, time span and frequency band, and the two likeliest candidates follow without a claim.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,30 +46,30 @@ MIN_SHIFT = 0.02
 """Smallest relative change of an entry of K by a cause that does not halve the residuals."""
 
 MIN_EXCHANGE_SHIFT = 0.5
-"""Smallest shift of the lip by exchanged frames, in the distance from lip to centre of mass."""
+"""Smallest shift of the lip by exchanged frames, relative to the distance from lip to com."""
 
 MAX_EXCHANGE_REST = 0.2
-"""Largest deviation of the com after exchanged frames, in the distance from lip to com."""
+"""Largest com offset after exchanged frames, relative to the distance from lip to com."""
 
 MAX_TRIED = 2
-"""Number of candidates that are freed if the first explains less than twice as much."""
+"""Number of freed candidates if the first explains less than twice as much as the second."""
 
 MAX_SEARCHES = 4
-"""Largest number of candidates that are freed if searches do not converge."""
+"""Largest number of freed candidates if searches do not converge."""
 
 PRICE = 0.02
-"""Share of the fall of chi² that each number of a candidate costs."""
+"""Penalty of a candidate per free number, as a share of its fall of chi²."""
 
 MIN_LENGTH_ERROR = 2e-3
 """
 Smallest error of the cup's length that makes a cup implausible, m.
 
 With too short a length the weight seems to stretch the cup: K z is far too small, and large
-damping keeps such a cup from swinging. Smaller errors are estimated jointly with K and P.
+damping suppresses its swing. Smaller errors are estimated jointly with K and P.
 """
 
 OF_LIP = ('com', 'length', 'package_marker')
-"""Quantities that seem wrong if poses of the lip are taken for poses of the centre of mass."""
+"""Quantities that seem wrong if poses of the lip are taken for poses of the com."""
 
 WORLDS = ('package_world',)
 """Causes of non-convergence without a gradient at the last iterate."""
@@ -77,14 +77,14 @@ WORLDS = ('package_world',)
 ALIKE: Mapping[str, str] = {
     'com': 'length', 'length': 'com', 'package_marker': 'tool_marker',
     'tool_marker': 'package_marker', 'gravity': 'force'}
-"""Candidates that one recording can hardly tell apart."""
+"""Candidates that one recording can hardly distinguish."""
 
 EVENTS = ('slip', 'length_drift', 'clock_rate')
-"""Causes that are named however little they change K."""
+"""Causes that are named irrespective of their effect on K."""
 
 REPORTED: Mapping[str, str] = {
     'mass': 'inertia', 'gravity': 'gravity.direction', 'tool_marker': 'package_marker'}
-"""Names of findings that are not the names of their candidates."""
+"""Names of findings that differ from the names of their candidates."""
 
 BAND = 0.8
 """Share of the residual's power within the reported frequency band."""
@@ -103,8 +103,8 @@ def rank(
     ----------
     ends : sequence of Solution
         Ends of a search, first with given quantities free, then as given. The first end with a
-        certain cause decides. No end after one that fits to the noise counts: with fewer free
-        quantities small errors of given quantities would seem to be causes.
+        certain cause decides. Ends after one that fits to the noise are ignored: with fewer free
+        quantities, small errors of given quantities would seem to be causes.
     given_std : mapping
         Standard deviations of the given quantities, SI units.
     report : callable
@@ -139,7 +139,7 @@ def _causes(end: Solution, given_std: Free, report: Report) -> tuple[Finding, ..
         end, candidates.candidates_of(end.problem, stated(given_std)))
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in end.problem.places and (not end.converged or is_off or max(
-            falls.values(), default=0.0) > SIGNIFICANT**2):  # a slip moves the com, too
+            falls.values(), default=0.0) > SIGNIFICANT**2):  # a slip also shifts the com
         end, falls['slip'] = candidates.with_likeliest_slip(end)
     if max(falls.values(), default=0.0) < SIGNIFICANT**2:
         return ()
@@ -161,7 +161,7 @@ def _causes(end: Solution, given_std: Free, report: Report) -> tuple[Finding, ..
 def _decided(
     end: Solution, best: Alternative, gains: Mapping[str, float], given_std: Free, is_off: bool
 ) -> tuple[Finding, ...]:
-    """Return the best candidate if it is certain, otherwise an unknown cause before it."""
+    """Return the best candidate if certain, otherwise an unknown cause before it."""
     theta, std = best.found.estimate(best.name)
     moved = moved_between(end, best.found)
     alike = ALIKE.get(best.name, '')
@@ -194,7 +194,7 @@ def _decided(
 
 
 def unknown(end: Solution) -> Finding:
-    """Return where the residual is largest: its axis, time span (s) and frequency band (Hz)."""
+    """Return axis, time span (s) and frequency band (Hz) of the largest residual."""
     segments = end.problem.segments
     innovations = [part.innovations.reshape(-1, 6) for part in end.parts]
     axis = int(np.argmax(np.mean(np.square(np.vstack(innovations)), axis=0)))
@@ -217,7 +217,7 @@ def unknown(end: Solution) -> Finding:
 
 
 def _priced(fall: tuple[str, float]) -> float:
-    """Return a fall of chi² less the price of the candidate's numbers."""
+    """Return a fall of chi² minus the penalty of the candidate's free numbers."""
     return (1.0 - PRICE * quantities.KINDS[fall[0]].size) * fall[1]
 
 
@@ -227,8 +227,9 @@ def _tried(
     """
     Return the freed candidates, the highest score first.
 
-    A second one is freed if it explains at least half as much, the next if searches do not
-    converge. Scores about an implausible cup mean little: worlds are tried then, from the start.
+    A second candidate is freed if it explains at least half as much, further ones if searches do
+    not converge. Scores about an implausible cup are unreliable: worlds are then tried from the
+    start.
     """
     tried, least = list[Alternative](), DISTINCT * max(falls.values())
     names = list(falls)[:MAX_SEARCHES] if end.is_plausible else dict.fromkeys(
@@ -250,7 +251,7 @@ def _tried(
 def _frame_instead(
     end: Solution, tried: Sequence[Alternative], best: Alternative, report: Report
 ) -> Finding | None:
-    """Return exchanged frames if a shift of the lip is as large as its distance from the com."""
+    """Return exchanged frames if the lip's shift is as large as its distance from the com."""
     problem = end.problem
     shifts = [one.found.estimate(one.name)[0] for one in tried if one.name in OF_LIP] + [
         (problem.units * end.theta)[problem.places[name].ravel()]
@@ -261,7 +262,7 @@ def _frame_instead(
 
 
 def _wrong_length(end: Solution, report: Report) -> Finding | None:
-    """Return another length that explains an implausible cup, if one does."""
+    """Return another cup length if it explains an implausible cup."""
     explains = end.converged and end.squares < MISFIT_CHI2 * end.residual_count
     if not explains or 'length' in end.problem.places or end.is_plausible:
         return None
@@ -280,7 +281,7 @@ def _wrong_length(end: Solution, report: Report) -> Finding | None:
 
 
 def _is_as_far_as_com(problem: Problem, shift: Array) -> bool:
-    """Return whether a shift (m) may be that from the lip to the centre of mass."""
+    """Return whether a shift (m) may be the vector from lip to com."""
     com = problem.segments[0].measured.payload.com
     return bool(np.linalg.norm(shift) > MIN_EXCHANGE_SHIFT * np.linalg.norm(com))
 
@@ -289,10 +290,10 @@ def deviating(
     end: Solution, given_std: Free, least: float = -np.inf, report: Report = no_report
 ) -> tuple[Finding, ...]:
     """
-    Return the given quantity that deviates by most standard deviations, if by more than allowed.
+    Return the given quantity with the largest deviation, if larger than allowed.
 
-    With all given quantities free, a fit may explain the poses by numbers that are not the given
-    ones. Nothing is returned if chi² falls by less than `least` with that quantity free.
+    With all given quantities free, a fit may explain the poses with wrong values. Nothing is
+    returned if chi² falls by less than `least` with this quantity free.
     """
     explains = end.converged and end.robust_chi2 < MISFIT_CHI2
     sizes = pulls(end, given_std)
@@ -311,7 +312,7 @@ def deviating(
     if name in OF_LIP and (frame := _other_frame(end, best.gain, report)):
         return (frame,)
     theta, std = best.found.estimate(name)
-    is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # the cup's axis, as a length
+    is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # along the cup's axis, like a length
     moved = moved_between(end, best.found)
     return (_finding(best, theta, std)._replace(
         moved=moved, datum=name not in EVENTS[1:] or moved > MATERIAL,
@@ -324,13 +325,13 @@ def _finding(best: Alternative, theta: Array, std: Array) -> Finding:
     """Return the finding of a freed quantity."""
     name, problem = best.name, best.found.problem
     if name == 'slip':
-        worst = int(np.argmax(np.abs(theta) / std)) // 2 * 2  # of the recording in which it is
+        worst = int(np.argmax(np.abs(theta) / std)) // 2 * 2  # of the affected recording
         first_ns = next(segment.package.stamps_ns[0] for segment in problem.segments
                         if segment.measured.recording == worst // 2)
         since = (problem.slip_ns - first_ns) / NS_PER_S
         return Finding('slip', '', np.append(theta[worst:worst + 2], since),
                        np.append(std[worst:worst + 2], MIN_SLIP_PERIOD))
-    if name == 'mass':  # K and P scaled with mass and inertia make the same motion
+    if name == 'mass':  # K and P scaled with mass and inertia give equal motion
         theta = -theta
     return Finding(
         REPORTED.get(name, name), 'tool' if name == 'tool_marker' else '', theta, std)
@@ -340,8 +341,8 @@ def _other_frame(end: Solution, rival: float, report: Report) -> Finding | None:
     """
     Return exchanged frames, poses of the lip for poses of the com or vice versa, or None.
 
-    The com is freed as well. None if a rival, which has more numbers, explains more, or if the
-    marker's prior allows the same shift.
+    The com is freed as well. None if a rival with more free numbers explains more, or if the
+    marker's prior allows the shift.
     """
     problem = end.problem
     measured = problem.segments[0].measured
