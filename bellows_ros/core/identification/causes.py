@@ -235,7 +235,7 @@ def misread(recording: Recording) -> Finding | None:
 
 
 def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
-    """Return selected poses of tool and package, and the lip relative to the tool (N, 3), m."""
+    """Return selected poses of tool and package, and the lip from the tool in A (N, 3), m."""
     some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
     tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
     lip = package.position - apply(package.rotation, recording.payload.com)

@@ -1,9 +1,9 @@
 """
-States of the package in a pick-and-place cycle, decided jointly from valve, vacuum and camera.
+States of the package in a pick-and-place cycle, from valve, vacuum and camera.
 
 A package is `NONE`, `GRIPPED` on a support, `HELD`, `RELEASED` or `LOST`. Loss and release differ
 by the valve: vacuum that ends with the valve on is a loss. Without a valve signal, the tool's
-motion decides, and at rest the camera, if it sees the package.
+motion decides, and at rest the camera, if the package is visible.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,10 +16,10 @@ ON_CUP = GRIPPED, HELD
 """States with the package on the cup."""
 
 LIFT = 0.01
-"""Rise of the tool above the place of the grip that lifts any package off its support, m."""
+"""Rise of the tool above the grip at which any package has left its support, m."""
 
 FALL_NS = 100_000_000
-"""Duration of a fall that every camera distinguishes from rest (49 mm), ns."""
+"""Duration of a fall (49 mm) that every camera distinguishes from rest, ns."""
 
 
 class Cycle:
@@ -29,7 +29,7 @@ class Cycle:
     Parameters
     ----------
     is_held : bool
-        Whether the cup holds a package in the beginning.
+        Whether the cup holds a package initially.
 
     Attributes
     ----------
@@ -40,12 +40,11 @@ class Cycle:
     lowest : float
         Height of the tool at the last grip, m.
     follows : bool
-        Whether the state depends on the tool's motion: since the first grip or vacuum.
+        Whether the state depends on the tool's motion, after the first grip or vacuum.
 
     """
 
     def __init__(self, is_held: bool) -> None:
-        """Start without readings."""
         self.state = HELD if is_held else NONE
         self.follows = False
         self.valve: bool | None = None
@@ -58,12 +57,12 @@ class Cycle:
         self.follows = True
 
     def end(self, state: str) -> None:
-        """Give up the package, if the cup has one."""
+        """End with a state, if the cup has a package."""
         if self.state in ON_CUP:
             self.state, self._due_ns = state, 0.0
 
     def on_valve(self, on: bool) -> None:
-        """Grip or release with a reading of the valve."""
+        """Grip or release by a reading of the valve."""
         before, self.valve = self.valve, on
         if on == before:
             return
@@ -74,7 +73,7 @@ class Cycle:
 
     def on_vacuum(self, is_held: bool, stamp_ns: int, moves: bool, patience_ns: int) -> None:
         """
-        Grip, release or lose the package with a reading of the vacuum.
+        Grip, release or lose the package by a reading of the vacuum.
 
         Parameters
         ----------
@@ -85,7 +84,7 @@ class Cycle:
         moves : bool
             Whether the tool moves.
         patience_ns : int
-            Time in which the camera will have seen a fall, ns; 0 without a camera.
+            Time until the camera would have seen a fall, ns; 0 without a camera.
 
         """
         before, self.vacuum, self.follows = self.vacuum, is_held, True
@@ -105,14 +104,14 @@ class Cycle:
             self.end(RELEASED)
 
     def on_height(self, height: float) -> None:
-        """Notice a lift by the height (m) of the tool, against gravity."""
+        """Detect a lift from the height (m) of the tool, against gravity."""
         if self.state == GRIPPED:
             self.lowest = min(self.lowest, height)
             if height - self.lowest > LIFT:
                 self.state = HELD
 
     def is_due(self, stamp_ns: int) -> bool:
-        """Return whether to decide on a package without vacuum."""
+        """Return whether a package without vacuum has to be decided on."""
         return 0.0 < self._due_ns <= stamp_ns
 
     def decide(self, departs: bool) -> None:
@@ -121,7 +120,7 @@ class Cycle:
 
 
 Signal = tuple[int, str, bool, int]
-"""Stamp (ns), 'vacuum' or 'valve', whether it is on, and the cup of a gripper, -1 for all."""
+"""Stamp (ns), 'vacuum' or 'valve', whether on, and the cup of a gripper, -1 for all."""
 
 
 def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Iterator[
@@ -136,7 +135,7 @@ def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Itera
     heights : ndarray (N,)
         Heights of the tool against gravity, m.
     signals : sequence of Signal
-        In order.
+        Signals in the order of time.
 
     """
     cycle, waiting, since_ns = Cycle(False), list(signals[::-1]), 0

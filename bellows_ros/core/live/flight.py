@@ -1,4 +1,4 @@
-"""The package from the valve on: held until the cup lets go, flying, landed. Pure code, no ROS."""
+"""The package from the valve on: held until the release, in flight, landed. Pure code, no ROS."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,7 +27,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 AIM_TIME = 0.4
-"""Duration of the search for a release for the target, s."""
+"""Range of the search for a release that hits the target, s."""
 PATH_POINTS = 24
 ROOT_STEP = 0.01
 """Step of the covariance of a later state, s."""
@@ -36,23 +36,23 @@ _longest_step = lru_cache(maxsize=1)(largest_step)
 
 
 class Landing(NamedTuple):
-    """Landing of the package if the valve is switched at a prediction."""
+    """Landing of the package if the valve were switched at a prediction."""
 
     stamp_ns: int
     """Stamp of the prediction."""
     toss: Toss
-    """Times are s since then."""
+    """Toss, with times in s after the prediction."""
     covariance: Array
     """Covariance of position on the floor and rotation vector, in world axes (6, 6)."""
 
 
 def _after_now(tool: ToolRows | None) -> tuple[Array, Array]:
-    """Return rows and seconds of a tool after the present, without any if there is no more."""
+    """Return rows and seconds of a tool after the present; empty if none."""
     return (np.empty((0, 13)), np.empty(0)) if tool is None else (tool.rows[1:], tool.seconds[1:])
 
 
 def at_constant_velocity(now: Prediction, tool: ToolRows | None, duration: float) -> ToolRows:
-    """Return the tool for a time (s) at least: as planned, then at a constant twist."""
+    """Return the tool for a time (s) at least: as planned, then with constant twist."""
     tool = tool or ToolRows(np.zeros(1, np.int64), np.array([np.concatenate(now.tool)]))
     remaining_ns = round(duration * NS_PER_S) - int(tool.stamps_ns[-1])
     if remaining_ns <= 0:
@@ -64,27 +64,27 @@ def at_constant_velocity(now: Prediction, tool: ToolRows | None, duration: float
 
 class Flight:
     """
-    Follow a package after the valve has been switched.
+    Follow a package after the valve is switched.
 
     Parameters
     ----------
     values : mapping
         Parameters by name.
     future : callable
-        From a prediction to the tool's motion from then on, which begins at 0 ns, or None without
-        a plan, with the progress on the plan changed by a number of its standard deviations. After
-        it the tool keeps its twist.
+        Function of a prediction, and of a deviation of the progress in standard deviations, that
+        returns the tool's planned motion from then on, beginning at 0 ns, or None without a plan.
+        After the plan the tool keeps its twist.
     grip : callable, optional
-        Returns the grip of the held package, as `grip_of` does; the grip of the values when left
-        out.
+        Function that returns the grip of the held package, like `grip_of`; default: the grip of
+        the values.
 
     Attributes
     ----------
     state : str
-        'released' (the valve is switched, the cup still holds), 'flying', 'landed', or '' where
-        the package is held.
+        'released' (the valve is switched, the cup still holds), 'flying', 'landed', or '' for a
+        held package.
     has_size : bool
-        Whether the size of the package is given; without it there is no landing.
+        Whether the size of the package is known, without which no landing is computed.
 
     """
 
@@ -93,13 +93,12 @@ class Flight:
         future: Callable[[Prediction, float], ToolRows | None] = lambda now, deviations: None,
         grip: Callable[[], Grip | None] | None = None,
     ) -> None:
-        """Set the data of release and landing."""
         self._values, self._future = values, future
         of_values = grip_of(values)
         self._grip_now = grip or (lambda: of_values)
         self.has_size = min(values.package.size) > 0.0
         self._release = release.release_of(values) if self.has_size else release.NO_FLIGHT
-        # later than without a load, s
+        # additional delay without load, s
         self._ahead = release.latest_release(release.law_of(values)) + 0.05
         self._factor = release_factor(values)
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
@@ -107,7 +106,7 @@ class Flight:
         self.forget()
 
     def warm_up(self, model: ModelTuple) -> None:
-        """Compile all that a toss needs."""
+        """Compile all kernels of a toss."""
         if not self.has_size:
             return
         high = scale(self._release.height + 1.0 + 2.0 * max(self._values.package.size),
@@ -122,28 +121,28 @@ class Flight:
         self.forget()
 
     def forget(self) -> None:
-        """Take the package as held."""
+        """Treat the package as held."""
         self.state = ''
         self._switched_ns = self._stamp_ns = 0
         self._landing_ns: int | None = None
         self._body: State | None = None
-        self._count = 0  # of landings in a row
+        self._count = 0  # number of consecutive landings
         self._before: Prediction | None = None
 
     def switch(self, stamp_ns: int) -> None:
-        """Note that the valve is switched at a stamp."""
+        """Switch the valve at a stamp."""
         if self.has_size and not self.state:
             self._released_grip = self.grip
             self.state, self._switched_ns = 'released', stamp_ns
 
     @property
     def grip(self) -> Grip | None:
-        """That which holds until the valve is switched; the pressure only falls then."""
+        """Grip before the valve was switched; the pressure changes only afterwards."""
         return self._released_grip if self.state else self._grip_now()
 
     @property
     def is_free(self) -> bool:
-        """Whether the cup has let go."""
+        """Whether the cup has released the package."""
         return self.state in ('flying', 'landed')
 
     def follow(self, model: ModelTuple, now: Prediction) -> Prediction:
@@ -188,12 +187,12 @@ class Flight:
 
     def later(self, model: ModelTuple, now: Prediction, seconds: float) -> State:
         """
-        Return the package some time (s) after a prediction, the tool going on as planned.
+        Return the package some time (s) after a prediction, with the tool moving as planned.
 
         Raises
         ------
         BellowsError
-            If it has landed by then, or the prediction does not stay finite.
+            If the package has landed by then, or the prediction diverges.
 
         """
         released, body, landed = 0.0, now.body, math.inf
@@ -223,9 +222,10 @@ class Flight:
         """
         Return a factor (12, n) of the covariance of `later`, in body axes.
 
-        The uncertainties of cup, start and tool follow the predicted motion; the last column is
-        the deviation of the package by one standard deviation of the progress on the plan. Without
-        a plan the acceleration of the tool is unknown. `UNKNOWN_ROOT` once the valve is switched.
+        Uncertainties of cup, start and tool are propagated along the predicted motion; the last
+        column is the deviation of the package by one standard deviation of the progress on the
+        plan. Without a plan the acceleration of the tool is unknown. After the valve is switched
+        the factor is `UNKNOWN_ROOT`.
         """
         if self.state or now.flies:
             return UNKNOWN_ROOT
@@ -235,7 +235,7 @@ class Flight:
         tools, states = np.empty((2, 2, len(times), 13))
         for deviations in (1, 0):
             plan = self._future(now, deviations)
-            tool = at_constant_velocity(now, plan, seconds + ROOT_STEP)  # in motion at the end
+            tool = at_constant_velocity(now, plan, seconds + ROOT_STEP)  # moving at the end
             inputs = as_inputs(tool.rows, tool.seconds)
             tools[deviations] = [np.concatenate(point_at(*inputs, t)) for t in times]
             tools[deviations, 0] = np.concatenate(now.tool)
@@ -257,7 +257,7 @@ class Flight:
         self, model: ModelTuple, now: Prediction, tool: ToolRows | None, switched: float,
         until: float,
     ) -> tuple[float, State, float, State]:
-        """Return the result of `toss_along` for a package that is held up to a time (s)."""
+        """Return the result of `toss_along` for a package held until a time (s)."""
         return release.toss_along(
             (model, self.grip or release.NO_GRIP, self._release, switched), 0.0, now.tool,
             adapted(model, now.tool, now.body),
@@ -268,9 +268,9 @@ class Flight:
         covariance: Callable[[Prediction], Array],
     ) -> Landing | None:
         """
-        Return the landing if the valve were switched now and the tool moved on as planned.
+        Return the landing if the valve were switched now and the tool moved as planned.
 
-        One derivative is renewed each time: all of them take as long as their use hardly changes.
+        Each call renews one derivative: all of them take as long as they remain nearly valid.
 
         Parameters
         ----------
@@ -279,13 +279,14 @@ class Flight:
         prediction : Prediction
             Prediction of the held package.
         covariance : callable
-            From it to the covariance (12, 12) of its state, in body axes.
+            Function of a prediction that returns the covariance (12, 12) of its state, in body
+            axes.
 
         """
-        longest = 2.0 * _longest_step(model)  # the landing is within 0.02 mm and 0.2 mrad
+        longest = 2.0 * _longest_step(model)  # within 0.02 mm and 0.2 mrad at landing
         if not self.has_size or self.state or self._ahead > MAX_SUBSTEPS * longest:
-            return None  # so many steps would hold up the poses
-        is_due = self._count % 10 == 0  # the covariance is renewed in every tenth landing
+            return None  # too many steps would delay the poses
+        is_due = self._count % 10 == 0  # renewed in every tenth landing
         plan = self._future(prediction, 0.0)
         hanging = adapted(model, prediction.tool, prediction.body)
 
@@ -329,8 +330,8 @@ class Flight:
         """Return the time (s) until the valve should be switched for the target, or None."""
         if not self.has_size or self.state or not self._values.landing.aim:
             return None
-        if 2.0 * AIM_TIME > 100_000 * _longest_step(model):  # integration steps, at most
-            return None  # so many steps take too long
+        if 2.0 * AIM_TIME > 100_000 * _longest_step(model):  # largest number of integration steps
+            return None  # too many steps
         x, y = self._values.landing.target
         try:
             tool = at_constant_velocity(prediction, self._future(prediction, 0.0), 2.0 * AIM_TIME)

@@ -1,4 +1,4 @@
-"""Vacuum, holding margin and distance from the validity range, live; checks of values."""
+"""Vacuum, safety factor and distance from the validity range, live; checks of values."""
 
 import math
 import re
@@ -27,7 +27,8 @@ def deflection(
     """
     Return pose and twist of the lip relative to its nominal pose (0, 0, -l0) in the tool.
 
-    Shift (m) in tool axes, rotation E_R_S, and linear (m/s) and angular twist (rad/s) in lip axes.
+    The results are shift (m) in tool axes, rotation E_R_S, and linear (m/s) and angular twist
+    (rad/s) in lip axes.
     """
     o, R, v, w = lip_relative_to_tool(model[1][1], prediction.tool, prediction.body)
     return (o[0], o[1], o[2] + model[0][1]), R, v, w
@@ -49,7 +50,7 @@ def equivalent_box(values: Values) -> Vector:
     """
     Return the sides (m) of the homogeneous box with a package's mass and moments (A.2).
 
-    Along x, y, z of B; products of inertia are left out, and sides are 1 mm to 10 m long.
+    The sides are along x, y, z of B, limited to 1 mm to 10 m; products of inertia are ignored.
     """
     xx, yy, zz = values.package.inertia[:3]
     squares = 6.0 * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz]) / values.package.mass
@@ -62,34 +63,33 @@ class Safety(NamedTuple):
 
     factor: float
     mode: str
-    """'peel' or 'slip', of a gripper with the cup."""
+    """'peel' or 'slip', for a gripper with the cup."""
 
 
 class Load:
     """
-    Smallest safety factor of predictions, and their largest distance from the envelope.
+    Smallest safety factor of predictions, and their largest distance from the validity range.
 
     Parameters
     ----------
     values : mapping
-        Parameters by name: the ones that `grip_of` reads, vacuum.ambient, safety.least,
-        package.mass, envelope.*.
+        Parameters by name: those of `grip_of`, vacuum.ambient, safety.least, package.mass,
+        envelope.*.
     pressure : float, optional
-        Absolute pressure in the cup, as last measured, Pa.
+        Last measured absolute pressure in the cup, Pa.
 
     Attributes
     ----------
     required : float
-        Safety factor below which the grip is reported.
+        Safety factor below which a warning is given.
     pressure : float or None
-        As last measured.
+        Last measured pressure, Pa.
     grip : tuple or None
-        By that pressure, or by vacuum.holding; None without a grip model.
+        Grip by this pressure, or by vacuum.holding; None without a grip model.
 
     """
 
     def __init__(self, values: Values, pressure: float | None = None) -> None:
-        """Set the limits."""
         self._values = values
         self.set_pressure(pressure)
         self.required = float(values.safety.least)
@@ -97,13 +97,12 @@ class Load:
         self._clear()
 
     def _clear(self) -> None:
-        """Forget all predictions."""
         self._safety: Safety | None = None
         self._distance: Distance | None = None
         self._bending = 0.0
 
     def set_pressure(self, pressure: float | None) -> None:
-        """Store the absolute pressure (Pa) in the cup, if it is measured."""
+        """Store the absolute pressure (Pa) in the cup, if measured."""
         self.pressure = pressure
         below = None if pressure is None else self._values.vacuum.ambient - pressure
         self.grip = conversion.grip_of(self._values, below)
@@ -132,7 +131,7 @@ class Load:
         return peel, slip
 
     def watch_deflection(self, model: ModelTuple, prediction: Prediction) -> None:
-        """Record how far a prediction is outside the validity range."""
+        """Record the distance of a prediction from the validity range."""
         shift, R, linear, angular = deflection(model, prediction)
         self._bending = max(self._bending, math.acos(min(1.0, max(-1.0, R[8]))))
         if self._envelope is None:
@@ -164,7 +163,7 @@ class Vacuum:
     Attributes
     ----------
     held : bool
-        Whether the package is held; a gripper holds it while any of its cups does.
+        Whether the package is held, by at least one cup.
     pressure : float or None
         Newest pressure, Pa; with single cups the highest one of the holding cups, or None.
     open_cups : tuple of int
@@ -173,7 +172,6 @@ class Vacuum:
     """
 
     def __init__(self) -> None:
-        """Start without a pressure."""
         self.held = False
         self.open_cups: tuple[int, ...] = ()
         self.pressure: float | None = None
@@ -184,9 +182,9 @@ class Vacuum:
         self, values: Values, pressure: float, frame_id: str
     ) -> tuple[tuple[bool, int], ...] | str:
         """
-        Return which cups hold at a new pressure (Pa), or the reason for its rejection.
+        Return the holding cups by a new pressure (Pa), or the reason for its rejection.
 
-        The thresholds are vacuum.*; a cup is named by its index in cup.layout, or `ALL`. A
+        The thresholds are vacuum.*; a cup is given by its index in cup.layout, or `ALL`. A
         pressure with a frame_id that ends in cup_2 belongs to cup 2 alone.
         """
         cups = len(values.cup.layout) // 3
@@ -210,7 +208,7 @@ class Vacuum:
             self._pressures[cup] = pressure
         self.held = bool(self._pressures)
         self.pressure = max(self._pressures.values(), default=None)
-        if not self.held:  # the package is lost, which is more than its last cup
+        if not self.held:  # the whole package is lost
             return ((False, ALL),)
         self.open_cups = tuple(sorted(self._measured - set(self._pressures)))
         return (is_held, cup), (True, ALL)
@@ -218,17 +216,17 @@ class Vacuum:
 
 def check_live(values: Values) -> None:
     """
-    Refuse values with which the live predictor cannot compute, though each of them is allowed.
+    Raise BellowsError for values, each valid, with which no live prediction can be computed.
 
     Parameters
     ----------
     values : mapping
-        All parameters by name, with the cup that is in use in cup.*.
+        All parameters by name, with the cup in use in cup.*.
 
     Raises
     ------
     BellowsError
-        With what does not fit, or cannot be computed.
+        If values are inconsistent, or a prediction cannot be computed.
 
     """
     low, high = values.vacuum.attach_below, values.vacuum.detach_above
@@ -242,7 +240,7 @@ def check_live(values: Values) -> None:
             'seven numbers, from the file that bellows identify wrote.')
     cup, package = conversion.cup_of(values), conversion.package_of(values)
     model = prepared(cup, package, conversion.gravity_of(values))[0]
-    load = Load(values, values.vacuum.ambient)  # compiled even if no vacuum is measured yet
+    load = Load(values, values.vacuum.ambient)  # compiled also before a vacuum is measured
     try:
         with np.errstate(all='ignore'):
             load.watch_force(model, STILL)

@@ -1,4 +1,4 @@
-"""The state of the held package: started at rest, propagated with the tool, extrapolated."""
+"""State of the held package: initially at rest, propagated with the tool, extrapolated."""
 
 from functools import partial
 import math
@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 MAX_SUBSTEPS = 10_000
-"""Most substeps of one advance; more means a cup too stiff or a time too long: diverged."""
+"""Largest number of substeps of one advance; more means too stiff a cup or too long a time:
+diverged."""
 
 MIN_STEP = 1e-6
 """Shortest integration step of a live prediction, s."""
@@ -34,9 +35,9 @@ def advance_and_hold(
     duration: float, substeps: int, reach: float,
 ) -> tuple[State, Wrench, bool]:
     """
-    Return the package at the newest tool sample, and what `kernels.checked_wrench` does.
+    Return the package at the newest tool sample, and the result of `kernels.checked_wrench`.
 
-    Takes the model as `kernels.model_of` does.
+    The model is given as for `kernels.model_of`.
     """
     model = kernels.model_of(row, law)
     body = kernels.advance(model, body, before, now, duration, substeps)
@@ -50,13 +51,13 @@ def prepared(
     """
     Return the model of a cup and a package, and quantities derived from it.
 
-    The longest stable integration step (s), the largest plausible displacement of the lip (m), and
-    the modes.
+    These are the longest stable integration step (s), the largest plausible displacement of the
+    lip (m), and the modes.
 
     Raises
     ------
     BellowsError
-        If nothing can be computed with it: its numbers are too large or too small.
+        If numbers are too large or too small for a prediction.
 
     """
     try:
@@ -65,7 +66,7 @@ def prepared(
             A = equilibrium.nominal_system_matrix(model)
             _require_slow(A)
             modes = modes_of(equilibrium.nominal_system_matrix((model[0][:4], *model[1:])))
-            reach = 3.0 * (cup.length + equilibrium.sag(model))  # the weight shifts no lip farther
+            reach = 3.0 * (cup.length + equilibrium.sag(model))  # no weight displaces it farther
             return model, equilibrium.largest_step(model, A), reach, modes
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
@@ -74,7 +75,7 @@ def prepared(
 
 
 def _require_slow(matrix: Array) -> None:
-    """Refuse a model, by its system matrix (12, 12), that takes too many steps a second."""
+    """Raise for a model, by its system matrix (12, 12), that needs too many steps per second."""
     undamped = matrix.copy()
     undamped[6:12, 6:12] = 0.0
     for name, system in (('cup.stiffness', undamped), ('cup.damping', matrix)):
@@ -107,27 +108,26 @@ class Sample(NamedTuple):
 
 class LivePayload:
     """
-    A package on a cup, and the tool sample it was last computed for.
+    A package on a cup, and its newest tool sample.
 
     Parameters
     ----------
     cup, package : Cup, Package
     gravity : float or array_like (3,)
-        m/s^2, along -z of the world, or as a vector there.
+        Magnitude along -z of the world, or vector in the world, m/s^2.
 
     Attributes
     ----------
     outcome : str
         Fault of the last call: 'diverged', 'no_equilibrium', or ''.
     sample : Sample or None
-        The newest, from which the package can be advanced.
+        Newest sample, from which the package is advanced.
     observer : Observer or None
-        Corrects it, once its pose has been measured.
+        Observer that corrects the package, if its pose is measured.
 
     """
 
     def __init__(self, cup: Cup, package: Package, gravity: ArrayLike) -> None:
-        """Prepare the model; the package is nowhere yet."""
         self._gravity = gravity
         self.settling = Settling()
         self.observer: Observer | None = None
@@ -141,7 +141,7 @@ class LivePayload:
         return self._model if self.observer is None else self.observer.model
 
     def set_model(self, cup: Cup, package: Package) -> None:
-        """Go on with another cup or package; pose and motion stay as they are."""
+        """Continue with another cup or package; pose and motion are kept."""
         self._model, self._longest_step, self._reach, self.settling.modes = prepared(
             cup, package, self._gravity)
         self._row, self._law = kernels.model_row(self._model), kernels.law_of(self._model)
@@ -157,7 +157,7 @@ class LivePayload:
         observer.set_model(self._model, self._longest_step, self._reach)
         if self.sample is not None:
             observer.start(*self.sample, self.settling.since(self.sample.stamp_ns))
-        self.observer = observer  # last: other threads ask it for its model
+        self.observer = observer  # last, as other threads read its model
 
     def correct(self, measurement: Measurement, since_ns: int = 0) -> None:
         """Correct the package with a measured pose, some time (ns) after the newest sample."""
@@ -168,7 +168,7 @@ class LivePayload:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
 
     def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
-        """Restart from rest at the next tool sample, with estimates that the observer keeps."""
+        """Restart from rest at the next tool sample, with given rows of earlier estimates."""
         if self.observer is not None:
             self.observer.forget(kept)
         self.sample = None
@@ -212,7 +212,7 @@ class LivePayload:
         """
         Predict with the tool extrapolated, without changing the state for the next sample.
 
-        Returns None when there is nothing to go on from.
+        Returns None without a sample.
         """
         base = self.sample
         if base is None or stamp_ns <= base.stamp_ns:
@@ -230,9 +230,9 @@ class LivePayload:
         self, body: State, start: State, end: State, duration: float, stored_ns: int = 0
     ) -> tuple[State, Wrench] | None:
         """
-        Return package and wrench at the end, or None if they are not finite.
+        Return package and wrench at the end, or None if not finite.
 
-        An observer stores what ends at a stamp (ns).
+        An observer stores the package at a given stamp (ns).
         """
         substeps = equilibrium.substeps_for(duration, self._longest_step)
         if substeps > MAX_SUBSTEPS:
@@ -247,12 +247,12 @@ class LivePayload:
                 body = (self.observer.body if stored_ns
                         else self.observer.propagated_briefly(body, start, end, duration))
                 wrench, sound = kernels.checked_wrench(self.model, end, body, self._reach)
-        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+        except (ArithmeticError, ValueError):  # interpreted kernels raise instead of nan
             return None
         return (body, wrench) if sound else None
 
     def _start(self, stamp_ns: int, tool: State) -> Prediction | None:
-        """Let the package hang at rest from the tool, if it can."""
+        """Start with the package at rest below the tool, if possible."""
         self.sample = None
         outcome, self.outcome = self.outcome, 'no_equilibrium'
         if stamp_ns < self._retry_ns:

@@ -1,11 +1,11 @@
 """
-Tracking of a plan while the tool drives it: the tool's place on the plan, and the rest of it.
+Tracking of a plan driven by the tool: its progress, and the remaining motion.
 
-Drivers start late, run scaled, pause and wait, so the plan is anchored to the tool and not to the
-clock. The progress along the plan (s) and its rate are a continuous state with a covariance: a
-Kalman filter predicts both, and each pose and twist of the tool corrects them by the motion of the
-plan there. During standstills and slow parts of the plan, the poses do not determine the progress:
-it goes on at its rate, and its variance grows. If the tool is not near its predicted place, the
+Drivers start late, run scaled, pause and wait, so the plan is synchronised with the tool instead
+of the clock. The progress along the plan (s) and its rate are a continuous state with a
+covariance: a Kalman filter predicts both, and each pose and twist of the tool corrects them.
+During standstills and slow parts of the plan, poses do not determine the progress: it is
+extrapolated at its rate, and its variance grows. If the tool is not near its predicted pose, the
 plan is searched. Pure code, no ROS.
 """
 
@@ -25,25 +25,26 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 MAX_WAIT = 10.0
-"""Largest distance of a plan's stamp from the present, s: beyond it the plan begins with the tool,
-as the stamp may be of another clock."""
+"""Largest time between a plan's stamp and the present, s: beyond, the stamp may be of another
+clock, and the plan begins with the tool."""
 MAX_DEVIATION = 0.05
 """Largest distance of a tool that follows the plan, m."""
 
 POSE_STD, TWIST_STD = 5e-5, 0.005
 """Standard deviations of the tool's pose (m) and twist (m/s) from the driven plan."""
 START_STD = 0.5
-"""Standard deviation of the rate of a driver that has not moved yet."""
+"""Standard deviation of a driver's rate before its first motion, relative to the plan."""
 GATE = 4.0
-"""Squared innovation in units of its variance above which the driver has changed its rate, or the
+"""Squared innovation relative to its variance above which the driver has changed its rate, or the
 tool is elsewhere on the plan: two standard deviations."""
 PAUSE_RATE, MAX_RATE = 0.1, 2.0
 """Rate below which a driver pauses, and highest rate, relative to the plan."""
 
 SEARCH_TIME, SEARCH_STEP, MAX_SEARCH_STEPS = 0.1, 2.5e-3, 400
-"""Shortest range of a search to both sides (s of the plan), its step (s), and most steps."""
+"""Smallest range of a search to both sides (s of the plan), its step (s), and largest number of
+steps."""
 ITERATIONS = 4
-"""Linearisations of the plan about the corrected progress."""
+"""Number of linearisations of the plan about the corrected progress."""
 
 JOIN_SPEED, MAX_JOIN_TIME = 0.05, 0.1
 """Speed of the tool's return to the plan (m/s), and its longest duration (s)."""
@@ -51,15 +52,15 @@ SPACING = 0.01
 """Shortest time between points of the remaining plan, s."""
 
 WAITING, DRIVEN, PAUSED, DEVIATED, DONE = 'waiting', 'driven', 'paused', 'deviated', 'done'
-"""States of a plan: not begun, driven, the tool stands amid it, is elsewhere, has arrived."""
+"""States of a plan: not begun, driven, tool at rest on it, tool elsewhere, finished."""
 
 
 class PlanProgress(NamedTuple):
-    """Place of the tool on a plan at a stamp: all of it changes at once, as threads read it."""
+    """Progress of the tool on a plan at a stamp, replaced as a whole, as threads read it."""
 
     stamp_ns: int
     time: float
-    """s of the plan."""
+    """Time on the plan, s."""
     rate: float
     """Rate of the driver, relative to the plan."""
     variance: float
@@ -71,7 +72,7 @@ class PlanProgress(NamedTuple):
 
 @kernel
 def pose_deviation(row: Any, o: Vector, q: Quaternion) -> float:
-    """Return the distance (m) of a tool from a point of a plan, rotation at `ROTATION_LEVER`."""
+    """Return the distance (m) of a tool from a point of a plan, rotation by `ROTATION_LEVER`."""
     x, y, z = row[0] - o[0], row[1] - o[1], row[2] - o[2]
     same = abs(row[3] * q[0] + row[4] * q[1] + row[5] * q[2] + row[6] * q[3])
     rotation = ROTATION_LEVER * ROTATION_LEVER * 4.0 * max(0.0, 2.0 - 2.0 * same)
@@ -80,13 +81,13 @@ def pose_deviation(row: Any, o: Vector, q: Quaternion) -> float:
 
 @kernel
 def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
-    """Return the product of two twists, rotation at `ROTATION_LEVER`."""
+    """Return the inner product of two twists, rotation by `ROTATION_LEVER`."""
     return t3.dot(v, linear) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, angular)
 
 
 @kernel
 def point_at(rows: Any, seconds: Any, t: float) -> State:
-    """Return the tool by a plan at a time (s); at rest outside of the plan."""
+    """Return the tool on a plan at a time (s); at rest outside of the plan."""
     last = len(seconds) - 1
     if t <= 0.0 or t >= seconds[last]:
         o, q, v, w = row_state(rows[0 if t <= 0.0 else last])[:4]
@@ -99,7 +100,7 @@ def point_at(rows: Any, seconds: Any, t: float) -> State:
 
 @kernel
 def departure(rows: Any, seconds: Any) -> float:
-    """Return the time (s) of the first point that poses distinguish from the plan's first."""
+    """Return the time (s) of the first point that is distinguishable from the plan's first."""
     o, q = row_state(rows[0])[:2]
     for k in range(len(rows)):
         if pose_deviation(rows[k], o, q) ** 2 > GATE * POSE_STD * POSE_STD:
@@ -109,7 +110,7 @@ def departure(rows: Any, seconds: Any) -> float:
 
 @kernel
 def offset(point: State, tool: State) -> tuple[float, float, float]:
-    """Return squared distance (m^2) of a tool from a point, its part along, and speed^2 there."""
+    """Return squared distance (m^2) of a tool from a point, its part along, and speed^2."""
     o, q, v, w = point[:4]
     step = t3.apply_transposed(t3.rotation_matrix(q), t3.subtract(tool[0], o))
     rotation = t3.rotation_between(q, tool[1])
@@ -121,10 +122,10 @@ def corrected(
     rows: Any, seconds: Any, tool: State, t: float, variance: float
 ) -> tuple[float, float]:
     """
-    Return the time (s) corrected by the tool's pose, and its variance before that, s^2.
+    Return the time (s) corrected by the tool's pose, and its prior variance, s^2.
 
-    A tool too far along the plan for its variance has changed its rate: the variance grows by as
-    much.
+    A tool too far along the plan for its variance has changed its rate: the prior variance is
+    increased accordingly.
     """
     at = t
     for i in range(ITERATIONS):
@@ -145,10 +146,10 @@ def search(
     rows: Any, seconds: Any, tool: State, expected: float, ends: tuple[float, float]
 ) -> tuple[float, float]:
     """
-    Return the time (s) between two at which the plan is nearest to the tool, and the step (s).
+    Return the time (s) within a range at which the plan is nearest to the tool, and the step (s).
 
-    Among equally near places, the place in the tool's direction is preferred, then the one nearer
-    to the expected time.
+    Among equally near points, a point in the tool's direction of motion is preferred, then the one
+    nearer to the expected time.
     """
     low, high = ends
     count = min(max(int((high - low) / SEARCH_STEP), 1), MAX_SEARCH_STEPS)
@@ -178,8 +179,8 @@ def track(
     """
     Return the tool's distance from the plan (m), and the corrected time, rate and covariance.
 
-    A prior is time (s), rate and their covariance; the plan is searched between two times (s)
-    where the tool is not at the predicted one.
+    A prior is time (s), rate and their covariance; the plan is searched within a range (s) if the
+    tool is not at the predicted point.
     """
     t, rate, variance, covariance, rate_variance = prior
     at, wide = corrected(rows, seconds, tool, t, variance)
@@ -195,7 +196,7 @@ def track(
     if wide != variance:
         rate_variance = max(rate_variance, START_STD * START_STD)
     v0, w0 = point_at(rows, seconds, t)[2:4]
-    slower = min(speed2, along(v0, w0, v0, w0))  # where the plan starts or stops between both
+    slower = min(speed2, along(v0, w0, v0, w0))  # the plan starts or stops in between
     gain = slower / (wide * slower + POSE_STD * POSE_STD)
     rate += covariance * (at - t) / wide
     rate_variance -= covariance * covariance * gain
@@ -218,9 +219,9 @@ def track(
 @kernel
 def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> int:
     """
-    Move at most so many states a second, and the last, to the front; return how many.
+    Move a limited number of states per second, and the last, to the front; return their number.
 
-    Their twists are turned into axes of the world if asked.
+    Twists are optionally rotated into axes of the world.
     """
     count, last, before = 0, len(times_ns) - 1, -1.0
     for k in range(last + 1):
@@ -246,7 +247,7 @@ class PlanTracker:
     plan : Trajectory or ToolRows
         Plan of E in the world, with body twists.
     stamp_ns : int
-        When it starts, ns; 0 for when the tool starts.
+        Stamp of the plan's start, ns; 0 for a start with the tool.
 
     Attributes
     ----------
@@ -258,7 +259,6 @@ class PlanTracker:
     """
 
     def __init__(self, plan: Trajectory | ToolRows, stamp_ns: int) -> None:
-        """Take the plan."""
         self._stamp_ns = stamp_ns
         self.plan = ToolRows(plan.stamps_ns, simulation.tool_rows(plan))
         self._inputs = as_inputs(self.plan.rows, self.plan.seconds)
@@ -268,7 +268,7 @@ class PlanTracker:
         self.progress = PlanProgress(-1, 0.0, 1.0, self._leaves**2, 0.0, START_STD**2)
 
     def follow(self, now: Prediction) -> None:
-        """Correct the progress by a pose of the tool; for each of them."""
+        """Correct the progress by a pose of the tool; call it for each pose."""
         before = self.progress
         ends, prior = self._predicted(now.stamp_ns)
         distance, (time, rate, *covariance) = track(*self._inputs, now.tool, prior, ends)
@@ -288,7 +288,7 @@ class PlanTracker:
     def _predicted(
         self, stamp_ns: int
     ) -> tuple[tuple[float, float], tuple[float, float, float, float, float]]:
-        """Return the ends (s) of a search, and time, rate and covariance before a pose."""
+        """Return the range (s) of a search, and time, rate and covariance before a pose."""
         stored_ns, time, rate, variance, covariance, rate_variance = self.progress
         elapsed = max(0.0, (stamp_ns - stored_ns) / NS_PER_S) if stored_ns >= 0 else 0.0
         if self.state == WAITING:
@@ -302,7 +302,7 @@ class PlanTracker:
             reach = MAX_RATE * elapsed + SEARCH_TIME
             return (max(0.0, time - SEARCH_TIME), min(time + reach, self._end)), (
                 time, rate, variance, 0.0, rate_variance)
-        drift = 0.05**2 * elapsed  # rate changes by 5 % within one second
+        drift = 0.05**2 * elapsed  # 5 % change of the rate within 1 s
         variance += elapsed * (2.0 * covariance + elapsed * (rate_variance + drift / 3.0))
         covariance += elapsed * (rate_variance + 0.5 * drift)
         time = min(time + rate * elapsed, self._end)
@@ -311,7 +311,7 @@ class PlanTracker:
             time, rate, variance, covariance, rate_variance + drift)
 
     def _wait(self, stamp_ns: int) -> float:
-        """Return the time (s) until the plan begins; infinite if the plan begins with the tool."""
+        """Return the time (s) until the plan begins; infinite if it begins with the tool."""
         wait = (self._stamp_ns - stamp_ns) / NS_PER_S if self._stamp_ns else math.inf
         is_soon = -MAX_WAIT - self._end <= wait <= MAX_WAIT
         return wait if is_soon else math.inf
@@ -324,16 +324,15 @@ class PlanTracker:
 
     def rest(self, now: Prediction, spacing: float = SPACING, deviations: float = 0.0) -> ToolRows:
         """
-        Return the tool as it is, then the rest of the plan, with stamps from now.
+        Return the present tool and the remaining plan, with stamps from the present on.
 
-        A plan that has not begun and has no time to begin, begins now. The tool joins it at
-        `JOIN_SPEED`, and drives it as fast as last; its points are thinned to a spacing (s). The
-        progress, and the rate of a plan that is driven, are changed by so many of their standard
-        deviations.
+        A plan without a time of begin begins now. The tool joins the plan at `JOIN_SPEED`, and
+        drives it at its last rate; points are thinned to a spacing (s). The progress, and the rate
+        of a driven plan, are changed by a number of their standard deviations.
         """
         stored_ns, progress, rate, variance, _, rate_variance = self.progress
         seconds, last, wait = self.plan.seconds, len(self.plan) - 1, 0.0
-        if self.state != WAITING:  # the last pose and this one need not be the same
+        if self.state != WAITING:  # the last pose may be older
             progress += rate * max(0, now.stamp_ns - stored_ns) / NS_PER_S
         elif self._wait(now.stamp_ns) < math.inf:
             wait = max(0.0, self._wait(now.stamp_ns))

@@ -1,8 +1,8 @@
 """
 The live predictor without ROS: tool messages in, predicted package states out.
 
-The node and `bellows replay` run this very code. Nothing here reads a clock: the time of motion
-is in the stamps, and the caller passes the arrival of each message.
+The node and `bellows replay` share this code. It reads no clock: time is in the stamps, and the
+caller passes the arrival of each message.
 """
 
 from __future__ import annotations  # signatures show names, not their members
@@ -45,13 +45,13 @@ from numpy.typing import ArrayLike
 from .tool_screening import Frame, REFUSALS, Screen, ToolArrivals, TwistSample, why_no_twist
 
 COAST_LIMIT_NS = 100_000_000
-"""Default time (ns) for which the tool is extrapolated."""
+"""Default limit of the extrapolation of the tool, ns."""
 
 MOVING_SPEED = 0.02
-"""Speed of the tool from which on no package is released, m/s."""
+"""Speed of the tool above which no package is released, m/s."""
 
 MOVING_RATE = 0.1
-"""Angular speed of the tool from which on no package is released, rad/s."""
+"""Angular speed of the tool above which no package is released, rad/s."""
 
 STOPPED_NS = 100_000_000
 """Time at rest before a release, ns: a vacuum that ends earlier has ended in motion."""
@@ -60,41 +60,41 @@ MIN_UPWARD_GRAVITY = 0.5
 """Fraction of gravity along z of the tool above which the package is above the tool."""
 
 ALARM_DURATION_NS = 5_000_000_000
-"""Duration of an alarm that nothing resolves, ns."""
+"""Duration of an alarm without a resolution, ns."""
 
 UNSAFE_DURATION_NS = 1_000_000_000
-"""Duration of `is_ok` being false after a safety factor below safety.least, ns."""
+"""Duration of a false `is_ok` after a safety factor below safety.least, ns."""
 
 SEEN_AGAIN = 3
-"""Number of used poses that show the next package, without vacuum and valve."""
+"""Number of used poses that indicate the next package, without vacuum and valve."""
 
 RESTARTS = (
     'gap', 'clock_set_back', 'clock_set_forward', 'clock_jump', 'frame_changed', 'moved',
     'diverged', 'no_equilibrium', 'failure')
-"""Reasons for starting the prediction from rest again."""
+"""Reasons for a restart of the prediction from rest."""
 
 
 class LivePredictor:
     """
-    Predict the package from the tool's poses and twists as they come; needs no ROS.
+    Predict the package from the tool's poses and twists; needs no ROS.
 
-    Every accepted pose gives exactly one prediction, at its stamp. A twist is paired with the
-    pose of the same stamp, whichever comes first, or interpolated; otherwise it is estimated from
-    the poses. Rejected messages are counted in `refused`, starts from rest in `restarts`.
+    Every accepted pose gives exactly one prediction, at its stamp. A twist is paired with the pose
+    of equal stamp, in any order, or interpolated; otherwise it is estimated from the poses.
+    Rejected messages are counted in `refused`, starts from rest in `restarts`.
 
-    `from_parameters` adds all that the node does: measured poses, alarms, vacuum and valve, with
-    the state of the package in a pick-and-place cycle.
+    `from_parameters` adds the other functions of the node: measured poses, alarms, vacuum and
+    valve, with the state of the package in a pick-and-place cycle.
 
     Parameters
     ----------
     cup, package : Cup, Package
     gravity : float or array_like (3,)
-        m/s^2, along -z of the world, or as a vector there.
+        Magnitude along -z of the world, or vector in the world, m/s^2.
     twist_frame : {'world', 'tool'}
-        Axes of the linear and angular velocity given to `on_twist`; the linear one is the
-        velocity of the tool point in either case.
+        Axes of the velocities given to `on_twist`; the linear velocity is that of the tool point
+        in either case.
     coast_limit_ns : int
-        Longest extrapolation of the tool when no pose comes, ns; 0 for none.
+        Longest extrapolation of the tool without a pose, ns; 0 for none.
 
     Attributes
     ----------
@@ -102,10 +102,10 @@ class LivePredictor:
         Detected faults, oldest first: stamp_ns, cause, size, its standard deviation, the second
         likeliest cause, and the odds of the first to the second.
     values : Values
-        Parameters in use, with the chosen cup and without the cups that do not hold; empty unless
-        made by `from_parameters`.
+        Parameters in use, with the chosen cup and without cups that do not hold; empty unless made
+        by `from_parameters`.
     latest : Prediction or None
-        The newest one of a package that is held or flies.
+        Newest prediction of a held or flying package.
     load : Load or None
         Safety factor of the grip, and distance from the validity range.
     uncertainty : Uncertainty or None
@@ -113,10 +113,10 @@ class LivePredictor:
     vacuum : Vacuum
         Pressures by cup.
     lost_cups : set of int
-        Cups of cup.layout that were lost since the package was attached.
+        Cups of cup.layout lost since the package was attached.
     future : callable
-        Returns the tool's planned motion after a prediction, or None, with the progress changed by
-        a number of its standard deviations.
+        Function of a prediction, and of a deviation of the progress in standard deviations, that
+        returns the tool's planned motion, or None.
     pairing : Pairing
         Poses that wait for their twists.
     tool : ToolMotion
@@ -128,7 +128,7 @@ class LivePredictor:
     attached : bool
         Whether the package is predicted.
     flight : Flight or None
-        Follows the package after the valve.
+        Flight of the package after the valve.
     poses_in, twists_in, predictions, twists_estimated, coasted : int
         Counts of inputs, outputs, and estimated twists and tool poses.
 
@@ -179,7 +179,7 @@ class LivePredictor:
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, object]) -> LivePredictor:
         """
-        Return a predictor that does all that the node does, except for messages.
+        Return a predictor with all functions of the node except messages.
 
         Parameters
         ----------
@@ -233,12 +233,12 @@ class LivePredictor:
 
     @property
     def refused(self) -> dict[str, int]:
-        """Counts of refused messages, by reason."""
+        """Counts of rejected messages, by reason."""
         return {**self._counts, 'twist_unpaired': self.pairing.unpaired}
 
     @property
     def counts(self) -> dict[str, int]:
-        """Counts of messages in, predictions out, and restarts, since the beginning."""
+        """Counts of incoming messages, predictions and restarts, since the beginning."""
         return {
             'poses in': self.poses_in, 'twists in': self.twists_in,
             'predictions': self.predictions, 'coasted': self.coasted,
@@ -263,8 +263,8 @@ class LivePredictor:
         """
         Whether the package is held, predicted without an alarm, and gripped safely.
 
-        False, too, while cup or payload in use deviate from their parameters by more than these
-        may.
+        It is also False while cup or payload in use deviate from their parameters by more than
+        allowed.
         """
         if self.latest is not None:
             self.watch(self.latest)
@@ -280,7 +280,7 @@ class LivePredictor:
 
     @property
     def is_above(self) -> bool:
-        """Whether z of the tool points down, so that the package is above the tool."""
+        """Whether z of the tool points down, with the package above the tool."""
         if self.latest is None:
             return False
         (x, y, z, w), gravity = self.latest.tool[1], self.model[2]
@@ -293,8 +293,8 @@ class LivePredictor:
         """
         The unresolved alarm: a loss until the next package, others for 5 s.
 
-        An alarm after which the model in use deviates from package.* or cup.* by more than they
-        may stays until the deviation ends.
+        An alarm after which cup or payload deviate from their parameters by more than allowed
+        lasts until the deviation ends.
         """
         if not self.alarms:
             return None
@@ -314,11 +314,11 @@ class LivePredictor:
 
     def covariance(self, stamp_ns: int) -> Array | None:
         """
-        Return the 12 by 12 covariance of a prediction; None if it is not available.
+        Return the 12 by 12 covariance of a prediction; None if unavailable.
 
-        Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s), in body axes.
-        Without measured poses it is available for the newest prediction, with them for the last
-        0.5 s.
+        Its order is displacement (m), rotation (rad), linear and angular twist (m/s, rad/s), in
+        body axes. Without measured poses it is available for the newest prediction, with them for
+        the last 0.5 s.
         """
         if self.latest is None or self.uncertainty is None:
             return None
@@ -331,10 +331,9 @@ class LivePredictor:
         """
         Return the phase of the prediction at a time on the clock of arrivals.
 
-        'detached', 'waiting' (no pose has come yet), 'predicting', 'settling' (predicting, but
-        the error of the start has not decayed), 'coasting' (no pose has come for a moment) or
-        'lost' (none for longer than can be bridged, or no prediction from it); after the valve
-        'released', 'flying' or 'landed'.
+        It is 'detached', 'waiting' (before the first pose), 'predicting', 'settling' (predicting
+        with a remaining initial error), 'coasting' (a short gap of poses) or 'lost' (a longer gap,
+        or no prediction); after the valve 'released', 'flying' or 'landed'.
         """
         if not self.attached:
             return 'detached'
@@ -355,13 +354,13 @@ class LivePredictor:
         """
         Continue with other values of some parameters; the package keeps its motion.
 
-        Estimates of all quantities that these parameters do not describe stay, those of the
-        camera among them.
+        Estimates of quantities that these parameters do not describe are kept, for example of the
+        camera.
 
         Raises
         ------
         BellowsError
-            As `from_parameters`; nothing has changed then.
+            As in `from_parameters`; parameters are then unchanged.
 
         """
         if fixed := [name for name in parameters if lookup(name).read_only
@@ -376,7 +375,7 @@ class LivePredictor:
         """Use checked values, with the chosen cup in cup.*."""
         self._given = values
         opened = {*values.cup.open, *map(float, {*self.vacuum.open_cups, *self.lost_cups})}
-        if len(opened - {-1.0}) < len(values.cup.layout) // 3:  # otherwise none holds
+        if len(opened - {-1.0}) < len(values.cup.layout) // 3:  # otherwise no cup holds
             values = values.replaced({'cup.open': tuple(opened)})
         self.values = values
         if self.package.observer is not None:
@@ -391,7 +390,7 @@ class LivePredictor:
 
     def reset(self, reason: str = '') -> None:
         """
-        Start from rest at the next pose, in any frame; for one of `RESTARTS` in the same frame.
+        Restart from rest at the next pose, in any frame; in the current one for one of `RESTARTS`.
 
         Without a reason, all estimates of the package are reset, too.
         """
@@ -406,11 +405,11 @@ class LivePredictor:
         self._forget_motion(SAME_PACKAGE if reason else CAMERA_ROWS)
 
     def expect_twists(self, expected: bool) -> None:
-        """Let poses wait for their twists, or not, until those that come show otherwise."""
+        """Let poses wait for twists or not, until received twists indicate otherwise."""
         self._twists_expected = self.pairing.expect = expected
 
     def set_attached(self, attached: bool) -> list[Prediction]:
-        """Take up a package, from rest at the next pose, or let it go."""
+        """Attach a package, from rest at the next pose, or detach it."""
         predictions = self.flush() if self.attached and not attached else []
         if attached:
             self._cycle.grip()
@@ -432,12 +431,12 @@ class LivePredictor:
         self.attached, self.latest = attached, None
         if is_next and self.package.observer is not None:
             self.package.observer.grip()
-        if attached and self.lost_cups:  # they may hold the next package
+        if attached and self.lost_cups:  # the next package may be held by them
             self.lost_cups.clear()
             self.use(self._given)
 
     def _forget_motion(self, kept: tuple[int, ...] = SAME_PACKAGE) -> None:
-        """Drop the package's state and all that waits, but not the frame."""
+        """Drop the package's state and waiting messages, but not the frame."""
         if self.flight is not None:
             self.flight.forget()
         self.package.forget(kept)
@@ -466,7 +465,7 @@ class LivePredictor:
         stamp_ns : int, optional
             Stamp of the reading, ns; default: stamp of the newest tool pose.
         cup : int
-            Index in cup.layout of the only cup that was measured.
+            Index in cup.layout of the measured cup; default: all.
 
         """
         stamp_ns = self.newest_ns if stamp_ns is None else stamp_ns
@@ -485,7 +484,7 @@ class LivePredictor:
         self._note_alarms()
 
     def on_pressure(self, pressure: float, frame_id: str, stamp_ns: int | None = None) -> str:
-        """Process a pressure (Pa) of the cup, or of one; return why it is rejected, or ''."""
+        """Process a pressure (Pa) of all cups or of one; return the reason of rejection, or ''."""
         opened = self.vacuum.open_cups
         readings = self.vacuum.update(self._given, pressure, frame_id)
         if isinstance(readings, str):
@@ -499,7 +498,7 @@ class LivePredictor:
         return ''
 
     def _follow_cycle(self, before: str, stamp_ns: int) -> None:
-        """Take up or give up the package after a change of its state."""
+        """Attach or detach the package after a change of its state."""
         state, flight = self.state, self.flight
         if state == before:
             return
@@ -513,7 +512,7 @@ class LivePredictor:
                 self._attach(state in ON_CUP)
 
     def _note_loss(self, stamp_ns: int) -> None:
-        """Raise the alarm on a loss that the vacuum shows, unless the camera has."""
+        """Raise the alarm on a loss indicated by the vacuum, unless the camera has raised it."""
         if self._given.get('alarm.false_per_hour', 0.0) > 0.0 and not any(
                 alarm.cause == LOST and stamp_ns - alarm.stamp_ns < ALARM_DURATION_NS
                 for alarm in self.alarms):
@@ -523,7 +522,7 @@ class LivePredictor:
             self._alarms_seen = len(self.alarms)
 
     def _note_alarms(self) -> None:
-        """Follow new alarms of the observer: a loss, or the loss of a cup."""
+        """Process new alarms of the observer: loss of the package, or of a cup."""
         if len(self.alarms) == self._alarms_seen:
             return
         new, self._alarms_seen = self.alarms[self._alarms_seen:], len(self.alarms)
@@ -534,7 +533,7 @@ class LivePredictor:
             self._cycle.end(LOST)
             observer = self.package.observer
             self._used_at_loss = observer.counts['used'] if observer is not None else 0
-            if not (self._cycle.valve is self._cycle.vacuum is None):  # they tell of the next
+            if not (self._cycle.valve is self._cycle.vacuum is None):  # they show the next package
                 self._attach(False)
 
     # ------------------------------------------------------------------ input
@@ -544,20 +543,20 @@ class LivePredictor:
         arrival_ns: int | None = None,
     ) -> list[Prediction]:
         """
-        Process a tool pose in the world and return the predictions that it makes possible.
+        Process a tool pose in the world and return the resulting predictions.
 
         Parameters
         ----------
         stamp_ns : int
             Header stamp, ns.
         frame_id : str
-            The first accepted pose sets the frame; poses in another are refused.
+            Frame, set by the first accepted pose; poses in another frame are rejected.
         position : (x, y, z)
             m.
         quaternion_xyzw : (x, y, z, w)
-            Orientation; scaled to unit length where it is nearly so.
+            Orientation; normalised if its length is nearly 1.
         arrival_ns : int, optional
-            Arrival on a monotonic clock; None where messages do not arrive in real time.
+            Arrival on a monotonic clock; None if messages do not arrive in real time.
 
         """
         self.poses_in += 1
@@ -584,10 +583,10 @@ class LivePredictor:
         self, stamp_ns: int, linear: Vector, angular: Vector, frame_id: str | None = None
     ) -> list[Prediction]:
         """
-        Process the tool's twist (m/s, rad/s) and return the predictions that it makes possible.
+        Process the tool's twist (m/s, rad/s) and return the resulting predictions.
 
-        Its frame_id does not define its axes, as drivers fill in what they like; but twists in
-        another one than the first are refused until nothing else has come for a while.
+        The frame_id does not define the axes, as drivers set it arbitrarily. Twists with another
+        frame_id than the first are rejected until no others have come for a while.
         """
         self.twists_in += 1
         refused = why_no_twist(linear, angular)
@@ -615,10 +614,10 @@ class LivePredictor:
         quaternion_xyzw : (x, y, z, w)
             Orientation.
         covariance : ndarray (6, 6), optional
-            Of position and rotation about axes of the world, m^2, rad^2; measured.noise when left
-            out.
+            Covariance of position and rotation about axes of the world, m^2, rad^2; default:
+            measured.noise.
         arrival_ns : int, optional
-            Arrival on the clock of the arrivals of `on_pose`.
+            Arrival on the clock of `on_pose`.
 
         """
         if (observer := self.package.observer) is None:
@@ -648,12 +647,12 @@ class LivePredictor:
                 self._cycle.grip()
 
     def flush(self) -> list[Prediction]:
-        """Predict for all poses that still wait, without their twists."""
+        """Predict for all waiting poses, without their twists."""
         self.pairing.release_waiting_poses()
         return self._release()
 
     def coast(self, arrival_ns: int) -> list[Prediction]:
-        """Return a prediction for a moment at which no pose came, while that is safe."""
+        """Return a prediction at a time without a pose, within the limit of the extrapolation."""
         newest_ns = self.arrivals.newest_ns
         if newest_ns is None:
             return []
@@ -676,7 +675,7 @@ class LivePredictor:
             if (prediction := self._predict(pose, twist)) is not None]
 
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
-        """Advance the package to a pose's stamp, or start it from rest there."""
+        """Advance the package to a pose's stamp, or start from rest there."""
         before, now = self._tool_states(pose, twist)
         if self._cycle.follows:
             if is_moving(now):
@@ -701,7 +700,7 @@ class LivePredictor:
         return prediction
 
     def _on_tool(self, stamp_ns: int, position: Vector | None = None) -> None:
-        """Let time and the tool's motion change the state of the package."""
+        """Update the state of the package by time and the tool's motion."""
         cycle, observer = self._cycle, self.package.observer
         before = cycle.state
         if before == GRIPPED and position is not None:
@@ -712,7 +711,7 @@ class LivePredictor:
         self._follow_cycle(before, stamp_ns)
 
     def watch(self, prediction: Prediction) -> tuple[float, float] | None:
-        """Return the safety factors of a prediction, if the grip is known, and record them."""
+        """Record and return the safety factors of a prediction, if the grip is known."""
         if self.load is None:
             return None
         factors = self.load.watch_force(self.model, prediction)
@@ -723,7 +722,7 @@ class LivePredictor:
     def _tool_states(
         self, pose: PoseSample, twist: TwistSample | None
     ) -> tuple[State | None, State]:
-        """Return the tool with its twist, measured or estimated, and better at the pose before."""
+        """Return the tool with measured or estimated twist, and improved at the previous pose."""
         self.tool.add(pose)
         last = self.package.sample
         if twist is not None:
@@ -748,11 +747,11 @@ def is_moving(tool: State) -> bool:
 
 @seldom_collected()
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:
-    """Compile everything, by predicting made-up data in a temporary predictor."""
+    """Compile all kernels by predictions of synthetic data in a temporary predictor."""
     live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)
     safety_factors((ratio(1.0, 1.0), 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
     (still, upright, *_), arrival_ns = ORIGIN, 0
-    for arrival_ns in range(10_000_000, 150_000_000, 10_000_000):  # until it has settled
+    for arrival_ns in range(10_000_000, 150_000_000, 10_000_000):  # until settled
         live.on_pose(arrival_ns, 'world', still, upright, arrival_ns)
         if arrival_ns > 60_000_000:  # first without twists, then with
             live.on_twist(arrival_ns + 50_000, still, still)
@@ -764,7 +763,7 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
 
 
 MESSAGE_BLOCK = 2000
-"""Messages held as Python objects at a time, to spare the garbage collector."""
+"""Number of messages held as Python objects at a time, for the garbage collector's sake."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -777,8 +776,8 @@ class Messages:
     stamps_ns : ndarray (N,)
     is_twist : bool ndarray (N,)
     numbers : ndarray (N, 7)
-        Position (m) and quaternion (x, y, z, w); of a twist the linear and the angular velocity
-        (m/s, rad/s), and a zero.
+        Position (m) and quaternion (x, y, z, w); for a twist linear and angular velocity (m/s,
+        rad/s), and a zero.
 
     """
 
@@ -809,13 +808,13 @@ def predicted_trajectory(
     """
     Return the live predictions for messages in order: B in the world with body twists.
 
-    Measured poses of the package (stamp, position, quaternion, covariance or None), in order, are
-    given to it before the first message after their stamp, as are the signals in order.
+    Measured poses of the package (stamp, position, quaternion, covariance or None) and signals,
+    both in order, are processed before the first message after their stamp.
 
     Raises
     ------
     BellowsError
-        If it predicts fewer than two poses.
+        If there are fewer than two predictions.
 
     """
     stamps, numbers = array('q'), array('d')

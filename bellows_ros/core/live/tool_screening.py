@@ -1,10 +1,10 @@
 """
 Screening of the tool's poses and twists: a state machine over stamps, frames and values.
 
-Each pose is accepted, refused with a reason, or accepted as a fresh start with a reason. A single
-implausible pose is refused; a consistent run of them is believed, so that the predictor comes back
-by itself when a clock was set, a recording starts again, a driver changes its frame or a tool was
-moved while nobody saw it. Of two tools on one topic the one that came first is followed.
+Each pose is accepted, rejected with a reason, or accepted as a restart with a reason. A single
+implausible pose is rejected; a consistent run of them is accepted, so that the predictor recovers
+when a clock was set, a recording restarts, a driver changes its frame or a tool was moved unseen.
+Of two tools on one topic the first is followed.
 """
 
 import math
@@ -25,23 +25,24 @@ REFUSALS = (
 """Reasons for rejecting poses and twists of the tool."""
 
 JUMP_RUN = 5
-"""Consecutive poses, close together but far from the last accepted one, that make a new place."""
+"""Number of consecutive poses, near to each other but far from the last accepted one, that are a
+new place."""
 
 SHIFT_TOLERANCE, ROTATION_TOLERANCE = 0.05, 0.3
-"""Tolerance (m, rad) of a pose about where an arm could be."""
+"""Tolerance of a pose about the reach of an arm's motion, m and rad."""
 
 MAX_ACCELERATION, JUMP_TOLERANCE = (100.0, 1000.0), (0.02, 0.2)
-"""Acceleration of an arm (m/s^2, rad/s^2), and tolerance of a pose in addition (m, rad)."""
+"""Acceleration of an arm (m/s^2, rad/s^2), and additional tolerance of a pose (m, rad)."""
 
 SUSPECT_ACCELERATION, SUSPECT_TOLERANCE = (40.0, 400.0), (0.015, 0.15)
-"""Suspect acceleration of an arm (m/s^2, rad/s^2), and tolerance of a pose in addition (m,
+"""Suspicious acceleration of an arm (m/s^2, rad/s^2), and additional tolerance of a pose (m,
 rad)."""
 
 SUSPICION_AFTER_JUMPS = 0.2
-"""Fraction of that limit at which doubt begins after refused poses."""
+"""Fraction of the suspicious limit at which doubt begins after rejected poses."""
 
 JITTER = 0.025
-"""Largest error (s) of stamps; stamps of arrival come in bursts."""
+"""Largest error of stamps, s; stamps of arrival come in bursts."""
 
 MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
 """Deceleration to a stop within one sample (m/s^2, rad/s^2), and its noise (m, rad)."""
@@ -59,36 +60,36 @@ class TwistSample(NamedTuple):
 
 
 class PoseStep(NamedTuple):
-    """From one pose to a later one."""
+    """Motion from one pose to a later one."""
 
     excess: float
-    """Size relative to what an arm can do; above 1 is impossible."""
+    """Size relative to the limit of an arm; above 1 is impossible."""
     suspicion: float
-    """Size relative to the limit of suspicion."""
+    """Size relative to the suspicious limit."""
     jump: tuple[float, float]
     """Deviation from a steady motion, m and rad."""
     speeds: tuple[float, float]
-    """Smaller speed (m/s) and rate (rad/s) of this step and the one before: one jump is no motion.
-    """
+    """Smaller speed (m/s) and rate (rad/s) of this step and the previous one: a single jump is not
+    a motion."""
     velocity: Vector
-    """In the axes of the poses' frame, m/s."""
+    """Velocity in axes of the poses' frame, m/s."""
     rate: Vector
-    """In the tool's axes, rad/s."""
+    """Angular velocity in the tool's axes, rad/s."""
 
 
 REST = PoseStep(0.0, 0.0, (0.0, 0.0), (0.0, 0.0), ZERO, ZERO)
 
 
 class Reference(NamedTuple):
-    """The pose that the next one is compared with."""
+    """The pose with which the next one is compared."""
 
     stamp_ns: int
     position: Vector
     quaternion_xyzw: Quaternion
     period: float
-    """Time since the previous pose, s; 0 for the first, whose tool counts as at rest."""
+    """Time since the previous pose, s; 0 for the first, with the tool at rest."""
     step: PoseStep
-    """From the previous pose."""
+    """Step from the previous pose."""
 
     def step_to(self, stamp_ns: int, o: Vector, q: Quaternion) -> PoseStep:
         """Return the step to a later pose."""
@@ -109,10 +110,10 @@ def _pose_step(
     other_o: Vector, other_q: Quaternion, seconds: float,
 ) -> tuple[float, float, tuple[float, float], tuple[float, float], Vector, Vector]:
     """
-    Return the `PoseStep` from a pose to another after some seconds; numba is slow at named tuples.
+    Return the `PoseStep` from a pose to another after some seconds, as a tuple for numba.
 
     The change of velocity counts for the shorter of the two periods, and less in a steady motion,
-    so that neither bursts nor stamps with jitter make jumps of it.
+    so that neither bursts nor jitter of stamps appear as jumps.
     """
     shift = t3.subtract(other_o, o)
     rotation = t3.rotation_between(q, other_q)
@@ -140,7 +141,7 @@ def _pose_step(
 
 class ToolArrivals:
     """
-    When accepted poses came, on a monotonic clock (ns), and whether they stay away.
+    Arrivals of accepted poses on a monotonic clock (ns), and the detection of silence.
 
     Attributes
     ----------
@@ -150,25 +151,23 @@ class ToolArrivals:
     """
 
     def __init__(self) -> None:
-        """Expect the first pose."""
         self.clear()
 
     def clear(self) -> None:
-        """Forget all poses."""
         self.newest_ns: int | None = None
         self._pause_ns = 0
 
     def add(self, arrival_ns: int | None) -> None:
-        """Add a pose; None where messages do not arrive in real time."""
+        """Add the arrival of a pose; None if messages do not arrive in real time."""
         if arrival_ns is not None and self.newest_ns is not None:
             pause_ns = arrival_ns - self.newest_ns
-            if pause_ns <= 100_000_000:  # ns, between bursts; it grows quickly, and shrinks slowly
+            if pause_ns <= 100_000_000:  # ns, between bursts; grows quickly, shrinks slowly
                 change_ns = pause_ns - self._pause_ns
                 self._pause_ns += change_ns // (2 if change_ns > 0 else 256)
         self.newest_ns = arrival_ns
 
     def silent_ns(self, now_ns: int, period_ns: int) -> int:
-        """Return for how long no pose came, 0 as long as that is usual at the poses' period."""
+        """Return the time without a pose, 0 while usual at the poses' period."""
         silent_ns = 0 if self.newest_ns is None else now_ns - self.newest_ns
         usual_ns = max(20_000_000, 4 * period_ns, 3 * self._pause_ns // 2)
         return silent_ns if silent_ns > usual_ns else 0
@@ -176,23 +175,22 @@ class ToolArrivals:
 
 class Frame:
     """
-    The frame of messages: the first, or another one that alone has come for long enough.
+    The frame of messages: the first, or another one that has come alone for long enough.
 
     Attributes
     ----------
     name : str or None
-        None before the first.
+        Name of the frame, None before the first.
 
     """
 
     def __init__(self) -> None:
-        """Take any next frame."""
         self.name: str | None = None
         self._other: str | None = None
         self._first_ns = self._last_ns = -1
 
     def accepts(self, name: str | None, stamp_ns: int) -> bool:
-        """Return whether a message is in this frame, which is another one from then on."""
+        """Return whether a message is in the frame, which changes if necessary."""
         if self.name is not None and name != self.name:
             if self._first_ns < 0 or name != self._other or stamp_ns <= self._last_ns:
                 self._other, self._first_ns = name, stamp_ns
@@ -204,9 +202,9 @@ class Frame:
 
 
 def why_no_twist(linear: Vector, angular: Vector) -> str:
-    """Return why a twist (m/s, rad/s) cannot be used, or ''."""
+    """Return the reason why a twist (m/s, rad/s) is rejected, or ''."""
     speed, rate = math.hypot(*linear), math.hypot(*angular)
-    if speed <= screening.MAX_TOOL_SPEED and rate <= screening.MAX_TOOL_RATE:  # not NaN
+    if speed <= screening.MAX_TOOL_SPEED and rate <= screening.MAX_TOOL_RATE:  # false for NaN
         return ''
     finite = all(map(math.isfinite, (*linear, *angular)))
     return 'twist_too_fast' if finite else 'twist_nan'
@@ -214,12 +212,12 @@ def why_no_twist(linear: Vector, angular: Vector) -> str:
 
 class Screen(StampScreen):
     """
-    Judge the tool's poses one after the other.
+    State machine that judges successive poses of the tool.
 
     Attributes
     ----------
     frame : Frame
-        That of the accepted poses; none without a name.
+        Frame of the accepted poses, if named.
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
     suspect : (float, float) or None
@@ -228,11 +226,10 @@ class Screen(StampScreen):
     """
 
     def __init__(self) -> None:
-        """Start without a reference."""
         self.reset()
 
     def reset(self) -> None:
-        """Take any next stamp and frame."""
+        """Accept any next stamp and frame."""
         self.frame = Frame()
         self.forget_motion()
 
@@ -240,9 +237,9 @@ class Screen(StampScreen):
         """Accept any next stamp and place, in the same frame."""
         self.forget_stamps()
         self._last: Reference | None = None
-        self._step = REST  # from there, if judged by its place
+        self._step = REST  # from there, if its place was judged
         self.suspect: tuple[float, float] | None = None
-        self._elsewhere: Reference | None = None  # the newest of poses that were refused
+        self._elsewhere: Reference | None = None  # newest of the rejected poses
         self._elsewhere_run = 0
 
     def judge(
@@ -250,7 +247,7 @@ class Screen(StampScreen):
         arrival_ns: int | None = None,
     ) -> str:
         """
-        Return why a pose is refused, or prediction restarts with it, or ''; else keep it.
+        Return the reason why a pose is rejected or restarts the prediction, or ''.
 
         Parameters
         ----------
@@ -263,8 +260,8 @@ class Screen(StampScreen):
         quaternion_xyzw : (x, y, z, w)
             Orientation.
         arrival_ns : int, optional
-            Arrival on a monotonic clock. Tells a pause of the driver from a stamp that lies in the
-            future; without it a late stamp is taken for a pause.
+            Arrival on a monotonic clock, which distinguishes a pause of the driver from a stamp in
+            the future; without it a late stamp counts as a pause.
 
         """
         reason = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
@@ -281,7 +278,7 @@ class Screen(StampScreen):
     def _judge(
         self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion, arrival_ns: int | None
     ) -> str:
-        """Return the reason of the first check that fails, or ''."""
+        """Return the reason of the first failed check, or ''."""
         if reason := screening.why_no_pose(o, q):
             return reason
         if stamp_ns <= 0:
@@ -294,7 +291,7 @@ class Screen(StampScreen):
         return self.judge_stamp(stamp_ns, arrival_ns) or self._judge_place(stamp_ns, o, q)
 
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> str:
-        """Refuse poses of a tracker that has lost its body: repeated, or far away."""
+        """Reject poses of a tracker that has lost its body: repeated, or far away."""
         last = self._last
         if last is None:
             return ''
@@ -302,7 +299,7 @@ class Screen(StampScreen):
             self._step, self.suspect = REST, None
             return 'repeated_pose' if _cannot_stop(last) else ''
         is_doubted = self._elsewhere is not None
-        if is_doubted:  # then the time since the last one tells of no burst
+        if is_doubted:  # the time since the last pose may be a burst's
             last = last._replace(period=(stamp_ns - last.stamp_ns) / NS_PER_S)
         self._step = step = last.step_to(stamp_ns, o, q)
         if step.excess <= 1.0 and not (is_doubted and self._is_elsewhere(stamp_ns, o, q)):
@@ -313,7 +310,7 @@ class Screen(StampScreen):
         return 'moved' if self._elsewhere_run >= JUMP_RUN else 'jump'
 
     def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
-        """Return whether a pose continues rather from the last refused than the last accepted."""
+        """Return whether a pose continues the last rejected rather than the last accepted pose."""
         refused, last = self._elsewhere, self._last
         if refused is None or last is None or stamp_ns <= refused.stamp_ns:
             return False
@@ -323,7 +320,7 @@ class Screen(StampScreen):
         return of_refused < of_accepted
 
     def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:
-        """Count poses that can come one after the other, far from the last accepted."""
+        """Count successive consistent poses far from the last accepted one."""
         before, self._elsewhere = self._elsewhere, Reference(stamp_ns, o, q, UNKNOWN_PERIOD, REST)
         if before is not None and stamp_ns > before.stamp_ns:
             step = before.step_to(stamp_ns, o, q)
@@ -336,7 +333,7 @@ class Screen(StampScreen):
 
 
 def _cannot_stop(last: Reference) -> bool:
-    """Return whether an arm is too fast to stand still one sample later."""
+    """Return whether an arm is too fast to be at rest one sample later."""
     return any(
         (speed - deceleration * last.period) * last.period > tolerance
         for speed, deceleration, tolerance in zip(

@@ -1,10 +1,10 @@
 """
 The tool's twist at the stamps of its poses: measured, interpolated or estimated.
 
-Measured twists come in any order and at any rate (`Pairing`). One of the same stamp is taken as it
-is; between two it is interpolated; where neither is to be had without waiting long, the pose goes
-on alone, and its twist is estimated from the last poses. Measured twists are checked against the
-poses, in both choices of axes (`ToolMotion`).
+Measured twists come in any order and at any rate (`Pairing`). A twist of equal stamp is used as it
+is; between two twists it is interpolated; otherwise, after a short wait, the twist is estimated
+from the last poses. Measured twists are checked against the poses, in both choices of axes
+(`ToolMotion`).
 """
 
 from collections import deque
@@ -25,46 +25,45 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 PAIRING_TOLERANCE_NS = 100_000
-"""Largest difference (ns) of the stamps of a pose and its twist."""
+"""Largest difference of the stamps of a pose and its twist, ns."""
 
 MAX_WAIT_NS = 20_000_000
-"""Longest time (ns, in stamps) for which a pose waits for its twist."""
+"""Longest time for which a pose waits for its twist, in stamps, ns."""
 
 MAX_QUEUE = 256
-"""Most poses that wait."""
+"""Largest number of waiting poses."""
 
 
 class Pairing:
     """
-    Queues of poses and twists, and the rule which pose may go on.
+    Queues of poses and twists, and the rule for the release of poses.
 
     Attributes
     ----------
     expect : bool
         Whether a pose waits for its twist. Set by callers that know of a publisher of twists, and
-        by the pairs themselves.
+        by successful pairs.
     interpolated : int
-        Poses whose twist lies between two that came.
+        Number of poses with interpolated twists.
 
     """
 
     def __init__(self) -> None:
-        """Start with empty queues; poses do not wait."""
         self.expect = False
         self.interpolated = self._pairs = self._received = 0
         self.clear()
 
     def clear(self) -> None:
-        """Drop all that waits."""
+        """Discard waiting poses and twists."""
         self._poses: deque[PoseSample] = deque()
         self._twists: deque[TwistSample] = deque(maxlen=32)
         self._before: TwistSample | None = None
         self._newest_ns = self._last_emitted_ns = -1
         self._pose_period_ns = self._twist_period_ns = 0.0
         self._newest_twist_ns = -1
-        self._run = 0  # of poses with a twist, or below zero without
+        self._run = 0  # number of poses with a twist in a row; negative without
         self._last_paired = False
-        self._without_twist: deque[int] = deque(maxlen=16)  # stamps that went on alone
+        self._without_twist: deque[int] = deque(maxlen=16)  # stamps released without a twist
 
     @property
     def waiting(self) -> int:
@@ -73,7 +72,7 @@ class Pairing:
 
     @property
     def unpaired(self) -> int:
-        """Number of twists by which more came than there were poses to serve."""
+        """Number of twists without a matching pose."""
         return max(0, self._received - self._pairs - len(self._twists))
 
     def add_pose(self, pose: PoseSample) -> None:
@@ -84,7 +83,7 @@ class Pairing:
         self._poses.append(pose)
 
     def add_twist(self, twist: TwistSample) -> None:
-        """Queue a twist, or note that it came behind its pose."""
+        """Queue a twist, or process one that came after its pose was released."""
         stamp_ns = twist.stamp_ns
         self._received += 1
         self._drop_leaps(stamp_ns)
@@ -95,7 +94,7 @@ class Pairing:
         if 0 <= newest_ns < stamp_ns:
             self._twist_period_ns = smoothed(self._twist_period_ns, stamp_ns - newest_ns)
         if abs(stamp_ns - self._last_emitted_ns) <= PAIRING_TOLERANCE_NS:
-            if not self._last_paired:  # it came after its pose had gone on without it
+            if not self._last_paired:  # its pose was released before
                 self._last_paired = True
                 self._pairs += 1
                 self._count(True)
@@ -108,7 +107,7 @@ class Pairing:
             self._twists.append(twist)
 
     def _drop_leaps(self, stamp_ns: int) -> None:
-        """Drop twists with stamps in the future once a twist with an earlier stamp follows."""
+        """Drop twists with stamps in the future once an earlier twist follows."""
         while self._twists and self._twists[-1].stamp_ns > max(
             stamp_ns, self._newest_ns + MAX_WAIT_NS
         ):
@@ -116,12 +115,12 @@ class Pairing:
             self._newest_twist_ns = self._twists[-1].stamp_ns if self._twists else -1
 
     def release_waiting_poses(self) -> None:
-        """Let all poses go on that wait, without their twists."""
+        """Release all waiting poses without their twists."""
         if self._poses:
             self.expect, self._run = False, 0
 
     def ready(self) -> Iterator[tuple[PoseSample, TwistSample | None]]:
-        """Yield the poses that need not wait, oldest first, with their twists."""
+        """Yield the released poses with their twists, oldest first."""
         while self._poses:
             pose = self._poses[0]
             twist = self._twist_of(pose.stamp_ns)
@@ -144,7 +143,7 @@ class Pairing:
             yield pose, twist
 
     def _twist_of(self, stamp_ns: int) -> TwistSample | None:
-        """Return the twist of that instant, measured or interpolated."""
+        """Return the twist at a stamp, measured or interpolated."""
         while self._twists:
             difference = self._twists[0].stamp_ns - stamp_ns
             if difference > PAIRING_TOLERANCE_NS:
@@ -155,7 +154,7 @@ class Pairing:
         return None
 
     def _interpolated(self, stamp_ns: int) -> TwistSample | None:
-        """Return the twist between the last one before an instant and the first one after it."""
+        """Return the twist interpolated at a stamp between the neighbouring twists."""
         before, after = self._before, self._twists[0]
         if before is None or before.stamp_ns >= stamp_ns:
             return None
@@ -175,7 +174,7 @@ class Pairing:
             self._count(True)
 
     def _count(self, is_paired: bool) -> None:
-        """Wait for twists, or no longer, after some poses in a row with one, or without."""
+        """Wait for twists after poses with one in a row, and not after poses without."""
         self._run = max(self._run, 0) + 1 if is_paired else min(self._run, 0) - 1
         if not -3 < self._run < 2:  # consecutive poses without a twist, and with one
             self.expect = is_paired
@@ -191,12 +190,12 @@ HISTORY = 5
 """Number of poses from which a missing twist is estimated."""
 
 ROTATION_LEVER = 0.1
-"""Distance (m) that counts as much as a rotation by 1 rad."""
+"""Lever that converts rotations to distances, m."""
 
 
 @kernel
 def append_row(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) -> int:
-    """Write a pose after the others, dropping the first when full; return how many there are."""
+    """Append a pose, dropping the first when full; return the number of poses."""
     if count == len(rows):
         for i in range(count - 1):
             for j in range(8):
@@ -210,7 +209,7 @@ def append_row(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) 
 
 @kernel
 def pose_with_slope(rows: Any, count: int, at: int) -> State:
-    """Return the pose in rows[at] with the slope there of a quadratic through rows[:count]."""
+    """Return the pose in rows[at], and the slope there of a quadratic through rows[:count]."""
     o = (rows[at][1], rows[at][2], rows[at][3])
     q = (rows[at][4], rows[at][5], rows[at][6], rows[at][7])
     if count < 2:
@@ -218,7 +217,7 @@ def pose_with_slope(rows: Any, count: int, at: int) -> State:
     span = rows[count - 1][0] - rows[0][0]
     s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
     d0, d1, d2 = ZERO, ZERO, ZERO  # moments of the displacements
-    p0, p1, p2 = ZERO, ZERO, ZERO  # and of the rotation vectors
+    p0, p1, p2 = ZERO, ZERO, ZERO  # moments of the rotation vectors
     for i in range(count):
         s = (rows[i][0] - rows[at][0]) / span
         d = t3.subtract((rows[i][1], rows[i][2], rows[i][3]), o)
@@ -244,20 +243,20 @@ def slope_weights(
     n: float, s1: float, s2: float, s3: float, s4: float
 ) -> tuple[float, float, float]:
     """
-    Return the row of the inverse normal matrix of a quadratic fit that yields its slope at s = 0.
+    Return the row of a quadratic fit's inverse normal matrix for the slope at s = 0.
 
-    The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. If the
-    matrix is nearly singular, as of two samples or of two bursts, a line is fitted.
+    The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. If it is
+    nearly singular, as for two samples or two bursts, a line is fitted.
     """
     determinant = n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
-    if determinant < 1e-4:  # three even samples have 0.06
+    if determinant < 1e-4:  # 0.06 for three uniform samples
         return (-s1 / (n * s2 - s1 * s1), n / (n * s2 - s1 * s1), 0.0)
     return ((s3 * s2 - s1 * s4) / determinant, (n * s4 - s2 * s2) / determinant,
             (s1 * s2 - n * s3) / determinant)
 
 
 PERIOD_NS = 20_000_000
-"""Time (ns) between two comparisons."""
+"""Time between two comparisons, ns."""
 
 LATER_POSES = 2
 """Number of later poses for an accurate slope."""
@@ -266,20 +265,20 @@ FORGETTING = 0.98
 """Forgetting factor: about 50 comparisons count, 1 s."""
 
 MAX_MISFIT = 0.25
-"""Largest part of the mean square of correct twists that the poses leave unexplained."""
+"""Largest fraction of the mean square of correct twists that poses do not explain."""
 
 LAG_RANGE = 1e-3, 2e-2
-"""Smallest lag of the poses behind their twists that is corrected, and largest, s."""
+"""Range of the corrected lag of the poses behind their twists, s."""
 
 LAG_DEVIATIONS, LAG_STEP = 5.0, 2e-4
-"""Standard deviations by which a lag differs from none, and its largest change per comparison (s):
-1 % of the time."""
+"""Smallest significant lag, standard deviations, and its largest change per comparison, s: 1 % of
+the time."""
 
 MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
-"""Largest jerk of an arm (m/s^3), and tolerance of a position in addition (m)."""
+"""Largest jerk of an arm (m/s^3), and additional tolerance of a position (m)."""
 
 MAX_ANGULAR_JERK, ANGLE_TOLERANCE = 5e4, 0.15
-"""Largest angular jerk of an arm (rad/s^3), and tolerance of a rotation in addition (rad)."""
+"""Largest angular jerk of an arm (rad/s^3), and additional tolerance of a rotation (rad)."""
 
 
 @kernel
@@ -289,8 +288,8 @@ def misfits(
     """
     Return the squares of the body twist (v, w) and of the measured twist's deviation from it.
 
-    The measured twist (linear, angular) is taken to be in axes of the world, then of the tool;
-    rotations are weighed by the lever.
+    The measured twist (linear, angular) is taken in axes of the world, then of the tool; rotations
+    are weighted by `ROTATION_LEVER`.
     """
     R = t3.rotation_matrix(q)
     return (
@@ -302,7 +301,7 @@ def misfits(
 
 @kernel
 def squared(v: Vector, w: Vector) -> float:
-    """Return the square of a twist, turns counted as by `ROTATION_LEVER`."""
+    """Return the square of a twist, with rotation weighted by `ROTATION_LEVER`."""
     return t3.dot(v, v) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, w)
 
 
@@ -312,13 +311,13 @@ def with_measured_twist(
     seconds: float, lag: float,
 ) -> tuple[State, float, float, tuple[float, float]]:
     """
-    Return the tool with a measured twist, and how far it is from where the twists lead.
+    Return the tool with a measured twist, and its deviation from the twists' integral.
 
-    A pose that lags behind its twist (s) is moved ahead with it.
+    A pose that lags (s) behind its twist is extrapolated by the twist.
 
-    The deviation is relative to the largest of an arm, relative to the limit of suspicion, and a
-    shift (m) and an angle (rad). The shift between two poses differs from the mean of both
-    velocities times the time by at most j t^3 / 12, with the largest jerk j.
+    The deviation is given relative to the largest of an arm, relative to the suspicious limit, and
+    as a shift (m) and an angle (rad). The shift between two poses differs from the mean velocity
+    times the time by at most j t^3 / 12, with the largest jerk j.
     """
     R_before, R = t3.rotation_matrix(before[1]), t3.rotation_matrix(q)
     v, w = linear, angular
@@ -341,23 +340,22 @@ def with_measured_twist(
 
 class ToolMotion:
     """
-    The motion of E from messages of its pose and twist, or of another frame of the tool.
+    Motion of E from messages of its pose and twist, or of another frame of the tool.
 
     A missing twist is the slope of a quadratic through the last poses, fitted by least squares to
     the positions and to the rotation vectors relative to one of the poses; its slope there is that
     pose's body twist. Three poses give the exact quadratic; more of them average noise. Measured
-    twists are compared with such slopes now and then. Poses whose slopes lag behind the twists are
-    late, as no message is early: they are moved ahead.
+    twists are compared with such slopes regularly. Poses whose slopes lag behind the twists are
+    delayed, and are extrapolated.
 
     Parameters
     ----------
     in_world : bool
-        Whether twists are in axes of the world, else in axes of the frame.
+        Whether twists are in axes of the world, instead of axes of the frame.
 
     """
 
     def __init__(self, in_world: bool) -> None:
-        """Reserve memory for `HISTORY` poses."""
         # stamp (s, from the first), position, quaternion xyzw
         self._rows, = as_inputs(np.zeros((HISTORY, 8)))
         self._in_world = in_world
@@ -368,19 +366,18 @@ class ToolMotion:
         self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
-        """Set the pose (4, 4) of E in the frame that poses and twists are of."""
+        """Set the pose (4, 4) of E in the frame of poses and twists."""
         self._tip = None if tip is None else (
             tuple(tip[:3, 3].tolist()), tuple(rotation_to_quaternion(tip[:3, :3]).tolist()))
 
     def clear(self) -> None:
-        """Forget all poses and comparisons."""
         self._count = self._origin_ns = self._compared = 0
         self._recent.clear()
         self._due_ns = -1
-        self._squares: tuple[float, ...] = 0.0, 0.0, 0.0  # as of `misfits`
+        self._squares: tuple[float, ...] = 0.0, 0.0, 0.0  # see `misfits`
 
     def pose(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> PoseSample:
-        """Return the pose of E from the pose of the frame, in the world, m."""
+        """Return the pose of E in the world from the pose of the frame, m."""
         q = t3.normalised(quaternion_xyzw)
         if self._tip is not None:
             position = t3.add(position, t3.apply(t3.rotation_matrix(q), self._tip[0]))
@@ -388,14 +385,14 @@ class ToolMotion:
         return PoseSample(stamp_ns, position, q)
 
     def add(self, pose: PoseSample) -> None:
-        """Record the next pose of E, and drop the oldest when full."""
+        """Append the next pose of E, dropping the oldest when full."""
         if self._count == 0:
             self._origin_ns = pose.stamp_ns
         seconds = (pose.stamp_ns - self._origin_ns) / NS_PER_S
         self._count = append_row(self._rows, self._count, seconds, *pose[1:])
 
     def state(self, back: int = 0) -> State:
-        """Return the pose that many samples before the newest, with its estimated body twist."""
+        """Return the pose a number of samples before the newest, with its estimated body twist."""
         return pose_with_slope(self._rows, self._count, self._count - 1 - back)
 
     def measured(
@@ -419,7 +416,7 @@ class ToolMotion:
             self._lag)
 
     def _compare_velocity(self, slope: Vector) -> None:
-        """Estimate the lag, with the slope (m/s, in body axes) of the first of the last poses."""
+        """Estimate the lag from the slope (m/s, in body axes) at the first of the last poses."""
         (q, first, _), (_, last, _) = self._recent[0], self._recent[-1]
         newest = self._count - 1
         seconds = self._rows[newest][0] - self._rows[newest - LATER_POSES][0]
@@ -438,12 +435,12 @@ class ToolMotion:
     def estimated(self, has_before: bool) -> tuple[State | None, State]:
         """Return E at the last two poses (the first, if any) with twists of the poses alone."""
         self._recent.clear()
-        # a later pose improves the slope at the one before
+        # a later pose improves the slope at the previous one
         return self.state(back=1) if has_before else None, self.state()
 
     @property
     def verdict(self) -> str:
-        """Whether measured twists fit: 'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
+        """Verdict on measured twists: 'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
         energy, *misfit = self._squares
         weight = (1.0 - FORGETTING ** self._compared) / (1.0 - FORGETTING)
         if self._compared < 20 or not (  # a first verdict takes 20 comparisons
@@ -458,7 +455,7 @@ class ToolMotion:
 def _at_tip(
     twist: TwistSample, lever: Vector, rotation: Quaternion, q: Quaternion, in_world: bool
 ) -> TwistSample:
-    """Return the twist of E, in axes as before, from a frame with E at lever and rotation."""
+    """Return the twist of E, in unchanged axes, from a frame with E at lever and rotation."""
     R_tip, v, w = t3.rotation_matrix(rotation), twist.linear, twist.angular
     if in_world:
         lever = t3.apply(t3.rotation_matrix(q), t3.apply_transposed(R_tip, lever))

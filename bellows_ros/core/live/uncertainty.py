@@ -1,8 +1,8 @@
 """
 Predictions, and their covariance from uncertain K and P and from noise on the tool's pose.
 
-The covariance is of first order, with the small motions about the package's rest under the tool as
-it was at the start:
+The covariance is of first order, from the small motions about the package's rest under the initial
+tool:
 
 - each uncertain entry of K and P drives a sensitivity of the state along the real motion, as the
   wrench is linear in it (4.67);
@@ -11,15 +11,15 @@ it was at the start:
 - while the tool is extrapolated its unknown acceleration is added;
 - the initial error under a moving tool is followed as it swings out.
 
-Rotation of the axes during the motion is neglected. All in body axes: displacement, rotation,
-linear and angular twist. Every part is kept as a root (12, n), whose product with its transpose is
-the covariance: positive semidefinite in spite of rounding. Without a stable rest of the package
-there is none (`available`). The internal strains of a cup that relaxes are 12 states more; noise
-of the tool is too quick for them.
+Rotation of the axes during the motion is neglected. All numbers are in body axes: displacement,
+rotation, linear and angular twist. Every part is stored as a root (12, n), whose product with its
+transpose is the covariance, positive semidefinite in spite of rounding. Without a stable rest of
+the package there is no covariance (`available`). A cup that relaxes has 12 more states, its
+internal strains, on which noise of the tool has no effect.
 
-A package is started at rest, hanging from its tool. If the tool moves then, or if its poses jump
-later as no arm moves, the prediction is wrong by an amount that dies away with the package's
-modes. Until then it settles (`Settling`).
+A package starts at rest below its tool. If the tool moves then, or if its poses jump implausibly
+later, the prediction has an error that decays with the package's modes. Until then the prediction
+settles (`Settling`).
 """
 
 from collections.abc import Callable, Sequence
@@ -47,16 +47,17 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 STEP_NS = 4_000_000
-"""Shortest step (ns) of the sensitivities; the package's modes are slow against it."""
+"""Shortest step of the sensitivities, ns, short for the package's modes."""
 
 COASTING_STD = np.tile(np.repeat([5.0, 25.0], 3), 2)
-"""Standard deviations (m/s^2, rad/s^2) of what an unobserved arm may do, for pose and twist."""
+"""Standard deviations of an unobserved arm's acceleration, for pose and twist, m/s^2 and
+rad/s^2."""
 
 UNKNOWN_ROOT = 1e3 * np.eye(12)
 """Factor of an unknown covariance (m, rad, m/s, rad/s)."""
 
 RETRY_NS = 100_000_000
-"""Time (ns) until a failed computation, which takes milliseconds, is repeated."""
+"""Time until a failed computation, which takes milliseconds, is repeated, ns."""
 
 
 class Unsettled(NamedTuple):
@@ -92,15 +93,16 @@ class Prediction(NamedTuple):
     tool: State = ORIGIN
     """Pose and body twist of the tool used for the prediction."""
     coasting: bool = False
-    """Whether the tool is extrapolated because no pose has come."""
+    """Whether the tool is extrapolated for lack of poses."""
     unsettled: Unsettled | None = None
-    """The remaining error of the start or of doubtful poses; None if there is none."""
+    """Remaining error of the start or of doubtful poses; None without."""
     covariance: Callable[[], Array | None] | None = None
-    """Returns the covariance of the state (12, 12), in body axes, if an observer knows it."""
+    """Function that returns the covariance of the state (12, 12), in body axes, if an observer
+    provides it."""
     strains: Strains = ()
     """Internal strains of the cup, if it relaxes."""
     flies: bool = False
-    """Whether the cup has let go of the package."""
+    """Whether the cup has released the package."""
 
     @property
     def body(self) -> State:
@@ -109,7 +111,7 @@ class Prediction(NamedTuple):
 
 
 STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
-"""Prediction of a package of unknown state."""
+"""Prediction for a package of unknown state."""
 
 
 class Uncertainty:
@@ -119,14 +121,14 @@ class Uncertainty:
     Parameters
     ----------
     model : tuple
-        As the kernels take it.
+        Model for the kernels.
     values : mapping
         Parameters by name: cup.stiffness_std, cup.damping_std, tool_noise.*.
 
     Attributes
     ----------
     available : bool
-        False where the last factor was `UNKNOWN_ROOT`.
+        Whether the last factor was not `UNKNOWN_ROOT`.
 
     """
 
@@ -148,7 +150,7 @@ class Uncertainty:
         Return the covariance of a prediction (12, 12): pose, then twist, in body axes.
 
         The state is displacement (m), rotation (rad), linear and angular twist (m/s, rad/s).
-        Predictions are to be given in the order of their stamps.
+        Predictions must be given in the order of their stamps.
         """
         root = self.root(prediction)
         return np.asarray(root @ root.T)
@@ -158,7 +160,7 @@ class Uncertainty:
         stamp_ns = prediction.stamp_ns
         if not prediction.coasting:
             interval = stamp_ns - self._measured_ns
-            if self._measured_ns >= 0 and 0 < interval < 100_000_000:  # in powers of two of 1 us
+            if self._measured_ns >= 0 and 0 < interval < 100_000_000:  # rounded to 2^n us
                 self._period_ns = 1000 * 2 ** round(math.log2(max(interval, 1000) / 1000))
             self._measured_ns = stamp_ns
         observed = prediction.covariance and prediction.covariance()
@@ -168,7 +170,7 @@ class Uncertainty:
             root = self._root(prediction) if observed is None else np.asarray(
                 np.linalg.cholesky(observed))
             self.available = bool(np.isfinite(root).all())
-        except (BellowsError, ArithmeticError, ValueError):  # no rest, or not definite by rounding
+        except (BellowsError, ArithmeticError, ValueError):  # no rest, or indefinite by rounding
             self.available = False
         if self.available:
             return root
@@ -177,7 +179,7 @@ class Uncertainty:
         return UNKNOWN_ROOT
 
     def later(self, now: Prediction, future: Sequence[Prediction]) -> Array:
-        """Return `root` at the end of a predicted motion; the sensitivities here stay."""
+        """Return `root` at the end of a predicted motion, without changing the sensitivities."""
         ahead = copy(self)
         observed = None if ahead.root(now) is UNKNOWN_ROOT or not now.covariance else (
             now.covariance())
@@ -194,24 +196,24 @@ class Uncertainty:
         return root if np.isfinite(root).all() else UNKNOWN_ROOT
 
     def _root(self, prediction: Prediction) -> Array:
-        """Return the factor of all parts, whether its numbers are finite or not."""
+        """Return the factor of all parts, possibly not finite."""
         parts = [self._sensitivity_at(prediction)[:12]]
         parts.append(self._noise_root(self._period_ns / NS_PER_S)[:12])
         if prediction.coasting:
             seconds = (prediction.stamp_ns - self._measured_ns) / NS_PER_S
             parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING_STD)
-        if start := prediction.unsettled:  # what remains of earlier errors, one column each
+        if start := prediction.unsettled:  # remaining initial errors, one column each
             if start.since_ns != self._transient_since_ns:
                 seconds = max(0.0, (prediction.stamp_ns - start.since_ns) / NS_PER_S)
                 self._transient = expm(self._A * seconds)[:, :12]
                 self._transient_since_ns = start.since_ns
             parts.append(self._transient[:12] * np.repeat(start[1:], 3))
-        transform = np.eye(12)  # a twist's error follows the error phi of its axes: v x phi
+        transform = np.eye(12)  # a twist's error by the error phi of its axes: v x phi
         transform[6:9, 3:6], transform[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
         return np.asarray(transform @ np.hstack(parts))
 
     def _linearise(self, tool: State) -> None:
-        """Prepare the small motions about the package's rest under a tool."""
+        """Linearise the small motions about the package's rest under a tool."""
         still = ZERO, tool[1], ZERO, ZERO
         rest = equilibrium.static_equilibrium(self._model, still)
         jacobian = equilibrium.linearise(self._model, still, rest)
@@ -255,7 +257,7 @@ def noise_root(
     A: Array, tool_pose: Array, tool_twist: Array, noise: Array, period: float
 ) -> Array:
     """
-    Return the factor after many samples e of noise, each held for a period.
+    Return the factor of the covariance by many samples e of noise, each held for a period.
 
     The tool's twist is de/dt with slope B_v. Integration by parts replaces B_v de/dt by the input
     A B_v e and the boundary term B_v e. L and T L are reduced to one triangle (12, 12).
@@ -271,17 +273,17 @@ def noise_root(
 
 
 def expm(M: Array) -> Array:
-    """Return exp(M) by its series after halving, to rounding; SciPy's takes 0.3 s to load."""
+    """Return exp(M) by a series with halving, to rounding; SciPy's takes 0.3 s to load."""
     halvings = max(0, math.frexp(float(np.abs(M).sum(axis=1).max()))[1] + 1)
     term = result = np.eye(len(M))
-    for k in range(1, 14):  # the norm is at most a half
+    for k in range(1, 14):  # the norm is at most 0.5
         term = term @ M / (k * 2.0 ** halvings)
         result = result + term
     return np.asarray(np.linalg.matrix_power(result, 2 ** halvings))
 
 
 def warm_up_uncertainty(relaxation: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Compile all that a covariance needs, with a model that has one."""
+    """Compile all kernels of a covariance, with a model that has one."""
     package = Package(1.0, 0.01 * np.eye(3), np.array([0.0, 0.0, -0.03]))
     model = model_tuple(replace(Cup.thesis(), relaxation=relaxation), package, 9.81)
     values = resolve({
@@ -299,21 +301,21 @@ def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float
 
 
 SPAN_NS = 100_000_000
-"""Time (ns) after a start, in two halves, in which the tool's motion is estimated."""
+"""Time after a start for the estimate of the tool's motion, in two halves, ns."""
 
 MIN_DECAY_RATE, MIN_FREQUENCY = 0.1, 1.0
-"""Smallest decay rate (1/s) and frequency (rad/s) assumed of any package."""
+"""Smallest assumed decay rate (1/s) and frequency (rad/s) of a package."""
 
 
 class Modes(NamedTuple):
-    """How a package moves a little about its rest."""
+    """Small motions of a package about its rest."""
 
     decay: float
     """Decay rate of the least damped mode, 1/s."""
     frequency: float
     """Frequency of the slowest mode, rad/s."""
     compliance: tuple[float, float, float]
-    """Shift (m) and rotation (rad) by 1 m/s^2 of the tool, and rotation by 1 rad/s^2 of it."""
+    """Shift (m) and rotation (rad) per m/s^2 of the tool, and rotation per rad/s^2 of the tool."""
 
 
 def modes_of(system: Array) -> Modes:
@@ -333,19 +335,17 @@ class Settling:
     Attributes
     ----------
     now : Unsettled or None
-        Unsettled part of the state, None once decayed.
+        Remaining error of the state, None once decayed.
     modes : Modes
         Modes of the package, to be set first; a running decay keeps its end when they change.
 
     """
 
     def __init__(self) -> None:
-        """Start without a package."""
         self.modes: Modes
         self.clear()
 
     def clear(self) -> None:
-        """Forget the package."""
         self.now: Unsettled | None = None
         self._samples: list[tuple[int, State]] = []  # after a start, until its motion is estimated
         self._until_ns = 0
@@ -357,7 +357,7 @@ class Settling:
         self.now = self._error_at_rest(stamp_ns, 0.5, 1.0, 5.0, 25.0)
 
     def inflate(self, stamp_ns: int, shift: float, rotation: float) -> None:
-        """Add that the tool was shifted (m) and turned (rad) as no arm moves."""
+        """Add an implausible shift (m) and rotation (rad) of the tool to the error."""
         before = self.now or Unsettled(stamp_ns, 0.0, 0.0, 0.0, 0.0)
         self.now = before._replace(
             since_ns=stamp_ns, shift=max(shift, before.shift),
@@ -366,7 +366,7 @@ class Settling:
         self._until_ns = stamp_ns + self._duration_ns(self.now)
 
     def update(self, stamp_ns: int, tool: State) -> Unsettled | None:
-        """Return the remaining error at a sample of the tool; after a start measure its motion."""
+        """Return the remaining error at a sample of the tool; after a start estimate its twist."""
         if self._samples:
             start_ns, start = self._samples[0]
             since_ns = stamp_ns - start_ns
@@ -384,7 +384,7 @@ class Settling:
         return self.now
 
     def since(self, stamp_ns: int) -> int:
-        """Return the time (ns) for which an error of the start has decayed, or 1 s."""
+        """Return the time (ns) after which an initial error has decayed, or 1 s."""
         return stamp_ns - self.now.since_ns if self.now else 1_000_000_000
 
     def _error_at_rest(
@@ -398,7 +398,7 @@ class Settling:
     def _duration_ns(self, error: Unsettled) -> int:
         """Return the time (ns) until an error is negligible."""
         swing = 1.0 / self.modes.frequency
-        # m and rad that are negligible
+        # negligible, m and rad
         ratio = max(1.0, (error.shift + swing * error.speed) / 1e-3,
                     (error.rotation + swing * error.rate) / 5e-3)
         return round(NS_PER_S * math.log(ratio) / self.modes.decay)

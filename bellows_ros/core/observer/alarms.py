@@ -1,21 +1,21 @@
 """
-What is wrong when measured poses are not where they should be: likelihood ratios of causes.
+Causes of deviating measured poses: likelihood ratios of faults.
 
-A fault is a step in some rows of the error of `filter`, at some time. It makes known changes of
-all later innovations, up to its size: its signature, the error that the fault leaves in the
-estimate, goes through transitions and updates as the error does. The likelihood of the innovations
-with a fault, its size averaged over what is usual, over that without is a martingale where nothing
-is wrong. Summed over the onsets, and over the causes by how usual they are, it grows by 1 with
-each onset on average: it is A or more after A onsets at the earliest, on average (Shiryaev and
-Roberts), so that the threshold follows from the false alarms allowed.
+A fault is a step in some rows of the error of `filter` at its onset. It changes all later
+innovations in a known manner up to its size: its signature, the error that the fault leaves in the
+estimate, is propagated and updated like the error. The likelihood ratio of the innovations with
+and without a fault, averaged over the prior of its size, is a martingale without faults. Summed
+over onsets, and over causes by their prior shares, it grows by 1 per onset on average, and thus
+reaches A after A onsets on average at the earliest (Shiryaev and Roberts): the threshold follows
+from the allowed rate of false alarms.
 
-What is no fault is part of the error, and of the covariance of the innovations. What was found is
-taken off: the estimate changes by the signature times the likeliest size, and its covariance by
-that of the usual sizes.
+Ordinary errors are part of the error and of the covariance of the innovations. A detected fault is
+removed from the estimate: the estimate changes by the signature times the likeliest size, and the
+covariance grows by the prior of the size.
 
-The error is extended by what falls: by the part of the cup's force that is gone, and speed and
-shift (m/s, m; world). Of a gripper of several cups the loss of each is a fault, too: its columns
-are after those of the others, and its signature goes through a transition without that cup.
+The error is extended by the fall of the package: the lost fraction of the cup's force, and speed
+and shift of the fall (m/s, m; world). The loss of each of several cups of a gripper is a fault,
+too: its columns follow all others, and its signature is propagated without that cup.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ CAUSES = tomllib.loads(Path(__file__).with_name('alarms.toml').read_text())
 
 
 class Cause(NamedTuple):
-    """A kind of fault, as the file has it."""
+    """A kind of fault, as in the file alarms.toml."""
 
     name: str
     steps: tuple[tuple[int, ...], ...]
-    """The rows of the error that step, for each component."""
+    """Rows of the error that step, for each component."""
     prior_std: Sequence[float]
     ends: Sequence[int]
     share: float
@@ -55,20 +55,20 @@ class Cause(NamedTuple):
     parts: Sequence[tuple[int, int, bool]]
     """First and last component of each size, and whether it is a logarithm."""
     every: int = 1
-    """One in so many of the onsets is tested, and counts for all of them."""
+    """Interval of the tested onsets; each represents the onsets between."""
     after_ns: int = 0
-    """How old (ns), for each component, the onset of the fault is at least when it is named:
-    before, its size is not known, and it may be the beginning of another."""
+    """Smallest age of an onset per component, ns: a younger fault has no reliable size, and may be
+    the begin of another."""
     mean: float = 0.0
     """Prior mean of the only component."""
     least: float = 0.0
-    """Least size of its first part that is named: a drifting camera looks like a small part of the
-    force that has been gone for long, late stamps like a larger one, and a fall like late stamps.
-    """
+    """Smallest reported size of the first part: smaller ones are confused with other faults (a
+    drifting camera with a small loss of force, late stamps with a larger one, a fall with late
+    stamps)."""
     confirmed: int = 2
     confirmed_ns: int = 80_000_000
-    """Measurements and time (ns) required after half the threshold is passed: a marker may be
-    confused with another one, or the pose of a tag flip, for some frames. Neither falls."""
+    """Number of measurements and time (ns) required after half the threshold: swapped markers and
+    flipped tags, unlike falls, last for a few frames."""
 
 
 NAMED = {
@@ -77,175 +77,180 @@ NAMED = {
     for name, entry in CAUSES.items()}
 ALARM_CAUSES = tuple(sorted(NAMED.values(), key=lambda cause: cause.name == 'cup'))
 """
-The faults that are tested. The last is the loss of one cup of several: each cup that holds has
-its own columns, after all others.
+All tested faults. The last is the loss of one cup of several, with columns of its own for each
+holding cup, after all others.
 """
 
 OUT_OF_REACH_ODDS = 100.0
-"""Factor on the odds of a lost package by two poses where no cup can hold it."""
+"""Factor on the odds of a lost package by two poses out of any cup's reach."""
 
 VACUUM_ODDS = 1000.0
-"""Factor by a vacuum that breaks down; one that holds divides by it."""
+"""Factor on the odds of a lost package by a broken vacuum; a holding vacuum divides by it."""
 
 START = tuple(cause for cause in ALARM_CAUSES if cause.at_start)
 HYPOTHESES = START + tuple(cause for cause in ALARM_CAUSES if cause.sets_in)
-"""First the faults present from the start, then those with an onset."""
+"""Hypotheses: first the faults present from the start, then those with an onset."""
 AT_START, CUP = len(START), len(HYPOTHESES) - 1
-"""Numbers of the first hypothesis with an onset, and of the loss of the first cup."""
+"""Index of the first hypothesis with an onset, and of the loss of the first cup."""
 STEPS = tuple(rows for cause in HYPOTHESES for rows in cause.steps)
 FIRSTS = tuple(np.cumsum([0, *(len(cause.steps) for cause in HYPOTHESES)]).tolist())
 """First component of each hypothesis, and the end of the last one."""
 IS_END = tuple(n + 1 in cause.ends for cause in HYPOTHESES for n in range(len(cause.steps)))
-"""Whether a fault may have the components up to this one."""
+"""Whether a fault may end with a component."""
 OF_CAUSE = tuple(ALARM_CAUSES.index(cause) for cause in HYPOTHESES)
 LOG_SHARES = tuple(math.log(cause.share / len(cause.ends)) for cause in ALARM_CAUSES)
 PRIOR_STD = tuple(std for cause in HYPOTHESES for std in cause.prior_std)
 MEANS = tuple(cause.mean for cause in HYPOTHESES)
 
 ONSET_NS = 30_000_000
-"""Spacing (ns) of the onsets tested."""
+"""Spacing of the tested onsets, ns."""
 
 DENSE_NS, OLDEST_NS = 240_000_000, 10_000_000_000
 """
-All onsets of a time (ns) are tested, what is older farther apart, and nothing that is older than
-this (ns): all that falls for long has fallen out of any number's range.
+Age up to which all onsets are tested, and age of the oldest tested onset, with growing distances
+between, ns.
 """
 
 EVERY = tuple(cause.every for cause in HYPOTHESES)
 SLOTS = (1,) * AT_START + tuple(ONSETS // every for every in EVERY[AT_START:])
-"""Onsets of each hypothesis, ..."""
+"""Number of onsets of each hypothesis."""
 COLUMNS = tuple(np.cumsum([0, *(
     slots * len(cause.steps) for cause, slots in zip(HYPOTHESES, SLOTS, strict=True))]).tolist())
-"""... and where its signatures begin: for each component, one for each onset."""
+"""First column of each hypothesis, with one column per component and onset."""
 MAX_COMPONENTS = max(len(cause.steps) for cause in HYPOTHESES)
 
 MARGIN, GRIPPER_MARGIN = -2.0, -1.0
 """
-Added to the logarithm of the threshold for sums over all onsets, with one cup and with several:
-only some of the older ones are tested, and an alarm is confirmed. Counted in
-`python -m benchmarks.alarms`: there are fewer false ones than allowed.
+Corrections of the logarithm of the threshold for one cup and for several, as only some of the
+older onsets are tested, and alarms are confirmed. By `python -m benchmarks.alarms` false alarms
+are fewer than allowed.
 """
 
 START_WEIGHT = 100.0
-"""Prior odds of a fault from the start against an onset at any one of the times tested."""
+"""Prior odds of a fault from the start against an onset at one of the tested times."""
 
 SETTLING = 4
-"""Measurements from the start, or an alarm, that are not compared: the noise is learned first."""
+"""Number of measurements after the start or an alarm without a test, in which the noise is
+estimated."""
 
 MIN_NOISE_COUNT, MAX_NOISE_RATIO = 33, 3.0
 """
-Measurements from the start, or an alarm, that the noise is always learned from, and largest
-log-likelihood ratio of a fault with which it is learned later: a fault would be taken for noise.
+Number of measurements after the start or an alarm in which the noise is estimated in any case, and
+largest log-likelihood ratio of a fault with which the noise is estimated later: a fault would
+increase the noise.
 """
 
 MAX_COUNT = 300
 """
-Measurements after which the evidence of faults from the start is collected anew. The noise of an
-estimate is in its signatures, too: products of the two add up where there is little evidence.
+Number of measurements after which the evidence of faults from the start is reset: signatures
+contain the noise of estimates, whose products add up.
 """
 
 DISTURBED_COUNT = 3
-"""Consecutive poses outside the gate from which a disturbance is named: outliers are rarer."""
+"""Smallest number of consecutive poses outside the gate for a disturbance; outliers are rarer."""
 
 VIEW_NS = 3_000_000_000
-"""Time for which a camera that sees a tag must have moved, ns: work then shows other views."""
+"""Shortest duration of a camera shift seen with a tag, ns: work changes the view within this
+time."""
 
 MIN_LEAD, DECIDE_NS = 3.0, 800_000_000
 """
-A cause is named when its log-likelihood ratio leads that of the next by so much, which is 95 %, or
-so long (ns) after half-way to the threshold.
+Smallest lead in log-likelihood ratio of a reported cause (95 %), and time after half the threshold
+from which none is required, ns.
 """
 
 MAX_UNEXPLAINED = 0.2
-"""Largest fraction of the misfit that a named cause may leave unexplained."""
+"""Largest fraction of the misfit not explained by a reported cause."""
 
 SIZE_ROUNDS = 20
-"""Rounds in which the usual sizes of a fault's components grow to those of a larger fault."""
+"""Number of iterations in which the prior sizes of a large fault's components grow."""
 
 MIN_CLEAR_ODDS = 100.0
-"""Odds below which an alarm has the sizes of the second cause, too."""
+"""Odds below which an alarm also has the sizes of the second cause."""
 
 ALIKE = frozenset(('wear', 'payload'))
-"""Causes told apart by damping only: an alarm has the sizes of both, whatever the odds."""
+"""Causes distinguished by damping only: an alarm has the sizes of both at any odds."""
 
 MAX_ODDS = math.exp(14.0)
-"""Largest odds of a fault from the start, a lost package or a lost cup; of others 100."""
+"""Largest odds of a fault from the start, of a lost package or of a lost cup; of others 100."""
 
 LOG_SHARE_OF_NONE = math.log(0.1)
-"""Logarithm of the prior share of causes without a signature, a disturbance among them."""
+"""Logarithm of the prior share of causes without a signature, including disturbances."""
 
 NONE, PUSH, PAYLOAD, WEAR = -1, *(
     [cause.name for cause in ALARM_CAUSES].index(name)
     for name in ('disturbance', 'payload', 'wear'))
-"""Places of the cause without a signature, of a push from outside, and of two more."""
+"""Indices of the cause without a signature, of an external push, of a wrong payload and of
+wear."""
 
 LOG_PROVEN = math.log(100.0)
-"""Logarithm of the odds of a wrong payload to a worn cup that has carried another package."""
+"""Log odds of a wrong payload against a worn cup after the cup has carried another package."""
 
 Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int, float]
 NO_FAULT = -math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, -math.inf
-"""Result of `_assessed` without a fault or without a comparison."""
+"""Result of `_assessed` without a fault or without a test."""
 
 
 Sizes = tuple[tuple[float, float], ...]
-"""Sizes of the parts of a fault with standard deviations: m, rad, m/s, s or relative."""
+"""Sizes of the parts of a fault, with standard deviations: m, rad, m/s, s or relative."""
 
 
 class Alarm(NamedTuple):
-    """A fault that was found."""
+    """A detected fault."""
 
     stamp_ns: int
     cause: str
     size: float
-    """Size of the clearest part, m, m/s, s or relative."""
+    """Size of the most significant part, m, m/s, s or relative."""
     std: float
     second: str
-    """The second likeliest cause; 'disturbance' for none with a signature."""
+    """Second likeliest cause; 'disturbance' for one without a signature."""
     odds: float
-    """Odds of the cause against the second, at most `MAX_ODDS`."""
+    """Odds of the cause against the second cause, at most `MAX_ODDS`."""
     parts: Sizes = ()
     second_parts: Sizes = ()
-    """Sizes of the second cause, if it may well be the cause."""
+    """Sizes of the second cause, if its odds are considerable."""
     cup: int = -1
     """Index in cup.layout of a lost cup."""
     place: tuple[float, float] = (0.0, 0.0)
     """Position of a lost cup in the tool, m."""
     shown_by: str = 'poses'
-    """'poses' of the package, or 'vacuum'."""
+    """Origin of the alarm: 'poses' of the package, or 'vacuum'."""
 
 
 NO_ALARM = Alarm(0, '', 0.0, 0.0, '', 1.0)
 
 
 class DetectedFault(NamedTuple):
-    """An alarm, and what the fault makes of the error: likeliest value (n,) and spread (n, k)."""
+    """An alarm, and the error by the fault: likeliest value (n,) and spread (n, k)."""
 
     alarm: Alarm
     error: Array
     spread: Array
     cup: int = -1
-    """Index of the lost cup among the cups of a gripper that held; -1 if none."""
+    """Index of the lost cup among the holding cups of a gripper; -1 if none."""
 
 
 class Alarms:
     """
-    Look for causes in the innovations, one after the other.
+    Detect faults in successive innovations.
 
     Parameters
     ----------
     false_per_hour : float
-        How many false alarms are allowed.
+        Allowed rate of false alarms.
     of_lip : bool
-        Whether the lip is measured: a package that slips moves, a marker on it is no longer there.
+        Whether the lip is measured, which a slipping package moves, instead of a marker on the
+        package.
     places : ndarray (cups, 4)
-        Places of the holding cups of a gripper, as of `places_of`.
+        Places of the holding cups of a gripper, as `places_of` returns them.
     of_tag : bool
-        Whether a tag is measured: its errors in one view look like a camera that has moved.
+        Whether a tag is measured, whose errors in one view resemble a shifted camera.
 
     Attributes
     ----------
     steps : ndarray (rows + 7, components)
-        The error that each component of a fault makes.
+        Error by each component of a fault.
     is_cup_proven : bool
         Whether the cup has carried another package without an alarm.
 
@@ -256,7 +261,7 @@ class Alarms:
     def __init__(
         self, false_per_hour: float, of_lip: bool, places: Array, of_tag: bool = False
     ) -> None:
-        """Set the threshold, and the signatures at the onset."""
+        """Set the threshold and the initial signatures."""
         self._places, self._of_tag = places, of_tag
         self._threshold = math.log(3600 * NS_PER_S / ONSET_NS / false_per_hour) + (
             MARGIN if len(places) == 1 else GRIPPER_MARGIN)
@@ -271,9 +276,9 @@ class Alarms:
         self, stamp_ns: int, place: Vector, cups: int, from_start: bool = True
     ) -> Evidence:
         """
-        Return the evidence before any measurement, of a package at a place (m, world).
+        Return the initial evidence, for a package at a place (m, world).
 
-        Faults from the start begin at a stamp.
+        Faults from the start begin at the given stamp.
         """
         columns = COLUMNS[CUP] + cups * ONSETS
         none = Evidence(
@@ -284,20 +289,20 @@ class Alarms:
         return none
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:
-        """Return the stamps (ns) since half-way to the threshold, with one more measurement."""
+        """Return the stamps (ns) since half the threshold, with one more measurement."""
         return (*before, stamp_ns) if total > 0.5 * self._threshold else ()
 
     def is_likely(self, likeliest: Likeliest) -> bool:
-        """Return whether a cause has passed the threshold and leads."""
+        """Return whether a cause exceeds the threshold and leads."""
         return min(likeliest[0] - self._threshold, likeliest[1]) > 0.0
 
     def detected(
         self, evidence: Evidence, stamp_ns: int, likeliest: Likeliest, lost_cups: tuple[int, ...]
     ) -> DetectedFault | None:
         """
-        Return a fault if one is found after a measurement, by the outcome of `filter_step`.
+        Return a fault detected by a measurement, from the result of `filter_step`, if any.
 
-        The lost cups of a gripper have been found before.
+        Lost cups of a gripper are those detected before.
         """
         _, lead, best, second, runner_up, *_ = likeliest
         if not self.is_likely(likeliest):
@@ -333,14 +338,14 @@ class Alarms:
         return DetectedFault(alarm, error, spread, cup)
 
     def _of_cup(self, k: int, alarm: Alarm = NO_ALARM) -> Alarm:
-        """Return an alarm as that of the cup at a place."""
+        """Return an alarm for the cup at a place."""
         x, y, _, index = self._places[k].tolist()
         return alarm._replace(cause=f'cup {index:.0f}', cup=round(index), place=(x, y))
 
     def disturbance(
         self, stamp_ns: int, gated: int, likeliest: Likeliest
     ) -> Alarm | None:
-        """Return the alarm on innovations of which no cause has the signature, if there are."""
+        """Return the alarm on innovations that match no signature, if any."""
         total, _, (_, number, _), *_, none = likeliest
         if gated < DISTURBED_COUNT or none < self._threshold or none < total + MIN_LEAD:
             return None
@@ -349,7 +354,7 @@ class Alarms:
         return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, cause, odds)
 
     def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
-        """Return the alarm on a cup whose vacuum breaks down, by its index; None if it is open."""
+        """Return the alarm on a cup with broken vacuum, by its index; None if the cup is open."""
         places = np.flatnonzero(self._places[:, 3] == cup)
         if not len(places):
             return None
@@ -362,10 +367,11 @@ class Alarms:
         stamp_ns: int, is_held: bool | None, is_seen: bool = True, reach: float = 0.0
     ) -> Alarm:
         """
-        Return the alarm on poses out of reach (m), if they are seen, and on the vacuum, if known.
+        Return the alarm on poses out of reach (m), if seen, and on the vacuum, if known.
 
-        The odds of a lost package to a camera that sees something else, or to a leak, are those of
-        the shares, times `OUT_OF_REACH_ODDS` for the poses, times or by `VACUUM_ODDS`.
+        The odds of a lost package against a camera that sees another object, or against a leak,
+        are the ratio of their shares, times `OUT_OF_REACH_ODDS` for the poses, times or divided by
+        `VACUUM_ODDS`.
         """
         lost, second = NAMED['lost'], NAMED['camera' if is_seen else 'leak']
         odds = lost.share / second.share * (OUT_OF_REACH_ODDS if is_seen else 1.0)
@@ -381,9 +387,9 @@ def _fault(
     evidence: Evidence, fault: tuple[int, int, int]
 ) -> tuple[Cause, Array, Array, Sizes]:
     """
-    Return a fault by the slot, hypothesis and components of `Likeliest`.
+    Return a fault from slot, hypothesis and components of `Likeliest`.
 
-    Its cause, the error that it has made (n,), the spread of this error (n, components), and the
+    The results are its cause, its error (n,), the spread of the error (n, components), and the
     sizes of its parts.
     """
     onset, number, components = fault
@@ -394,13 +400,13 @@ def _fault(
     columns = column + slot + slots * np.arange(components)
     d, *products = evidence.statistics[:1 + components, columns]
     J = products + np.triu(products, 1).T
-    for _ in range(1 if cause.mean else SIZE_ROUNDS):  # a large fault has larger parts
+    for _ in range(1 if cause.mean else SIZE_ROUNDS):  # large faults have larger parts
         P = np.asarray(np.linalg.inv(J + np.diag(std ** -2.0)), np.float64)
         size = mean + P @ (d - J @ mean)
         if not cause.mean:
             std = std * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / std**2)))
     E: Array = evidence.signatures[:-ekf.FALLEN, columns]
-    made = size if number < CUP else mean  # the model goes on without the whole of a cup
+    made = size if number < CUP else mean  # the model continues without the whole cup
     parts = tuple(
         _length(size[first:end], P[first:end, first:end], is_log)
         for first, end, is_log in cause.parts if first < components)
@@ -408,7 +414,7 @@ def _fault(
 
 
 def _length(part: Array, P: Array, is_log: bool) -> tuple[float, float]:
-    """Return the length of a part of a fault with a covariance, and its standard deviation."""
+    """Return length and standard deviation of a part of a fault with a covariance."""
     length = float(np.linalg.norm(part))
     std = max(float(np.sqrt(part @ P @ part)) / max(length, 1e-12), 1e-12)
     if is_log:
@@ -423,13 +429,12 @@ def filter_step(
     faults: tuple[Any, Array, Array, Stamps, bool, Array], cups: Array, seen: MeasuredPose,
 ) -> Any:
     """
-    Propagate an estimate to a later stamp, correct it with a measurement there, assess faults.
+    Propagate an estimate to a later stamp, correct it with a measurement, and assess faults.
 
-    Takes what `model_of`, `predicted` and `updated` take, and the faults: their evidence, and the
-    steps (n + 7, components), the error that each component of a fault makes. Cups are those of a
-    gripper that hold. All in one, and the model as an array:
-    tuples of many numbers take long from Python. Returns a verdict, the estimate, the evidence,
-    and what `_assessed` returns.
+    Arguments are those of `model_of`, `predicted` and `updated`, and the faults: their evidence,
+    and the error (n + 7, components) by each component. Cups are the holding cups of a gripper.
+    One kernel, with the model as an array, is faster to call from Python. The results are a
+    verdict, the estimate, the evidence, and the result of `_assessed`.
     """
     model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     E, statistics, distances, onsets, from_start, steps = faults
@@ -454,7 +459,7 @@ def filter_step(
 
 @kernel
 def _layout(number: int) -> tuple[int, int]:
-    """Return of a fault its hypothesis, and where its signatures begin."""
+    """Return hypothesis and first column of a fault."""
     h = min(number, CUP)
     return h, COLUMNS[h] + (number - h) * ONSETS
 
@@ -466,29 +471,29 @@ def _assessed(
     from_start: bool,
 ) -> Likeliest:
     """
-    Update the evidence, in place, with the next `Innovation`, of a package at a place (m, world).
+    Update the evidence in place by the next `Innovation`, for a package at a place (m, world).
 
     Returns
     -------
     total : float
         Logarithm of the sum of all likelihood ratios.
     lead : float
-        By how much that of the likeliest cause leads the next.
+        Lead of the likeliest cause's logarithm over the next.
     best : tuple of int
-        Likeliest cause: slot of its onset, place in `HYPOTHESES`, number of components.
+        Likeliest cause: slot of its onset, index in `HYPOTHESES`, number of components.
     second, runner_up : int, tuple of int
-        The next, its place in `ALARM_CAUSES` or `NONE`, and the next cause as the likeliest; cups
-        of a gripper are after all others in both.
+        Next likeliest cause: index in `ALARM_CAUSES` or `NONE`, and its triple like `best`; cups
+        of a gripper follow all others in both.
     pinned : int
         Slots of the likeliest onset of each cause, as bits.
     none : float
-        As total, of `_none_of_these`.
+        Result of `_none_of_these`.
 
     """
     z, H, root, _, whitened = innovation
     n, C = H.shape[1], H.astype(np.float32)
     response = output_of(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
-    t3.add_product(  # what falls, as a shift in the world
+    t3.add_product(  # fall, as a shift in the world
         C[:3, ekf.CAMERA:ekf.CAMERA + 3], E[n + 4:], response[:3])
     change = t3.product(
         root.astype(np.float32), response, np.empty((6, E.shape[1]), np.float32))
@@ -516,10 +521,10 @@ def _assessed(
 @kernel
 def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
     """
-    Return the slot for another onset: that of the older one nearest to its neighbour.
+    Return the slot for a new onset: that of the older onset nearest to its neighbour.
 
-    The likeliest onset of each cause stays, by the bits of `pinned`: evidence of a small fault
-    grows slowly, and an alarm takes size and odds from there.
+    The likeliest onset of each cause is kept, by the bits of `pinned`: evidence of a small fault
+    grows slowly, and determines size and odds of an alarm.
     """
     slot, least = 0, math.inf
     for k in range(len(onsets)):
@@ -547,9 +552,9 @@ def _add_onset(
     place: Vector, pinned: int,
 ) -> None:
     """
-    Write the error that each fault causes with an onset now, into a slot of `_free_slot`.
+    Write the error by each fault with an onset now, into a slot of `_free_slot`.
 
-    A camera that turns, turns about the place (m, world) of the package.
+    The camera rotates about the place (m, world) of the package.
     """
     k = _free_slot(onsets[1], stamp_ns, pinned)
     distances[k], onsets[0, k], onsets[1, k] = 0.0, 0, stamp_ns
@@ -571,7 +576,7 @@ def _add_onset(
 
 @kernel
 def _add_products(change: Array, number: int, statistics: Array) -> None:
-    """Add what a measurement, which a fault changes, says of how sure the fault's sizes are."""
+    """Add a measurement's information on the sizes of a fault."""
     h, column = _layout(number)
     m = SLOTS[h]
     for a in range(FIRSTS[h + 1] - FIRSTS[h]):
@@ -633,8 +638,8 @@ def _none_of_these(distances: Array, onsets: Stamps) -> float:
     """
     Return the log-likelihood ratio of larger innovations without a signature since an onset.
 
-    Of n innovations with the sum D of squared distances, the likeliest factor of their variance
-    is D / 6 n. It is what a cause must explain better: the odds of a cause are capped by its fit.
+    For n innovations with the sum D of squared distances, the likeliest factor of their variance
+    is D / 6 n. A cause must fit better than this: the ratio caps its odds.
     """
     top = -math.inf
     for k in range(1, len(distances)):
@@ -650,10 +655,11 @@ def _sum_over_onsets(
     unusual: Array, explained: Array, determinant: Array, weight: float, top: float, total: float
 ) -> tuple[int, float, float]:
     """
-    Return the likeliest onset, and the sum of likelihood ratios with those of all onsets.
+    Return the likeliest onset, and the sum of likelihood ratios including those of all onsets.
 
-    Of onsets since when a fault explains most of the squared distances that are unusual. The sum
-    is in the largest ratio so far, whose logarithm is `top`; -1 where none of them is larger.
+    Only onsets count since which a fault explains most of the unusual squared distances. The sum
+    is relative to the largest ratio so far, whose logarithm is `top`; the onset is -1 if none is
+    larger.
     """
     slot, largest = -1, -math.inf
     for k in range(len(explained)):
@@ -680,11 +686,11 @@ def _explain(
     statistics: Array, h: int, i: int, A: Array, z: Array, explained: Array, determinant: Array
 ) -> None:
     """
-    Add how much of the squared distances component i explains, and the price of its freedom.
+    Add the squared distances explained by component i, and the cost of its freedom.
 
-    With J and d information and score of a fault's sizes, for each onset: z^T A^-1 z and det A,
-    where A = I + s J s and z = s d with s the usual sizes; beside what their mean explains.
-    A (6, 6, n) and z (6, n) hold the factors of the components before.
+    With information J and score d of a fault's sizes, for each onset: z^T A^-1 z and det A, where
+    A = I + s J s and z = s d with prior sizes s; plus the part explained by their mean. A (6, 6,
+    n) and z (6, n) hold the factors of previous components.
     """
     first, m = FIRSTS[h], SLOTS[h]
     std, d, J = PRIOR_STD[first + i], statistics[0, i * m:], statistics[1:, i * m:]

@@ -1,4 +1,4 @@
-"""Calibration of the measurement model on sound work, and the false alarms to expect with it."""
+"""Calibration of the measurement model on sound work, and the resulting rate of false alarms."""
 
 from __future__ import annotations
 
@@ -22,45 +22,44 @@ from scipy.optimize import nnls
 from scipy.special import gammaincinv
 
 MIN_POSES = 100
-"""Measured poses required: standard deviations are then known to a tenth."""
+"""Smallest number of measured poses, which determine standard deviations to 10 %."""
 
 ITERATIONS = 4
-"""Iterations of expectation and maximisation: the sizes then change by less than 3 %."""
+"""Number of iterations of expectation maximisation, after which sizes change by less than 3 %."""
 
 INITIAL_FACTOR = 3.0
-"""Factor of the first standard deviations: poses outside the gate would not count."""
+"""Factor of the initial standard deviations, so that poses stay within the gate."""
 
 RATE_FACTOR = 100.0
-"""Factor of the allowed rate in counting: false alarms at the allowed rate are too rare."""
+"""Factor of the allowed rate in counting, as false alarms at the allowed rate are too rare."""
 
 WORK_FOLDS = 2
-"""Parts of the poses for cross-validation."""
+"""Number of parts of the poses for cross-validation."""
 
 Run = Callable[[Observer, int], object]
-"""Lets an observer process one fold of the measured poses, or all with fold -1."""
+"""Function by which an observer processes one fold of the measured poses, or all with fold -1."""
 
 
 class SoundWork(Observer):
     """
-    An observer without alarms that keeps the noise of each used pose.
+    An observer without alarms that stores the noise of each used pose.
 
     Attributes
     ----------
     noise : list of array (4,)
         Expected squares: lateral and depth (m^2), across and along the line of sight (rad^2).
     scales : list of array (2, 4)
-        Standard deviations that the model has with unit numbers, at rest and in motion.
+        Standard deviations of the model with unit numbers, at rest and in motion.
 
     """
 
     def __init__(self, values: Values) -> None:
-        """Start without poses."""
         super().__init__(values.replaced({'alarm.false_per_hour': 0.0}))
         self.noise: list[Array] = []
         self.scales: list[Array] = []
 
     def _reprocess(self, first: int) -> None:
-        """Update with a new measurement, and keep its noise if it is used."""
+        """Update with a new measurement, and store its noise if used."""
         used = self.counts['used']
         super()._reprocess(first)
         if self.counts['used'] > used and not self._estimates[first + 1].is_supported:
@@ -122,12 +121,12 @@ class SoundWork(Observer):
 @dataclass(frozen=True)
 class Rate:
     """
-    False alarms to expect per hour.
+    Expected rate of false alarms.
 
     Parameters
     ----------
     per_hour, at_most : float
-        Expected, and the end of the one-sided interval of 95 % (Garwood 1936).
+        Expected rate, and upper end of the one-sided 95 % interval (Garwood 1936).
 
     """
 
@@ -138,16 +137,16 @@ class Rate:
 @dataclass(frozen=True)
 class ModelCalibration:
     """
-    A calibrated measurement model, and the false alarms with and without it.
+    A calibrated measurement model, and the rates of false alarms with and without it.
 
     Parameters
     ----------
     parameters : mapping
         Values of measured.*.
     poses : int
-        Measured poses that were used.
+        Number of used measured poses.
     before, after : Rate
-        With the given parameters, and with those of the other poses (cross-validation).
+        With the given parameters, and with parameters from the other poses (cross-validation).
 
     """
 
@@ -158,7 +157,7 @@ class ModelCalibration:
 
     @property
     def is_better(self) -> bool:
-        """Whether the calibration lowers the false alarms, or keeps them at none."""
+        """Whether the calibration lowers the rate of false alarms, or keeps it at zero."""
         return self.after.per_hour < max(self.before.per_hour, 1e-9) or (
             self.before.per_hour == self.after.per_hour == 0.0)
 
@@ -170,16 +169,16 @@ def calibrated(run: Run, values: Values, seconds: float) -> ModelCalibration:
     Parameters
     ----------
     run : callable
-        Lets an observer process a part of the work.
+        Function by which an observer processes a part of the work.
     values : Values
         Parameters.
     seconds : float
-        Length of the work.
+        Duration of the work, s.
 
     Raises
     ------
     BellowsError
-        If alarms are turned off, or too few poses are used.
+        If alarms are disabled, or too few poses are used.
 
     """
     if values.alarm.false_per_hour == 0.0:

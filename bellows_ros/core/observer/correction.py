@@ -1,4 +1,4 @@
-"""Estimates of a held package: propagated with the tool, corrected, and judged."""
+"""Estimates of a held package: propagated with the tool, corrected, tested for faults."""
 
 from __future__ import annotations
 
@@ -30,105 +30,109 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 GATE = 27.86
-"""Squared Mahalanobis distance that 1 in 10,000 good measurements exceeds (chi^2 of 6)."""
+"""Squared Mahalanobis distance exceeded by 1 in 10,000 good measurements (chi^2 of 6)."""
 
 RESTART_COUNT, RESTART_NS = 8, 100_000_000
-"""Consecutive measurements outside the gate, and their time (ns), after which the filter restarts
-from them."""
+"""Number of consecutive measurements outside the gate, and their duration (ns), after which the
+filter restarts from them."""
 
 NONLINEAR_LATENCY = 5e-3
 """
-Latency (s) beyond which poses are read earlier than their stamps. Where it is as uncertain, and
-changes by as much with a measurement, the filter is not linear in it: the change is about as
-uncertain as it is large, and evidence of faults begins again.
+Latency (s) above which poses are read earlier than their stamps. With an equally uncertain and
+equally changing latency the filter is nonlinear: the change is as uncertain as it is large, and
+the evidence of faults is reset.
 """
 
 LARGEST_LOAD = 5.0
-"""A cup that holds is displaced by at most its length and what so many weights do."""
+"""Largest load of a holding cup, in weights, whose displacement adds to the cup's length."""
 
 NO_MEASUREMENT = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
 
 MIN_SAMPLES = 4096
-"""Smallest buffer of tool samples: seconds of them."""
+"""Smallest size of the buffer of tool samples, a few seconds."""
 
 INITIAL_STD = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
-"""Standard deviations at the start: m, rad, m/s, rad/s."""
+"""Initial standard deviations: m, rad, m/s, rad/s."""
 
 MASS_SHARE, COM_UNCERTAIN = 0.05, (3e-3, 3e-3, 1.5e-3)
-"""Default standard deviations of the payload: relative mass, centre of mass (m)."""
+"""Default standard deviations of the payload: mass (relative), centre of mass (m)."""
 
 UNSTATED_CUP, UNSTATED_DAMPING, UNSTATED_INERTIA = 0.05, 0.2, 0.05
-"""Relative standard deviations of K, P (all 0) and moments of inertia that are not stated."""
+"""Relative standard deviations of K, of P (if all are 0) and of moments of inertia, if not
+stated."""
 
 UNSTATED_MASS, UNSTATED_COM = 0.02, 2e-3
-"""Relative standard deviation of a mass and std (m) of a centre of mass that are not stated."""
+"""Standard deviations of mass (relative) and centre of mass (m), if not stated."""
 
 SUPPORT_WALK, SUPPORT_ARM = 1.5, 0.05
-"""Random walk of a support's wrench in 1 s: fraction of the weight, and moment by force (m)."""
+"""Random walk of a support's wrench in 1 s: force as a fraction of the weight, and its lever for
+the moment (m)."""
 
 MODEL_ERROR_SHARE = 3e-4
-"""First variance of the model's error, relative to that of the lip's displacement."""
+"""Initial variance of the model error, relative to the variance of the lip's displacement."""
 
 FIRST_JITTER = 2e-3
-"""First standard deviation of the random part of a stamp's error, s."""
+"""Initial standard deviation of the random error of a stamp, s."""
 
 FIRST_MEMORY = 0.043
-"""First time in which the correlation of the noise falls to 1 / e, s."""
+"""Initial correlation time of the noise, s."""
 
 BIAS_WALK, WALK_ARM = 0.0003, 0.02
-"""Random walk of the wrench bias per second: fraction of the weight, and moment by force (m)."""
+"""Random walk of the wrench bias in 1 s: force as a fraction of the weight, and its lever for the
+moment (m)."""
 
 LEAST_TOOL_NOISE = 5e-7, 2.5e-6
-"""Least noise of the tool's position (m) and rotation: the filter's own steps err by as much."""
+"""Smallest noise of the tool's position (m) and rotation (rad), of the size of the filter's step
+errors."""
 
 TOOL_LATENCY = 5e-3
-"""Largest lateness of the tool's poses, s."""
+"""Largest delay of the tool's poses, s."""
 
 CAMERA_WALK_TIME = 300.0
-"""Time (s) in which the frame of a camera drifts by `measured.offset_std`: mounts warm up."""
+"""Time in which a camera's frame drifts by `measured.offset_std` as its mount warms up, s."""
 
 BIAS_SHARE = 0.01
-"""Initial bias, relative to the effect of the default payload uncertainty."""
+"""Initial wrench bias, relative to the effect of the default payload uncertainty."""
 
 FIRST_PERIOD, FIRST_SQUARES = 0.03, 100.0
 """
-Time (s) between measurements, and sum of squares of noise, before the first: as of 33. With fewer
-a payload that is off from the start is taken for noise with a long memory.
+Initial time between measurements (s) and sum of squares of the noise, that of 33 measurements:
+with fewer, an initially wrong payload would appear as noise with a long memory.
 """
 
 CAMERA_ROWS = tuple(range(ekf.CAMERA, ekf.LATENCY + 1))
-"""Rows that belong to the camera."""
+"""Rows of the camera's errors."""
 
 CUP_ROWS = *range(ekf.STIFFNESS, ekf.MARKER), *range(ekf.DAMPING, ekf.INERTIA)
-"""Rows that belong to the cup."""
+"""Rows of the cup's errors."""
 
 PACKAGE_ROWS = (*range(ekf.MASS, ekf.COM + 3), *range(ekf.MARKER, ekf.CAMERA),
                 *range(ekf.INERTIA, ekf.ROWS))
-"""Rows that belong to the package."""
+"""Rows of the package's errors."""
 
 ANOTHER_PACKAGE = CAMERA_ROWS + CUP_ROWS
-"""Rows that stay known with another package."""
+"""Rows kept for another package."""
 
 SAME_PACKAGE = ANOTHER_PACKAGE + PACKAGE_ROWS
-"""Rows that stay known over a gap with the same package."""
+"""Rows kept over a gap with the same package."""
 
 KNOWN_ROWS = np.sort(SAME_PACKAGE)
-"""Rows that are learned over time; the others belong to the motion."""
+"""Rows that are estimated over time; the others belong to the motion."""
 
 KNOWN = np.ix_(KNOWN_ROWS, KNOWN_ROWS)
-"""Their block of a covariance."""
+"""Index of the block of these rows in a covariance."""
 
 NUMBERS = 54
-"""K and P (6, 6) of a cup, as the kernels' blocks."""
+"""Number of entries of K and P (6, 6) of a cup, as the kernels' blocks."""
 
 NO_CUPS: Array = np.zeros((0, NUMBERS))
-"""A gripper of one cup: if that is lost, the package is."""
+"""Cups of a gripper with a single cup, whose loss is the loss of the package."""
 
 
 def walk_variances(
     values: Values, model: ModelTuple, is_supported: bool = False
 ) -> Array:
-    """Return the variances (12,) that wrench bias and pose of the camera gain in 1 s."""
+    """Return the variances (12,) of wrench bias and camera pose after a random walk of 1 s."""
     weight = model[1][0] * math.hypot(*model[2])
     camera = np.divide(values.measured.camera_std, math.sqrt(CAMERA_WALK_TIME))
     share, arm = (SUPPORT_WALK, SUPPORT_ARM) if is_supported else (BIAS_WALK, WALK_ARM)
@@ -138,7 +142,7 @@ def walk_variances(
 
 
 def first_memory() -> Array:
-    """Return the memory of the noise before the first measurement, see `correlations`."""
+    """Return the initial memory of the noise, see `correlations`."""
     products = FIRST_SQUARES * math.exp(-FIRST_PERIOD / FIRST_MEMORY)
     memory: Array = np.r_[
         FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2),
@@ -147,7 +151,7 @@ def first_memory() -> Array:
 
 
 def prior_std(values: Values, model: ModelTuple) -> Array:
-    """Return the standard deviations (n,) of the error at the start."""
+    """Return the initial standard deviations (n,) of the error."""
     (_, _, *blocks), (mass, _, inertia, _), gravity = (model[0][:4], *model[1:])
     weight = mass * math.hypot(*gravity)
     C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
@@ -178,7 +182,7 @@ def cups_of(model: ModelTuple, places: Array) -> Array:
     """
     Return K and P (n, 54) of each cup of a gripper for strains at the origin.
 
-    The model is that of the gripper, its cups are at places (n, 4), as of `places_of`.
+    The model is that of the gripper with cups at places (n, 4), as `places_of` returns them.
     """
     if len(places) < 2 or is_single(places):
         return NO_CUPS
@@ -192,10 +196,10 @@ def cups_of(model: ModelTuple, places: Array) -> Array:
 
 def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
     """
-    Return when a measurement was made, by its stamp and the latency as it is estimated (ns).
+    Return the time of a measurement (ns) from its stamp and the estimated latency.
 
-    It stays behind the one before, by at least half of the time between their stamps. A short
-    latency is left to `measurement.at_exposure`.
+    It follows the previous measurement by at least half of the interval of their stamps. Short
+    latencies are corrected by `measurement.at_exposure`.
     """
     late_ns, last_ns = int(NS_PER_S * before.theta[ekf.LATENCY - STATE]), before.late_ns
     if late_ns < NS_PER_S * NONLINEAR_LATENCY:
@@ -205,7 +209,7 @@ def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
 
 
 class Known(NamedTuple):
-    """Knowledge that outlives a package or a motion."""
+    """Estimates kept beyond a package or a motion."""
 
     theta: Array
     """Rows of the error from `MASS` on (n - 12,)."""
@@ -217,20 +221,19 @@ class Known(NamedTuple):
 
 class Track:
     """
-    The tool's samples of the last moments, the package at each, as the kernels take them.
+    The recent tool samples and the package at each, as the kernels take them.
 
     Attributes
     ----------
     rows : tuple of array or list
-        Stamp (ns), tool at the beginning and at the end of the motion from the sample before, and
-        package (with internal strains, if there are any), of each sample.
+        Stamp (ns), tool at begin and end of the motion from the previous sample, and package (with
+        internal strains, if any), of each sample.
     count, newest_ns : int
-        How many samples there are, and the stamp of the newest.
+        Number of samples, and stamp of the newest.
 
     """
 
     def __init__(self) -> None:
-        """Start without samples."""
         self._allocate(MIN_SAMPLES)
         self.count = self.newest_ns = 0
 
@@ -248,11 +251,11 @@ class Track:
         self.count, self.newest_ns = self.count + 1, stamp_ns
 
     def after(self, stamp_ns: int) -> int:
-        """Return the number of the first sample after a stamp."""
+        """Return the index of the first sample after a stamp."""
         return int(first_after(self.rows[0], stamp_ns, self.count))
 
     def discard_before(self, since_ns: int) -> None:
-        """Make room for another sample; discard those before a stamp."""
+        """Make room for another sample by discarding samples before a stamp."""
         if self.count < len(self.rows[0]):
             return
         before, first, end = self.rows, self.after(since_ns) - 1, self.count
@@ -264,23 +267,24 @@ class Track:
 
 class Correction:
     """
-    The filter of one model: each method takes an estimate, and returns another.
+    The filter of one model; each method takes an estimate and returns another.
 
     Parameters
     ----------
     values : mapping
-        Parameters by name, as of `Observer`.
+        Parameters by name, as in `Observer`.
     marker : tuple
         Marker of the `PoseSensor`.
     model : tuple
-        Nominal.
+        Nominal model.
     max_step, reach : float
-        The longest step (s) of the model, and how far (m) a lip can be where it is predicted.
+        Longest step (s) of the model, and largest plausible displacement (m) of a lip from the
+        prediction.
 
     Attributes
     ----------
     holding_reach : float
-        How far (m) the lip of a cup that holds can be from where it is without load.
+        Largest displacement (m) of the lip of a holding cup from its place without load.
     alarms : Alarms or None
 
     """
@@ -289,7 +293,6 @@ class Correction:
         self, values: Values, marker: Any, model: ModelTuple, max_step: float,
         reach: float,
     ) -> None:
-        """Set what is uncertain."""
         self.nominal, self.max_step, self.reach = model, max_step, reach
         self.holding_reach = model[0][1] + LARGEST_LOAD * sag(model)
         self.law = law_of(model)
@@ -310,13 +313,13 @@ class Correction:
         self, stamp_ns: int, tool: State, body: State, initial: tuple[Array, Array, Array],
         lost_cups: tuple[int, ...],
     ) -> Estimate:
-        """Return the estimate of a package at rest, with an initial theta, covariance, memory."""
+        """Return the initial estimate of a package at rest, with theta, covariance and memory."""
         self._drive = ekf.driving(self.nominal, tool, body, self._tool_noise)
         return Estimate(
             stamp_ns, tool, body, *initial, self._evidence(stamp_ns, body, lost_cups), lost_cups)
 
     def after_hanging(self, estimate: Estimate, hung_ns: int) -> Estimate:
-        """Return the first estimate of a package that has been predicted for some time (ns)."""
+        """Return the first estimate of a package that was predicted for some time (ns)."""
         since_ns, track = estimate.stamp_ns - hung_ns, Track()
         still: State = *estimate.tool[:2], ZERO, ZERO
         body: State = *estimate.body[:2], ZERO, ZERO, *estimate.body[4:]
@@ -331,7 +334,7 @@ class Correction:
             covariance=self.propagated(before, track, estimate.stamp_ns).covariance)
 
     def row(self, lost_cups: tuple[int, ...]) -> Any:
-        """Return the `model_row` without those cups that are lost."""
+        """Return the `model_row` without lost cups."""
         if not lost_cups:
             return self._row
         row = np.array(self._row)
@@ -339,14 +342,14 @@ class Correction:
         return row
 
     def _holding(self, lost_cups: tuple[int, ...]) -> Array:
-        """Return the cups, see `cups_of`, that hold; none where the last would be."""
+        """Return the holding cups, see `cups_of`; none for the last cup."""
         cups = np.delete(self._cups, list(lost_cups), axis=0) if lost_cups else self._cups
         return cups if len(cups) > 1 else NO_CUPS
 
     def _evidence(
         self, stamp_ns: int, body: State, lost_cups: tuple[int, ...], from_start: bool = True
     ) -> Evidence:
-        """Return that of no fault yet."""
+        """Return the evidence without a fault."""
         return NO_EVIDENCE if self.alarms is None else self.alarms.start(
             stamp_ns, body[0], len(self._holding(lost_cups)), from_start)
 
@@ -354,12 +357,12 @@ class Correction:
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, is_supported: bool = False,
     ) -> tuple[int, Estimate, alarms.Likeliest]:
-        """Return verdict, estimate and faults by `filter_step`; only propagate with gate 0."""
+        """Return verdict, estimate and faults by `filter_step`; with gate 0 propagate only."""
         evidence, theta = before.evidence, before.theta.copy()
         if is_supported:
             evidence = NO_EVIDENCE._replace(from_start=evidence.from_start)
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
-        theta[ekf.LATENCY - STATE] -= late  # the pose is read so much earlier
+        theta[ekf.LATENCY - STATE] -= late  # correction for reading the pose earlier
         verdict, numbers, (E, statistics, distances, onsets), likeliest = alarms.filter_step(
             self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
@@ -374,15 +377,15 @@ class Correction:
             Evidence(E, statistics, distances, onsets, *evidence[4:]), *before[7:]), likeliest
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
-        """Return an estimate at a later stamp; the package has been there before."""
+        """Return an estimate at a later stamp, which the package has already passed."""
         return self._step(
             estimate, track, stamp_ns, True, is_supported=estimate.is_supported)[1]
 
     def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
         """
-        Return an estimate at a sample of the tool, whose noise is in its twist at once.
+        Return an estimate at a sample of the tool, whose noise appears at once in its twist.
 
-        A latency between tool and camera may be that of the tool.
+        A latency between tool and camera may be a delay of the tool.
         """
         P = estimate.covariance.copy()
         P[6:STATE, 6:STATE] += self._drive[0, :6, :6]
@@ -404,11 +407,11 @@ class Correction:
         is_supported: bool = False,
     ) -> tuple[Estimate, str, alarms.Alarm | None]:
         """
-        Return the estimate after a measurement: the one before it if that is no package.
+        Return the estimate after a measurement, or before it if the pose is not of the package.
 
-        With the verdict (`used`, `flipped`, `recovered`, `gate` or `out_of_reach`), and an alarm
-        if one is raised. While a support may carry the package its wrench is estimated, nothing
-        is learned about camera, cup and package, and no fault is looked for.
+        Further results are the verdict (`used`, `flipped`, `recovered`, `gate` or `out_of_reach`),
+        and an alarm, if any. While a support may carry the package its wrench is estimated,
+        estimates of camera, cup and package are kept, and faults are not tested.
         """
         if before.is_supported and not is_supported:
             before = self.released(before)
@@ -437,7 +440,7 @@ class Correction:
         return after, name, None
 
     def _may_be_fault(self, estimate: Estimate, likeliest: alarms.Likeliest) -> bool:
-        """Return whether an alarm is about to be raised: a restart would lose its evidence."""
+        """Return whether an alarm is imminent, whose evidence a restart would lose."""
         suspect_ns = estimate.evidence.suspect_ns
         return self.alarms is not None and bool(suspect_ns) and (
             self.alarms.is_likely(likeliest)
@@ -446,7 +449,7 @@ class Correction:
     def _judged(
         self, before: Estimate, after: Estimate, likeliest: alarms.Likeliest
     ) -> tuple[Estimate, alarms.Alarm | None]:
-        """Return an estimate without a fault that is found, and the alarm on it."""
+        """Return an estimate with a detected fault removed, and the alarm on it."""
         row, evidence, stamp_ns = ekf.LATENCY, after.evidence, after.stamp_ns
         change = after.theta[row - STATE] - before.theta[row - STATE]
         if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
@@ -455,7 +458,7 @@ class Correction:
                 stamp_ns, after.body, after.lost_cups, evidence.from_start)), None
         if self.alarms is None:
             return after, None
-        is_back = before.gated_ns and not after.gated_ns  # confirms nothing before
+        is_back = before.gated_ns and not after.gated_ns  # earlier evidence does not count
         suspect_ns = self.alarms.suspect_ns(
             () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0])
         if suspect_ns != evidence.suspect_ns:
@@ -471,20 +474,20 @@ class Correction:
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
         body, theta = changed_by(after.body, after.theta, fault.error)
         memory = np.r_[self.first_memory[:11], after.memory[11:]]
-        return after._replace(  # the fault was taken for noise, too
+        return after._replace(  # the fault has increased the noise, too
             body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
             evidence=self._evidence(stamp_ns, body, lost_cups, False),
             covariance=after.covariance + fault.spread @ fault.spread.T), fault.alarm
 
     def _disturbed(self, estimate: Estimate) -> Estimate:
-        """Return an estimate whose state is as uncertain as at the start."""
+        """Return an estimate with the initial uncertainty of the state."""
         rows, P = np.arange(STATE), estimate.covariance.copy()
         P[rows, rows] += np.square(self.prior[rows])
         return estimate._replace(covariance=P, gated_ns=(), evidence=self._evidence(
             estimate.stamp_ns, estimate.body, estimate.lost_cups, estimate.evidence.from_start))
 
     def released(self, estimate: Estimate) -> Estimate:
-        """Return an estimate of a package that its support has just let go."""
+        """Return an estimate of a package just released by its support."""
         rows = np.arange(ekf.WRENCH, ekf.WRENCH + 6)
         theta, P = estimate.theta.copy(), estimate.covariance.copy()
         theta[rows - STATE] = 0.0
@@ -496,7 +499,7 @@ class Correction:
                                     estimate.evidence.from_start))
 
     def rolled_back(self, estimate: Estimate, known: Known) -> Estimate:
-        """Return an estimate whose camera, cup and package are as they were known before."""
+        """Return an estimate with previously kept estimates of camera, cup and package."""
         theta, P = estimate.theta.copy(), estimate.covariance.copy()
         theta[KNOWN_ROWS - STATE] = known.theta[KNOWN_ROWS - STATE]
         P[KNOWN_ROWS], P[:, KNOWN_ROWS] = 0.0, 0.0
@@ -506,7 +509,7 @@ class Correction:
     def _restarted(
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement
     ) -> Estimate:
-        """Return an estimate as uncertain as at the start, corrected with a measurement there."""
+        """Return an estimate with initial uncertainty, corrected with a measurement."""
         rows = np.r_[:STATE, ekf.WRENCH:ekf.WRENCH + 6]
         P, stamp_ns = estimate.covariance.copy(), estimate.stamp_ns
         P[rows, rows] += np.square(self.prior[rows])
@@ -515,7 +518,7 @@ class Correction:
         _, after, _ = self._step(
             restarted, track, stamp_ns, True, measurement, math.inf, is_supported)
         from_start = estimate.evidence.from_start
-        # a fault found so early has been there since the beginning
+        # a fault this early was present from the start
         from_start &= bool(estimate.evidence.onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
         return after._replace(
             memory=memory, gated_ns=(), away_ns=0, is_supported=is_supported,

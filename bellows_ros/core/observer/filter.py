@@ -1,14 +1,15 @@
 """
-An error-state Kalman filter on SE(3) x R^6, with all that may be off in an ordinary cell.
+An error-state Kalman filter on SE(3) x R^6, including the errors of an ordinary cell.
 
 The rows of the error have the names below: pose and twist of the package in its own axes, as in
-`jacobians`; numbers of the model, which change its motion; and what makes a measured pose differ
-from the package's. All but the state is the vector theta. A row without uncertainty stays as it
-is until `alarms` finds that something has happened to it: each fault is a step in some rows.
+`jacobians`; parameters of the model, which change its motion; and errors of measured poses. All
+rows but the state are the vector theta. A row without uncertainty is constant until `alarms`
+detects a fault, a step in some rows.
 
-The state goes through all samples of the tool with the predictor's steps. Between measurements
-the transition T of the state's error (12, n) and the covariance Q of what the tool's noise adds
-are accumulated, in steps as long as the package's modes allow; the covariance follows at once.
+The state is propagated through all samples of the tool with the predictor's steps. Between
+measurements, the transition T of the state's error (12, n) and the covariance Q by the tool's
+noise are accumulated in steps as long as the package's modes allow; the covariance is then
+propagated at once.
 """
 
 from __future__ import annotations
@@ -31,91 +32,94 @@ import numpy as np
 
 SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
 """
-m, rad, m/s, rad/s; logarithm of mass and inertia; centre of mass (m); wrench on the package at the
-lip, in S axes, beside the cup's (N, N m), at the nominal mass: it grows as that does.
+Rows of shift (m), rotation (rad), linear and angular twist (m/s, rad/s); logarithm of mass and
+inertia; centre of mass (m); and additional wrench on the package at the lip, in S axes, at the
+nominal mass, proportional to the mass (N, N m).
 """
 
 LENGTH, LENGTHENING, STIFFNESS = 22, 23, 24
 """
-Length of the cup (m) and its rate (m/s); K along each axis, a logarithm s: exp(s/2) K exp(s/2).
-K, P, mass, inertia and wrench, all scaled alike, make the same motion: their common scale is not
-observable. With logarithms it is the same direction of the error at every estimate; were it not,
-the filter would take noise for knowledge of the scale.
+Rows of the cup's length (m) and its rate (m/s), and of the logarithms s of K along each axis,
+exp(s/2) K exp(s/2). A common scale of K, P, mass, inertia and wrench does not change the motion
+and is not observable. In logarithms this direction of the error is constant; otherwise the filter
+would take noise for information on the scale.
 """
 
 MARKER, CAMERA, LATENCY, NOISE = 30, 36, 42, 43
 """
-Pose of the marker, in B axes, and of the camera, in the world (m, rad); how late stamps are (s);
-the noise with memory of the measured pose, in B axes (m, rad).
+Rows of the pose of the marker in B axes, and of the camera in the world (m, rad); of the delay of
+stamps (s); and of the noise with memory of the measured pose, in B axes (m, rad).
 """
 
 DAMPING, INERTIA, ROWS = 49, 55, 58
-"""Logarithms of P along each axis; moments of inertia at the nominal mass (kg m^2); all rows."""
+"""Rows of the logarithms of P along each axis, and of the moments of inertia at the nominal mass
+(kg m^2); number of rows."""
 
 STATE = 12
 SECONDS, FALL_SPEED, FALL = 0, 1, 4
-"""In row `STATE` of a transition: its time, and speed and shift (m/s, m; world) of what falls."""
+"""Columns in row `STATE` of a transition: its duration, and speed and shift of the fall (m/s, m;
+world)."""
 
 ONSETS = 12
-"""So many onsets of each fault are tested."""
+"""Number of tested onsets of each fault."""
 
 FALLEN = 7
-"""Rows of what falls, after those of the error: see `alarms`."""
+"""Number of rows of the fall, after those of the error: see `alarms`."""
 
 FORCE_LOSS = -FALLEN
-"""The row of the part of the force of the cup that is gone: the first of what falls."""
+"""Row of the lost fraction of the cup's force, the first of the fall."""
 
 COVARIANCE_STEPS = 12
-"""The covariance is propagated in steps up to this many times longer than the state's."""
+"""Largest ratio of the steps of the covariance and of the state."""
 
 STEP_MARGIN = 1.5
-"""By so much the fastest mode may become faster before steps are made shorter."""
+"""Factor by which the fastest mode may become faster before steps are shortened."""
 
 NO_MATRIX: Array = np.zeros((0, 0))
-"""Stands for a transition and a covariance that are not computed."""
+"""Placeholder for a transition and a covariance that are not computed."""
 
 MAX_CORRELATION = 0.97
 """Largest correlation of the noise of successive measurements."""
 
 VIEW_LENGTH = 0.15
-"""Path of a tag over which the correlation of its errors falls to 1 / e, m."""
+"""Path of a tag over which the correlation of its errors decays to 1 / e, m."""
 
 STILL_TIME = 5.0
-"""Time in which the correlation of the errors of a tag at rest falls to 1 / e, s."""
+"""Time over which the correlation of the errors of a tag at rest decays to 1 / e, s."""
 
 MODEL_ERROR_TIME = 0.05
 """
-Time in which the model's error is a displacement of the lip by its relative twist, s: unmodelled
-relaxation and damping are forces in proportion to what the lip moves.
+Time over which the lip's relative twist gives the displacement equivalent to the model error, s:
+unmodelled relaxation and damping are forces proportional to the displacement.
 """
 
 SHARE, JITTER = 13, 14
 """
-Places in the memory: the model error's variance relative to the moved displacement's, and the
-variance of the random part of a stamp's error (s^2).
+Indices in the memory: variance of the model error relative to the lip's displacement, and variance
+of the random error of a stamp (s^2).
 """
 
 
 class Evidence(NamedTuple):
-    """All that is known of faults after a measurement."""
+    """Evidence of faults after a measurement."""
 
     signatures: Any
-    """(n + 7, columns), of single precision: they are the larger part of the work."""
+    """Signatures (n + 7, columns), in single precision for speed."""
     statistics: Array
-    """Score of each signature, and its products with those of the components up to its own."""
+    """Score of each signature, and its products with the components up to its own."""
     distances: Array
-    """Squared, the sum since each onset."""
+    """Sum of squared distances since each onset."""
     onsets: Stamps
-    """Measurements since each onset, and its stamp (ns): (2, onsets)."""
+    """Number of measurements since each onset, and its stamp (ns): (2, onsets)."""
     suspect_ns: tuple[int, ...] = ()
-    """Stamps (ns) since half-way to the threshold."""
+    """Stamps since half the threshold, ns."""
     from_start: bool = True
-    """Whether faults from the start are looked for: no alarm has been raised."""
+    """Whether faults from the start are tested: no alarm has been raised."""
 
 
 NO_EVIDENCE = Evidence(
     np.zeros((0, 0), np.float32), np.zeros((0, 0)), np.zeros(0), np.zeros((2, 0), np.int64))
-"""Evidence without a search for faults."""
+"""Evidence without a test of faults."""
 
 
 class Estimate(NamedTuple):
@@ -125,7 +129,7 @@ class Estimate(NamedTuple):
     tool: State
     body: State
     theta: Array
-    """The error's rows from `MASS` on (n - 12,)."""
+    """Rows of the error from `MASS` on (n - 12,)."""
     covariance: Array
     """Covariance (n, n) of the error."""
     memory: Array
@@ -137,32 +141,32 @@ class Estimate(NamedTuple):
     gated_ns: tuple[int, ...] = ()
     """Stamps (ns) of consecutive measurements outside the gate."""
     away_ns: int = 0
-    """Stamp of the first of consecutive measurements out of reach, after one within it; 0 for
-    none, -1 once they have been judged."""
+    """Stamp of the first of consecutive measurements out of reach, after one within reach; 0 for
+    none, -1 after their assessment."""
     falls: bool = False
-    """Whether all of them are where a falling package may be."""
+    """Whether all poses out of reach are consistent with a fall."""
     is_supported: bool = False
     """Whether a support may have carried the package."""
     late_ns: int = 0
-    """By how much (ns) the last measurement was read earlier than its stamp."""
+    """Shift of the last measurement before its stamp, ns."""
 
 
 Samples = tuple[Any, Any, Any, Any, int]
 """
-Of the tool: stamp (ns), states (13,) at the beginning and at the end of its motion from the sample
-before, and the package, of each; and how many there are.
+Samples of the tool: stamp (ns), states (13,) at begin and end of its motion from the previous
+sample, and the package, of each; and their number.
 """
 
 Moving = tuple[int, State, State, Array]
 """Stamp (ns), tool, package and theta."""
 
 EstimateTuple = tuple[int, State, State, Array, Array, Array]
-"""`Moving`, covariance and memory, as an `Estimate` begins."""
+"""Beginning of an `Estimate`: `Moving`, covariance and memory."""
 
 Noise = tuple[Array, Array, bool]
 """
-Drive of `driving`, walk of `propagated_covariance`, and whether the errors of measured poses age
-with the view.
+Drive of `driving`, walk of `propagated_covariance`, and whether the errors of measured poses
+decorrelate with the view.
 """
 
 Transition = tuple[Array, Array, Array]
@@ -174,7 +178,7 @@ cup of a gripper.
 
 @kernel
 def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
-    """Return a model with its numbers changed by theta."""
+    """Return a model with its parameters changed by theta."""
     cup, (mass, com, inertia, inverse), gravity = model
     k, longer = math.exp(theta[0]), theta[LENGTH - STATE]
     (oo, oR, RR), P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
@@ -191,7 +195,7 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
 
 @kernel
 def model_at(row: Any, law: LawTuple, theta: Array) -> ModelTuple:
-    """Return the model that `kernels.model_of` returns, with its numbers changed by theta."""
+    """Return the model of `kernels.model_of` with its parameters changed by theta."""
     return with_theta(kernels.model_of(row, law), theta)
 
 
@@ -205,7 +209,7 @@ def _scaled(M: Blocks, s: Array) -> tuple[Matrix, Matrix, Matrix]:
 
 @kernel
 def _scaled_block(A: Matrix, a: Vector, b: Vector) -> Matrix:
-    """Return a 3x3 block of what `_scaled` does."""
+    """Return a 3x3 block of `_scaled`."""
     return (
         A[0] * a[0] * b[0], A[1] * a[0] * b[1], A[2] * a[0] * b[2],
         A[3] * a[1] * b[0], A[4] * a[1] * b[1], A[5] * a[1] * b[2],
@@ -214,7 +218,7 @@ def _scaled_block(A: Matrix, a: Vector, b: Vector) -> Matrix:
 
 @kernel
 def stable_step(max_step: float, theta: Array) -> float:
-    """Return the longest step (s) for a model changed by theta: shorter for one much stiffer."""
+    """Return the longest step (s) for a model changed by theta, shorter if much stiffer."""
     stiffer = damped = 0.0
     for i in range(6):
         stiffer = max(stiffer, theta[STIFFNESS - STATE + i] - theta[0])
@@ -224,7 +228,7 @@ def stable_step(max_step: float, theta: Array) -> float:
 
 @kernel
 def wrench_bias(theta: Array) -> Wrench:
-    """Return the wrench beside the cup's (N, N m)."""
+    """Return the additional wrench (N, N m)."""
     k = math.exp(theta[0])
     return t3.scale(k, (theta[4], theta[5], theta[6])), t3.scale(
         k, (theta[7], theta[8], theta[9]))
@@ -234,10 +238,10 @@ def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
     """
     Return the covariances of the state by white noise (6,) of the tool, held for 1 s.
 
-    Of all of it, then of its position and of its rotation alone with unit variance (3, 12, 12).
+    They are (3, 12, 12): by all noise, and by position and rotation alone with unit variance.
 
-    The tool's twist is the derivative of its noise e. Integrated by parts, its slope T_v acts
-    like the slope A T_v of e. It is linearised about a state.
+    The tool's twist is the derivative of its noise e. Integrated by parts, its slope T_v is
+    equivalent to the slope A T_v of e. The derivatives are linearised about a state.
     """
     by = linearise(model, tool, body)
     drive = np.vstack([by.tool_twist, by.tool_pose + by.body_twist @ by.tool_twist])
@@ -250,7 +254,7 @@ def advanced_with_wrench(
     model: ModelTuple, bias: Wrench, body: State, start: State, end: State, seconds: float,
     substeps: int,
 ) -> State:
-    """Return a state after a motion of the tool: half of the push before and half after it."""
+    """Return a state after a motion of the tool, with half of the push before and half after."""
     dv, dw = jac.acceleration_at(model[1], model[1][1], bias[0], bias[1])
     dv, dw = t3.scale(0.5 * seconds, dv), t3.scale(0.5 * seconds, dw)
     body = kernels.with_twist(body, t3.add(body[2], dv), t3.add(body[3], dw))
@@ -269,13 +273,13 @@ def slopes(
     Parameters
     ----------
     model, bias, tool, body : tuples
-        With the numbers as they are estimated.
+        Tuples with the estimated parameters.
     mass_ratio : float
-        By how much the mass is times the nominal one.
+        Ratio of the mass to the nominal one.
     A : ndarray (12, 12)
-        Slope by the state's error: pose and twist change in axes that turn with the body.
+        Slope by the state's error: pose and twist change in axes that rotate with the body.
     B : ndarray (6, m)
-        That of the twist's error by the other rows; m as in `identity_transition`.
+        Slope of the twist's error by the other rows; m as in `identity_transition`.
 
     """
     package, com, turning = model[1], model[1][1], body[3]
@@ -305,7 +309,7 @@ def slopes(
     dv, dw = jac.acceleration_at(package, com, f, m)
     jac.write_column(B, MASS, t3.scale(-1.0, dv), t3.scale(-1.0, dw))
     slopes_S1 = jac.wrench_jacobians(model, tool, body)
-    for i in range(3):  # by the centre of mass (m), the push has another arm, too
+    for i in range(3):  # by the centre of mass (m), which also changes the push's lever
         along = t3.unit(i, 1.0)
         dv, dw = jac.by_com(package, c, slopes_S1[0], slopes_S1[1], turning, f, along)
         by_push = t3.apply(package[3], t3.cross(along, bias[0]))
@@ -321,9 +325,9 @@ def _by_axes(
     factor: float, M: Blocks, S: Square, x: Vector, y: Vector, out: Array
 ) -> None:
     """
-    Add slopes (6, 6) by logarithms along the axes of M, as of `_scaled`, of what M makes.
+    Add slopes (6, 6) by logarithms along the axes of M (`_scaled`) of terms linear in M.
 
-    Entry jk of M makes 2 factor (s_j x_k + s_k x_j), with columns s of S and (x, y) for x.
+    Entry jk of M contributes 2 factor (s_j x_k + s_k x_j), with columns s of S and (x, y) for x.
     """
     a, b = kernels.multiply_blocks(M, x, y)
     SM = (
@@ -353,10 +357,10 @@ def write_losses(
     """
     Write M^-1 [W_i, w_i] of each cup into (n, 6, 13): accelerations by error, and without.
 
-    Without cup i of a gripper the package goes on without that cup's wrench w_i(x). The error e of
-    an estimate x that has all cups has the slope A e - M^-1 (w_i(x) + W_i e), with A of all cups
-    and W_i the derivative of w_i. It is linear, and has a transition (12, 13) of its own, whose
-    last column is what the loss has made.
+    Without cup i of a gripper, its wrench w_i(x) is missing. The error e of an estimate x with all
+    cups has the slope A e - M^-1 (w_i(x) + W_i e), with A of all cups and W_i the derivative of
+    w_i. The linear slope has its own transition (12, 13), whose last column is the effect of the
+    loss.
     """
     for i in range(len(cups)):
         cup = nominal[0]
@@ -376,26 +380,25 @@ def accumulate(
     losses: Array, without_cup: Array,
 ) -> None:
     """
-    Carry a transition (13, m) and the noise's covariance (12, 12) through a step, in place.
+    Propagate a transition (13, m) and the noise's covariance (12, 12) over a step, in place.
 
-    With G the mean of exp(A t) over the step, to fourth order, the error becomes
-    (I + h A G) x + h G B theta. What drives it acts half before and half after the step.
+    With G the mean of exp(A t) over the step, to fourth order, the error becomes (I + h A G) x + h
+    G B theta. Half of the drive acts before and half after the step.
 
     Parameters
     ----------
     A, B : ndarray
-        As `slopes` gives them: the sum of those at both ends of the step.
+        Sums of the results of `slopes` at both ends of the step.
     h : float
         Length of the step, s.
     drive : ndarray (12, 12)
-        Half of the covariance that is added.
+        Half of the added covariance.
     T, Q : ndarray
         Transition and noise, updated in place.
     fall_acceleration : tuple
-        How what falls is accelerated against the model, which holds it (m/s^2, world).
+        Acceleration of the fall relative to the model, which holds the package (m/s^2, world).
     losses, without_cup : ndarray (cups, 6, 13), (cups, 12, 13)
-        What `write_losses` writes, summed alike, and the transitions without each cup, which are
-        changed, too.
+        Sums of results of `write_losses`, and the transitions without each cup, updated in place.
 
     """
     X, F, n, half = np.empty((12, 12)), np.empty((12, 12)), T.shape[1], 0.5 * h
@@ -412,7 +415,7 @@ def accumulate(
             by_twist[i, j] = half * G[i, 6 + j]
     for c in range(len(without_cup)):
         after = without_cup[c].copy()
-        for _ in range(2):  # with the loss of the step's beginning, then of its mean
+        for _ in range(2):  # with the loss at the begin of the step, then with its mean
             loss = t3.product(losses[c], 0.5 * (without_cup[c] + after), np.empty((6, 13)))
             loss[:, 12] += losses[c, :, 12]
             t3.product(F, without_cup[c], after)
@@ -443,7 +446,8 @@ def identity_transition() -> Array:
     """
     Return the transition (13, m) over no time.
 
-    Its columns are those of the rows before `MARKER` and from `DAMPING` on: others move nothing.
+    Its columns are those of the rows before `MARKER` and from `DAMPING` on; other rows have no
+    effect on the motion.
     """
     T = np.zeros((STATE + 1, MARKER + ROWS - DAMPING))
     for i in range(STATE):
@@ -453,14 +457,14 @@ def identity_transition() -> Array:
 
 @kernel
 def times_transition(T: Any, B: Any, out: Any) -> Any:
-    """Write what a transition (13, m) makes of errors (n, k) into (12, k), and return it."""
+    """Write the product (12, k) of a transition (13, m) and errors (n, k), and return it."""
     t3.product(T[:STATE], B[:MARKER], out)
     return t3.add_product(np.ascontiguousarray(T[:STATE, MARKER:]), B[DAMPING:], out)
 
 
 @kernel
 def carry_theta(columns: Array, seconds: float, correlation: tuple[float, float]) -> None:
-    """Let theta, or rows of errors by something (n - 12, m), go on by themselves, in place."""
+    """Propagate theta, or derivatives of its rows (n - 12, m), in place."""
     for c in range(columns.shape[1]):
         columns[LENGTH - STATE, c] += seconds * columns[LENGTHENING - STATE, c]
     for i in range(6):
@@ -470,12 +474,12 @@ def carry_theta(columns: Array, seconds: float, correlation: tuple[float, float]
 @kernel
 def correlations(memory: Array, seconds: float) -> tuple[float, float]:
     """
-    Return that of the noise now and a time later, of position and rotation.
+    Return the correlation of the noise over a time (s), of position and of rotation.
 
-    The memory: mean time (s) between measurements, and for position and rotation the sums of
-    squares of the noise and of its products with the noise before, in standard deviations; that
-    noise (6,), by how much its variances are larger than stated (2,), the variance of the model's
-    error relative to that of the lip's displacement, and that of a stamp (s^2).
+    The memory consists of the mean time (s) between measurements; for position and rotation, the
+    sums of squares of the noise and of its products with the previous noise, in standard
+    deviations; this noise (6,); the ratio of its variances to the stated ones (2,); the variance
+    of the model error relative to the lip's displacement; and the variance of a stamp (s^2).
     """
     rate = seconds / memory[0]
     return _correlation(memory[3] / memory[1], rate), _correlation(memory[4] / memory[2], rate)
@@ -491,7 +495,7 @@ def propagated_covariance(
     P: Array, T: Array, Q: Array, walk: Array, correlation: tuple[float, float]
 ) -> Array:
     """
-    Return the covariance (n, n) after a transition; half of the walk acts before it.
+    Return the covariance (n, n) after a transition, with half of the walk before it.
 
     The walk (12,) is the variance per second of wrench and camera.
     """
@@ -506,7 +510,7 @@ def propagated_covariance(
     side[:, :STATE] = times_transition(T, t3.transpose(side), np.empty((STATE, STATE))) + Q
     out[LENGTH] += h * out[LENGTHENING]
     fade = np.repeat(np.array(correlation), 3)
-    for i in range(n):  # both halves are rounded alike
+    for i in range(n):  # equal rounding of both halves
         out[i, LENGTH] += h * out[i, LENGTHENING]
         a = fade[i - NOISE] if 0 <= i - NOISE < 6 else 1.0
         for j in range(6):
@@ -522,14 +526,14 @@ def propagated_covariance(
 
 @kernel
 def ends_step(stamp_ns: int, next_ns: int, max_step: float) -> bool:
-    """Return whether a covariance step ends at a sample, regardless of where it began."""
+    """Return whether a covariance step ends at a sample, independently of its begin."""
     length_ns = int(NS_PER_S * min(COVARIANCE_STEPS * max_step, 1.0))
     return stamp_ns // length_ns != next_ns // length_ns
 
 
 @kernel
 def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool:
-    """Return whether a covariance step goes on after the whole of sample k."""
+    """Return whether a covariance step continues after the whole of sample k."""
     seconds = (stamps[k] - stamps[k - 1]) / NS_PER_S
     return stamps[k] < until_ns and seconds <= COVARIANCE_STEPS * max_step and (
         not ends_step(stamps[k], stamps[k + 1], max_step))
@@ -542,24 +546,24 @@ def propagated(
     cups: Array,
 ) -> tuple[State, State]:
     """
-    Return tool and package at a later stamp, and carry transition and noise there in place.
+    Return tool and package at a later stamp, with transition and noise propagated in place.
 
     Parameters
     ----------
     model, beginning : tuple
-        Nominal, and what is estimated at the beginning.
+        Nominal model, and the estimate at the beginning.
     transition, samples : tuple
-        Transition, updated in place, empty if not followed; and the tool's samples.
+        Transition, updated in place, or empty; and the tool's samples.
     is_recorded : bool
-        Whether the package has gone this way before: it is read there, else it is written.
+        Whether the package is read from samples that it has passed, or written to new ones.
     until_ns : int
-        End.
+        Stamp of the end, ns.
     max_step : float
         Longest step of the nominal state, s.
     drive : ndarray (3, 12, 12)
         Result of `driving`.
     model_error : float
-        Intensity of a displacement of the tool by the squared twist of the lip, s^3.
+        Intensity of a displacement of the tool per squared twist of the lip, s^3.
     cups : ndarray (cups, 54)
         Cups of a gripper, see `cups_of`.
 
@@ -625,7 +629,7 @@ def predicted(
     """
     Return an estimate at a later stamp, signatures of faults, and the gain in covariance (12, 12).
 
-    The gain is that of the state by the noise of the tool and the model's error.
+    The gain is that of the state by the noise of the tool and the model error.
     """
     now_ns, tool, body, theta, P, memory = estimate
     drive, walk, ages_by_view = noise
@@ -656,7 +660,7 @@ def propagated_signatures(
     """
     Return the signatures of faults (n + 7, columns) after a transition (13, m).
 
-    The last columns are those of lost cups, as many for each transition (12, 13) without a cup.
+    The last columns are those of lost cups, one group for each transition (12, 13) without a cup.
     """
     n, last, out = len(E) - FALLEN, T[STATE], E.copy()
     times_transition(T.astype(np.float32), E[:n], out[:STATE])
@@ -683,7 +687,7 @@ def _followed(
     model: ModelTuple, bias: Wrench, body: State, start: State, end: State, seconds: float,
     max_step: float, row: Any, is_recorded: bool, is_sample: bool,
 ) -> State:
-    """Return a state after a motion of the tool, from or into the row of a sample at its end."""
+    """Return a state after a motion of the tool, read from or written to a sample's row."""
     if is_recorded and is_sample:
         return body_row(row, body)
     substeps = substeps_for(seconds, max_step)
@@ -698,7 +702,7 @@ def followed(
     row: Any, law: LawTuple, theta: Array, body: State, samples: Samples,
     stamp_ns: int, start: State, end: State, max_step: float, reach: float,
 ) -> tuple[State, Wrench, bool]:
-    """Keep another sample of the tool; return the package there, and `checked_wrench`."""
+    """Store another sample of the tool; return the package there, and `checked_wrench`."""
     model, max_step = model_at(row, law, theta), stable_step(max_step, theta)
     stamps, starts, ends, bodies, k = samples
     stamps[k] = stamp_ns
@@ -726,7 +730,7 @@ def body_at_end(
 ) -> State:
     """Return the package of an estimate at a later stamp, and write it into the samples."""
     none = np.zeros((0, 0))
-    is_recorded = len(none) > 0  # for the constant False another one would be compiled
+    is_recorded = len(none) > 0  # a constant False would compile another version
     return propagated(
         kernels.model_of(row, law), beginning, (none, none, np.zeros((0, 12, 13))), samples,
         is_recorded, until_ns, max_step, np.zeros((0, 0, 0)), 0.0, np.zeros((0, 54)))[1]

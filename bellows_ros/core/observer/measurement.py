@@ -28,42 +28,44 @@ import numpy as np
 Marker = tuple[Vector, Quaternion, bool, Sensor]
 """
 Position (m) and orientation of the measured frame, in axes of B; whether its position is measured
-from the lip and not from B; and the errors of its poses.
+from the lip instead of B; and the errors of its poses.
 """
 
 MeasuredPose = tuple[Vector, Quaternion, Array, Marker, float, float]
 """
-Position, orientation and noise of a `Measurement`, and of what; how far (m) a lip can be from
-where it is without load, beside what is not known of centre of mass and camera, and what late
-stamps make of a tool that moves; the largest squared Mahalanobis distance, 0 if nothing is seen.
+Position, orientation and noise of a `Measurement`, and its marker; largest displacement (m) of a
+lip from its place without load, to which uncertainties of centre of mass, camera and stamps are
+added; and largest squared Mahalanobis distance, 0 without a measurement.
 """
 
 WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 0.1
-"""Part of the noise's variance that has no memory."""
+"""Fraction of the noise's variance without memory, for bodies and for tags."""
 
 JITTER_RANGE = 1e-8, 4e-4
-"""Bounds of the variance of the random part of a stamp's error, s^2."""
+"""Bounds of the variance of the random error of a stamp, s^2."""
 
 ANY_ROTATION = 1.0
-"""Variance of a rotation that is not used, rad^2."""
+"""Variance of an unused rotation, rad^2."""
 
 OUTLIER_DISTANCE = 16.81
 """
-Largest squared Mahalanobis distance (99 % of chi^2 of 6) of a measurement as it is used: beyond it
-its covariance is enlarged, as the noise of cameras has heavier tails than a normal distribution.
+Largest squared Mahalanobis distance (99 % of chi^2 of 6) of a measurement with its own covariance:
+beyond, the covariance is enlarged, as the noise of cameras has heavy tails.
 """
 
 MAX_VARIANCE = 1e12
-"""Largest variance or covariance of a message, m^2 or rad^2: 1000 km; the filter squares it."""
+"""Largest variance or covariance in a message, m^2 or rad^2: (1000 km)^2, whose square is
+finite."""
 
 MEMORY_COUNT = 1000.0
-"""The noise's memory is that of so many measurements."""
+"""Number of measurements in the memory of the noise."""
 
 ERROR_COUNT = 20.0
-"""Measurements that all err by the model after which its variance has followed."""
+"""Number of measurements, all with errors of the model, after which the variance of the model
+error has adapted."""
 
 SHARE_RANGE = 1e-4, 1.0
-"""Bounds of the model error's variance, relative to that of the lip's displacement."""
+"""Bounds of the model error's variance, relative to the lip's displacement."""
 
 
 class Measurement(NamedTuple):
@@ -74,7 +76,8 @@ class Measurement(NamedTuple):
     """m."""
     quaternion_xyzw: Quaternion
     noise: Array
-    """Covariance (6, 6) about axes of the world (m^2, rad^2); zero for that of the model."""
+    """Covariance (6, 6) about axes of the world (m^2, rad^2); zero for the covariance of the
+    model."""
 
 
 class PoseSensor:
@@ -91,12 +94,11 @@ class PoseSensor:
     marker : tuple
         The measured frame, see `Marker`.
     has_own_world : bool
-        Whether the frame of the poses has a pose in the world of the tool.
+        Whether the poses have their own world with a pose in the tool's world.
 
     """
 
     def __init__(self, values: Values) -> None:
-        """Set the measured frame and the measurement model."""
         x, y, z, *rotation = values.measured.offset
         world = values.recording.package_world or '0 0 0 0 0 0 1'
         self.has_own_world = bool(values.recording.package_world)
@@ -115,10 +117,10 @@ class PoseSensor:
         covariance: Array | None = None,
     ) -> Measurement | str:
         """
-        Return a measured pose, or the reason of its refusal.
+        Return a measured pose, or the reason of its rejection.
 
-        Its covariance (6, 6) is about axes of the world, as in ROS; the measurement model counts
-        if it is missing or zero, and if that of a tag is constant. A pose in a world of its own is
+        Its covariance (6, 6) is about axes of the world, as in ROS; the measurement model replaces
+        it if missing or zero, or if constant for a tag. A pose in a world of its own is
         transformed to the world of the tool.
         """
         reason = why_no_pose(position, quaternion_xyzw) or ('' if stamp_ns > 0 else 'zero_stamp')
@@ -153,9 +155,9 @@ def at_com(
     position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
     """
-    Return the pose of B, and its noise (6, 6) in B axes, as a marker has measured it.
+    Return the pose of B, and its noise (6, 6) in B axes, from the measured pose of a marker.
 
-    With B at com (m) from the lip; the rest are those of a `Measurement` and of `PoseSensor`.
+    B is at com (m) from the lip; other arguments are of a `Measurement` and of `PoseSensor`.
     """
     offset, rotation, of_lip, _ = marker
     arm = t3.subtract(com if of_lip else ZERO, offset)
@@ -173,7 +175,7 @@ def at_com(
 
 @kernel
 def vector_at(theta: Array, row: int) -> Vector:
-    """Return three numbers of theta, from a row of the error on."""
+    """Return three components of theta, from a row of the error on."""
     return theta[row - STATE], theta[row - STATE + 1], theta[row - STATE + 2]
 
 
@@ -181,7 +183,7 @@ def vector_at(theta: Array, row: int) -> Vector:
 def corrected_pose(
     position: Vector, q: Quaternion, noise: Array, marker: Marker, theta: Array, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
-    """Return the result of `at_com` without the estimated errors of camera, marker and noise."""
+    """Return the result of `at_com` corrected by estimated errors of camera, marker and noise."""
     back = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, ekf.CAMERA + 3)))
     shift, marker_shift = vector_at(theta, ekf.CAMERA), vector_at(theta, ekf.MARKER)
     position = t3.apply(t3.rotation_matrix(back), t3.subtract(position, shift))
@@ -194,9 +196,9 @@ def corrected_pose(
 
 @kernel
 def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> State:
-    """Return the package earlier by what is left of the latency, to second order."""
+    """Return the package earlier by the remaining latency, to second order."""
     late = theta[ekf.LATENCY - STATE]
-    if abs(late) < 1e-9:  # a stamp has no more digits
+    if abs(late) < 1e-9:  # below the resolution of a stamp
         return body
     bias, half = wrench_bias(theta), 0.5 * late * late
     dv, dw = kernels.body_acceleration(model, tool, body)
@@ -211,9 +213,9 @@ Innovation = tuple[Array, Array, Array, float, Array]
 """
 The difference of a measured pose from an estimate, shift (m) and rotation (rad) in B axes, times
 its whitener (6,); the derivative H of the difference by the error (6, n); the triangular whitener
-(6, 6), which makes its covariance the identity; its squared Mahalanobis distance, before the
-covariance of an outlier is enlarged; and the whitener
-times H P (6, n), whose square is what a measurement takes from P.
+(6, 6), which makes its covariance the identity; its squared Mahalanobis distance, before an
+outlier's covariance is enlarged; and the whitener times H P (6, n), whose square is subtracted
+from P by a measurement.
 """
 
 
@@ -258,7 +260,7 @@ def observation(body: State, noise: Array, of_lip: bool, white: float) -> Array:
 
 @array_kernel
 def output_of(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
-    """Write H X (6, k) of the derivative that `observation` gives, and return it."""
+    """Write H X (6, k), with H of `observation`, and return it."""
     if not COMPILED:
         out[:] = H @ X[:H.shape[1]]
         return out
@@ -326,7 +328,7 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
 def posterior(
     body: State, theta: Array, P: Array, innovation: Innovation
 ) -> tuple[State, Array]:
-    """Return state and theta after a measurement, by its `Innovation`; P is changed in place."""
+    """Return state and theta after a measurement by its `Innovation`; P is updated in place."""
     z, _, _, _, Z = innovation
     error = np.zeros(len(P))
     for i in range(6):
@@ -346,9 +348,8 @@ def updated_memory(
     """
     Return the memory of the noise (see `correlations`) after another innovation.
 
-    An innovation that is larger than expected changes the size of the noise, and that of the
-    model's error and of the jitter of the stamps by their parts of the covariance. A rejected
-    innovation changes only these sizes.
+    An innovation larger than expected increases the noise, the model error and the jitter of
+    stamps, by their shares in the covariance. A rejected innovation changes only these sizes.
     """
     out, forgetting, z, W = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT, innovation[0], innovation[2]
     count, growth = min(max(out[1] / 3.0, 1.0), MEMORY_COUNT), 0.0
@@ -390,23 +391,23 @@ def updated_memory(
 
 RELATIVE_ROUNDING = 1e-12
 """
-Part of each variance that an update leaves uncertain: above what rounding takes away, so that the
-covariance stays positive definite, and a ten thousandth of it after a month.
+Fraction of each variance that remains after an update: above rounding errors, so that the
+covariance stays positive definite, and 1e-4 of it after a month.
 """
 
 FLIPPED, USED, OUTSIDE, OUT_OF_REACH, FALLING = -1, 0, 1, 2, 3
-"""Verdicts on a pose; a `FLIPPED` one is used, a `FALLING` one is out of reach."""
+"""Verdicts on a pose; `FLIPPED` ones are used, `FALLING` ones are out of reach."""
 
 FALL_ALIGNMENT, FALL_FACTOR = 0.8, 2.0
 """
-Least cosine between a fall and gravity, and by how much faster than by gravity it may be: both are
-seen from a tool that accelerates. One of ten directions is along a fall.
+Smallest cosine between a fall and gravity (one of ten directions), and largest ratio of its
+acceleration to gravity, both relative to an accelerating tool.
 """
 
 
 @kernel
 def _is_fall(away: Vector, gravity: Vector, reach: float, seconds: float) -> bool:
-    """Return whether what was within reach (m) some time ago may have fallen so far (m, world)."""
+    """Return whether a fall from within reach (m) explains a displacement (m, world) in a time."""
     g = t3.norm(gravity)
     most = math.sqrt(reach) + math.sqrt(0.5 * FALL_FACTOR * g) * seconds
     return t3.norm(away) <= most * most and (
@@ -417,7 +418,7 @@ def _is_fall(away: Vector, gravity: Vector, reach: float, seconds: float) -> boo
 def _solution(
     solution: int, sensor: Sensor, position: Vector, q: Quaternion, noise: Array
 ) -> tuple[Quaternion, Array]:
-    """Return rotation and noise of a pose, of a tag's second solution, or of a place alone."""
+    """Return rotation and noise of a pose, of a tag's second solution, or of a position alone."""
     if solution == 1:
         return mirrored(sensor[3], position, q), noise
     if solution == 2:
@@ -429,7 +430,7 @@ def _solution(
 
 @kernel
 def _enlarge(noise: Array, memory: Array) -> None:
-    """Multiply the covariance of the noise by the learned factors, in place."""
+    """Multiply the covariance of the noise by the estimated factors, in place."""
     for i in range(6):
         for j in range(6):
             noise[i, j] *= math.sqrt(memory[11 + i // 3] * memory[11 + j // 3])
@@ -437,7 +438,7 @@ def _enlarge(noise: Array, memory: Array) -> None:
 
 @kernel
 def _velocity_at(body: State, position: Vector) -> Vector:
-    """Return the velocity (m/s, world) of a place (m, world) on a body."""
+    """Return the velocity (m/s, world) of a point (m, world) of a body."""
     R = t3.rotation_matrix(body[1])
     turning = t3.cross(t3.apply(R, body[3]), t3.subtract(position, body[0]))
     return t3.add(t3.apply(R, body[2]), turning)
@@ -456,22 +457,22 @@ def updated(
     model, estimate : tuple
         The nominal model, and the estimate at the stamp of the pose.
     seconds : float
-        Time since the estimate before, s.
+        Time since the previous estimate, s.
     seen : tuple
         The measured pose.
     gain : ndarray (12, 12)
-        Covariance that the state has gained since the estimate before.
+        Covariance gained by the state since the previous estimate.
 
     Returns
     -------
     int
-        `USED`, `OUTSIDE` the gate or `OUT_OF_REACH`, where no lip can be: another package, or this
-        one, `FALLING`.
+        `USED`, `OUTSIDE` the gate, `OUT_OF_REACH` of any lip (another package), or `FALLING` (the
+        package fell).
     tuple
         `Innovation`.
     State, ndarray (n - 12,), ndarray (15,)
-        Body, theta and memory: corrected where it is used, as P is in place, else as they were,
-        but for the size of the noise outside the gate.
+        Body, theta and memory: corrected by a used pose, as P in place; otherwise unchanged,
+        except for the size of the noise outside the gate.
 
     """
     _, tool, body, theta, P, memory = estimate
@@ -494,7 +495,7 @@ def updated(
         if innovation[3] <= gate:
             verdict = FLIPPED if solution > 0 else USED
             break
-    if not innovation[3] <= gate:  # NaN is outside, too
+    if not innovation[3] <= gate:  # also true for NaN
         verdict = OUTSIDE
     late = 3.0 * math.sqrt(P[ekf.LATENCY, ekf.LATENCY]) + abs(theta[ekf.LATENCY - STATE])
     unknown = np.trace(P[COM:COM + 3, COM:COM + 3]) + np.trace(

@@ -1,9 +1,9 @@
 """
 The prediction of a held package, corrected by measured poses in any order.
 
-Measurements come late and out of order. The tool's samples of the last moments are kept, each with
-the estimate after it: a measurement is applied at its stamp, and all that followed is processed
-again, so that the outcome is that of measurements that came in order.
+Measurements are late and out of order. Recent samples of the tool are stored, with the estimate
+after each measurement: a measurement is applied at its stamp, and all later ones are applied
+again, with a result independent of the order of arrival.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ from bellows_ros.core.parameters.values import Values
 import numpy as np
 
 MAX_DELAY_NS = 500_000_000
-"""Largest delay (ns) of a measurement, and largest lead over the tool's newest pose."""
+"""Largest delay of a measurement, and its largest lead over the tool's newest pose, ns."""
 
 HISTORY_NS = 100_000_000
 """
-Estimates are kept so much longer (ns) than anything can change them: with a camera of 10 Hz and
-more no pose of the tool waits for a covariance to be propagated.
+Additional time for which estimates are stored, ns: with a camera of 10 Hz or more, no pose of the
+tool waits for the propagation of a covariance.
 """
 
 LOST_AFTER_NS = 25_000_000
-"""A package out of reach is lost after so long (ns) there or, just before, outside the gate:
-trackers confuse bodies for some frames."""
+"""Time out of reach, or just before outside the gate, after which a package is lost, ns: trackers
+confuse bodies for some frames."""
 
 SILENT_PERIODS, SILENT_NS = 2.5, 50_000_000
-"""A sensor is silent if this many of its periods pass, and this time (ns). That of a camera is the
+"""Number of periods, and time (ns), after which a sensor is silent. The period of a camera is the
 shorter of the last two."""
 
 VACUUM_DELAY_NS = 100_000_000
-"""Time (ns) for the vacuum to break down, and to be told, after a package is out of reach."""
+"""Largest delay of the vacuum's break and its message after a package is out of reach, ns."""
 
 REPEATED_NS = 5_000_000_000
-"""Interval of the alarms of a persisting fault, ns."""
+"""Interval of repeated alarms of a persisting fault, ns."""
 
 VERDICTS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'covariance', 'repeated', 'frame_id',
@@ -64,17 +64,17 @@ VERDICTS = (
 """Reasons for rejecting a measured pose."""
 
 CLEAN_NS, MAX_GATED = 500_000_000, 2
-"""Time (ns) after an estimate without an alarm, a restart or more gated poses than this: then its
-camera, cup and package are kept."""
+"""Time without an alarm, a restart or more gated poses than a limit, after which estimates of
+camera, cup and package are kept, ns; and this limit."""
 
 OF_CUP = frozenset(('leak', 'wear'))
-"""Causes after which the cup is no longer the stated one."""
+"""Causes after which the cup differs from its parameters."""
 
 MODEL_ROWS = np.array([*range(ekf.MASS, ekf.COM + 3), *CUP_ROWS])
 """Rows of payload and cup that parameters state."""
 
 MAX_DEVIATION = 3.0
-"""Standard deviations by which a cup may differ from the stated one without an alarm."""
+"""Largest deviation of a cup from its parameters without an alarm, standard deviations."""
 
 
 class Payload(NamedTuple):
@@ -91,22 +91,19 @@ class Payload(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """Errors of a camera, with standard deviations: shift and turn in the world, latency."""
+    """Errors of a camera, with standard deviations: shift (m), rotation (rad), latency (s)."""
 
     shift: Array
-    """m."""
     shift_std: Array
     turn: Array
-    """rad."""
     turn_std: Array
     latency: float
-    """s."""
     latency_std: float
 
 
 class Observer:
     """
-    Follow a held package, and correct it.
+    Predict a held package, corrected by measured poses.
 
     Parameters
     ----------
@@ -116,9 +113,9 @@ class Observer:
     Attributes
     ----------
     counts : dict
-        Measurements used, those that restarted it, and those not used, by `VERDICTS`.
+        Numbers of used and restarting measurements, and of rejected ones by `VERDICTS`.
     alarms : list of Alarm
-        Faults found so far.
+        Detected faults.
 
     """
 
@@ -126,18 +123,17 @@ class Observer:
     _known: Known
 
     def __init__(self, values: Values) -> None:
-        """Start without a package."""
         self._set_values(values)
         self.counts = dict.fromkeys(('used', 'flipped', 'recovered', *VERDICTS), 0)
         self.alarms: list[Alarm] = []
         self._track, self._support = Track(), Support()
-        self._estimates: list[Estimate] = []  # the oldest, and those after each measurement
+        self._estimates: list[Estimate] = []  # the oldest, and one after each measurement
         self._measurements: list[Measurement] = []
         self._pending: list[Measurement] = []  # newer than the tool
-        self._newest: Estimate | None = None  # at the newest sample, where it has been asked for
-        self._delay_ns = 0  # of the newest measurement, when it came
+        self._newest: Estimate | None = None  # at the newest sample, if requested
+        self._delay_ns = 0  # of the newest measurement at its arrival
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
-        self._vacuum: tuple[int, bool, float] | None = None  # when, if it holds, and its period
+        self._vacuum: tuple[int, bool, float] | None = None  # stamp, whether it holds, and period
         self._of_vacuum: list[Alarm] = []
         self._lost_cups: tuple[int, ...] = ()
         self._is_proven = False  # whether the cup has carried a package without an alarm
@@ -146,11 +142,11 @@ class Observer:
         self._values, self.sensor = values, PoseSensor(values)
 
     def use_values(self, values: Values) -> None:
-        """Use other parameters from the next model on; the camera stays as it is known."""
+        """Use other parameters from the next model on; estimates of the camera are kept."""
         self._set_values(values)
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
-        """Set a nominal model, its longest step (s), and the largest shift of a lip (m)."""
+        """Set a nominal model, its longest step (s), and the largest displacement of a lip (m)."""
         before, rows = getattr(self, '_correction', None), CAMERA_ROWS
         self._keep()
         self._first_alarm = len(self.alarms)
@@ -162,21 +158,21 @@ class Observer:
         self._support.use(t3.scale(-1.0 / t3.norm(gravity), gravity), sag(model))
 
     def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
-        """Start again with another package; with the rows of the error that are kept."""
+        """Restart with another package; estimates of the given rows of the error are kept."""
         self._keep()
         self._begin_with(kept)
 
     def grip(self, height: float | None = None) -> None:
-        """Take up another package that lies on a support; one lifted before by its height (m)."""
+        """Take another package from a support; a previous one was lifted at this height (m)."""
         self._support.grip(height)
 
     def _keep(self) -> None:
-        """Keep the newest estimate if it is clean."""
+        """Keep the newest estimate if no trouble followed."""
         if self._estimates and not self._gated and self._since_ns <= self._candidate.stamp_ns:
             self._commit(self._estimates[-1])
 
     def _begin_with(self, kept: tuple[int, ...]) -> None:
-        """Start without a motion, with the kept rows of what is known."""
+        """Begin without a motion, with the kept rows of previous estimates."""
         correction = self._correction
         prior, lost_cups = correction.prior, self._lost_cups if ekf.MASS in kept else ()
         known = Known(np.zeros(len(prior) - STATE), np.diag(prior**2), correction.first_memory)
@@ -195,13 +191,13 @@ class Observer:
         self._predict_with(known.theta, self._lost_cups)
 
     def _predict_with(self, theta: Array, lost_cups: tuple[int, ...]) -> None:
-        """Predict with estimated parameters, without the cups that are lost."""
+        """Predict with estimated parameters, without lost cups."""
         self._theta, self._row = theta, self._correction.row(lost_cups)
         self._model: ModelTuple | None = None
 
     @property
     def model(self) -> ModelTuple:
-        """The model with the parameters as they were estimated last."""
+        """The model with the newest estimated parameters."""
         if self._model is None:
             self._model = ekf.model_at(self._row, self._correction.law, self._theta)
         return self._model
@@ -233,7 +229,7 @@ class Observer:
 
     @property
     def payload(self) -> Payload | None:
-        """The estimated payload, if there is one."""
+        """The estimated payload, if any."""
         if not self._estimates or not self._values.payload.estimate:
             return None
         mass, com, inertia, _ = self.model[1]
@@ -246,7 +242,7 @@ class Observer:
 
     @property
     def calibration(self) -> Calibration | None:
-        """The estimated errors of the camera, if there are any."""
+        """The estimated errors of the camera, if any."""
         if not self._estimates:
             return None
         last, latency = self._estimates[-1], ekf.LATENCY
@@ -258,7 +254,7 @@ class Observer:
     # ---------------------------------------------------------------- the tool
 
     def start(self, stamp_ns: int, tool: State, body: State, hung_ns: int = 0) -> None:
-        """Begin with a package that began at rest some time (ns) ago."""
+        """Begin with a package that has been at rest for some time (ns)."""
         self._track.begin(stamp_ns)
         self._measurements.clear()
         self._estimates = [
@@ -272,10 +268,10 @@ class Observer:
         self, stamp_ns: int, start: State, end: State
     ) -> tuple[State, Wrench, bool] | None:
         """
-        Propagate the package along with the tool, from the newest sample to this one.
+        Propagate the package with the tool, from the newest sample to another.
 
-        Returns it with the wrench and the verdict of `checked_wrench`, or None where a measured
-        pose of that time has been waiting: it is corrected by then.
+        The result has the wrench and the verdict of `checked_wrench`; it is None if a waiting
+        measured pose of this interval has corrected the package meanwhile.
         """
         track, correction = self._track, self._correction
         track.discard_before(self._estimates[0].stamp_ns)
@@ -298,7 +294,7 @@ class Observer:
         return prediction
 
     def _drop_old(self, before_ns: int) -> None:
-        """Discard estimates that nothing can change any more, except the last of them."""
+        """Discard estimates that no measurement can change any more, except the last of them."""
         estimates, measurements = self._estimates, self._measurements
         while measurements and measurements[0].stamp_ns <= before_ns:
             del estimates[0], measurements[0]
@@ -314,7 +310,7 @@ class Observer:
             k -= 1
 
     def propagated_briefly(self, body: State, start: State, end: State, seconds: float) -> State:
-        """Return a package after a motion of the tool that is not kept."""
+        """Return a package after a motion of the tool, without storing it."""
         return ekf.advanced_with_wrench(
             self.model, ekf.wrench_bias(self._theta), body, start, end, seconds,
             substeps_for(seconds, ekf.stable_step(self._correction.max_step, self._theta)))
@@ -348,7 +344,7 @@ class Observer:
         return ''
 
     def _reprocess(self, first: int) -> None:
-        """Update with a new measurement, and again with all that followed."""
+        """Apply a new measurement, and all later ones again."""
         estimates, measurements = self._estimates, self._measurements
         del estimates[first + 1:]
         since_ns, again = measurements[first].stamp_ns, list[Alarm]()
@@ -381,13 +377,13 @@ class Observer:
     # ------------------------------------------------------------- what is kept
 
     def _let_go(self) -> None:
-        """Go on without the wrench of a support."""
+        """Continue without the wrench of a support."""
         self._estimates[-1] = self._correction.released(self._estimates[-1])
         self._newest = None
         self._predict_with(self._estimates[-1].theta, self._lost_cups)
 
     def _note_trouble(self, stamp_ns: int, verdict: str, alarm: Alarm | None) -> None:
-        """Keep an estimate after a clean interval; begin another interval after trouble."""
+        """Keep an estimate after an interval without trouble; after trouble restart it."""
         estimate = self._estimates[-1]
         self._gated += verdict == 'gate'
         if alarm is not None or verdict == 'recovered' or self._gated > MAX_GATED:
@@ -398,7 +394,7 @@ class Observer:
             self._candidate, self._gated = estimate, 0
 
     def _commit(self, estimate: Estimate) -> None:
-        """Keep camera, cup and package; name a cup that is not the stated one."""
+        """Keep estimates of camera, cup and package; report a deviation of the cup."""
         correction = self._correction
         self._known = Known(estimate.theta, estimate.covariance, estimate.memory)
         self._is_proven = True
@@ -415,7 +411,7 @@ class Observer:
                 factor * float(math.sqrt(estimate.covariance[worst, worst])), 'payload', 1.0))
 
     def _excess(self, estimate: Estimate, rows: Any) -> Array:
-        """Return by how much an estimate deviates more than the stated numbers may."""
+        """Return the excess of an estimate's deviations over those allowed by the parameters."""
         std = np.sqrt(estimate.covariance[rows, rows])
         excess: Array = np.abs(estimate.theta[rows - STATE]) - MAX_DEVIATION * (
             self._correction.prior[rows] + std)
@@ -423,33 +419,33 @@ class Observer:
 
     @property
     def departs_from_file(self) -> bool:
-        """Whether cup or payload in use deviate from the stated ones by more than they may."""
+        """Whether estimates of cup or payload differ from their parameters more than allowed."""
         return bool(self._estimates) and bool(
             self._excess(self._estimates[-1], MODEL_ROWS).max() > 0.0)
 
     # ---------------------------------------------------------- a lost package
 
     def _out_of_reach(self, estimate: Estimate, stamp_ns: int) -> Estimate:
-        """Note a pose out of reach; a package that was within reach is lost after some time."""
+        """Process a pose out of reach; a package within reach before is lost after some time."""
         alarms, evidence, away_ns = self._correction.alarms, estimate.evidence, estimate.away_ns
         if alarms is None or away_ns < 0 or estimate.is_supported:
             return estimate
         if away_ns == 0:
-            if evidence.from_start and evidence.onsets[0, 0] == 0:  # it has never been within
+            if evidence.from_start and evidence.onsets[0, 0] == 0:  # never within reach
                 return estimate
-            away_ns = min(estimate.gated_ns, default=stamp_ns)  # those have shown the fall
+            away_ns = min(estimate.gated_ns, default=stamp_ns)  # these were part of the fall
             estimate = estimate._replace(away_ns=away_ns)
         is_held = self._is_held(estimate)
         if stamp_ns - away_ns < (VACUUM_DELAY_NS if is_held else LOST_AFTER_NS):
             return estimate
         if any(alarm.cause == 'lost' and stamp_ns - alarm.stamp_ns < REPEATED_NS
-               for alarm in self.alarms):  # the fall itself has been seen, whatever the vacuum
+               for alarm in self.alarms):  # the fall was seen, so the vacuum does not matter
             return estimate._replace(away_ns=-1)
         self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
         return estimate._replace(away_ns=-1)
 
     def _note_silence(self, stamp_ns: int) -> None:
-        """Note that the camera sees nothing, after the package has left its reach."""
+        """Detect a camera without poses after the package has left its reach."""
         alarms = self._correction.alarms
         *_, last_ns = self._last_ns
         silence_ns = _silence_ns(float(np.diff(self._last_ns).min()))
@@ -467,14 +463,14 @@ class Observer:
         """
         Whether the last measured poses contradict a held package: out of reach, or outliers.
 
-        A support near the package explains them.
+        False near a support, which explains them.
         """
         last = self._estimates[-1] if self._estimates and not self._support.is_near else None
         return last is not None and (last.away_ns != 0 or len(last.gated_ns) > 1)
 
     @property
     def patience_ns(self) -> int:
-        """Time (ns) until a pose of now has been measured; 0 if the camera is silent."""
+        """Delay (ns) of a measured pose of the present; 0 if the camera is silent."""
         if not self._estimates or len(self._last_ns) < 3:
             return 0
         silence_ns = self._delay_ns + _silence_ns(float(np.diff(self._last_ns).min()))
@@ -483,10 +479,10 @@ class Observer:
 
     def on_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
         """
-        Note a reading of the vacuum of one cup of a gripper, or of all with a cup below zero.
+        Process a reading of the vacuum of one cup of a gripper, or of all cups if cup < 0.
 
-        Where it breaks down the package is lost, unless the tool is at rest, as for a release, and
-        no pose is out of reach. That of one cup means that this cup is lost.
+        A break of the vacuum is the loss of the package, or of the single cup, unless the tool is
+        at rest, as for a release, and no pose is out of reach.
         """
         newest_ns = self._track.newest_ns
         if cup < 0:
@@ -506,29 +502,29 @@ class Observer:
 
     def _is_held(self, estimate: Estimate) -> bool | None:
         """
-        Return whether the vacuum holds by its last reading; None if there is none to believe.
+        Return whether the vacuum holds by its last reading; None if unknown.
 
-        A signal that repeats its value is periodic; when overdue it is treated as unknown. One
-        that holds a package which is seen to fall is stuck.
+        A signal that repeats its value is periodic; when overdue it is treated as unknown. A
+        signal that holds during an observed fall is stuck.
         """
         stamp_ns, is_held, period_ns = self._vacuum or (0, None, 0.0)
         is_silent = self._track.newest_ns - stamp_ns > _silence_ns(period_ns)
         return None if is_silent or (is_held and estimate.falls) else is_held
 
     def _raise(self, alarm: Alarm | None) -> None:
-        """Keep an alarm if there is one, unless the same has just been raised."""
+        """Store an alarm, if any, unless an equal one has just been raised."""
         if alarm and all(other.cause != alarm.cause or alarm.stamp_ns - other.stamp_ns
                          >= REPEATED_NS for other in self.alarms):
             self.alarms.append(alarm)
 
 
 def _silence_ns(period_ns: float) -> float:
-    """Return how long (ns) a sensor of a period tells nothing until it is silent."""
+    """Return the time (ns) after which a sensor with a period is silent."""
     return max(SILENT_PERIODS * period_ns, SILENT_NS)
 
 
 def warm_up_observer(values: Values, model: ModelTuple) -> None:
-    """Compile all that an observer needs, with a model."""
+    """Compile all kernels of an observer with a model."""
     observer = Observer(values)
     observer.set_model(model, math.inf, math.inf)
     observer.start(1, ORIGIN, resting_on_tool(model, ORIGIN))

@@ -1,4 +1,4 @@
-"""Times in which a support may carry a package, by the motion of the tool."""
+"""Intervals in which a support may carry a package, from the motion of the tool."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Vector, ZERO
 
 LIFT = 8e-3
-"""Height above the sag of the cup by which a package has left its support, m."""
+"""Height above the sag of the cup at which a package has left its support, m."""
 
 ASIDE = 0.05
-"""Horizontal distance by which a package has left its support, m."""
+"""Horizontal distance at which a package has left its support, m."""
 
 DESCENT = 0.03
-"""Straight way down after which a support may be near, m: none is known beforehand."""
+"""Length of a straight descent after which an unknown support may be near, m."""
 
 STRAIGHT = 0.3
-"""Largest horizontal part of a way down."""
+"""Largest ratio of the horizontal part of a straight descent."""
 
 REMEMBERED_NS = 2_000_000_000
 """Age of the oldest support that a late pose may meet, ns."""
@@ -25,16 +25,14 @@ REMEMBERED_NS = 2_000_000_000
 
 class Support:
     """
-    Tell when a support may carry the package.
+    Detect when a support may carry the package.
 
-    It does from the grip until the tool has lifted the package, near the height of the last grip,
-    and from a straight way down until the tool rises again. Without a grip the package is held all
-    the time, and no support carries it.
-
+    A support may carry the package from the grip until the tool has lifted it, near the height of
+    the last grip, and from a straight descent until the tool rises again. Without a grip the
+    package is always held, and no support carries it.
     """
 
     def __init__(self) -> None:
-        """Start in the air."""
         self.use((0.0, 0.0, 1.0), 0.0)
         self._grip_height = -math.inf
         self._may_reach = self._is_gripping = False
@@ -44,11 +42,11 @@ class Support:
         self._times: list[tuple[int, int]] = []  # first and last stamp of each support
 
     def use(self, up: Vector, sag: float) -> None:
-        """Use another direction against gravity (unit vector) and stretch of the cup (m)."""
+        """Set the direction against gravity (unit vector) and the sag of the cup (m)."""
         self._up, self._lift = up, LIFT + sag
 
     def grip(self, height: float | None = None) -> None:
-        """Let the next sample grip a package on its support; one lifted before at a height (m)."""
+        """Let the next sample grip a package on a support; a previous one rose at a height (m)."""
         self._top, self._may_reach = None, height is not None
         self._is_gripping = not self._may_reach
         if height is not None:
@@ -72,7 +70,7 @@ class Support:
         return t3.norm(t3.add_scaled(way, -t3.dot(self._up, way), self._up))
 
     def follow(self, stamp_ns: int, position: Vector) -> bool:
-        """Note a sample of the tool (m, world); return whether it has left a support."""
+        """Process a sample of the tool (m, world); return whether a package leaves a support."""
         height = self._height(position)
         if self.is_near:
             self._low = min(self._low, height)
@@ -99,7 +97,7 @@ class Support:
         return False
 
     def release(self, stamp_ns: int) -> None:
-        """End the support at a stamp, as the package has been let go."""
+        """End the support at a stamp, as the package has been released."""
         if self.is_near:
             self._times[-1] = self._times[-1][0], stamp_ns
         self._top, self._is_gripping = None, False
