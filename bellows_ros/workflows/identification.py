@@ -9,7 +9,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import identifiability, reduction
-from bellows_ros.core.identification.quantities import given_std, KINDS, middle_of
+from bellows_ros.core.identification.quantities import KINDS, middle_of, payload_of
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
@@ -184,16 +184,18 @@ class Identification(CommandResult):
             return result
         number = min(range(len(self.parts)), key=lambda n: float(np.sum(
             world.std if (world := self.parts[n].package_world) else 0.0)))
-        estimates = self.verdict.found if self.verdict else {}
-        stated = given_std(self.values)
+        free = {name: rows[0] for name, rows in self.fit.nuisances.items()}
+        package = payload_of(self.recordings[0].payload if self.recordings else (
+            conversion.package_of(self.values)), free)
+        estimates = {
+            'com': package.com, 'mass': package.mass,
+            'length': self.cup_length + float(np.sum(free.get('length', 0.0))),
+            'inertia': package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
         of_package = {freed.name: np.array(freed.std) for freed in self.fit.freed} | {
-            name: stated[name] for name, (parameter, _) in FREE_PARAMETERS.items()
-            if parameter in estimates}
-        for name, error in of_package.items():
+            name: rows[0] for name, rows in self.fit.nuisances_std.items()}
+        for name in FREE_PARAMETERS.keys() & of_package.keys():
             parameter, unit = FREE_PARAMETERS[name]
-            given = np.asarray(self.values[parameter])
-            value = np.reshape(estimates[parameter][0], given.shape) if (
-                parameter in estimates) else given
+            value, error = np.array(estimates[name]), of_package[name]
             if name in ('mass', 'inertia'):
                 error = error * np.atleast_1d(value)[:len(error)]
             result[parameter] = value.tolist(), np.resize(

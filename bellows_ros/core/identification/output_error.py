@@ -308,8 +308,8 @@ def with_given(found: Solution, given: Free, report: Report) -> tuple[Solution, 
     """
     Return the minimum near another with given quantities free, by their standard deviations.
 
-    The second result is the covariance (s, s), SI units, of the shared unknowns by the remaining
-    given quantities. If a misfit remains, the minimum from the start with all given quantities
+    The second result is the covariance (m, m), SI units, of the unknowns by the remaining given
+    quantities. If a misfit remains, the minimum from the start with all given quantities
     free is returned, provided that chi² is smaller and no deviation exceeds `SIGNIFICANT` standard
     deviations, or that the first cup is implausible (`Solution.is_plausible`).
     """
@@ -330,8 +330,8 @@ def with_given(found: Solution, given: Free, report: Report) -> tuple[Solution, 
 
 
 def unmoved(found: Solution) -> Array:
-    """Return a zero covariance (s, s) by given quantities."""
-    return np.zeros((found.problem.shared,) * 2)
+    """Return a zero covariance (m, m) by given quantities."""
+    return np.zeros((len(found.theta),) * 2)
 
 
 def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Solution, Array]:
@@ -376,10 +376,11 @@ def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Soluti
         held = np.eye(len(g))[:, by_given] * wide.weights[by_given] ** -0.5
         free, own = along[:, rest], ~np.isin(wide.own[0], by_given)
     held = np.vstack([held, np.zeros((len(g) - len(held), held.shape[1]))])
-    moved = np.zeros((found.problem.shared, held.shape[1]))
-    moved[:count] = np.transpose([
-        H.step_by(H.times(column), free[:wide.shared, :], own)[:count] for column in held.T]
-    ).reshape(count, -1) * wide.units[:count, None]
+    moved = held - np.transpose([
+        H.step_by(H.times(column), free, own) for column in held.T]).reshape(held.shape)
+    moved *= wide.units[:, None]
+    if found.problem is problem:
+        moved = np.pad(moved[:count], ((0, len(problem.units) - count), (0, 0)))
     return found, moved @ moved.T
 
 
@@ -490,7 +491,7 @@ def _fit(
     problem = found.problem
     size, x = problem.count, problem.units * found.theta
     of_given = _of_given(found, given)
-    from_given = from_given + of_given
+    from_given = from_given + np.pad(of_given, (0, problem.own.size))
     covariance, std, identifiable, notes = _identifiable(found, from_given, of_given, named)
     strengths, of_strengths = _strengths(found, covariance)
     (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
@@ -533,7 +534,8 @@ def _fit(
             if name in named and not KINDS[name].each),
         causes=reasons,
         nuisances={name: x[place] for name, place in nuisances.items()},
-        nuisances_std={name: std[place] for name, place in nuisances.items()},
+        nuisances_std={name: np.sqrt(std**2 + np.diag(from_given))[place]
+                       for name, place in nuisances.items()},
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
         noise_in_motion=found.noise_in_motion,

@@ -265,6 +265,21 @@ def test_k_is_known_no_better_than_the_mass():
     assert 0.02 < share[2] < 0.05  # the inertia says a part of it
 
 
+def test_what_is_found_beside_k_has_the_standard_deviations_of_what_was_given():
+    """The mass stays as uncertain as given, the centre of mass does not."""
+    own, pulls = measured(9, **QUIET), []
+    for mass, aside in ((0.02, 1.5e-3), (-0.02, -1.5e-3)):
+        wrong = replace(own, payload=varied(
+            PLATE, mass=mass, inertia=mass, com=np.array([aside, -aside, 0.0])))
+        found = output_error([wrong], AXISYMMETRIC, TRUTH, given=USUAL)
+        (std,), (away,) = found.nuisances_std['com'], found.nuisances['com']
+        assert std[:2].max() < 0.1 * USUAL['com'][0]
+        assert_allclose(found.nuisances_std['mass'][0], USUAL['mass'], rtol=0.2)
+        pulls += [*((away + [aside, -aside, 0.0]) / std),
+                  *np.ravel((found.nuisances['mass'] + mass) / found.nuisances_std['mass'])]
+    assert np.abs(pulls).max() < 3.0
+
+
 def test_what_is_not_known_with_what_was_given_is_no_number():
     """Say how exact all entries would be of a package that may be off by a factor."""
     vague = {**USUAL, 'mass': np.array([2.0]), 'inertia': np.full(3, 2.0)}
