@@ -189,7 +189,7 @@ class Fit:
         Other quantities estimated jointly with K and P, by names of `KINDS`: changes, SI units, a
         row for each recording or one for all; without those in `freed`.
     nuisances_std : mapping
-        Standard deviations of the nuisances, with those of what was given.
+        Standard deviations of the nuisances, including the uncertainty of given quantities.
 
     """
 
