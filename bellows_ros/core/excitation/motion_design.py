@@ -4,12 +4,12 @@ Design of the motion with the most information on K and P, within limits of arm,
 The motion is a Fourier series in each axis, with ramps at both ends. Its coefficients maximise the
 determinant of the Fisher information (D-optimal) of small motions, for the guess of K and for a
 softer and a stiffer one (`GUESS_FACTORS`). The largest ratio of a signal to its limit, as a p-norm
-over limits and time, divides the coefficients, so that only their shape is searched. After each
-pass the whole model simulates the motion, and corrects the limits of the loads
-in the linear one. The most informative pass is scaled until no limit is violated.
+over limits and time, divides the coefficients: only their shape is searched. After each pass the
+whole model simulates the motion, and corrects the limits of the loads in the linear model. The
+most informative pass is scaled to satisfy all limits.
 
-The information of a motion, planned or recorded, is the information of an output error fit, by
-the same code: pose differences are whitened by the noise of both bodies (see
+The information of a motion, planned or recorded, is the information of an output error fit, by the
+same code: pose differences are whitened by the noise of both bodies (see
 `identification.whitening`). For small motions the linear response gives the information fast
 enough for a search.
 """
@@ -59,15 +59,16 @@ GUESS_FACTORS = (1.0, 0.7, 1.3)
 """Ratios of the true K to its guess for which the limits hold."""
 
 STAGES = ((16, 1000), (64, 400), (64, 400))
-"""Exponent of the norm that approximates the largest ratio to a limit, and most steps with it."""
+"""Exponent of the norm that approximates the largest ratio to a limit, and largest number of its
+steps."""
 
 MIN_GAIN = 1e-6
 """Relative gain of a step below which the search ends."""
 MARGIN = 1e-3
-"""Relative distance kept from a limit."""
+"""Relative margin to a limit."""
 
 HOLD = 7.0
-"""Default duration of the hold in which rubber relaxes, s."""
+"""Default duration of the hold for the relaxation of rubber, s."""
 SAMPLES_AT_ONCE = 4096
 """Number of samples of a motion computed at once, which bounds the memory."""
 
@@ -83,7 +84,7 @@ class Bound(NamedTuple):
     """
     A limit (above 0) on the length of a linear function of the tool's displacement.
 
-    `order` is how often the displacement (6: m in world axes, rotation vector in rad) is derived
+    The displacement (6: m in world axes, rotation vector in rad) is differentiated `order` times
     by time before the rows (d, 6) are applied.
     """
 
@@ -100,7 +101,7 @@ class ArmLimits(NamedTuple):
     Parameters
     ----------
     start : Pose
-        Pose of E, at rest and amid the motion.
+        Pose of E, at rest and in the middle of the motion.
     lower, upper : array (3,)
         Corners of the workspace in the world, m.
     rotation : array (3,)
@@ -110,13 +111,13 @@ class ArmLimits(NamedTuple):
     bending, torsion : float
         Largest bending and torsion of the cup, rad.
     safety : float
-        Least safety factor of the grip.
+        Smallest safety factor of the grip.
     highest_frequency : float
         Highest frequency of the motion, Hz.
     arm : Arm or None
-        Its joints' ranges and speeds are limits, too.
+        Arm whose ranges and speeds of joints are limits, too.
     joints : array (M,)
-        Positions of its moving joints at the start.
+        Positions of the arm's moving joints at the start.
 
     """
 
@@ -134,13 +135,13 @@ class ArmLimits(NamedTuple):
 
     @property
     def axes(self) -> Array:
-        """Return the map (6, 6) from displacements of the tool to its axes at the start."""
+        """Map (6, 6) from displacements of the tool to its axes at the start."""
         turned = np.eye(6)
         turned[:3, :3] = self.start.rotation.T
         return turned
 
     def bounds(self) -> list[Bound]:
-        """Return the limits on the tool; limits of joints are linearised about the start."""
+        """Limits on the tool; limits of joints are linearised about the start."""
         eye, start = np.eye(6), self.start.position
         headroom = np.concatenate(
             [np.minimum(self.upper - start, start - self.lower), self.rotation]).tolist()
@@ -160,7 +161,7 @@ class ArmLimits(NamedTuple):
         return bounds
 
     def ratios(self, motion: Motion) -> dict[str, float]:
-        """Return the largest part of each limit that a motion takes, at `CHECK_RATE`."""
+        """Return the ratios of a motion to each limit, at `CHECK_RATE`."""
         tool = motion.at_rate(CHECK_RATE)
         o, R = tool.position, tool.rotation
         shift, rotation = o - self.start.position, lie.log_so3(self.start.rotation.T @ R)
@@ -187,14 +188,14 @@ def limits_from(
     content: Mapping[str, Any], safety: float, arm: Arm | None = None
 ) -> tuple[ArmLimits, Settings]:
     """
-    Return the limits in a file, and how both bodies are tracked, which is read elsewhere.
+    Return the limits in a file, and the tracking of both bodies, for a separate reader.
 
     Parameters
     ----------
     content : mapping
-        As config/limits_example.yaml explains it.
+        Content as explained in config/limits_example.yaml.
     safety : float
-        Least safety factor of the grip where the file gives none.
+        Default of the smallest safety factor of the grip.
     arm : Arm, optional
         Arm whose `joints` at the start are given instead of `start`.
 
@@ -240,7 +241,7 @@ def limits_from(
 
 
 class Tracking(NamedTuple):
-    """Time between poses (s) and their white noise, of tool and package."""
+    """Periods of the poses (s) and their white noise, of tool and package."""
 
     tool_period: float
     tool: Noise
@@ -258,11 +259,11 @@ def motion_information(
     Parameters
     ----------
     cup, package, gravity
-        The model, as `simulate` takes it.
+        Model, as `simulate` takes it.
     tool : Trajectory
         Motion of E with body twists from rest, at the stamps of the tracked package.
     tracking : Tracking
-        How both are tracked.
+        Tracking of both bodies.
     structure : Structure
         Structure of K and P.
 
@@ -292,9 +293,9 @@ class Response(NamedTuple):
     package : ndarray (F, 6, 6)
         Transfer matrix from displacements of E to displacements of B (m, rad, body axes).
     changes : ndarray (n, F, 6, 6)
-        Its derivatives by parameters, in units of the spread of a pose's innovation there.
+        Its derivatives by parameters, in units of the standard deviation of a pose's innovation.
     constant : ndarray (n, n)
-        Information per pose of where the package rests.
+        Information per pose by the package's place at rest.
 
     """
 
@@ -313,15 +314,15 @@ def response(
     Parameters
     ----------
     model_of : callable
-        From parameters (n,) to cup, package and gravity.
+        Function of parameters (n,) that returns cup, package and gravity.
     parameters, scale : ndarray (n,)
-        Argument, and the units of the derivatives.
+        Parameters, and the units of the derivatives.
     tool : State
-        At rest.
+        Tool at rest.
     omega : ndarray (F,)
         Angular frequencies, rad/s.
     tracking : Tracking
-        How both bodies are tracked.
+        Tracking of both bodies.
 
     """
     changes, rests = [], []
@@ -360,7 +361,7 @@ def _linear(
 
 
 def septic_step(s: Array) -> Array:
-    """Return the septic from 0 to 1, its jerk zero at both ends, and three derivatives (4, N)."""
+    """Return the septic from 0 to 1, with zero jerk at both ends, and three derivatives (4, N)."""
     s = np.clip(s, 0.0, 1.0)
     u = s - s**2
     return np.array([
@@ -391,9 +392,9 @@ class FourierMotion(moving.Vibration):
         Coefficients of the harmonics, m and rad: real part of c exp(i omega t), of displacement in
         world axes and of the rotation vector in the tool's axes at the start.
     rest_duration : float
-        Before them, s.
+        Duration of the rest before the series, s.
     tilt : array (3,)
-        Rotation vector of the hold after them, rad, in the tool's axes at the start.
+        Rotation vector of the hold after the series, rad, in the tool's axes at the start.
     move, hold : float
         Durations of the rotation to the tilt (and back), and of the hold, s.
 
@@ -409,7 +410,7 @@ class FourierMotion(moving.Vibration):
 
     @property
     def duration(self) -> float:  # type: ignore[override]
-        """With rest and hold, s."""
+        """Duration with rest and hold, s."""
         return self.rest_duration + self.period + 2.0 * self.move + self.hold
 
     @property
@@ -440,19 +441,19 @@ class FourierMotion(moving.Vibration):
 
 
 class Checks(NamedTuple):
-    """Limits of a motion, the models of which each may be right, and the grip, if any."""
+    """Limits of a motion, the possible models, and the grip, if any."""
 
     limits: ArmLimits
     models: Sequence[ModelTuple]
     grip: Grip | None
 
     def ratios(self, motion: Motion) -> dict[str, float]:
-        """Return the largest use of every limit, as a fraction, over all models."""
+        """Return the largest ratio to every limit over all models."""
         worst = self.loads(motion).max(axis=0).tolist()
         return self.limits.ratios(motion) | dict(zip(LOADS, worst, strict=False))
 
     def loads(self, motion: Motion) -> Array:
-        """Return the largest parts (M, 4) of limits `LOADS` with M models; (M, 2) without grip."""
+        """Return the largest ratios (M, 4) to limits `LOADS` for M models; (M, 2) without grip."""
         tool, limits = motion.at_rate(CHECK_RATE), self.limits
         predictions = [PlanSimulation(model, self.grip, tool).predict() for model in self.models]
         return np.array([
@@ -464,7 +465,8 @@ class MotionObjective:
     """
     The negative mean log determinant as a function of the coefficients' shape, with slopes.
 
-    And of the power of the norm, and of the parts of the cup's limits allowed to linear loads.
+    Further arguments are the power of the norm, and the shares of the cup's limits allowed to
+    linear loads.
     """
 
     def __init__(
@@ -518,13 +520,13 @@ class MotionObjective:
     def within(
         self, shape: Array, power: int, allowed: Array
     ) -> tuple[Any, Mapping[str, float]]:
-        """Return the coefficients (K, 6), within limits, and each limit's share in stopping it."""
+        """Return the coefficients (K, 6) within limits, and each limit's share in the bound."""
         c = self._coefficients(shape)
         _, _, (largest, shares) = self._value(c, power, allowed)
         return c.T / largest, shares
 
     def criterion(self, coefficients: Any) -> float:
-        """Return the criterion of coefficients (K, 6) as they are."""
+        """Return the criterion of unscaled coefficients (K, 6)."""
         waves = self._envelope[0, 0] * self._signals(coefficients.T)
         lines = self._lines(waves, self._loads.shape[1]).T * (2.0 / self.points)
         return self._information(lines)[0]
@@ -532,14 +534,14 @@ class MotionObjective:
     def _value(
         self, c: Any, power: int, allowed: Array
     ) -> tuple[float, Any, tuple[float, Mapping[str, float]]]:
-        """Return value, slope by the coefficients, and largest ratio with the shares in it."""
+        """Return value, slope by the coefficients, and largest ratio with the limits' shares."""
         rates = self._signals(self._powers * c)
         u = np.array([
             sum(self._envelope[n, m] * rates[m] for m in range(n + 1)) for n in range(4)])
         first, wide = len(self._bounds), self._loads.shape[1]
         lines = self._lines(u[0], wide).T * (2.0 / self.points)
         loads = self._loads / allowed[:, None, None, None]
-        # The length of three numbers plus a fourth is bounded.
+        # The norm of three components plus a fourth is bounded.
         signals = np.zeros((first + len(loads), 4, self.points))
         for signal, b in zip(signals, self._bounds, strict=False):
             signal[:len(b.rows)] = b.rows @ u[b.order] / b.limit
@@ -575,7 +577,7 @@ class MotionObjective:
         y = (self._changes @ lines[:, :, None]).reshape(len(lines), self._models, -1, 6)
         flat = y.transpose(1, 2, 0, 3).reshape(self._models, y.shape[2], -1)
         M = self._constant + 0.5 * self._poses * np.real(flat.conj() @ np.swapaxes(flat, 1, 2))
-        M = M + np.eye(M.shape[1])  # each parameter is known to a factor of about 2
+        M = M + np.eye(M.shape[1])  # prior of each parameter within a factor of about 2
         value, by_M = float(np.mean(np.linalg.slogdet(M)[1])), np.linalg.inv(M) / len(M)
         weighted = (by_M @ flat).reshape(self._models, -1, len(lines), 6)
         weighted_gradient = weighted.transpose(2, 0, 1, 3).reshape(len(lines), -1, 1)
@@ -591,11 +593,11 @@ class Design(NamedTuple):
     ----------
     motion : FourierMotion
     ratios : mapping of str to float
-        Largest part of each limit that it takes; for bending and safety with K as bad as may be.
+        Largest ratio of the motion to each limit; for bending and safety with the worst K.
     shares : mapping of str to float
-        By what part of the gain in log determinant a relaxed limit would raise it, for each limit.
+        Relative gain in log determinant by relaxing each limit.
     information : array (2 n, 2 n)
-        On the parameters of K and P, of the whole model.
+        Information of the whole model on the parameters of K and P.
 
     """
 
@@ -610,7 +612,7 @@ def design(
     tracking: Tracking, duration: float, seed: int, progress: Progress, hold: float = 0.0,
 ) -> Design:
     """
-    Return the motion that is most informative on K and P, and a hold of a tilt after it.
+    Return the motion with the most information on K and P, followed by the hold of a tilt.
 
     Parameters
     ----------
@@ -621,15 +623,15 @@ def design(
     checks : Checks
         Limits of the arm, the cup and the grip, with the models of `cups_near` the guess.
     tracking : Tracking
-        How both bodies will be tracked.
+        Tracking of both bodies.
     duration : float
         Duration of rest and motion, s; the motion takes three ramps or more.
     seed : int
-        Seed of the shape from which the search begins.
+        Seed of the initial shape of the search.
     progress : callable
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
     hold : float
-        Duration of a tilt, s, after `duration`: rubber relaxes. None if the tool must not tilt.
+        Duration of a tilt, s, after `duration`, for the relaxation of rubber. None without tilt.
 
     Raises
     ------
@@ -667,7 +669,7 @@ def design(
         reached = search.criterion(coefficients / max(1.0, float(worst.max())))
         if reached > best:
             best, motion, shares = reached, moved, now
-        # a part of a load does not shrink with the amplitude
+        # a part of a load is independent of the amplitude
         allowed = np.minimum(allowed / np.maximum(worst, 0.1) ** 1.4, 1.0)
     motion, ratios = _within(motion, checks)
     progress('computing the expected errors', 1.0)
@@ -677,7 +679,7 @@ def design(
 
 
 def _held(checks: Checks, period: float, hold: float) -> FourierMotion:
-    """Return a hold alone, tilted about x and y by as much as the limits permit, or none."""
+    """Return a hold alone, tilted about x and y as far as the limits permit, if any."""
     limits = checks.limits
     still = FourierMotion(limits.start, period, np.zeros((1, 6)))
     tilt = 0.9 * np.array([*limits.rotation[:2], 0.0])
@@ -703,23 +705,24 @@ def load_rows(
     response: Response, model: ModelTuple, limits: ArmLimits, grip: Grip | None, omega: Array
 ) -> Array:
     """
-    Return the map (4, F, 4, 6) from lines of the tool to the `LOADS`, in parts of their limits.
+    Return the map (4, F, 4, 6) from lines of the tool to the `LOADS`, relative to their limits.
 
-    Three numbers whose length counts, and one that adds to it. Without a grip model two loads.
+    Each load is the norm of three components plus a fourth. Without a grip model there are two
+    loads.
     """
     mass, com, inertia, _ = model[1]
     c, g = lie.hat(com), lie.hat(limits.start.rotation.T @ model[2])
     inert = np.block([
         [mass * np.eye(3), np.zeros((3, 3))], [mass * c, np.reshape(inertia, (3, 3))]])
     turned = mass * np.vstack([-g, -c @ g])
-    wrench = -omega[:, None, None]**2 * (inert @ response.package)  # at S, beyond that at rest
+    wrench = -omega[:, None, None]**2 * (inert @ response.package)  # at S, in excess of rest
     wrench += turned @ response.package[:, 3:]
     tilt = (response.package - np.eye(6))[:, 3:]
     rows = np.zeros((4 if grip else 2, len(omega), 4, 6), dtype=complex)
     rows[0, :, :2], rows[1, :, 0] = tilt[:, :2] / limits.bending, tilt[:, 2] / limits.torsion
     if grip is None:
         return rows
-    suction, radius, friction = grip[:3]  # of one cup; all are judged when it is scaled
+    suction, radius, friction = grip[:3]  # of one cup; scaling covers all cups
     pressed = max(suction / limits.safety - mass * float(np.linalg.norm(model[2])), 0.1 * suction)
     f, m = wrench[:, :3] / pressed, wrench[:, 3:] / pressed
     rows[2, :, :2], rows[3, :, :2] = 2.0 / radius * m[:, :2], f[:, :2] / friction
@@ -728,7 +731,7 @@ def load_rows(
 
 
 def _within(motion: FourierMotion, checks: Checks) -> tuple[FourierMotion, dict[str, float]]:
-    """Return a motion scaled up to the limits, or down until it is within, and its parts."""
+    """Return a motion scaled to the limits, and its ratios to them."""
     for attempt in range(20):
         ratios = checks.ratios(motion)
         worst = max(ratios.values())

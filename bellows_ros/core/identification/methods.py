@@ -223,7 +223,7 @@ def _stretch(recordings: Sequence[Recording], wanted: str) -> str:
 
 
 def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
-    """Return a fit with total time offsets: those subtracted before plus those of the fit."""
+    """Return a fit with total time offsets: subtracted before, plus estimated by the fit."""
     removed = [offset or TimeOffset(0.0, math.inf) for offset in offsets]
     if not result.delays:
         values, errors = zip(*removed, strict=True)

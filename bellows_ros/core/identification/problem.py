@@ -341,7 +341,7 @@ class Problem:
         return len(self.units) - self.own.size
 
     def _of_all(self, of_cup: Array, of_free: Callable[[str], ArrayLike]) -> Array:
-        """Return numbers (m,) from those of the cup and those of each free quantity, by name."""
+        """Return numbers (m,) from the numbers of the cup, and a function by free quantity."""
         numbers = np.pad(of_cup, (0, sum(place.size for place in self.places.values())))
         for name, place in self.places.items():
             numbers[place] = of_free(name)
@@ -429,7 +429,7 @@ class Problem:
             np.arange(self.count), *self.places_of(segment).values()]).astype(np.int64))
 
     def transferred(self, other: 'Problem', theta: Array) -> Array:
-        """Return the unknowns equal to those of another problem with the same cup."""
+        """Return the unknowns equal to the unknowns of another problem with the same cup."""
         moved = self.start.copy()
         for name in self.places.keys() & other.places:
             moved[self.places[name]] = theta[other.places[name]]

@@ -136,7 +136,7 @@ class Fit:
     structure : str
         Name of the structure of K and P.
     parameters : ndarray (2 n,)
-        Free parameters of K, then those of P, SI units.
+        Free parameters, first of K, then of P, SI units.
     covariance : ndarray (2 n, 2 n)
         Covariance of the parameters by the recordings alone; unidentifiable ones have inf on the
         diagonal and 0 elsewhere.

@@ -122,7 +122,7 @@ def select_structure(
 
     """
     structures = [*([of_gripper] if of_gripper else ()), *STRUCTURES.values()]
-    # The seeds differ from those of a fit, whose bias is already subtracted.
+    # The seeds differ from the seeds of a fit, whose bias is already subtracted.
     added = [noise_products(samples, noise, cup_length, structures[-1], NOISE_SEED + 1)
              / max(samples.count, 1) for samples, noise in zip(recordings, noises, strict=True)]
     candidates = [_candidate(recordings, cup_length, added, each) for each in structures]
@@ -171,7 +171,7 @@ def _over_motion(sums: Array) -> Array:
     Return the ratios of error and motion (F,), from sums (F, 2, 2) of all folds.
 
     The motion is averaged over folds, as one may be at rest. The ratio is the root mean square of
-    those of positions and of rotations.
+    the ratios of positions and of rotations.
     """
     errors, sizes = sums[:, 0], sums[:, 1].mean(axis=0)
     moving = sizes > 0.0

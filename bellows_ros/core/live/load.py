@@ -73,7 +73,7 @@ class Load:
     Parameters
     ----------
     values : mapping
-        Parameters by name: those of `grip_of`, vacuum.ambient, safety.least, package.mass,
+        Parameters by name: inputs of `grip_of`, vacuum.ambient, safety.least, package.mass,
         envelope.*.
     pressure : float, optional
         Last measured absolute pressure in the cup, Pa.

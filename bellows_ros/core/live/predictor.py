@@ -91,8 +91,7 @@ class LivePredictor:
     gravity : float or array_like (3,)
         Magnitude along -z of the world, or vector in the world, m/s^2.
     twist_frame : {'world', 'tool'}
-        Axes of the velocities given to `on_twist`; the linear velocity is that of the tool point
-        in either case.
+        Axes of the velocities given to `on_twist`; the linear velocity is of the tool point.
     coast_limit_ns : int
         Longest extrapolation of the tool without a pose, ns; 0 for none.
 

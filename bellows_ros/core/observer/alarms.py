@@ -431,10 +431,10 @@ def filter_step(
     """
     Propagate an estimate to a later stamp, correct it with a measurement, and assess faults.
 
-    Arguments are those of `model_of`, `predicted` and `updated`, and the faults: their evidence,
-    and the error (n + 7, components) by each component. Cups are the holding cups of a gripper.
-    One kernel, with the model as an array, is faster to call from Python. The results are a
-    verdict, the estimate, the evidence, and the result of `_assessed`.
+    Inputs are as for `model_of`, `predicted` and `updated`, and the faults: their evidence, and
+    the error (n + 7, components) by each component. Cups are the holding cups of a gripper. One
+    kernel, with the model as an array, is faster to call from Python. The results are a verdict,
+    the estimate, the evidence, and the result of `_assessed`.
     """
     model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     E, statistics, distances, onsets, from_start, steps = faults
@@ -521,7 +521,7 @@ def _assessed(
 @kernel
 def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
     """
-    Return the slot for a new onset: that of the older onset nearest to its neighbour.
+    Return the slot for a new onset: of the older onset nearest to its neighbour.
 
     The likeliest onset of each cause is kept, by the bits of `pinned`: evidence of a small fault
     grows slowly, and determines size and odds of an alarm.
@@ -655,7 +655,7 @@ def _sum_over_onsets(
     unusual: Array, explained: Array, determinant: Array, weight: float, top: float, total: float
 ) -> tuple[int, float, float]:
     """
-    Return the likeliest onset, and the sum of likelihood ratios including those of all onsets.
+    Return the likeliest onset, and the sum of likelihood ratios including all onsets.
 
     Only onsets count since which a fault explains most of the unusual squared distances. The sum
     is relative to the largest ratio so far, whose logarithm is `top`; the onset is -1 if none is

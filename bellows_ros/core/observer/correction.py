@@ -96,7 +96,7 @@ BIAS_SHARE = 0.01
 
 FIRST_PERIOD, FIRST_SQUARES = 0.03, 100.0
 """
-Initial time between measurements (s) and sum of squares of the noise, that of 33 measurements:
+Initial time between measurements (s) and sum of squares of the noise, as after 33 measurements:
 with fewer, an initially wrong payload would appear as noise with a long memory.
 """
 
@@ -182,7 +182,7 @@ def cups_of(model: ModelTuple, places: Array) -> Array:
     """
     Return K and P (n, 54) of each cup of a gripper for strains at the origin.
 
-    The model is that of the gripper with cups at places (n, 4), as `places_of` returns them.
+    The model describes the gripper with cups at places (n, 4), as `places_of` returns them.
     """
     if len(places) < 2 or is_single(places):
         return NO_CUPS

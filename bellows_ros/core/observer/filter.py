@@ -64,7 +64,7 @@ ONSETS = 12
 """Number of tested onsets of each fault."""
 
 FALLEN = 7
-"""Number of rows of the fall, after those of the error: see `alarms`."""
+"""Number of rows of the fall, after the rows of the error: see `alarms`."""
 
 FORCE_LOSS = -FALLEN
 """Row of the lost fraction of the cup's force, the first of the fall."""
@@ -446,8 +446,8 @@ def identity_transition() -> Array:
     """
     Return the transition (13, m) over no time.
 
-    Its columns are those of the rows before `MARKER` and from `DAMPING` on; other rows have no
-    effect on the motion.
+    It has columns for the rows before `MARKER` and from `DAMPING` on; other rows have no effect on
+    the motion.
     """
     T = np.zeros((STATE + 1, MARKER + ROWS - DAMPING))
     for i in range(STATE):
@@ -629,7 +629,7 @@ def predicted(
     """
     Return an estimate at a later stamp, signatures of faults, and the gain in covariance (12, 12).
 
-    The gain is that of the state by the noise of the tool and the model error.
+    The gain of the state is by the noise of the tool and the model error.
     """
     now_ns, tool, body, theta, P, memory = estimate
     drive, walk, ages_by_view = noise
@@ -660,7 +660,7 @@ def propagated_signatures(
     """
     Return the signatures of faults (n + 7, columns) after a transition (13, m).
 
-    The last columns are those of lost cups, one group for each transition (12, 13) without a cup.
+    The last columns belong to lost cups, one group for each transition (12, 13) without a cup.
     """
     n, last, out = len(E) - FALLEN, T[STATE], E.copy()
     times_transition(T.astype(np.float32), E[:n], out[:STATE])

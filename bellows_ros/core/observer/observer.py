@@ -374,7 +374,7 @@ class Observer:
         self._predict_with(estimates[-1].theta, self._lost_cups)
         self.body = self._correction.body_at_end(estimates[-1], self._track)
 
-    # ------------------------------------------------------------- what is kept
+    # ---------------------------------------------------------- kept estimates
 
     def _let_go(self) -> None:
         """Continue without the wrench of a support."""

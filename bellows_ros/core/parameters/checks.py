@@ -16,23 +16,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
-"""Required by both nodes, without a default."""
+"""Parameters required by both nodes, without defaults."""
 
 RECORDING_PARAMETERS = ('recording.package_frame', *PACKAGE_PARAMETERS)
-"""Required to read a recording."""
+"""Parameters required to read a recording."""
 
 WRITTEN_UNIT_TOLERANCE = 1e-3
 """Tolerance of the length of a quaternion written with few digits."""
 
 ESTIMATE = 'estimate'
-"""Value of recording.package_world that asks for its estimation."""
+"""Value of recording.package_world for its estimation."""
 
 
 POSE_PARAMETERS = ('recording.package_world', 'tool_pose.offset')
-"""Parameters that are a pose, as a string."""
+"""Parameters that are poses, as strings."""
 
 MIN_VACUUM = 1000.0
-"""Smallest vacuum (Pa below ambient) that is no mistake of unit."""
+"""Smallest vacuum in the correct unit, Pa below ambient."""
 
 VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (MIN_VACUUM, 'mbar', 1e2))
 """Number below which a pressure is likely in a unit, the unit, and its size in Pa."""
@@ -40,15 +40,15 @@ VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (MIN_VACUUM, 'mbar', 1e2
 
 def validate(name: str, value: object) -> Value:
     """
-    Check one value and return it in its normal form.
+    Check a value and return it in its normal form.
 
     Parameters
     ----------
     name : str
         Dotted name of the table.
     value : object
-        From YAML, ROS or Python; integers are taken for doubles, arrays may be lists, tuples or
-        NumPy arrays, matrices row by row.
+        Value from YAML, ROS or Python; integers are accepted as doubles, arrays may be lists,
+        tuples or NumPy arrays, matrices row by row.
 
     Returns
     -------
@@ -81,13 +81,13 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
     values : mapping
         Dotted name to value.
     required : names, optional
-        Those that must be given because they have no default, `PACKAGE_PARAMETERS` for instance.
+        Required names without defaults, for example `PACKAGE_PARAMETERS`.
 
     Returns
     -------
     Values
-        Every parameter of the table in the table's order, without those that have no default and
-        were not given.
+        Parameters in the table's order, without those that have neither a default nor a given
+        value.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
 
 
 def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a sentence for each of the package's data that is unlikely though allowed."""
+    """Return a sentence for each allowed but unlikely value of the package."""
     return structure.unit_doubts(
         values['package.mass'], values['package.inertia'][:3], values['package.com'][2])
 
@@ -133,7 +133,7 @@ def convert(parameter: Parameter, value: object) -> Value:
     Raises
     ------
     BellowsError
-        If it is not of the parameter's kind and in its range.
+        If the value is not of the parameter's kind or not in its range.
 
     """
     if parameter.kind == 'bool':
@@ -153,7 +153,6 @@ def convert(parameter: Parameter, value: object) -> Value:
 
 
 def _refuse(parameter: Parameter, got: str) -> BellowsError:
-    """Return the error for an invalid value."""
     return BellowsError(
         f'{parameter.name} must be {parameter.constraint}, got {got}. {parameter.description}'
         .rstrip())
@@ -185,7 +184,7 @@ def _items(parameter: Parameter, value: object) -> list[object]:
         return list(value.tolist())
     if isinstance(value, list | tuple | array):
         return list(value)
-    if isinstance(value, str):  # which `ros2 param set` makes of a list of 0 and 0.5
+    if isinstance(value, str):  # a list of 0 and 0.5 by `ros2 param set`
         numbers = parameter.kind == 'double_array'
         hint = '. Write every number with a decimal point: 0.0, not 0' if numbers else ''
         raise _refuse(parameter, f"the text '{shown(value)}'{hint}")
@@ -193,10 +192,10 @@ def _items(parameter: Parameter, value: object) -> list[object]:
 
 
 def _text(parameter: Parameter, value: object, where: str = '') -> str:
-    """Return a string, one of the choices if there are any, without control characters."""
+    """Return a string, one of the choices if any, without control characters."""
     if not isinstance(value, str):
         raise _refuse(parameter, f'{shown(value)} ({type(value).__name__}){where}')
-    if any(ord(c) < 32 or ord(c) == 127 for c in value):  # no file, topic or frame has them
+    if any(ord(c) < 32 or ord(c) == 127 for c in value):  # invalid in files, topics and frames
         raise _refuse(parameter, f"a control character in '{shown(value)}'{where}")
     if not value and (where or parameter.required_text):
         raise _refuse(parameter, f'an empty text{where}')
@@ -206,7 +205,7 @@ def _text(parameter: Parameter, value: object, where: str = '') -> str:
 
 
 def _number(parameter: Parameter, value: object, where: str = '') -> int | float:
-    """Return a finite number in range, a whole one if it must be; a truth value is no number."""
+    """Return a finite number in range, a whole one if required; truth values are rejected."""
     is_integer = parameter.kind == 'integer'
     kinds = (int, np.integer) if is_integer else (int, float, np.integer, np.floating)
     if isinstance(value, bool) or not isinstance(value, kinds):
@@ -218,7 +217,7 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     above = -math.inf if parameter.above is None else parameter.above
     try:
         fits = math.isfinite(value) and low <= value <= high and value > above
-    except OverflowError:  # an integer no double can hold
+    except OverflowError:  # an integer beyond doubles
         fits = False
     if not fits:
         large = parameter.unit and (value > high or -value > high)
@@ -228,7 +227,7 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
 
 
 def require(values: Mapping[str, object], required: Iterable[str]) -> None:
-    """Refuse missing required parameters, in one message with an example."""
+    """Raise for missing required parameters, in one message with an example."""
     missing = [table.lookup(name) for name in required if name not in values]
     if missing:
         lines = [f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
@@ -261,7 +260,7 @@ def require_correlation(numbers: Sequence[float]) -> None:
 
 
 def _require_mass_range(masses: Sequence[float]) -> None:
-    """Raise BellowsError for masses (kg) that are no range, but for two zeros."""
+    """Raise BellowsError for masses (kg) that are not a range or two zeros."""
     lightest, heaviest = masses
     if any(masses) and not 1e-6 <= lightest <= heaviest:
         raise BellowsError(
@@ -279,7 +278,7 @@ def require_direction(direction: ArrayLike) -> None:
 
 
 def cup_names(names: Iterable[str]) -> list[str]:
-    """Return the names of the cups that parameters of the form cups.NAME.* describe."""
+    """Return the names of the cups with parameters of the form cups.NAME.*."""
     matches = (table.NAMED_CUP.fullmatch(name) for name in names)
     return list(dict.fromkeys(match[1] for match in matches if match))
 
@@ -289,12 +288,12 @@ def with_chosen_cup(values: Values) -> Values:
     Return parameter values with cup.* replaced by the named cup, cups.NAME.*.
 
     The parameter cup.name selects NAME. Parameters that the named cup lacks keep their value in
-    cup.*. The validity range envelope.* belongs to the identified cup and is left out.
+    cup.*. The validity range envelope.* belongs to the identified cup and is omitted.
 
     Raises
     ------
     BellowsError
-        If there is no cup of that name, or its stiffness is not given.
+        If no cup has this name, or its stiffness is not given.
 
     """
     name = values.get('cup.name', '')
@@ -322,7 +321,7 @@ def with_chosen_cup(values: Values) -> Values:
 Where = Callable[[Sequence[str]], str]
 
 MAX_NUMBER = 1e15
-"""Bound of all numbers, which few come near: no square or product of some overflows."""
+"""Bound of all numbers against overflows of squares and products."""
 
 
 class Settings:
@@ -334,20 +333,19 @@ class Settings:
     values : object
         Mapping of names to values, or to blocks and lists of blocks; None is an empty block.
     path : str
-        Place of the block, for messages: '' or 'tool.outliers', for instance.
+        Path of the block for messages: '' or, for example, 'tool.outliers'.
     where : callable, optional
-        Prefix of errors on a setting, as its line, by the names that lead to the setting;
+        Prefix of errors on a setting, such as its line, by the names that lead to the setting;
         default: the prefix of the values, if any.
 
     Raises
     ------
     BellowsError
-        If it is not a mapping of strings.
+        If the values are not a mapping of strings.
 
     """
 
     def __init__(self, values: object, path: str = '', where: Where | None = None) -> None:
-        """Check that it is a block."""
         self.path = path
         self._where: Where = getattr(values, 'where', where or (lambda names: ''))
         values = {} if values is None else values
@@ -370,7 +368,7 @@ class Settings:
     def number(
         self, name: str, default: float | None = None, unit: str = '', **bounds: float
     ) -> float:
-        """Return a finite number in bounds (minimum, above, maximum), required if no default."""
+        """Return a finite number in bounds (minimum, above, maximum), required without default."""
         return float(self._get(name, default, 'double', unit=unit, **bounds))
 
     def integer(self, name: str, default: int, minimum: int = 0, **bounds: int) -> int:
@@ -382,11 +380,11 @@ class Settings:
         return bool(self._get(name, default, 'bool'))
 
     def text(self, name: str, default: str | None = None) -> str:
-        """Return a string that is not empty."""
+        """Return a nonempty string."""
         return str(self._get(name, default, 'string', required_text=True))
 
     def choice(self, name: str, choices: Sequence[str], default: str | None = None) -> str:
-        """Return one of some strings."""
+        """Return one of several strings."""
         return str(self._get(name, default, 'string', choices=tuple(choices)))
 
     def vector(
@@ -405,7 +403,7 @@ class Settings:
         return values
 
     def block(self, name: str) -> 'Settings':
-        """Return a block of this one; an empty one when it is not given."""
+        """Return a block of this one, empty if not given."""
         self._asked.append(name)
         return self._inside(name, self._values.get(name))
 
@@ -424,12 +422,12 @@ class Settings:
 
     def done(self, ignored: Sequence[str] = ()) -> None:
         """
-        Refuse settings that nobody asked for, here and in blocks, but for those ignored.
+        Raise for settings that have not been read, here and in blocks, except ignored ones.
 
         Raises
         ------
         BellowsError
-            Naming the unknown setting and the nearest allowed one.
+            With the unknown setting and the nearest allowed one.
 
         """
         for name in self._values:

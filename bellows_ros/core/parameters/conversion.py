@@ -17,17 +17,17 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
-"""Relative change of the diagonal of K per vacuum, of a bellows by finite elements, 1/Pa."""
+"""Relative change of the diagonal of K per vacuum, for finite-element bellows, 1/Pa."""
 
 
 def is_gripper(values: Values) -> bool:
-    """Return whether parameter values describe several cups, or a cup that is open."""
+    """Return whether parameter values describe several cups, or an open cup."""
     return bool(any(values.get('cup.layout', ())) or any(
         index >= 0.0 for index in values.get('cup.open', ())))
 
 
 def cup_of(values: Values) -> Cup:
-    """Return the cup that parameter values describe (see `parameters`), composed of several."""
+    """Return the cup of parameter values (see `parameters`), composed of several if given."""
     return gripper_of(one_cup_of(values), places_of(values))
 
 
@@ -46,7 +46,7 @@ def one_cup_of(values: Values) -> Cup:
 
 
 def package_of(values: Values) -> Package:
-    """Return the package that parameter values describe (see `parameters`)."""
+    """Return the package of parameter values (see `parameters`)."""
     return Package(
         mass=values.package.mass,
         inertia=structure.inertia_matrix(values.package.inertia),
@@ -54,13 +54,13 @@ def package_of(values: Values) -> Package:
 
 
 def stated_std(values: Values, name: str, usual: Array) -> Array:
-    """Return standard deviations (n,) as stated, the usual ones (n,) of entries below 0."""
+    """Return stated standard deviations (n,), with the usual ones (n,) for entries below 0."""
     std = np.atleast_1d(values[name])[:len(usual)]
     return np.where(std < 0.0, usual, std)
 
 
 def parameter_vector(values: Values) -> Array:
-    """Return the numbers (52,) of parameter values: K and P, mass, com, inertia; SI units."""
+    """Return the parameters (52,) of values: K and P, mass, com, inertia; SI units."""
     return np.concatenate([
         matrix(values.cup.stiffness)[UPPER], matrix(values.cup.damping)[UPPER],
         [values.package.mass], values.package.com, values.package.inertia])
@@ -70,8 +70,8 @@ def stiffness_std(values: Values) -> Array:
     """
     Return the standard deviations (6, 6) of K for the mass and the vacuum of use.
 
-    The figures of bellows by finite elements are added in proportion to the distance from
-    cup.valid_mass and cup.valid_vacuum.
+    Results of finite-element bellows add errors in proportion to the distance from cup.valid_mass
+    and cup.valid_vacuum.
     """
     std = np.reshape(values.cup.stiffness_std, (6, 6))
     K = np.diag(matrix(values.cup.stiffness))
@@ -89,10 +89,10 @@ def stiffness_std(values: Values) -> Array:
 
 def parameter_std(values: Values) -> Array:
     """
-    Return the standard deviations (52,) of the numbers.
+    Return the standard deviations (52,) of the parameters.
 
-    An entry of K or P that is not identifiable has a huge one. A linear model holds for no more
-    than entries as large as the roots of their two diagonal ones: those are the largest.
+    Infinite errors of unidentifiable entries of K or P are limited to the geometric mean of the
+    two diagonal entries, the validity of a linear model.
     """
     root = [np.sqrt(np.diag(matrix(values[kind]))) for kind in ('cup.stiffness', 'cup.damping')]
     limit = np.concatenate([np.outer(each, each)[UPPER] for each in root])
@@ -105,16 +105,16 @@ def parameter_std(values: Values) -> Array:
 
 def places_of(values: Values) -> Array:
     """
-    Return x, y, z (m) in E and the index, from 0, of each cup that holds (n, 4).
+    Return x, y, z (m) in E and the index, from 0, of each holding cup (n, 4).
 
     Raises
     ------
     BellowsError
-        If cup.layout and cup.open do not describe a gripper that holds.
+        If cup.layout and cup.open do not describe a holding gripper.
 
     """
     positions = structure.positions_of(values.get('cup.layout', (0.0, 0.0, 0.0)))
-    opened = set(values.get('cup.open', ())) - {-1.0}  # which stands for none
+    opened = set(values.get('cup.open', ())) - {-1.0}  # -1 stands for none
     wrong = sorted(opened - set(range(len(positions))))
     if wrong:
         raise BellowsError(
@@ -135,12 +135,12 @@ def richest_structure(values: Values) -> Structure:
 
 def given_structure(values: Values) -> Structure:
     """
-    Return the structure in parameter values; a structure of a layout has the cups' places.
+    Return the structure in parameter values; a layout's structure has the places of its cups.
 
     Raises
     ------
     BellowsError
-        If fit.structure is none, or is layout without several cups in cup.layout.
+        If fit.structure is unknown, or is layout without several cups in cup.layout.
 
     """
     named = structure.structure_named(values.fit.structure)
@@ -156,7 +156,7 @@ def given_structure(values: Values) -> Structure:
 
 
 def fitted_structure(values: Values) -> Structure:
-    """Return the structure of a fit; raise if cup.layout meets a structure of a single cup."""
+    """Return the structure of a fit; raise for cup.layout with a single cup's structure."""
     given = given_structure(values)
     if any(values.get('cup.layout', ())) and not given.places:
         raise BellowsError(
@@ -176,7 +176,7 @@ def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
     values : mapping
         Parameters by name: cup.lip_radius, cup.suction_area, cup.friction, vacuum.holding.
     vacuum : float, optional
-        Pressure below ambient (Pa) as it is measured, instead of vacuum.holding.
+        Measured pressure below ambient (Pa), instead of vacuum.holding.
 
     """
     radius = float(values.cup.lip_radius)
@@ -189,7 +189,7 @@ def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
 
 
 def parameter_envelope(values: Values) -> Envelope | None:
-    """Return the envelope in parameter values, or None if all are zero: unknown."""
+    """Return the validity range in parameter values, or None if all are zero: unknown."""
     ranges = {name: np.array(values.get(RANGE_PARAMETERS[name], ())) for name in RANGE_PARAMETERS}
     if not any(ranges[name].any() for name in RANGE_PARAMETERS
                if name not in ('mass', 'vacuum')):
@@ -213,5 +213,5 @@ def gravity_of(values: Mapping[str, Any]) -> Array:
 
 
 def uncertain_of(values: Values) -> Uncertain:
-    """Return the numbers of cup and package with standard deviations and the cups' places."""
+    """Return the parameters of cup and package with standard deviations and the cups' places."""
     return Uncertain(parameter_vector(values), parameter_std(values), places_of(values))

@@ -1,5 +1,5 @@
 """
-The table of all parameters: of both nodes, the parameter files and the command line.
+The table of all parameters: for both nodes, the parameter files and the command line.
 
 The file `table.toml` has their entries. A 6x6 matrix is 36 numbers, row-major; an inertia is
 [ixx, iyy, izz, ixy, ixz, iyz]; units are SI.
@@ -22,10 +22,10 @@ Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_ar
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
 MIN_SIMILARITY = 0.75
-"""Smallest similarity (difflib ratio, 0 to 1) of a misspelt name to the name it stands for."""
+"""Smallest similarity (difflib ratio, 0 to 1) of a misspelt name to the correct one."""
 
 ANY_LENGTH = 0
-"""Length of an array that may have any."""
+"""Length of an array without a fixed length."""
 
 
 @dataclass(frozen=True)
@@ -38,30 +38,30 @@ class Parameter:
     name : str
         Dotted name.
     default : value or None
-        None if there is no sensible default: the user must then give a value.
+        Default value, or None for a required parameter.
     unit : str
-        SI unit, '' where there is none.
+        SI unit, '' without.
     used_by : tuple of str
-        'identifier', 'predictor'.
+        Names of the users: 'identifier', 'predictor'.
     kind : str
-        bool, integer, double, string, double_array or string_array, as in ROS; follows from the
-        default, if there is one.
+        One of bool, integer, double, string, double_array or string_array, as in ROS; default: the
+        kind of the default value.
     minimum, maximum : float, optional
-        Allowed range of the number, or of each number of an array; both ends are allowed.
+        Allowed range, both ends included, of the number or of each number of an array.
     above : float, optional
-        The number must be larger than this.
+        Exclusive lower bound of the number.
     choices : tuple of str
-        The allowed strings, when not empty.
+        Allowed strings, if not empty.
     length : int, optional
-        Length of an array, `ANY_LENGTH` for any; if left out, the length of the default.
+        Length of an array, `ANY_LENGTH` for any; default: the length of the default.
     required_text : bool
-        True where the empty string is refused.
+        Whether the empty string is rejected.
     read_only : bool
-        True where a running node cannot change it.
+        Whether a running node cannot change it.
     example : str
-        A value to write for a parameter without a default.
+        Example value of a parameter without a default.
     description : str
-        A sentence or two.
+        Description in one or two sentences.
 
     """
 
@@ -81,7 +81,7 @@ class Parameter:
     description: str = ''
 
     def __post_init__(self) -> None:
-        """Take the kind, and the length of an array, from the default."""
+        """Take kind and length of an array from the default."""
         if self.kind == 'double_array' and self.default == ():
             object.__setattr__(self, 'length', ANY_LENGTH)
         elif isinstance(self.default, tuple) and self.default:
@@ -93,7 +93,7 @@ class Parameter:
 
     @property
     def constraint(self) -> str:
-        """The constraint in words: kind, count, range, choices and unit."""
+        """Constraint in words: kind, count, range, choices and unit."""
         unit = f' ({self.unit})' if self.unit else ''
         if self.choices:
             kind = 'a list of some of ' if self.kind == 'string_array' else 'one of '
@@ -108,7 +108,7 @@ class Parameter:
 
     @property
     def default_text(self) -> str:
-        """The default in words."""
+        """Default in words."""
         default = self.default
         if default is None:
             return 'must be given'
@@ -129,7 +129,6 @@ _KIND_MESSAGES: Mapping[Kind, str] = {
 
 
 def _diagonal(values: tuple[float, ...]) -> tuple[float, ...]:
-    """Return a diagonal matrix as a row-major tuple."""
     return tuple(np.diag(values).ravel().tolist())
 
 
@@ -148,11 +147,11 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
             'axisymmetric',
             *(f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
               for s in map(structure.structure_named, structure.STRUCTURE_NAMES[1:]))]) + '.'}}
-"""Entries that depend on the structures of K and P, by name; they complete the file."""
+"""Entries that depend on the structures of K and P, by name; they complement the file."""
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
-    """Return a parameter as its entry in the file describes it."""
+    """Return a parameter from its entry in the file."""
     fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key, value in {**entry, **_COMPUTED.get(name, {})}.items()}
@@ -164,18 +163,18 @@ def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
 PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
     name: _parameter(name, entry) for name, entry in tomllib.loads(FILE.read_text()).items()})
 
-# A file may hold several cups, and cup.name chooses: cups.NAME.stiffness is like cup.stiffness.
+# A file may hold several cups, selected by cup.name: cups.NAME.stiffness is like cup.stiffness.
 NAMED_CUP = re.compile(r'cups\.([A-Za-z][A-Za-z0-9_]*)\.([a-z_]+)')
 
 
 def parameters_for(user: str) -> tuple[Parameter, ...]:
-    """Return the parameters that 'identifier' or 'predictor' uses, in the table's order."""
+    """Return the parameters of 'identifier' or 'predictor', in the table's order."""
     return tuple(p for p in PARAMETERS.values() if user in p.used_by)
 
 
 def lookup(name: str) -> Parameter:
     """
-    Return the parameter of a name.
+    Return the parameter with a name.
 
     Raises
     ------
@@ -192,7 +191,6 @@ def lookup(name: str) -> Parameter:
 
 
 def _hint(name: str, named: re.Match[str] | None) -> str:
-    """Return a hint at the right name."""
     if named:
         return _nearest(name, [f'cups.{named[1]}.{key[4:]}' for key in PARAMETERS
                                if key.startswith('cup.') and key != 'cup.name'])

@@ -7,10 +7,9 @@ from bellows_ros.errors import NotSetError
 
 
 class Group:
-    """Parameters with one prefix, as attributes; a group within a group is an attribute, too."""
+    """Parameters with one prefix, as attributes; groups within are attributes, too."""
 
     def __init__(self, prefix: str) -> None:
-        """Begin an empty group; `prefix` ends with a dot."""
         self._prefix = prefix
 
     def __getattr__(self, name: str) -> Any:
@@ -24,8 +23,8 @@ class Values(Group, Mapping[str, Any]):
     """
     Immutable values of parameters, by dotted name or by attribute.
 
-    The types of the attributes stand in `values.pyi`, which `make reference` writes from the
-    table. A parameter without a value is no key, and raises `NotSetError` as an attribute.
+    The types of the attributes are in `values.pyi`, which `make reference` writes from the table.
+    A parameter without a value is not a key, and raises `NotSetError` as an attribute.
 
     Parameters
     ----------
@@ -35,7 +34,6 @@ class Values(Group, Mapping[str, Any]):
     """
 
     def __init__(self, items: Mapping[str, Any]) -> None:
-        """Sort the values into groups."""
         super().__init__('')
         self._items = dict(items)
         for name, value in self._items.items():
@@ -50,11 +48,9 @@ class Values(Group, Mapping[str, Any]):
         return self._items[name]
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the dotted names."""
         return iter(self._items)
 
     def __len__(self) -> int:
-        """Return the number of values."""
         return len(self._items)
 
     def replaced(self, items: Mapping[str, Any]) -> 'Values':

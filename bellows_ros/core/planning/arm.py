@@ -16,32 +16,33 @@ MAX_URDF_SIZE = 10_000_000
 """Largest number of characters in a URDF."""
 
 POSE_TOLERANCE, MAX_ITERATIONS = 1e-9, 30
-"""Inverse kinematics: largest error of the tool pose (m, rad), and most iterations."""
+"""Largest error of the tool pose by inverse kinematics (m, rad), and largest number of
+iterations."""
 MAX_JOINT_STEP, MIN_RATIO = 0.5, 1e-4
-"""Longest step (rad, m), and singular values below this fraction of the largest are dropped."""
+"""Longest step (rad, m), and smallest used ratio of a singular value to the largest."""
 
 TURNING, SLIDING = ('revolute', 'continuous'), ('prismatic',)
 
 
 class Joint(NamedTuple):
-    """A joint of the chain: its child's pose is origin times the motion along the axis."""
+    """A joint of the chain; its child's pose is origin times the motion along the axis."""
 
     name: str
     kind: str
     origin: Array
-    """(4, 4), of the joint in its parent."""
+    """Pose of the joint in its parent (4, 4)."""
     axis: Array
-    """(3,), of unit length, in the joint's frame."""
+    """Unit vector of the axis in the joint's frame (3,)."""
     lower: float = -math.inf
     upper: float = math.inf
-    """Ends of its range, rad or m."""
+    """Upper end of its range, rad or m."""
     speed: float = math.inf
-    """Maximum, rad/s or m/s."""
+    """Largest speed, rad/s or m/s."""
     drive: str = ''
-    """Name of the joint that this one mimics, with its range and speed; '' if it moves itself."""
+    """Name of the mimicked joint, with its range and speed; '' for an independent joint."""
     ratio: float = 1.0
     offset: float = 0.0
-    """Position from the drive's position: ratio times it, and an offset, rad or m."""
+    """Offset of the position, which is ratio times the drive's position plus this, rad or m."""
 
 
 class Arm(NamedTuple):
@@ -51,7 +52,7 @@ class Arm(NamedTuple):
     Parameters
     ----------
     root, tool_link : str
-        Links; poses of the tool are of `tool_link` in `root`.
+        Links; the tool's pose is the pose of `tool_link` in `root`.
     joints : tuple of Joint
 
     """
@@ -68,12 +69,12 @@ class Arm(NamedTuple):
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Names of the moving joints, without joints that mimic another."""
+        """Names of the moving joints, without mimicking ones."""
         return tuple(joint.name for joint in self.moving_joints)
 
     @property
     def moving_joints(self) -> tuple[Joint, ...]:
-        """Joints that are not fixed, each drive of several once."""
+        """Joints that are not fixed, with each drive of several once."""
         drives = {joint.drive or joint.name: joint
                   for joint in reversed(self.joints) if joint.kind != 'fixed'}
         return tuple(joint._replace(name=name) for name, joint in reversed(drives.items()))
@@ -85,7 +86,7 @@ class Arm(NamedTuple):
         Raises
         ------
         BellowsError
-            If one is missing; `of` names the owner of the joints.
+            If a joint is missing; `of` names the owner of the joints.
 
         """
         missing = [name for name in self.moving if name not in names]
@@ -115,7 +116,7 @@ class Arm(NamedTuple):
         return self._moved(position)[1]
 
     def _moved(self, position: Array) -> tuple[Array, Array]:
-        """Return poses and Jacobian of the tool, of each joint's twist of it in its axes."""
+        """Return poses of the tool, and the twist in tool axes by each joint."""
         T, names = np.tile(np.eye(4), (len(position), 1, 1)), self.moving
         moved: list[tuple[int, Joint, Array, Array]] = []
         for joint in self.joints:
@@ -137,12 +138,12 @@ class Arm(NamedTuple):
 
     def positions(self, T: Array, guess: Array) -> Array:
         """
-        Return the joints (N, M) for tool poses (N, 4, 4), sought from a guess, (M,) or (N, M).
+        Return the joints (N, M) for tool poses (N, 4, 4), searched from a guess, (M,) or (N, M).
 
         Raises
         ------
         BellowsError
-            If a pose is out of reach, or lies beyond a singularity.
+            If a pose is out of reach, or beyond a singularity.
 
         """
         position = np.array(np.broadcast_to(guess, (len(T), len(self.moving))))
@@ -155,7 +156,7 @@ class Arm(NamedTuple):
         worst = int(np.argmax(np.abs(error).max(axis=1)))
         R = self.tool(position)[0][:, :3, :3]
         axes, sizes, _ = np.linalg.svd(np.hstack(list(R @ self.jacobian(position)[:, 3:])))
-        fixed = axes[:, sizes < MIN_RATIO]  # about which no joint turns the tool
+        fixed = axes[:, sizes < MIN_RATIO]  # no joint rotates the tool about these
         tilt = float(np.linalg.norm(fixed.T @ R[worst] @ error[worst, 3:]))
         if tilt > MIN_RATIO:
             raise BellowsError(
@@ -177,13 +178,13 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     urdf : str
         XML, as on /robot_description.
     tool_link : str
-        The link at the tool tip E, z along the cup.
+        Link at the tool tip E, with z along the cup.
 
     Raises
     ------
     BellowsError
-        If it is no URDF, the link is not in it or does not move, or a joint on the way is of
-        another kind than fixed, revolute, continuous or prismatic, or mimics one that mimics.
+        If it is not a URDF, the link is missing or does not move, or a joint of the chain is not
+        fixed, revolute, continuous or prismatic, or mimics a mimicking one.
 
     """
     robot = _robot(urdf)
@@ -212,7 +213,7 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
 
 
 def _robot(urdf: str) -> ElementTree.Element:
-    """Return the root of a URDF, which may not define entities: they can be a bomb."""
+    """Return the root of a URDF; entity definitions raise, as they may expand without bound."""
     if len(urdf) > MAX_URDF_SIZE or '<!ENTITY' in urdf:
         raise BellowsError(
             f'The URDF is larger than {MAX_URDF_SIZE} characters or defines entities; expected '
@@ -228,7 +229,6 @@ def _robot(urdf: str) -> ElementTree.Element:
 
 
 def _link(joint: ElementTree.Element, role: str) -> str:
-    """Return the parent's or child's name of a joint."""
     if not (name := _attributes(joint, role).get('link', '')):
         raise BellowsError(
             f"Joint '{shown(joint.get('name', ''))}' of the URDF has no {role} link.")
@@ -236,13 +236,13 @@ def _link(joint: ElementTree.Element, role: str) -> str:
 
 
 def _attributes(joint: ElementTree.Element, tag: str) -> Mapping[str, str]:
-    """Return the attributes of a joint's element, none where there is no such element."""
+    """Return the attributes of a joint's element, empty without the element."""
     element = joint.find(tag)
     return {} if element is None else element.attrib
 
 
 def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Element]) -> Joint:
-    """Return a joint of the chain, with the limits of the one that it mimics, if any."""
+    """Return a joint of the chain, with the limits of the mimicked joint, if any."""
     name, kind = element.get('name', ''), element.get('type', '')
     if kind not in ('fixed', *TURNING, *SLIDING):
         raise BellowsError(
@@ -281,7 +281,7 @@ def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:
         numbers = np.array([])
-    largest = math.inf if count == 1 else MAX_NUMBER  # limits may be as good as none
+    largest = math.inf if count == 1 else MAX_NUMBER  # limits may be practically infinite
     if numbers.shape != (count,) or not (np.abs(numbers) < largest).all():
         wanted = 'a number' if count == 1 else 'three numbers'
         raise BellowsError(

@@ -26,20 +26,20 @@ RATES = {
 """Limited quantities and their units."""
 
 SPACING_NS = 1_000_000
-"""Spacing (ns) of the points that accelerations and jerks are computed from, as in drives."""
+"""Spacing of the points for accelerations and jerks, as in drives, ns."""
 
 MAX_STRETCH, MIN_STRETCH, STRETCH_RESOLUTION = 20.0, 1.02, 1.001
-"""The time is sought up to this factor, in steps of at least this factor, and to this factor."""
+"""Largest factor on time, smallest relative step of the search, and its resolution."""
 STEEPNESS = 4
-"""Largest additional power of the time with which demands on the tool fall, relative to a rigid
-package: the inverse differentiates the package's motion twice more, and smooths it."""
+"""Largest additional power of the time in the decrease of demands on the tool, relative to a rigid
+package: the inverse has two more derivatives of the package's motion, and smooths it."""
 
 NO_LIMIT = 1e12
 """Placeholder for no limit."""
 
 
 def read_rates(settings: Settings, default: float | None = None) -> dict[str, float]:
-    """Return the limits by the names of `RATES`, of the blocks `linear` and `angular`."""
+    """Return the limits by the names of `RATES`, from the blocks `linear` and `angular`."""
     linear, angular = settings.block('linear'), settings.block('angular')
     return {
         name: (angular if name.startswith('angular') else linear).number(
@@ -48,14 +48,14 @@ def read_rates(settings: Settings, default: float | None = None) -> dict[str, fl
 
 
 class TooFastError(BellowsError):
-    """A motion would bend the cup too far; in more time it may exist."""
+    """Error for a motion that would bend the cup too far; a slower motion may exist."""
 
 
 class Limits(NamedTuple):
     """Limits of a motion; `NO_LIMIT`, or 0 for the safety factor, means no limit."""
 
     rates: Mapping[str, float]
-    """By the names of `RATES`, SI units."""
+    """Limits by the names of `RATES`, SI units."""
     low: Array
     high: Array
     """Corners (3,) of the workspace of the tool tip, m."""
@@ -72,8 +72,8 @@ def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float
     """
     Return the largest speed, acceleration and jerk, and the angular ones, SI, as in `RATES`.
 
-    They are differences of rotations (N, 3, 3) to the world and body twists (N, 6) a step (s)
-    apart.
+    They are differences of rotations (N, 3, 3) to the world and body twists (N, 6) with a time
+    step (s).
     """
     rates = [apply(rotation, part) for part in (twist[:, :3], twist[:, 3:])]
     sizes = [np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / step ** order
@@ -96,25 +96,25 @@ def stretched(
     limits: Limits, motion: Callable[[float], tuple[Trajectory, float, tuple[float, str]]]
 ) -> tuple[float, str]:
     """
-    Return the smallest factor on time with which a motion keeps to limits, and the last exceeded.
+    Return the smallest factor on time with which a motion keeps limits, and the last exceeded.
 
     Parameters
     ----------
     limits : Limits
-        To keep to.
+        Limits of the motion.
     motion : callable
-        From a factor on time to the motion, its smallest safety factor, and the factor on time
-        that the joints of the arm need with their limit, (1, '') if none; raises `TooFastError`
-        where there is no motion that fast.
+        Function of a factor on time that returns the motion, its smallest safety factor, and the
+        factor on time required by the joints of the arm with their limit, (1, '') if none; it
+        raises `TooFastError` if no motion is that fast.
 
     Raises
     ------
     BellowsError
-        If nothing helps.
+        If no factor suffices.
 
     """
     def needed(scale: float) -> tuple[float, str]:
-        """Return the factor on time that is needed at least, 1 if none is, and the limit."""
+        """Return the smallest required factor on time, 1 if none is required, and the limit."""
         try:
             tool, safety_factor, *joints = motion(scale)
         except TooFastError:
@@ -150,21 +150,21 @@ def stretched(
 
 
 MAX_TIME_SCALE, MIN_TIME_SCALE = 10.0, 0.02
-"""Range of time scales that is searched."""
+"""Range of the search over time scales."""
 
 SCAN_STEP = 0.006
 """Relative spacing of the time scales in the scan."""
 
 UPDATE_WITHIN = 0.03
-"""Standard deviations are recomputed within this fraction of the required factor, and after this
-change of scale."""
+"""Distance from the required factor, relative, and change of scale, within which standard
+deviations are not recomputed."""
 
 TOLERANCE = 1e-4
 """Relative accuracy of the shortest time scale."""
 
 
 class Fastest(NamedTuple):
-    """The shortest time scale, and the safety factor there, with their standard deviations."""
+    """The shortest time scale, and its safety factor, with their standard deviations."""
 
     scale: float
     factor: float
@@ -179,18 +179,18 @@ def fastest(
     Return the shortest time scale at which safety factor minus two sigma stays at `required`.
 
     The safety factor is not monotone in speed, as swing builds up or cancels: all scales are
-    scanned from the quickest up, and the first that holds is narrowed down.
+    scanned from the fastest up, and the first safe one is refined.
 
     Parameters
     ----------
     uncertain : Uncertain
-        Numbers of the model, with standard deviations.
+        Parameters of the model, with standard deviations.
     model, grip : tuple
-        As the kernels take them.
+        Model and grip for the kernels.
     tool : Trajectory
-        The plan, which ends at rest.
+        Plan, which ends at rest.
     required : float
-        Safety factor that is needed.
+        Required safety factor.
 
     Returns
     -------
@@ -208,13 +208,13 @@ def fastest(
     fine = PlanSimulation(model, grip, tool, tail=tail, longest=longest)
 
     def margin(scale: float, part: float, run: PlanSimulation) -> float:
-        """Return the excess of the factor, less two sigma, over the required one."""
+        """Return the excess of the factor, minus two sigma, over the required one."""
         needed = required / max(1.0 - 2.0 * part, 0.01)
         # a run far below the required factor is aborted
         return run.safety(scale, 0.95 * needed) / needed - 1.0
 
     def sigma(scale: float) -> float:
-        """Return the standard deviation as a part of the safety factor."""
+        """Return the standard deviation relative to the safety factor."""
         factors = [run.safety(scale) for run in spread]
         return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (
             2.0 * PERTURBATION * quick.safety(scale))
@@ -224,7 +224,7 @@ def fastest(
     part, updated_at, past = 0.0, 0.0, [-1.0, -1.0]
     while scale < MAX_TIME_SCALE:
         excess = margin(scale, part, quick)
-        if excess < past[1] > max(past[0], -SCAN_STEP):  # between two scales it may just hold
+        if excess < past[1] > max(past[0], -SCAN_STEP):  # a scale in between may be safe
             scale, excess = _local_maximum(partial(margin, part=part, run=quick), scale)
         if excess > -UPDATE_WITHIN and scale > (1.0 + UPDATE_WITHIN) * updated_at:
             part, updated_at = sigma(scale), scale
@@ -252,7 +252,7 @@ def _narrowed(
 ) -> Fastest:
     """Return the shortest safe time scale near a safe one, by bisection with fine steps."""
     low, high = scale / (1.0 + SCAN_STEP), scale
-    while margin(high) < 0.0:  # with coarse steps it just held
+    while margin(high) < 0.0:  # safe with coarse steps only
         low, high = high, (1.0 + TOLERANCE) * high
     while high > (1.0 + TOLERANCE) * low:
         middle = math.sqrt(low * high)

@@ -2,7 +2,7 @@
 Prediction of the package along a plan of the tool, in one compiled pass.
 
 A plan is a `Trajectory` of E with body twists; the tool moves between its points along the cubic
-Hermite curve, and stands still after the last one. Loads are 1 / safety factor of the grip.
+Hermite curve, and rests after the last one. Loads are 1 / safety factor of the grip.
 """
 
 from collections.abc import Callable
@@ -29,22 +29,22 @@ SETTLING_TIME, MAX_TAIL = 2.0, 30.0
 """Duration of a settled state, and longest wait for it after the end, s."""
 
 COARSE_STEP_FACTOR = 3.0
-"""Ratio of a coarse integration step to the normal one; accurate to 1e-4."""
+"""Ratio of coarse and normal integration steps; accurate to 1e-4."""
 
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
-"""Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
+"""Quantities whose peaks are stored: loads, rad, m, N, N m, N m, rad."""
 
 NO_ABORT = np.zeros(1, np.bool_)
-"""Does not stop a prediction."""
+"""Flag that never stops a prediction."""
 
 Extremes = tuple[Array, Array, Array]
-"""Peaks (8, 3) as in `PlanPrediction`; time and value of each at the two samples before (8, 4);
+"""Peaks (8, 3) as in `PlanPrediction`; time and value of each at the two previous samples (8, 4);
 and the range of the lip's shift and rotation vector with the largest twist (6, 3)."""
 Watch = tuple[Extremes, float, Mask]
-"""Results to keep; a load above which, and a flag (1,) with which, a simulation ends."""
+"""Stored results; load above which, and flag (1,) with which, a simulation ends."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
-"""Placeholder for an unknown grip, whose loads are not used."""
+"""Placeholder for an unknown grip, whose loads are ignored."""
 
 
 class PlanPrediction(NamedTuple):
@@ -54,7 +54,7 @@ class PlanPrediction(NamedTuple):
     Parameters
     ----------
     tool : Trajectory or ToolRows
-        The plan, N points.
+        Plan of N points.
     states : array (N, 13)
         States of B in the world: position (m), quaternion xyzw, body twist (m/s, rad/s).
     wrench : array (N, 6)
@@ -62,16 +62,16 @@ class PlanPrediction(NamedTuple):
     loads : array (N, 2)
         1 / safety factor against peel and slip; meaningless without a grip model.
     peaks : array (8, 3)
-        Largest value of each of `PEAKS` and when it is reached, s since the plan's first point; of
-        the loads also whose they are, as a row of the grip.
+        Largest value of each of `PEAKS` and its time, s since the plan's first point; for the
+        loads also the cup, as a row of the grip.
     settled_after : float
-        s after the last point; infinite where longer than `MAX_TAIL`.
+        Time until the package has settled, s after the last point; infinite beyond `MAX_TAIL`.
     deflection : array (6, 2)
         Smallest and largest shift (m) and rotation vector (rad) of the lip in the tool.
     rates : array (6,)
         Largest absolute twist of the lip in the tool, m/s and rad/s.
     grip : tuple or None
-        None without a safety factor.
+        Grip of the package, None if unknown.
     ends_at_rest : bool
 
     """
@@ -106,7 +106,7 @@ class PlanPrediction(NamedTuple):
         return float(self.peaks[PEAKS.index('bending'), 0])
 
     def summary(self) -> dict[str, float]:
-        """Return the figures of a summary, SI units; NaN for unknown ones."""
+        """Return the results of a summary, SI units; NaN for unknown ones."""
         peak = dict(zip(PEAKS, self.peaks[:, 0].tolist(), strict=True))
         factor, _, time = self.smallest_safety if self.grip else (math.nan, '', math.nan)
         return {
@@ -125,30 +125,29 @@ class PlanPrediction(NamedTuple):
 
 class PlanSimulation:
     """
-    A plan made ready to be predicted, also at several speeds and with other models.
+    A plan prepared for predictions at several speeds and with several models.
 
     Parameters
     ----------
     model : tuple
-        As the kernels take it.
+        Model for the kernels.
     grip : tuple, optional
-        As `grip_of` returns it; without it the safety factor is unknown.
+        Grip as returned by `grip_of`; without it the safety factor is unknown.
     tool : Trajectory or ToolRows
-        A plan, as `points.plan_of` returns it.
+        Plan, as returned by `points.plan_of`.
     start : State, optional
         State of B in the world at the first point; default: in steady motion.
     tail : float
         Longest time (s) simulated after the end.
     longest : float
-        Longest step of the integration (s); the model's start when left out.
+        Longest integration step (s); default: by the initial model.
     stop : bool array (1,)
-        Ends the work with a BellowsError as soon as another thread sets it to true.
+        Flag that another thread sets to end the work with a BellowsError.
 
     Raises
     ------
     BellowsError
-        If the package cannot rest under the tool; and later, if the prediction does not stay
-        finite.
+        If the package cannot rest under the tool; later, if the prediction diverges.
 
     """
 
@@ -157,7 +156,7 @@ class PlanSimulation:
         start: State | None = None, tail: float = MAX_TAIL, longest: float = 0.0,
         stop: Mask = NO_ABORT,
     ) -> None:
-        """Take the plan, and find where the package rests."""
+        """Find the rest of the package under a plan."""
         self.tool, self._model, self._grip = tool, model, grip
         self._rows = rows = simulation.tool_rows(tool)
         self._steady, self._tail = start is None, tail if simulation.stands(rows[-1, 7:]) else 0.0
@@ -170,7 +169,7 @@ class PlanSimulation:
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
 
     def with_model(self, model: ModelTuple) -> 'PlanSimulation':
-        """Return the same run with a slightly different model."""
+        """Return the simulation with a slightly different model."""
         other = copy(self)
         other._model = model
         if self._steady:
@@ -180,7 +179,7 @@ class PlanSimulation:
         return other
 
     def safety(self, duration_scale: float, least: float = 0.0) -> float:
-        """Return the smallest safety factor, or one that is below another where one is."""
+        """Return the smallest safety factor, or any one below `least`, if there is one."""
         ceiling = 1.0 / least if least else math.inf
         if self._simulate_plan(duration_scale, ceiling):
             self._simulate_decay(ceiling)
@@ -188,7 +187,7 @@ class PlanSimulation:
         return 1.0 / load if load > 0.0 else math.inf
 
     def predict(self) -> PlanPrediction:
-        """Return the prediction of the plan as it is, and of the package swinging out."""
+        """Return the prediction of the plan, and of the package swinging after its end."""
         self.states()
         return self.prediction()
 
@@ -230,7 +229,7 @@ class PlanSimulation:
         """Return the result of a kernel; raise if it diverges or another thread has stopped it."""
         try:
             result = simulate(self._model, self._grip or UNKNOWN_GRIP, *arguments)
-        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+        except (ArithmeticError, ValueError):  # interpreted kernels raise instead of nan
             raise simulation.diverged() from None
         if self._stop[0]:
             raise BellowsError('The prediction was stopped before its end.')
@@ -252,9 +251,9 @@ def rigid_velocity(tool: State, arm: Vector) -> Vector:
 @kernel
 def update_peak(extremes: Extremes, i: int, t: float, value: float) -> bool:
     """
-    Keep the largest value of a quantity, and return whether it grew.
+    Store the largest value of a quantity, and return whether it increased.
 
-    It is the vertex of the parabola through three samples.
+    The value is the vertex of the parabola through three samples.
     """
     peaks, past, _ = extremes
     before = peaks[i, 0]
@@ -307,9 +306,9 @@ def _simulate_plan(
     samples: tuple[Array, Array, Array], watch: Watch,
 ) -> tuple[State, float, bool]:
     """
-    Advance along a plan, its durations scaled, until a load is above the ceiling.
+    Advance along a plan with scaled durations, until a load exceeds the ceiling.
 
-    Return the state at the end, when that is (s), and whether all loads are below.
+    Return the final state and its time (s), and whether all loads are below the ceiling.
     """
     (rows, durations, duration_scale), (extremes, ceiling, stop) = plan, watch
     arm = (model[1][1][0], model[1][1][1], model[1][1][2] - model[0][1])
@@ -340,7 +339,7 @@ def _simulate_plan(
             before, velocity = velocity, rigid_velocity(tool, arm)
             felt = t3.subtract(t3.scale(1.0 / h, t3.subtract(velocity, before)), model[2])
             lever = t3.apply(t3.rotation_matrix(tool[1]), model[1][1])
-            moment = model[1][0] * t3.norm(t3.cross(lever, felt))  # if both were one body
+            moment = model[1][0] * t3.norm(t3.cross(lever, felt))  # as for one rigid body
             if moment > peaks[6, 0]:
                 peaks[6, 0], peaks[6, 1] = moment, now - 0.5 * h
         t += duration
@@ -354,10 +353,10 @@ def _simulate_decay(
     steps: tuple[float, int], watch: Watch,
 ) -> float:
     """
-    Let the package swing under a tool at rest, until a load is above the ceiling.
+    Let the package swing under a tool at rest, until a load exceeds the ceiling.
 
-    Steps are their length (s) and most of them. Return after what time (s) it is turned from
-    rest by less than `SETTLED_ANGLE`.
+    Steps are their length (s) and largest number. Return the time (s) after which the rotation
+    from rest stays below `SETTLED_ANGLE`.
     """
     (h, count), (extremes, ceiling, stop) = steps, watch
     wrench, loads = np.empty(6), np.empty(2)

@@ -1,7 +1,7 @@
 """
-Conversion of the points of a plan to a trajectory of the tool, with checks, and of its joints.
+Conversion of the points of a plan to a trajectory of the tool and of its joints, with checks.
 
-The joints along a path of the tool follow from inverse kinematics, with rates and limits.
+Inverse kinematics gives the joints along a path of the tool, with rates and limits.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,24 +21,24 @@ import numpy as np
 import scipy  # whose parts are loaded as they are used: the predictor starts without
 
 MAX_POINTS, MAX_TIME = 100_000, 600.0
-"""Most points of a plan, and its longest duration (s)."""
+"""Largest number of points of a plan, and its longest duration (s)."""
 
 MAX_PLAN_NUMBER = 1e9
 """Bound of the numbers of a plan, against overflows of its polynomials, SI units."""
 
 MAX_GAP_NS = 10_000_000
-"""Longest time between points that is not interpolated, ns."""
+"""Longest time between points without interpolation, ns."""
 
 JUMP_TOLERANCE = (1e-3, 1e-2)
-"""Largest step between points that is no jump at any speed, m and rad."""
+"""Largest step between points that is plausible at any speed, m and rad."""
 
 MAX_MISFIT = 0.5
-"""Largest RMS deviation of the integrated rates from the steps, relative to these."""
+"""Largest RMS deviation of the integrated rates from the steps, relative to the steps."""
 MISREADINGS = (
     ('have the opposite sign', -1.0), ('are too large by 1000: in mm', 1e-3),
     ('are too small by 1000: in km, or of times in ms', 1e3),
     ('are in degrees', math.pi / 180.0))
-"""Wrong readings of rates, and the factor that mends each."""
+"""Possible misreadings of rates, and the factors that correct them."""
 
 
 def plan_of(
@@ -51,23 +51,24 @@ def plan_of(
     Parameters
     ----------
     stamps_ns : int array (N,)
-        ns.
+        Stamps, ns.
     poses : array (N, 7)
         Position (m) and quaternion xyzw of E in the world.
     twist, acceleration : array (N, 6), optional
-        Velocity of the tool tip and angular velocity (m/s, rad/s), and their rates of change. Left
-        out, twists follow from a cubic spline from rest to rest. With accelerations the tool moves
-        along quintic polynomials between points, without along cubic ones.
+        Velocity of the tool tip and angular velocity (m/s, rad/s), and their rates of change.
+        Without twists, these are from a cubic spline from rest to rest. With accelerations the
+        tool moves along quintic polynomials between points, otherwise along cubic ones.
     twist_frame : {'world', 'tool'}
-        Axes of both.
+        Axes of twists and accelerations.
     name : str
-        For messages.
+        Name of the plan for messages.
 
     Raises
     ------
     BellowsError
-        If no arm moves so: too few or too many points, times that do not increase, numbers that
-        are not finite, quaternions not of unit length, jumps, velocities of another motion.
+        If the plan is impossible for an arm: too few or too many points, times that do not
+        increase, numbers that are not finite, quaternions not of unit length, jumps, inconsistent
+        velocities.
 
     """
     _require_points(stamps_ns, (poses, twist, acceleration), name)
@@ -119,17 +120,17 @@ def plan_of_joints(
     """
     Check the points of a plan of an arm's joints; return it as a plan of the tool, and its joints.
 
-    Joints move as drivers of arms interpolate: along quintic polynomials where accelerations are
-    given, cubic ones where velocities are, and a cubic spline from rest to rest otherwise.
+    Joints move as drivers of arms interpolate: along quintic polynomials with given accelerations,
+    cubic ones with given velocities, and a cubic spline from rest to rest otherwise.
 
     Parameters
     ----------
     arm : Arm
         Arm with these joints.
     names : sequence of str
-        Names of the K joints, among them all that move the tool.
+        Names of the K joints, including all that move the tool.
     stamps_ns : int array (N,)
-        ns.
+        Stamps, ns.
     position, velocity, acceleration : array (N, K)
         Motion of the joints in the order of their names, rad or m.
 
@@ -165,7 +166,7 @@ def _without_gaps(stamps_ns: Stamps) -> Stamps:
 
 
 def _continuous_quaternions(rotation: Array) -> Array:
-    """Return quaternions (N, 4), of q and -q the one that is near that before."""
+    """Return quaternions (N, 4) with the sign that is nearest to the previous one."""
     q = lie.rotation_to_quaternion(rotation)
     q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
@@ -179,7 +180,7 @@ def _path(motion: Trajectory) -> tuple[Array, Array]:
 
 
 def _spin(q: Array, rate: Array) -> Array:
-    """Return the rates of quaternions (N, 4) that body rates (N, 3) make."""
+    """Return the rates of quaternions (N, 4) by body rates (N, 3)."""
     return 0.5 * lie.quaternion_product(q, np.pad(rate, ((0, 0), (0, 1))))
 
 
@@ -187,7 +188,7 @@ def curve_of(motion: Trajectory) -> Any:
     """
     Return a motion as cubic Hermite polynomials in time, s since its first point.
 
-    The values are position and quaternion, (..., 7), of unit length at the motion's points.
+    The values are position and quaternion, (..., 7), normalised at the motion's points.
     """
     return scipy.interpolate.CubicHermiteSpline(motion.seconds, *_path(motion))
 
@@ -196,7 +197,7 @@ def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
     """
     Return rotations (N, 3, 3) and body twists (N, 6) from rates (N, 7) of position and quaternion.
 
-    The quaternions (N, 4) are of any length.
+    The quaternions (N, 4) may have any length.
     """
     size = np.sum(q * q, axis=1)[:, None]
     rotation = lie.quaternion_to_rotation(q / np.sqrt(size))
@@ -206,10 +207,11 @@ def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
 
 def _refined(plan: Trajectory, stamps: Stamps, acceleration: Array | None) -> Trajectory:
     """
-    Return a plan at its stamps and others in between, ns.
+    Return a plan at its stamps and additional ones, ns.
 
-    With accelerations (N, 6), of the tool tip in world axes and of rotation in its own, positions
-    and quaternions of the points put in lie on quintic polynomials, otherwise poses on cubic ones.
+    With accelerations (N, 6), of the tool tip in world axes and of rotation in tool axes,
+    positions and quaternions of additional points lie on quintic polynomials, otherwise poses on
+    cubic ones.
     """
     if acceleration is None:
         return resample(plan, stamps)
@@ -222,7 +224,7 @@ def _refined(plan: Trajectory, stamps: Stamps, acceleration: Array | None) -> Tr
 
 
 def quintic(t: Array, value: Array, rate: Array, bend: Array) -> Any:
-    """Return quintic polynomials between times (N,) with these values and derivatives (N, M)."""
+    """Return quintic polynomials between times (N,) with given values and derivatives (N, M)."""
     h = np.diff(t)[:, None]
     v, v_end, a, a_end = h * rate[:-1], h * rate[1:], h**2 * bend[:-1], h**2 * bend[1:]
     d, e, f = np.diff(value, axis=0) - v - 0.5 * a, v_end - v - a, a_end - a
@@ -242,7 +244,7 @@ def timed(plan: Trajectory, factor: float) -> Trajectory:
 
 
 def require_count(count: int, name: str) -> None:
-    """Refuse a plan without a motion, and one that is no plan any more."""
+    """Raise for a plan without a motion, or with too many points."""
     if not 2 <= count <= MAX_POINTS:
         raise BellowsError(
             f'{name} has {count} point{"" if count == 1 else "s"}; expected 2 to {MAX_POINTS}. '
@@ -250,7 +252,7 @@ def require_count(count: int, name: str) -> None:
 
 
 def _refuse(bad: Any, name: str, what: str, expected: str, remedy: str) -> None:
-    """Refuse a plan with bad points, naming the first."""
+    """Raise for a plan with invalid points, naming the first."""
     if bad.any():
         raise BellowsError(
             f'{name}: point {int(np.argmax(bad))} (the first is 0) {what}, as {int(bad.sum())} of '
@@ -258,7 +260,7 @@ def _refuse(bad: Any, name: str, what: str, expected: str, remedy: str) -> None:
 
 
 def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str) -> None:
-    """Refuse a bad number of points, numbers that are not finite, and times that no plan has."""
+    """Raise for a wrong number of points, numbers that are not finite, and implausible times."""
     require_count(len(stamps_ns), name)
     numbers = np.hstack([part for part in parts if part is not None])
     _refuse(~(np.abs(numbers) < MAX_PLAN_NUMBER).all(axis=1), name,
@@ -281,7 +283,7 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
 def _require_reachable(
     durations: Array, step: Array, rotation: Array, v: Array, w: Array, name: str
 ) -> None:
-    """Refuse steps (m, rad) between points, and velocities, that no arm can follow."""
+    """Raise for steps (m, rad) between points, or velocities, that no arm can follow."""
     moved, turned, speed, rate = (np.linalg.norm(each, axis=1) for each in (step, rotation, v, w))
     jump = (moved > JUMP_TOLERANCE[0] + MAX_TOOL_SPEED * durations) | (
         turned > JUMP_TOLERANCE[1] + MAX_TOOL_RATE * durations)
@@ -300,26 +302,26 @@ def require_consistent(
     durations: Array, steps: Array, rates: Array, what: str, in_other_axes: Array | None = None
 ) -> None:
     """
-    Refuse rates that do not integrate to the steps between points.
+    Raise for rates whose integral differs from the steps between points.
 
     Parameters
     ----------
     durations : array (N - 1,)
-        Between points, s.
+        Durations between points, s.
     steps : array (N - 1, K)
-        Steps of poses or of rates from point to point.
+        Steps of poses or of rates between points.
     rates : array (N, K)
-        Their derivatives at the points.
+        Rates of the poses, or derivatives of the rates, at the points.
     what : str
         Name of the rates, for messages.
     in_other_axes : array (N, K), optional
-        The rates as they are with the other tool_twist.frame.
+        Rates converted with the other tool_twist.frame.
 
     Raises
     ------
     BellowsError
-        If another sign, unit or frame of the rates explains the steps and this one does not, if
-        all rates are zero amid a motion, or many points have rates of another motion.
+        If another sign, unit or frame of the rates explains the steps better, if all rates are
+        zero during a motion, or many points have inconsistent rates.
 
     """
     def misfit(of: Array) -> float:
@@ -350,21 +352,21 @@ def require_consistent(
 
 
 MIN_GAIN = 0.01
-"""Smallest speed of the tool in any direction at unit speed of the joints, of a regular pose, m/s
+"""Smallest speed of the tool in any direction at unit speed of the joints in a regular pose, m/s
 or rad/s."""
 
 MAX_JUMP = 0.5
-"""Largest step of a joint between points, rad or m: more is another configuration."""
+"""Largest step of a joint between points without a change of configuration, rad or m."""
 
 MAX_SPACING = 0.01
-"""Largest time between points of a motion of joints, s, however few the request had."""
+"""Largest time between points of a motion of joints, s."""
 
 CHECK_RATE = 1000.0
 """Rate at which limits are checked between the points, Hz."""
 
 
 class JointPath(NamedTuple):
-    """Motion of an arm's moving joints: (N,) s, then (N, M) rad or m, and per s and s^2."""
+    """Motion of an arm's moving joints: times (N,), s; then (N, M) rad or m, per s and per s^2."""
 
     seconds: Array
     position: Array
@@ -379,18 +381,18 @@ def joint_path(arm: Arm, tool: Trajectory, guess: Array) -> JointPath:
     Parameters
     ----------
     arm : Arm
-        Tool poses are of its tool link in its root.
+        Arm; the tool's poses are poses of its tool link in its root.
     tool : Trajectory
         N points with body twists.
     guess : array (N, M)
-        Joint positions of a motion close by: the solution in the same configuration is taken,
-        and of a redundant arm the one that is nearest.
+        Joint positions of a nearby motion, which select the configuration and, for a redundant
+        arm, the nearest solution.
 
     Raises
     ------
     BellowsError
-        If a point is out of reach or singular, or the arm would have to change its
-        configuration; with the time.
+        If a point is out of reach or singular, or the arm would have to change its configuration;
+        with the time.
 
     """
     seconds = tool.seconds
@@ -417,21 +419,21 @@ def joint_path(arm: Arm, tool: Trajectory, guess: Array) -> JointPath:
 
 def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float, str]:
     """
-    Return the smallest factor of the duration within the limits of the joints, and that limit.
+    Return the smallest factor of the duration within the limits of the joints, and the limit.
 
     Parameters
     ----------
     arm : Arm
-        With ranges and speeds of its joints.
+        Arm with ranges and speeds of its joints.
     path : JointPath
-        Driven along quintic polynomials, as drivers do; checked at `CHECK_RATE`.
+        Motion along quintic polynomials, as by drivers; checked at `CHECK_RATE`.
     acceleration : float
-        Largest of each joint, rad/s^2 or m/s^2.
+        Largest acceleration of each joint, rad/s^2 or m/s^2.
 
     Raises
     ------
     BellowsError
-        If a joint leaves its range, which no other speed can mend.
+        If a joint leaves its range, at any speed.
 
     """
     curve, joints = quintic(*path), arm.moving_joints
@@ -460,7 +462,7 @@ class Joints(NamedTuple):
     ----------
     arm : Arm
     stamps_ns : int array (N,)
-        ns.
+        Stamps, ns.
     position : array (N, M)
         Positions of the moving joints in their order, rad or m.
 
@@ -472,22 +474,23 @@ class Joints(NamedTuple):
 
     def along(self, tool: Trajectory, planned: Trajectory) -> JointPath:
         """
-        Return the motion of the same joints that moves the tool as given.
+        Return the motion of these joints that moves the tool along another motion.
 
-        Its points are points of the tool, about as dense as the plan's, or as
-        `MAX_SPACING` where the plan's are further apart.
+        Its points are points of the tool, with about the spacing of the plan, at most
+        `MAX_SPACING`.
 
         Parameters
         ----------
         tool : Trajectory
-            To follow, of the tool link in the arm's root.
+            Motion of the tool link in the arm's root.
         planned : Trajectory
-            The tool by the plan: joints at the same part of its time tell the configuration.
+            Planned motion of the tool, whose joints at equal relative times give the
+            configuration.
 
         Raises
         ------
         BellowsError
-            As `joint_path`.
+            As in `joint_path`.
 
         """
         step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, MAX_SPACING)

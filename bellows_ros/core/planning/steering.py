@@ -1,9 +1,9 @@
 """
-Tool motions that leave the package without swing: the inverse, and input shaping.
+Tool motions that leave the package without swing: inverse dynamics, and input shaping.
 
-The cup carries all six axes, so the package's pose is a flat output: its motion determines the
-wrench of the cup, and with the damper, linear in the relative twist, the motion of the tool.
-Input shaping (Singer and Seering) adds up delayed copies of a motion, whose swings cancel.
+The cup transmits all six axes, so the package's pose is a flat output: its motion determines the
+wrench of the cup, and through the damper, linear in the relative twist, the motion of the tool.
+Input shaping (Singer and Seering) sums delayed copies of a motion, whose swings cancel.
 """
 
 from collections.abc import Sequence
@@ -32,20 +32,20 @@ import scipy  # whose parts are loaded as they are used
 METHODS = ('inverse', 'zv', 'zvd')
 
 GRID = 0.001
-"""Spacing (s) of the resulting motion."""
+"""Spacing of the resulting motion, s."""
 
 SPACING, SNAP_TOLERANCE, RELATIVE_SNAP_TOLERANCE = 0.005, 100.0, 0.1
-"""Spacing of evaluations of the fourth derivative, s; its largest continuous change, m/s^4, and as
-a part of its size."""
+"""Spacing of evaluations of the fourth derivative, s; its largest continuous change, m/s^4, and
+relative to its size."""
 SUBDIVISION = 5
 """Ratio of the spacings of a motion and of its points for smoothing."""
 
 RATE_PER_STEP = 0.4
 """Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
 MAX_GRID_STEPS = 300_000
-"""Largest number of steps of the inverse, each of which is kept."""
+"""Largest number of steps of the inverse, all of which are stored."""
 MAX_RATE = 1e5
-"""Largest relaxation rate of a cup that is inverted, 1/s."""
+"""Largest relaxation rate of an invertible cup, 1/s."""
 ARRIVAL_TOLERANCE = (2e-5, 1e-4)
 """Largest remaining distance and rotation of a tool that has arrived, m and rad."""
 MAX_ARRIVAL = 12.0
@@ -56,18 +56,18 @@ FADE_TIME = 0.02
 MIN_RESIDUAL_SWING = planning.SETTLED_ANGLE
 """Swing of the package above which a mode is shaped, rad."""
 ALLOWED_TIME = 1.0
-"""Longest duration of a shaper, s, or the plan's duration if that is longer."""
+"""Longest duration of a shaper, s, or the plan's duration if longer."""
 TAIL = 2.0
-"""Duration after a shaped motion in which its residual swing is sought, s."""
+"""Duration after a shaped motion in which its residual swing is evaluated, s."""
 
 
 class SwingMode(NamedTuple):
     """A mode of the hanging package."""
 
     frequency: float
-    """Undamped, Hz."""
+    """Undamped frequency, Hz."""
     damping_ratio: float
-    """Ratio to the critical one."""
+    """Damping ratio."""
     swing: float
     """Rotation of the package by this mode after a plan, rad."""
 
@@ -88,7 +88,7 @@ def inverse3(A: Matrix) -> Matrix:
 
 @kernel
 def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wrench:
-    """Return the wrench at the lip, in S axes, that causes these rates of the package (3.5)."""
+    """Return the wrench at the lip, in S axes, required for given rates of the package (3.5)."""
     mass, com, inertia, _ = model[1]
     _, q, v, w = body[:4]
     free_dv, free_dw = kernels.newton_euler(
@@ -100,10 +100,10 @@ def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wre
 @kernel
 def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw: Vector) -> State:
     """
-    Return the tool with the twist at which the cup causes these rates of the package.
+    Return the tool with the twist at which the cup causes given rates of the package.
 
-    D1(H) v1 = f_spring(H) - f_needed at S1 (3.27, 3.33) is solved for the relative twist. The
-    internal strains of a cup that relaxes belong to the tool here, by its motion.
+    D1(H) v1 = f_spring(H) - f_required at S1 (3.27, 3.33) is solved for the relative twist. The
+    tool also has the internal strains of a cup that relaxes.
     """
     cup, package, _ = model
     l1 = cup[0]
@@ -133,10 +133,10 @@ def _invert_kernel(
     out: Array, package: Array,
 ) -> int:
     """
-    Write the states of tool and package along a motion; return how many there are.
+    Write the states of tool and package along a motion; return their number.
 
-    The reference of the package (N, 19) is half a step of h (s) apart; then it rests. Once the
-    tool is slower than speed (m/s) and rate (rad/s), it stops over `FADE_TIME`.
+    The reference of the package (N, 19) has a spacing of half a step h (s), and rests at its end.
+    Once the tool is slower than speed (m/s) and rate (rad/s), it stops over `FADE_TIME`.
     """
     still, faded, fading = t3.ZERO, 0, math.ceil(FADE_TIME / h)
     for k in range(len(out)):
@@ -175,9 +175,10 @@ def _invert_kernel(
 
 def relaxation_rates(model: ModelTuple) -> Array:
     """
-    Return the rates (1/s) at which the cup relaxes under a wrench: the eigenvalues of P^-1 K.
+    Return the relaxation rates (1/s) of the cup under a wrench: the eigenvalues of P^-1 K.
 
-    With internal strains: of P dh/dt = -K (h + sum_b r_b (h - z_b)), dz_b/dt = (h - z_b) / tau_b.
+    With internal strains they are rates of P dh/dt = -K (h + sum_b r_b (h - z_b)) and
+    dz_b/dt = (h - z_b) / tau_b.
 
     Raises
     ------
@@ -212,25 +213,25 @@ def inverse(
     Parameters
     ----------
     model : tuple
-        As the kernels take it.
+        Model for the kernels.
     reference : Trajectory
         Poses and body twists of B, from rest to rest.
     start : State, optional
-        The tool from which B hangs at rest at the first pose; sought when left out.
+        Tool from which B hangs at rest at the first pose; searched by default.
 
     Returns
     -------
     tool : Trajectory
         Motion of E with body twists, after the arrival continued until the cup has relaxed.
     package : Trajectory
-        Motion of B at the same stamps, smoothed unless C^4.
+        Motion of B at equal stamps, smoothed unless C^4.
     smoothed : float
-        Duration of the smoothing (s); 0 for a motion that is C^4.
+        Duration of the smoothing (s); 0 for a C^4 motion.
 
     Raises
     ------
     BellowsError
-        If the cup cannot be inverted, or would have to bend further than it can.
+        If the cup cannot be inverted, or would have to bend too far.
 
     """
     rates = relaxation_rates(model)
@@ -282,12 +283,12 @@ def _invert(
     model: ModelTuple, tool: State, reference: Array, h: float, arrived: Array, out: Array,
     package: Array,
 ) -> int:
-    """Fill in the states of tool and package; return how many there are."""
+    """Write the states of tool and package; return their number."""
     speed, rate = arrived.tolist()
     try:
         count = int(_invert_kernel(
             model, tool, *as_inputs(reference), h, speed, rate, out, package))
-    except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+    except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled ones give nan
         count = 0
     if not count or not np.isfinite(out[:count]).all():
         raise _too_far()
@@ -303,7 +304,7 @@ def _too_far() -> TooFastError:
 
 
 def _tool_above(model: ModelTuple, body: Array) -> State:
-    """Return the tool from which a package of pose (7,) hangs at rest."""
+    """Return the tool from which a package with a pose (7,) hangs at rest."""
     (l1, l0, K, P, *_), package, gravity = model
     model = (l1, l0, K, P), package, gravity
     rates = relaxation_rates(model)
@@ -317,7 +318,7 @@ def _tool_above(model: ModelTuple, body: Array) -> State:
 
 
 def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
-    """Return the motion of the tool to which a package, hanging below it, is fixed."""
+    """Return the motion of the tool with a package fixed below it."""
     o, q = _tool_above(model, simulation.tool_rows(package)[0, :7])[:2]
     T_B = lie.transform(package.rotation[0], package.position[0])
     T_E = lie.transform(lie.quaternion_to_rotation(np.array(q)), np.array(o))
@@ -325,14 +326,15 @@ def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
 
 
 def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
-    """Return poses (N, 7) evenly spaced from rest to rest, smoothed if need be, and how far."""
+    """Return evenly spaced poses (N, 7) from rest to rest, smoothed if necessary."""
     curve, duration = curve_of(reference), float(reference.seconds[-1])
     rows = curve(np.linspace(0.0, duration, max(6, round(duration / SPACING)) + 1))
     if is_smooth(curve):
         return rows, 0.0
     fine = (len(rows) - 1) * SUBDIVISION
-    # More time makes the rest so quick that a cup with errors of 5 % swings, less the tool jerk.
-    box = round(0.25 * fine * min(0.12, 0.2 / duration)) | 1  # has a middle
+    # Longer smoothing makes the rest so fast that a cup with errors of 5 % swings; shorter
+    # smoothing makes the tool jerk.
+    box = round(0.25 * fine * min(0.12, 0.2 / duration)) | 1  # odd, with a middle
     reach = 2 * (box - 1)
     quick = curve(np.linspace(0.0, duration, fine + 1 - 2 * reach))
     smooth = np.pad(quick, ((reach, reach), (0, 0)), mode='edge')
@@ -344,10 +346,10 @@ def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
 
 def is_smooth(curve: Any) -> bool:
     """
-    Return whether a motion from rest to rest, as `curve_of` makes it, is C^4.
+    Return whether a motion from rest to rest, as returned by `curve_of`, is C^4.
 
-    Otherwise the change of the fourth derivative between neighbours does not become smaller with
-    their distance.
+    Otherwise the change of the fourth derivative between neighbours does not decrease with their
+    distance.
     """
     duration = float(curve.x[-1])
     count = round(duration / max(SPACING, float(np.median(np.diff(curve.x)))))
@@ -365,9 +367,10 @@ def is_smooth(curve: Any) -> bool:
 
 def residual_modes(model: ModelTuple, prediction: planning.PlanPrediction) -> list[SwingMode]:
     """
-    Return the modes of the hanging package, and how far each swings after a plan.
+    Return the modes of the hanging package, with the swing of each after a plan.
 
-    From the model linearised at rest after the plan, slowest first; overdamped ones are left out.
+    The modes are of the model linearised at rest after the plan, slowest first, without overdamped
+    ones.
     """
     last = simulation.tool_rows(prediction.tool)[-1]
     tool = simulation.state_row(last[:3], last[3:7])
@@ -386,9 +389,9 @@ def residual_modes(model: ModelTuple, prediction: planning.PlanPrediction) -> li
 
 def impulses(modes: Sequence[SwingMode], method: str) -> tuple[Array, Array]:
     """
-    Return delays (s) and sizes, of sum 1, of the ZV or ZVD shaper of some modes (M,).
+    Return delays (s) and sizes, with sum 1, of the ZV or ZVD shaper of some modes (M,).
 
-    k = exp(-zeta pi / sqrt(1 - zeta^2)) is the remaining part of a swing after half a period.
+    k = exp(-zeta pi / sqrt(1 - zeta^2)) is the amplitude ratio of a swing over half a period.
     """
     delays, sizes = np.zeros(1), np.ones(1)
     for mode in modes:
@@ -405,7 +408,7 @@ def to_shape(modes: Sequence[SwingMode]) -> list[SwingMode]:
     """
     Return the modes that swing, the largest swing first.
 
-    Similar ones are merged, weighted by their swing.
+    Similar modes are merged, weighted by their swing.
     """
     groups: list[list[SwingMode]] = []
     for mode in modes:
@@ -427,9 +430,9 @@ def best_shaper(
     Return a shaped motion, its shaped modes, its residual swing (rad), and its method.
 
     Shapers of none, one and more of the modes are simulated, the shortest first, up to
-    `ALLOWED_TIME`: the first that leaves less than `MIN_RESIDUAL_SWING` is taken. If no ZVD shaper
-    does, ZV shapers are simulated, too; if none of these does, the motion that leaves least is
-    taken, possibly the unchanged one (method 'none').
+    `ALLOWED_TIME`: the first with a residual swing below `MIN_RESIDUAL_SWING` is selected. Without
+    one, ZV shapers are simulated after ZVD shapers; otherwise the motion with the least swing is
+    selected, possibly the unchanged one (method 'none').
     """
     swinging = to_shape(residual_modes(model, residual))
     allowed = max(ALLOWED_TIME, float(tool.seconds[-1]))
@@ -448,7 +451,7 @@ def best_shaper(
 
 
 def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
-    """Return the sum of delayed copies of a motion, quaternions added up and normalised."""
+    """Return the sum of delayed copies of a motion, with quaternions summed and normalised."""
     duration, curve = float(tool.seconds[-1]), curve_of(tool)
     simulation.require_steps(len(delays) * (duration + delays.max()) / GRID, 5 * MAX_GRID_STEPS)
     seconds = np.arange(math.ceil((duration + delays.max()) / GRID - 1e-9) + 1) * GRID
@@ -469,9 +472,9 @@ class Steered(NamedTuple):
     package: Trajectory
     """Poses of B as in the reference, at the tool's stamps."""
     smoothed: float
-    """Time (s) over which the reference motion was smoothed; 0 if it was C^4."""
+    """Time over which the reference motion was smoothed, s; 0 if C^4."""
     modes: list[SwingMode]
-    """Modes of the package that are shaped."""
+    """Shaped modes of the package."""
     residual: float
     """Swing of the package after the motion according to the model, rad; 0 for the inverse."""
     method: str
@@ -485,12 +488,12 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
     Parameters
     ----------
     model : tuple
-        As the kernels take it.
+        Model for the kernels.
     plan : Trajectory
         Poses and body twists from rest to rest: of the tool, with the package hanging rigidly
         below it, or of the package's B.
     method : {'inverse', 'zv', 'zvd'}
-        The package moves as planned, or input shaping with modes of the model at rest.
+        Inverse dynamics of the planned package, or input shaping with modes of the model at rest.
     of_package : bool
         Whether the plan is of B.
 

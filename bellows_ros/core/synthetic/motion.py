@@ -1,7 +1,7 @@
 """
 Smooth motions of the tool tip E, with pose and velocity at any time.
 
-A motion begins with a rest and has continuous accelerations (C2). Times are seconds since its
+A motion begins at rest and has continuous accelerations (C2). Times are seconds since its
 beginning. Displacements are in world axes; rotations are ``R_world_tool = R_start exp(phi)``, with
 the rotation vector phi in the tool's axes at the start.
 """
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.random import Generator
 
 HOLD_MOVE = 1.0
-"""Time (s) in which an oscillation fades into its hold."""
+"""Time in which an oscillation fades into its hold, s."""
 
 MOTION_KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
 
@@ -46,9 +46,9 @@ class Motion(ABC):
     start : Pose
         Pose of the tool at rest at the beginning.
     rest_duration : float
-        Time of that rest, s.
+        Duration of the initial rest, s.
     duration : float
-        Time from beginning to end, the rest included, s.
+        Duration with the rest, s.
 
     """
 
@@ -64,7 +64,7 @@ class Motion(ABC):
         Parameters
         ----------
         t : array (N,)
-            Times, s; before the beginning the tool rests.
+            Times, s; before the beginning the tool is at rest.
 
         Returns
         -------
@@ -104,7 +104,7 @@ class Motion(ABC):
 
 
 def sample_stamps(rate_hz: float, duration: float, start_ns: int) -> Stamps:
-    """Return the evenly spaced stamps (N,) of a recording, first and last included, ns."""
+    """Return the evenly spaced stamps (N,) of a recording, both ends included, ns."""
     count = int(np.floor(duration * rate_hz + 1e-6)) + 1
     steps = np.round(np.arange(count) * (NS_PER_S / rate_hz)).astype(np.int64)
     return start_ns + steps
@@ -114,8 +114,8 @@ def smooth_step(s: Array) -> Array:
     """
     Return the quintic from 0 to 1 and its rate (2, N).
 
-    Its velocity and acceleration are zero at both ends; of all such steps it has the least
-    integral of the squared jerk. Outside 0..1 it stands still.
+    Its velocity and acceleration are zero at both ends, and the integral of its squared jerk is
+    minimal. Outside 0..1 it is constant.
     """
     s = np.clip(s, 0.0, 1.0)
     return np.array([s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s - s**2) ** 2])
@@ -129,7 +129,8 @@ class Vibration(Motion):
         """
         Return the displacement since the start and its rate (2, N, 6).
 
-        In world axes (m, m/s), then the rotation vector in axes of the start (rad, rad/s).
+        It is in world axes (m, m/s), followed by the rotation vector in axes of the start (rad,
+        rad/s).
         """
 
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
@@ -146,25 +147,26 @@ class Vibration(Motion):
 @dataclass(frozen=True, eq=False)
 class Oscillation(Vibration):
     """
-    Oscillations that swell smoothly after the rest.
+    Oscillations with smoothly increasing amplitude after the rest.
 
     Parameters
     ----------
     start : Pose
     rest_duration, ramp_duration, duration : float
-        Rest, time until the full amplitude, and all together, s.
+        Rest, ramp of the amplitude, and total duration, s.
     amplitude : array (M,)
         Amplitude of each component, m or rad.
     axis : int array (M,)
         Displacement of each component: 0..2 in world axes, 3..5 in the rotation vector.
     frequency : array (M, 2)
-        At the end of the rest and at the end of the motion, Hz, changing linearly in between.
+        Frequencies at the end of the rest and at the end of the motion, Hz, changing linearly in
+        between.
     phase : array (M,)
-        At the end of the rest, rad.
+        Phase at the end of the rest, rad.
     hold : array (3,)
-        Rotation vector that is held in the end instead, in axes of the start, rad.
+        Rotation vector of the hold at the end, in axes of the start, rad.
     hold_duration : float
-        How long, s; 0 for no hold.
+        Duration of the hold, s; 0 for none.
 
     """
 
@@ -219,15 +221,15 @@ class Waypoints(Motion):
     """
     Moves from pose to pose, each with a stop at its end.
 
-    Positions go straight and orientations about a fixed axis, both along the smooth step.
+    Positions move straight and orientations about a fixed axis, both along the smooth step.
 
     Parameters
     ----------
     start : Pose
     rest_duration : float
-        s.
+        Duration of the rest, s.
     segments : tuple of MoveAndHold
-        At least one.
+        Moves, at least one.
 
     """
 
@@ -237,7 +239,7 @@ class Waypoints(Motion):
 
     @property
     def duration(self) -> float:  # type: ignore[override]
-        """With the rest, s."""
+        """Duration with the rest, s."""
         return self.rest_duration + sum(each.move + each.hold for each in self.segments)
 
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
@@ -259,7 +261,7 @@ class Waypoints(Motion):
 
     @property
     def highest_frequency(self) -> float:
-        """One over the shortest move, Hz."""
+        """Inverse of the shortest move, Hz."""
         return 1.0 / min(segment.move for segment in self.segments)
 
 
@@ -275,7 +277,6 @@ class Planned(Motion):
     """
 
     def __init__(self, tool: Trajectory) -> None:
-        """Begin with the plan, at rest until it moves."""
         self.tool, self.start = tool, Pose(tool.position[0], tool.rotation[0])
         moving = np.asarray(tool.twist).any(axis=1)
         self.rest_duration = float(tool.seconds[max(int(np.argmax(moving)) - 1, 0)])
@@ -287,7 +288,7 @@ class Planned(Motion):
         return 0.01 * (len(self.tool) - 1) / self.duration
 
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the motion between the points; after the last it stays there."""
+        """Return the motion between the points, and the last pose after them."""
         first, last = self.tool.stamps_ns[[0, -1]]
         stamps = np.clip(first + np.round(t * NS_PER_S).astype(np.int64), first, last)
         at, places = np.unique(stamps, return_inverse=True)
@@ -299,14 +300,14 @@ class Planned(Motion):
 
 def motion_from(settings: Settings, phases: Generator) -> Motion:
     """
-    Return the motion that settings describe; see config/motion_example.yaml.
+    Return the motion of settings; see config/motion_example.yaml.
 
     Parameters
     ----------
     settings : Settings
-        With `kind`, and a block of that name.
+        Settings with `kind`, and a block of that name.
     phases : Generator
-        Draws the phases of oscillations.
+        Generator of the phases of oscillations.
 
     Raises
     ------
@@ -320,7 +321,7 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
     motion: Oscillation | Waypoints
     if kind in ('multi_sine', 'chirp'):
         motion = _oscillation(settings, kind, start, rest, phases)
-    else:  # each waypoint has its times, static poses have them in common
+    else:  # waypoints have individual times, static poses common ones
         block = settings.block(kind)
         common = _times(block) if kind == 'static' else None
         segments = tuple(MoveAndHold(pose_from(each), *(common or _times(each)))
@@ -396,7 +397,7 @@ def _sines(settings: Settings) -> list[tuple[float, ...]]:
 
 
 def _sweeps(settings: Settings) -> list[tuple[float, ...]]:
-    """Return the same of a chirp."""
+    """Return axis, amplitude, first and last frequency of the components of a chirp."""
     amplitude = np.concatenate([
         settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
         settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad')])

@@ -1,15 +1,16 @@
 """
 The checked content of a motion file: motions, tosses, and a tracking system.
 
-In a recording with tosses packages hang, are released, fly and land, and the next is picked up.
+In a recording with tosses each package hangs, is released, flies and lands, and the next is picked
+up.
 
 A recorded pose of a body with the true pose (R, o) in the world is
 
     o_rec = o + R d + jump + noise,    R_rec = R exp(marker) exp(jump) exp(noise),
 
-where d is where the marker frame's origin lies in the body's axes, and `marker` the rotation
-vector by which that frame is turned against the body. For the package, d holds the pick-up offset:
-the plate was not gripped at the markers' centre. Poses are then turned into the recording's world.
+where d is the marker frame's origin in the body's axes, and `marker` the rotation vector of the
+marker frame in the body. For the package, d includes the pick-up offset of an off-centre grip.
+Poses are then rotated into the recording's world.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +40,7 @@ WORLDS = {world: R.T for world, R in alignment.WORLDS.items()}
 
 @dataclass(frozen=True)
 class Faults:
-    """Jumps or gaps: how many, how long each (s), and how far a jump goes (m, rad)."""
+    """Jumps or gaps: number, duration of each (s), and size of a jump (m, rad)."""
 
     count: int = 0
     duration: float = 0.0
@@ -49,16 +50,16 @@ class Faults:
 
 class Sensor(NamedTuple):
     """
-    How one body is tracked.
+    Tracking of one body.
 
     Parameters
     ----------
     name : str
-        For messages.
+        Name for messages.
     rate_hz : float
         Poses per second.
     position_noise, rotation_noise : float
-        Standard deviation in each axis, m and rad.
+        Standard deviation per axis, m and rad.
     origin : array (3,)
         Origin of the marker frame in the body's axes, m.
     marker : array (3,)
@@ -66,9 +67,9 @@ class Sensor(NamedTuple):
     jumps, dropouts : Faults
         Jumps of tracking, and gaps without messages.
     jitter : float
-        Standard deviation of a stamp about the time of its sample, s.
+        Standard deviation of a stamp from the time of its sample, s.
     latency : float
-        From a message's stamp to its arrival at the recorder, s.
+        Delay from a message's stamp to its arrival at the recorder, s.
 
     """
 
@@ -85,7 +86,7 @@ class Sensor(NamedTuple):
 
 
 class TwistSensor(NamedTuple):
-    """How the tool's twist is measured: axes ('world' or 'tool') and noise (m/s, rad/s)."""
+    """Measurement of the tool's twist: axes ('world' or 'tool') and noise (m/s, rad/s)."""
 
     frame: str = 'world'
     linear_noise: float = 0.0
@@ -94,18 +95,18 @@ class TwistSensor(NamedTuple):
 
 class Schedule(NamedTuple):
     """
-    When a stream's samples are taken, and the fate of each.
+    Times of a stream's samples, and the faults of each.
 
     Parameters
     ----------
     sampled_ns : int array (N,)
-        When the body was where the sample says, ns.
+        Times of the sampled poses, ns.
     stamps_ns : int array (N,)
         Stamps of the headers, ns.
     jump : int array (N,)
-        Number of the tracking jump the sample is part of, -1 for none.
+        Index of the tracking jump of the sample, -1 for none.
     sent : bool array (N,)
-        False where the message is missing.
+        False for a missing message.
     jumps, dropouts : tuple of int
         Index of the first sample of each, in order.
 
@@ -128,13 +129,13 @@ def schedule(
     Parameters
     ----------
     sensor : Sensor
-        How the body is tracked.
+        Tracking of the body.
     duration, rest_duration : float
         Durations of the recording and of the rest at its beginning, s.
     start_ns : int
         Stamp of the beginning, ns.
     draw : Generator
-        Random numbers.
+        Generator of random numbers.
 
     Raises
     ------
@@ -149,7 +150,7 @@ def schedule(
     lengths = np.maximum(np.round(np.repeat(
         [sensor.jumps.duration, sensor.dropouts.duration],
         [sensor.jumps.count, sensor.dropouts.count]) * sensor.rate_hz).astype(np.int64), 1)
-    # Between two events, and at both ends, there is one sample at least.
+    # There is at least one sample between two events, and at both ends.
     needed = int(lengths.sum()) + len(lengths) + 1
     free = len(sampled_ns) - first - needed
     if len(lengths) and free < 0:
@@ -181,15 +182,15 @@ def measure_poses(
     Parameters
     ----------
     truth : Trajectory
-        Its poses at `plan.sampled_ns`.
+        True poses of the body at `plan.sampled_ns`.
     sensor : Sensor
-        How it is tracked.
+        Tracking of the body.
     plan : Schedule
-        When it is sampled.
+        Times of the samples.
     world : array (3, 3)
-        R_recording_world, of `WORLDS`.
+        R_recording_world, one of `WORLDS`.
     draw : Generator
-        Random numbers.
+        Generator of random numbers.
 
     """
     count = len(truth)
@@ -216,17 +217,17 @@ def measure_twists(
     Parameters
     ----------
     truth : Trajectory
-        With body twists at `plan.sampled_ns`.
+        True motion with body twists at `plan.sampled_ns`.
     sensor : TwistSensor
-        In 'world' axes, or in 'tool' axes, which are the axes of the tool's marker frame.
+        Measurement in 'world' axes, or in 'tool' axes, of the tool's marker frame.
     marker : array (3,)
-        Rotation vector of that frame in the tool's axes, rad.
+        Rotation vector of the marker frame in the tool's axes, rad.
     plan : Schedule
-        When they are sampled.
+        Times of the samples.
     world : array (3, 3)
         R_recording_world.
     draw : Generator
-        Random numbers.
+        Generator of random numbers.
 
     """
     axes = world @ truth.rotation if sensor.frame == 'world' else exp_so3(marker).T
@@ -238,12 +239,12 @@ def measure_twists(
 
 def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
     """
-    Return the sensor that settings describe; see config/motion_example.yaml.
+    Return the sensor of settings; see config/motion_example.yaml.
 
     Parameters
     ----------
     settings : Settings
-        The block 'tool' or 'package'; what else may stand in it the caller asks for.
+        The block 'tool' or 'package'; the caller reads its other settings.
     origin : array (3,), optional
         Origin of the marker frame in the body's axes, m; default: zero.
 
@@ -263,7 +264,7 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
 
 
 def _faults(settings: Settings, moved: bool) -> Faults:
-    """Return the jumps or gaps; if there are any, their sizes must be given."""
+    """Return the jumps or gaps; their sizes must be given if there are any."""
     count = settings.integer('count', 0, maximum=100_000)
     needed = None if count else 0.0
     sizes = (
@@ -273,7 +274,7 @@ def _faults(settings: Settings, moved: bool) -> Faults:
 
 
 def twist_sensor_from(settings: Settings) -> TwistSensor | None:
-    """Return the twist sensor in the block 'tool.twist'; None if it is off."""
+    """Return the twist sensor in the block 'tool.twist'; None if disabled."""
     noise = settings.block('noise')
     sensor = TwistSensor(
         settings.choice('frame', ('world', 'tool'), 'world'),
@@ -297,34 +298,34 @@ _TOPIC = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 
 class Recipe(NamedTuple):
     """
-    How a recording is made: the motion, how both bodies are tracked, and how it is stored.
+    Recipe of a recording: motion, tracking of both bodies, and storage.
 
     Parameters
     ----------
     motion : Motion
         Motion of the tool.
     tool, package : Sensor
-        How each is tracked.
+        Tracking of tool and package.
     tool_twist : TwistSensor or None
         Measurement of the tool's twist; None without a published twist.
     world : str
         One of `WORLDS`.
     frame_id : str
-        In every header.
+        Frame in every header.
     topics : mapping
         Topic of 'tool_pose', 'tool_twist', 'package_pose' and 'valve'.
     storage, zstd : str, bool
-        As `files.bag_writer.write_bag` takes them.
+        Storage, as `files.bag_writer.write_bag` takes it.
     seed : int
         Seed of all random numbers.
     start_ns : int
         First stamp, ns.
     truth : bool
-        Whether the true motion is written beside the recording.
+        Whether the true motion is written in addition to the recording.
     releases : tuple of float
-        When the valve is switched off, s since the beginning.
+        Times of switching the valve off, s since the beginning.
     pickup : float
-        How long after that the next package hangs, s.
+        Time from the valve to the next hanging package, s.
 
     """
 
@@ -389,7 +390,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
 
 
 def _releases(settings: Settings, duration: float) -> tuple[tuple[float, ...], float]:
-    """Return when the valve is switched off, and how long after it the next package hangs."""
+    """Return the times of switching the valve off, and the time to the next hanging package."""
     times = settings.numbers('times', 's', minimum=0.0, default=())
     pickup = settings.number('pickup', 2.0, 's', above=0.0)
     if (np.diff(times) <= pickup).any():
@@ -415,12 +416,12 @@ def _topics(settings: Settings) -> dict[str, str]:
 
 
 def generator(seed: int, purpose: str) -> Generator:
-    """Return random numbers for one purpose, which do not depend on how many others draw."""
+    """Return random numbers for one purpose, independent of those for other purposes."""
     return default_rng(SeedSequence(seed, spawn_key=(_PURPOSES.index(purpose),)))
 
 
 class Thrown(NamedTuple):
-    """A toss with its valve; times are s since the beginning of the recording."""
+    """A toss with its valve; times are in s since the beginning of the recording."""
 
     valve_time: float
     release_time: float
@@ -460,22 +461,23 @@ def tossed(
     Parameters
     ----------
     model, grip : tuple
-        As the kernels take them.
+        Model and grip for the kernels.
     release : Release
         Valve, package and floor.
     tool : Trajectory
-        E with body twists.
+        Motion of E with body twists.
     times : sequence of float
-        When the valve is switched off, s since the first stamp, in order.
+        Times of switching the valve off, s since the first stamp, in order.
     pickup : float
-        So long (s) after that the next package hangs at rest.
+        Time from the valve to the next package at rest, s.
     changes : array (N, 8)
         Deviation of the law of release of each toss; see `release_with`.
 
     Raises
     ------
     BellowsError
-        If the tool moves at a pick-up, a toss cannot be, or does not end before the next pick-up.
+        If the tool moves at a pick-up, a toss is impossible, or does not end before the next
+        pick-up.
 
     """
     count, seconds = len(tool), tool.seconds

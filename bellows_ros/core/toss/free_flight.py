@@ -10,23 +10,23 @@ from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import PackageTuple, State
 
 ROTATION_PER_STEP, MAX_FLIGHT_STEP = 0.01, 0.02
-"""Rotation (rad) per integration step of the flight, and the longest step (s)."""
+"""Rotation per integration step of the flight (rad), and its longest step (s)."""
 COARSE_ROTATION_PER_STEP = 0.1
 """Rotation per step of a flight accurate to 0.01 mrad, as for a landing, rad."""
 
 INSTANT_TOLERANCE = 1e-10
-"""Accuracy (s) of the instants of letting go and landing."""
+"""Accuracy of the instants of release and landing, s."""
 
 MAX_FLIGHT_TIME = 10.0
-"""Longest time (s) from the release to the landing."""
+"""Longest time from the release to the landing, s."""
 
 Box = tuple[Vector, Vector]
-"""Half the sides (m) along x, y, z of B, and the centre in B."""
+"""Half the sides along x, y, z of B, and the centre in B, m."""
 
 
 Bracket = tuple[float, float, float, float, float]
-"""Two ends with a root in between, the values there (the first above 0, the second not), and
-which end was replaced last: -1 the second, 1 the first; 0 without a root."""
+"""Two ends with a root in between, their values (the first above 0, the second not), and the end
+replaced last: -1 for the second, 1 for the first; 0 without a root."""
 
 
 @kernel
@@ -39,7 +39,7 @@ def secant_root(bracket: Bracket, margin: float) -> float:
 
 @kernel
 def narrowed(bracket: Bracket, s: float, value: float) -> Bracket:
-    """Return a bracket with an end replaced by a value at s in between (Illinois)."""
+    """Return a bracket with an end replaced by an inner value at s (Illinois method)."""
     low, high, above, below, side = bracket
     if value <= 0.0:
         return low, s, above * 0.5 if side < 0.0 else above, value, -1.0
@@ -58,7 +58,7 @@ def pushed_off(package: PackageTuple, body: State, impulse: float) -> State:
 @kernel
 def free_flight_step(package: PackageTuple, gravity: Vector, body: State, h: float) -> State:
     """
-    Return the state h later in free flight: the parabola, and a step of RKMK4 for the rotation.
+    Return the state h later in free flight: a parabola, and a step of RKMK4 for the rotation.
 
     The angular momentum L in the world is constant, and w = I^-1 R^T L.
     """
@@ -87,7 +87,7 @@ def free_flight_step(package: PackageTuple, gravity: Vector, body: State, h: flo
 
 @kernel
 def _body_rate_after(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
-    """Return the body rate after a turn by sigma, with the angular momentum L in the world."""
+    """Return the body rate after a rotation sigma with angular momentum L in the world."""
     R = t3.rotation_matrix(t3.quaternion_product(q, t3.exp_quaternion(sigma)))
     return t3.apply(inverse, t3.apply_transposed(R, L))
 
@@ -96,7 +96,7 @@ def _body_rate_after(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> V
 def flight_step(body: State, rotation_per_step: float) -> float:
     """Return the longest step (s) of the flight."""
     rate = math.sqrt(t3.dot(body[3], body[3]))
-    # a package does not rotate faster
+    # no package rotates faster
     return max(1e-5, min(MAX_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
 
 
@@ -132,7 +132,7 @@ def lowest(box: Box, up: Vector, body: State) -> float:
 def land(
     package: PackageTuple, gravity: Vector, box: Box, height: float, body: State
 ) -> tuple[float, State]:
-    """Return after which time (s) the first corner is at a height, and the state; -1 if never."""
+    """Return the time (s) until the first corner is at a height, and the state; -1 if never."""
     t, up = 0.0, upward(gravity)
     above = lowest(box, up, body) - height
     while t < MAX_FLIGHT_TIME:

@@ -1,9 +1,9 @@
 """
 Covariance of a landing, its contributions, and the time of release for a target.
 
-A landing is six figures: position in the plane of the floor (m), with no part along gravity, and
-the rotation vector from a nominal landing, in world axes (rad). Each toss lands at its own
-instant, so that the shift along the flight is projected out.
+A landing has six components: position in the plane of the floor (m), without a part along gravity,
+and the rotation vector from a nominal landing, in world axes (rad). Each toss lands at its own
+instant: the shift along the flight is projected out.
 """
 
 from contextlib import suppress
@@ -39,19 +39,19 @@ SECOND_ORDER = 'release, second order'
 """Second-order contribution of the law of release."""
 
 ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
-"""Standard deviations to the edge of the ellipse that holds 95 % in a plane."""
+"""Radius of the ellipse that contains 95 % in a plane, standard deviations."""
 
 
 class Contributions(NamedTuple):
-    """The contribution of each uncertain parameter to a landing."""
+    """Contributions of uncertain parameters to a landing."""
 
     names: tuple[str, ...]
     std: Array
-    """Standard deviation of each number (M,), SI units."""
+    """Standard deviation of each parameter (M,), SI units."""
     parts: Array
     """Derivative times standard deviation (M, 6), m and rad."""
     correlation: Array
-    """Correlation of the numbers (M, M)."""
+    """Correlation of the parameters (M, M)."""
 
     @property
     def covariance(self) -> Array:
@@ -59,14 +59,14 @@ class Contributions(NamedTuple):
         return np.asarray(self.parts.T @ self.correlation @ self.parts)
 
     def of(self, prefix: str) -> tuple[Array, Array]:
-        """Return standard deviations and covariance (6, 6) that parameters together make up."""
+        """Return joint standard deviations and covariance (6, 6) by parameters with a prefix."""
         chosen = np.array([name.startswith(prefix) for name in self.names], bool)
         part = self._replace(parts=self.parts * chosen[:, None])
         return self.std[chosen], part.covariance
 
 
 class TossProblem(NamedTuple):
-    """A toss, and all that it depends on."""
+    """A toss, and the parameters that determine it."""
 
     values: Values
     held: HeldMotion
@@ -75,12 +75,12 @@ class TossProblem(NamedTuple):
     """Time of the valve, s since the first point of the plan."""
 
     def error(self, thrown: Toss, nominal: Toss) -> Array:
-        """Return by how much a landing differs from a nominal one (6,), m and rad."""
+        """Return the deviation of a landing from a nominal one (6,), m and rad."""
         return np.concatenate(toss_release.landing_error(
             thrown.landing, nominal.landing, self.held.model[2]))
 
     def error_with(self, model: ModelTuple, release: Release, nominal: Toss) -> Array:
-        """Return the same of the toss with another model and release."""
+        """Return the landing's deviation for another model and release."""
         held = HeldMotion(model, self.held.grip, self.held.tool,
                           until=nominal.release_time + MARGIN)
         return self.error(toss(held, release, self.switched), nominal)
@@ -92,14 +92,13 @@ def release_with(release: Release, by: Array) -> Release:
 
 
 def as_law(numbers: Array) -> Law:
-    """Return the numbers (8,) of a law as the kernels take them."""
     law: Any = tuple(numbers.tolist())
     return law  # type: ignore[no-any-return]
 
 
 def release_factor(values: Values) -> Array:
     """
-    Return L (8, 8) with the covariance L L^T of the law's numbers; 0 for numbers without effect.
+    Return L (8, 8) with the covariance L L^T of the law; 0 for numbers without effect.
 
     The covariance grows with the distance of the mass from the packages of the fitted law.
     """
@@ -108,7 +107,7 @@ def release_factor(values: Values) -> Array:
     if not values.release.opening:
         std[3:] = 0.0
     C = np.reshape(values.release.correlation, (8, 8))
-    size, axes = np.linalg.eigh(C)  # rounded numbers need not be positive definite
+    size, axes = np.linalg.eigh(C)  # rounded covariances may be indefinite
     return np.asarray(std[:, None] * np.linalg.cholesky(
         C if size[0] > 0.0 else (axes * np.maximum(size, 1e-9)) @ axes.T))
 
@@ -120,7 +119,7 @@ def beyond_masses(values: Values) -> float:
 
 
 def distance_of(mass: float, mass_range: tuple[float, ...]) -> float:
-    """Return the distance of a mass from a range (kg) as a logarithm; 0 inside, or without one."""
+    """Return the logarithmic distance of a mass from a range (kg); 0 inside, or without one."""
     lightest, heaviest = mass_range
     return max(0.0, math.log(lightest / mass), math.log(mass / heaviest)) if lightest else 0.0
 
@@ -129,7 +128,7 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     """
     Return the contributions of cup, package and release, by differences as in `perturbed`.
 
-    The law of release acts to second order, too: with a normal z along each axis of its
+    The law of release also acts to second order: with a normal z along each axis of its
     covariance, a z + b z^2 has the second moment a^2 + 2 b^2 about its mean, the sum of all b.
     """
     numbers = conversion.uncertain_of(case.values)
@@ -141,7 +140,7 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
 
     def both(by: Array) -> tuple[Array, Array]:
-        """Return the landings with a law that is changed so, and in reverse."""
+        """Return the landings for a change of the law, and for the opposite change."""
         up, down = (case.error(toss(case.held, release_with(case.release, step), case.switched),
                                nominal) for step in (by, -by))
         return up, down
@@ -152,7 +151,7 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     axes, sizes, _ = np.linalg.svd(factor)
     squared = np.zeros((len(uncertain), 6))
     for b, axis in zip(squared, (axes * sizes).T, strict=False):
-        with suppress(NoLandingError, UnstableError):  # as some of the tosses that are drawn
+        with suppress(NoLandingError, UnstableError):  # like some of the drawn tosses
             b[:] = sum(both(3.0**0.5 * axis)) / 6.0
     if len(uncertain):
         rows += [math.sqrt(2.0) * squared, squared.sum(axis=0, keepdims=True)]
@@ -168,12 +167,12 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
 
 
 class MonteCarlo(NamedTuple):
-    """Landings with all uncertain numbers drawn."""
+    """Landings with all uncertain parameters drawn."""
 
     errors: Array
-    """(N, 6), of the tosses that succeed."""
+    """Errors (N, 6) of the tosses with a landing."""
     failed: int
-    """Number of tosses in which the cup does not hold, or does not let go."""
+    """Number of tosses in which the cup loses the package, or does not release it."""
 
     @property
     def covariance(self) -> Array:
@@ -182,7 +181,7 @@ class MonteCarlo(NamedTuple):
 
 
 def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
-    """Return random tosses with every parameter drawn from its normal distribution."""
+    """Return random tosses with parameters drawn from their normal distributions."""
     rng = np.random.default_rng(seed)
     numbers, std, places = conversion.uncertain_of(case.values)
     factor = release_factor(case.values)
@@ -205,22 +204,22 @@ def ellipse(covariance: Array, count: int) -> Array:
 
 
 def coverage(covariance: Array, landings: Array) -> float:
-    """Return the part of landings (N, 6) in the 95 % ellipse of x and y about the nominal one."""
+    """Return the fraction of landings (N, 6) in the 95 % ellipse of x and y about the nominal."""
     xy = landings[:, :2]
     squared = np.einsum('ni,ni->n', xy, np.linalg.solve(covariance[:2, :2], xy.T).T)
     return float(np.mean(squared <= ELLIPSE ** 2))
 
 
 class Aim(NamedTuple):
-    """When to switch the valve for a target, and how far from it the package lands."""
+    """Time of the valve for a target, and error of the landing."""
 
     switched: float
     distance: float
-    """In the plane, m."""
+    """Distance from the target in the plane, m."""
     angle: float
-    """From the wanted rotation, rad; 0 if none is given."""
+    """Angle from the wanted rotation, rad; 0 if none is given."""
     target: tuple[float, float]
-    """x and y in the world, m."""
+    """Target x and y in the world, m."""
 
 
 def aim(
@@ -233,17 +232,17 @@ def aim(
     Parameters
     ----------
     held : HeldMotion
-        The package along the plan.
+        Package along the plan.
     release : Release
         Valve, package and floor.
     target : (x, y)
         Position of B at landing, in the world, m.
     rotation : array (3, 3), optional
-        R_world_package wanted at landing; an angle counts as the way of the farthest corner.
+        Wanted R_world_package at landing; its error counts as the shift of the farthest corner.
     until : float
-        The latest time, s; the plan's end when left out.
+        Latest time, s; default: the plan's end.
     scan, candidates : float, int
-        Step (s) of the scan, and how many of the best times are refined.
+        Step (s) of the scan, and number of the best times that are refined.
 
     Raises
     ------

@@ -1,18 +1,18 @@
 """
-The toss: the valve is switched, the cup opens and lets go, the package flies and lands.
+The toss: the valve is switched, the cup opens and releases the package, which flies and lands.
 
-The suction, as a part of that which holds, is 1 until a delay after the valve, and
-s(t) = (1 + b) exp(-t / tau) - b from then on, with the blow-off b. Its force F0 s closes the
-bellows, whose axial force at a stretch y along the lip's z, from the cup length, is
+The suction, relative to the holding suction, is 1 until a delay after the valve, and s(t) = (1 +
+b) exp(-t / tau) - b from then on, with the blow-off b. Its force F0 s closes the bellows, whose
+axial force at a stretch y along the lip's z, from the cup length, is
 
     F = F0 s - max(0, F0 - K_z y) + F0 (max(0, y) / L)^2,
 
-the sum of suction, of folds in contact and of open bellows, with its own damping. While it holds
-(s = 1) that is K_z y; without an opening (L = 0) it stays so: the cup keeps its length.
-The cup's kernel gives the wrench, for the cup length at which its axial force is F.
-The package is let go at the first instant after the valve at which the lip's load reaches its
-suction V0 s and its sticking. A blow-off pulse pushes it along -z of S. It flies without air, and
-lands when a corner of its box is at the floor's height, measured against gravity.
+the sum of suction, folds in contact and open bellows, with its own damping. For a holding suction
+(s = 1) this is K_z y, and always without an opening (L = 0): the cup keeps its length. The cup's
+kernel gives the wrench, for the cup length at which its axial force is F. The package is released
+at the first instant after the valve at which the lip's load reaches its suction V0 s and its
+sticking. A blow-off pulse pushes the package along -z of S. The flight is without air resistance,
+and ends when a corner of the box is at the floor's height, measured against gravity.
 """
 
 import math
@@ -33,11 +33,11 @@ from bellows_ros.errors import BellowsError, NoLandingError
 import numpy as np
 
 MAX_RELEASE_WAIT = 2.0
-"""Longest time (s) from the valve to letting go."""
+"""Longest time from the valve to the release, s."""
 
 RELEASE_NAMES = tuple(f'release.{name}' for name in (
     'delay', 'tau', 'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking'))
-"""The numbers of the law of release, in the order of `Law`."""
+"""Parameters of the law of release, in the order of `Law`."""
 
 LAW_STEP = 0.1
 DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(RELEASE_NAMES)
@@ -45,21 +45,21 @@ DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(R
 the numbers of the law of release (standard deviations)."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
-"""Grip of unknown radius or vacuum: the cup lets go after the delay, or at the suction with which
-the lip no longer sticks, under any load."""
+"""Grip of unknown radius or vacuum: the release is after the delay, or at the suction at which the
+lip stops sticking, under any load."""
 
 Law = tuple[float, float, float, float, float, float, float, float]
 """Delay (s) from the valve to the fall of suction, its time constant tau (s), impulse of the
 blow-off (N s); blow-off b; force F0 that closes the bellows (N), stretch L at which open bellows
-pull as much (m), 0 for none; damping of the open bellows along z (N s/m), 0 for the cup's damping;
-and the sticking of the lip. Blow-off and sticking are parts of the holding suction."""
+pull with F0 (m), 0 for none; damping of the open bellows along z (N s/m), 0 for the cup's damping;
+and the sticking of the lip. Blow-off and sticking are relative to the holding suction."""
 NO_LAW: Law = (0.0,) * 8
-"""Law of a cup that lets go at once."""
+"""Law of a cup with immediate release."""
 
 
 @kernel
 def suction(law: Law, since_valve: float) -> float:
-    """Return the suction a time (s) after the valve, as a part of that which holds."""
+    """Return the suction a time (s) after the valve, relative to the holding suction."""
     falling = since_valve - law[0]
     if falling < 0.0:
         return 1.0
@@ -70,7 +70,7 @@ def suction(law: Law, since_valve: float) -> float:
 def length_change(
     model: ModelTuple, law: Law, since_valve: float, tool: State, body: State
 ) -> float:
-    """Return by how much (m) the cup length has grown a time (s) after the valve."""
+    """Return the increase of the cup length (m) a time (s) after the valve."""
     if law[5] <= 0.0 or since_valve < law[0]:
         return 0.0
     cup, package, _ = model
@@ -84,11 +84,11 @@ def length_change(
 
 @kernel
 def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
-    """Return a model with another cup length, and the damping of open bellows."""
+    """Return a model with a changed cup length, and with the damping of open bellows."""
     cup, package, gravity = model
     (l1, l0), P = cup[:2], cup[3]
     D = P[0][:8] + (law[6] if law[6] > 0.0 else P[0][8],)
-    part = l1 / l0  # of the length, that is on the side of the package
+    part = l1 / l0  # part on the side of the package
     opened = (l1 + part * change, l0 + change, cup[2], (D, P[1], P[2]), *cup[4:])
     return opened, package, gravity
 
@@ -97,7 +97,7 @@ def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
 def opened_by(
     model: ModelTuple, law: Law, since_valve: float, tool: State, body: State
 ) -> ModelTuple:
-    """Return the model as it is in a state a time (s) after the valve."""
+    """Return the model in a state a time (s) after the valve."""
     if law[5] > 0.0 and since_valve >= law[0]:
         return with_length(model, law, length_change(model, law, since_valve, tool, body))
     return model
@@ -108,10 +108,10 @@ def suction_margin(
     model: ModelTuple, grip: Grip, law: Law, since_valve: float, tool: State, body: State
 ) -> float:
     """
-    Return the suction (N) of the first lip to peel above its load, a time (s) after the valve.
+    Return the suction (N) in excess of the load of the first lip to peel, after the valve (s).
 
-    It lets go at 0 and below. Without a grip model, the part of the suction that is left
-    before it lets go, or the time (s) for a cup that does not open.
+    The release is at 0 or below. Without a grip model the margin is the remaining suction, or the
+    remaining time (s) for a cup that does not open.
     """
     if grip[1] > 0.0:
         opened = opened_by(model, law, since_valve, tool, body)
@@ -128,8 +128,8 @@ def _held_substep(
     """
     Return tool and package at a fraction of a segment, from the package at a lower one.
 
-    The segment begins a time (s) after the valve. The length of a cup that opens is the mean of
-    those at both ends: second order.
+    The segment begins a time (s) after the valve. The length of an opening cup is the mean over
+    both ends: second order.
     """
     before, middle = kernels.tool_at(segment, low), kernels.tool_at(segment, 0.5 * (low + high))
     tool, h = kernels.tool_at(segment, high), (high - low) * segment[0]
@@ -152,7 +152,7 @@ def _simulate_held(
     """
     Write time, tool, package and margin at both ends of all integration steps.
 
-    A plan is rows (N, 13), the durations (s) between them, and how many steps each takes.
+    A plan is rows (N, 13), the durations (s) between them, and their numbers of steps.
     """
     (rows, durations, counts), (times, tools, states, margins) = plan, samples
     tool, j, start, times[0] = row_state(rows[0]), 0, 0.0, 0.0
@@ -185,12 +185,12 @@ NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
 """Release of a package without a flight."""
 
 Switching = tuple[ModelTuple, Grip, Release, float]
-"""Model and grip of the held package, its release, and when the valve is switched (s)."""
+"""Model and grip of the held package, its release, and the time of the valve (s)."""
 
 ToolContinuation = tuple[Any, Any, float, float]
 """
-Continuation of the tool: rows (N, 13) at seconds (N,), steady motion after them; end of the search
-for a release (s), and the longest integration step (s).
+Continuation of the tool: rows (N, 13) at seconds (N,), then steady motion; end of the search for a
+release (s), and the longest integration step (s).
 """
 
 
@@ -198,7 +198,7 @@ for a release (s), and the longest integration step (s).
 def find_release(
     switching: Switching, start: float, tool: State, body: State, ahead: ToolContinuation
 ) -> tuple[float, State]:
-    """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
+    """Return time (s) and state of the package at release, or -1 and the state at the end."""
     model, grip, release, switched = switching
     law, (rows, seconds, until, max_step) = release.law, ahead
     max_step = min(max_step, 1e-3) if law[5] > 0.0 else max_step  # s
@@ -277,11 +277,11 @@ def toss_along(
     switching: Switching, start: float, tool: State, body: State, ahead: ToolContinuation
 ) -> tuple[float, State, float, State]:
     """
-    Return when it is let go (s), the state after that, when it lands (s), and the state then.
+    Return the times (s) of release and landing, each with the state of the package.
 
-    Tool and package are those at the start (s); the valve is switched at a time, or was before.
-    Times are -1 without a release in time, with the last state first, or without a landing; below
-    the floor it lands at once.
+    Tool and package are those at the start (s), before or after the valve is switched. The first
+    time is -1 without a release in time, with the last state; the second is -1 without a landing.
+    Below the floor the landing is immediate.
     """
     (_, package, gravity), _, release, _ = switching
     released, body = find_release(switching, start, tool, body, ahead)
@@ -297,11 +297,11 @@ def toss_along(
 @kernel
 def landing_error(landed: State, nominal: State, gravity: Vector) -> tuple[Vector, Vector]:
     """
-    Return by how much a landing differs from a nominal one.
+    Return the deviation of a landing from a nominal one.
 
-    By position in the plane of the floor (m), with no part along gravity, and by rotation vector
-    in world axes (rad). Each lands at its own instant: the shift along the flight is projected
-    out.
+    It consists of the position in the plane of the floor (m), without a part along gravity, and
+    the rotation vector in world axes (rad). Each toss lands at its own instant: the shift along
+    the flight is projected out.
     """
     up, moved = free_flight.upward(gravity), t3.subtract(landed[0], nominal[0])
     rotation = t3.quaternion_product(landed[1], t3.quaternion_conjugate(nominal[1]))
@@ -319,7 +319,7 @@ def changed_law(law: Law, k: float, by: Law) -> Law:
 
 
 class Toss(NamedTuple):
-    """A toss; times are s since the first point of the plan, states are of B in the world."""
+    """A toss; times are in s since the first point of the plan, states are of B in the world."""
 
     release_time: float
     release: State
@@ -334,34 +334,34 @@ class Toss(NamedTuple):
 
 class HeldMotion:
     """
-    The package held along a plan, the start of all its tosses.
+    The package held along a plan, before all its tosses.
 
     Parameters
     ----------
     model : tuple
-        As the kernels take it.
+        Model for the kernels.
     grip : tuple, optional
-        As `grip_of` returns it.
+        Grip as returned by `grip_of`.
     tool : Trajectory or ToolRows
         The plan: poses and body twists of E; without a final twist E rests after the last pose.
     start : State, optional
         State of B in the world at the first point; default: in steady motion.
     until : float
-        Time (s since the first point) up to which it is searched for.
+        End of the search for a release, s since the first point.
 
     Attributes
     ----------
     mode : str
-        How it lets go: 'peel', or 'delay' if the grip is unknown.
+        Kind of release: 'peel', or 'delay' if the grip is unknown.
     duration : float
         Duration of the plan, s.
     times, tools, states, margins : ndarray (M,), (M, 13), (M, 13), (M,)
-        At each integration step: time (s), states of E and B, and the `suction_margin` (N).
+        Values at each integration step: time (s), states of E and B, and the `suction_margin` (N).
 
     Raises
     ------
     BellowsError
-        If the package cannot rest under the tool, or the prediction does not stay finite.
+        If the package cannot rest under the tool, or the prediction diverges.
 
     """
 
@@ -369,7 +369,6 @@ class HeldMotion:
         self, model: ModelTuple, grip: Grip | None, tool: Trajectory | ToolRows,
         start: State | None = None, until: float = math.inf,
     ) -> None:
-        """Follow the plan."""
         self.model, self.grip, self.tool = model, grip or NO_GRIP, tool
         self.mode = 'delay' if self.grip == NO_GRIP else 'peel'
         rows, starts = simulation.tool_rows(tool), tool.seconds
@@ -383,7 +382,7 @@ class HeldMotion:
         self._longest = equilibrium.largest_step(model)
         durations = np.diff(starts[:count])
         counts = equilibrium.substeps_of(durations, self._longest)
-        simulation.require_steps(float(counts.sum()), 1_000_000)  # each is kept
+        simulation.require_steps(float(counts.sum()), 1_000_000)  # each is stored
         start = start or simulation.steady_start(model, tool)
         self.start = start = equilibrium.adapted(model, row_state(rows[0]), start)
         size = int(counts.sum()) + 1
@@ -393,7 +392,7 @@ class HeldMotion:
         try:
             _simulate_held(model, self.grip, start, as_inputs(rows[:count], durations, counts),
                            (self.times, tools, states, self.margins))
-        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+        except (ArithmeticError, ValueError):  # interpreted kernels raise instead of nan
             states[-1] = math.nan
         if not np.isfinite(states[-1]).all():
             raise simulation.diverged()
@@ -409,14 +408,14 @@ class HeldMotion:
             (tools[i + 1:], times[i + 1:], times[-1], self._longest))
 
     def _step_at(self, time: float) -> int:
-        """Return the number of the last integration step that begins at a time (s) or before."""
+        """Return the index of the last integration step that begins at or before a time (s)."""
         return max(0, int(np.searchsorted(self.times, time, 'right')) - 1)
 
     def along(self, release: Release, switched: float, seconds: Array) -> tuple[Array, Array]:
         """
-        Return tool and package (N, 13) at increasing times (s) from 0 on, held, parting, flying.
+        Return tool and package (N, 13) at increasing times (s) from 0 on, held, released, flying.
 
-        After the plan the tool goes on straight.
+        After the plan the tool continues straight.
         """
         times, tools, _ = self._inputs
         rows, out = np.empty((2, len(seconds), 13))
@@ -435,29 +434,29 @@ class HeldMotion:
         return rows, out
 
     def lost_before(self, switched: float) -> float | None:
-        """Return the first time (s) before the valve at which the grip is lost already."""
+        """Return the first time (s) before the valve at which the grip is already lost."""
         early = np.flatnonzero((self.margins <= 0.0) & (self.times < switched))
         return float(self.times[early[0]]) if len(early) else None
 
 
 def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
     """
-    Return the toss when the valve is switched at a time of the plan.
+    Return the toss for a valve switched at a time of the plan.
 
     Parameters
     ----------
     held : HeldMotion
-        The package along the plan.
+        Package along the plan.
     release : Release
         Valve, package and floor.
     switched : float
-        s since the first point of the plan.
+        Time of the valve, s since the first point of the plan.
 
     Raises
     ------
     NoLandingError
-        If the valve is not switched during the plan, the cup does not let go, or the package is
-        below the floor then or does not come down.
+        If the valve is not switched during the plan, there is no release, or the package is
+        released below the floor or never lands.
 
     """
     if not 0.0 <= switched <= held.duration:
@@ -489,7 +488,7 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
 
 def release_of(values: Values) -> Release:
     """
-    Return release and landing as the parameter values describe them.
+    Return release and landing from parameter values.
 
     Raises
     ------
@@ -510,12 +509,12 @@ def release_of(values: Values) -> Release:
 
 def law_of(values: Values) -> Law:
     """
-    Return the law of release as the parameter values describe it.
+    Return the law of release from parameter values.
 
     Raises
     ------
     BellowsError
-        If a cup opens, but nothing closes it.
+        If a cup opens without a closing force.
 
     """
     law: Any = tuple(float(values[name]) for name in RELEASE_NAMES)
@@ -528,15 +527,15 @@ def law_of(values: Values) -> Law:
 
 
 def latest_release(law: Law) -> float:
-    """Return how long (s) after the valve, at most, a cup lets go; without a load if it opens."""
+    """Return the longest time (s) from valve to release; without load for an opening cup."""
     delay, tau, _, blow_off, _, opening, _, sticking = law
     if opening > 0.0 and blow_off > sticking:
         return delay + tau * math.log((1.0 + blow_off) / (blow_off - sticking))
-    return delay + 6.0 * tau  # the suction is then 0.2 %
+    return delay + 6.0 * tau  # suction of 0.2 %
 
 
 def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:
-    """Return states (N, 13), evenly spaced from letting go to landing."""
+    """Return states (N, 13), evenly spaced from release to landing."""
     _, package, gravity = model
     out = np.empty((count, 13))
     body, h = toss.release, (toss.landing_time - toss.release_time) / (count - 1)

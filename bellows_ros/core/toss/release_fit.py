@@ -1,13 +1,14 @@
 """
 Identification of the law of release from drops and tosses of packages of one or more masses.
 
-The poses from before each valve until the package has fallen are compared with the law's: its free
-numbers are common to all drops; each drop has its own instant, and its own offset of the package
-on the lip at rest, else its own initial state. The sum of squares of positions, of velocities as a
-local polynomial has them, and of rotations is the smallest (Gauss-Newton, damped; the numbers of
-each drop are eliminated). Standard errors come from the scatter between drops, by the gradient of
-each, and from the model error across masses: the first are enlarged by a factor with which the
-drops of each mass, predicted by a fit to the others, deviate as much as stated.
+The poses from before each valve until the package has fallen are compared with the law's
+prediction: the law's free numbers are common to all drops; each drop has its own instant, and its
+own offset of the package on the lip at rest, or else its own initial state. The sum of squared
+residuals of positions, of velocities by local polynomials, and of rotations is minimised
+(Gauss-Newton with damping; the numbers of each drop are eliminated). Standard errors follow from
+the scatter between drops, by the gradient of each, and from the model error across masses: the
+errors by scatter are enlarged so that they match the deviations of the drops of each mass from a
+fit to the others.
 """
 
 from collections.abc import Sequence
@@ -33,10 +34,10 @@ from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
 MIN_DROPS = 3
-"""Minimum number of drops."""
+"""Smallest number of drops."""
 
 TIME_AFTER_FALL = 0.3
-"""Duration after the beginning of the fall that is part of a drop, s."""
+"""Duration of a drop after the beginning of its fall, s."""
 
 REST_TOLERANCE = (1e-3, 0.01)
 """Largest displacement and rotation of a body at rest, m and rad."""
@@ -64,38 +65,38 @@ LINEAR_TAU = 0.5
 """Time constant with which the suction falls linearly during a release, s."""
 
 MIN_MASSES = 3
-"""Minimum number of masses in the fits that calibrate the model error."""
+"""Smallest number of masses in the fits that calibrate the model error."""
 
 MAX_COMMON_RESIDUAL = 4.0
-"""Largest ratio of the residual that drops of one mass have in common to their scatter."""
+"""Largest ratio of the common residual of drops of one mass to their scatter."""
 
 MAX_SQUARES_RATIO = 0.8
-"""Ratio of chi^2 below which a further number of the law is kept."""
+"""Largest ratio of chi^2 with and without a further number of the law that is kept."""
 
 OPENING = (0, 3, 4, 5, 6, 7)
-"""Indices of the free numbers of a cup that opens: all but tau and impulse."""
+"""Indices of the free numbers of an opening cup: all but tau and impulse."""
 
 TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
-"""The law of a cup that opens, for numbers that are neither given nor identifiable: about the law
-of the drops in docs/toss.md."""
+"""The law of an opening cup for numbers that are neither given nor identifiable, similar to the
+law of the drops in docs/toss.md."""
 
 MAX_RELATIVE_STD, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
-"""Largest relative standard error of an identifiable number, and of a given one without a standard
-deviation; numbers count as at least these scales."""
+"""Largest relative standard error of an identifiable number, and default of a given one's standard
+deviation; and smallest scales of the numbers."""
 
 MAX_ITERATIONS = 20
-"""Maximum number of Gauss-Newton steps of a fit."""
+"""Largest number of Gauss-Newton steps of a fit."""
 
 MAX_NUISANCE = 30.0
-"""Largest nuisance parameter of a drop, in prior standard deviations."""
+"""Largest nuisance parameter of a drop, prior standard deviations."""
 
 LAW_MIN = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
 LAW_MAX = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
-"""Least and largest numbers of a law; of `opening` only if the cup opens."""
+"""Bounds of the numbers of a law; the lower bound of `opening` holds if the cup opens."""
 
 SCALES = np.array([1e-3, 1e-2, 1e-2, 1.0, 1.0, 1e-3, 1.0, 0.1])
-"""Scales of the law's numbers, for the damping of Gauss-Newton steps; differences are 1e-3 of
-them."""
+"""Scales of the law's numbers for the damping of Gauss-Newton steps; the steps of differences are
+1e-3 of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,18 +107,18 @@ class Drop:
     Parameters
     ----------
     model, grip : tuple
-        As the kernels take them.
+        Model and grip for the kernels.
     tool, package : Trajectory
         E with body twists and B, in the world, at common stamps: from before the valve until
         before the landing.
     start : State
         Approximate state of B at the first stamp.
     valve : float
-        When it was switched, s since the first stamp.
+        Time of the valve, s since the first stamp.
     noise : (float, float)
         Standard deviations of the package's positions (m) and rotations (rad).
     stands : bool
-        Whether the tool stands still and the package hangs at rest, in `start`.
+        Whether the tool and the package are at rest at `start`.
 
     """
 
@@ -138,7 +139,7 @@ class Drop:
     @cached_property
     def _inputs(self) -> tuple[Array, Array, float, Array, Array]:
         """
-        The tool as the kernels take it, and the longest integration step.
+        Inputs of the prediction: tool for the kernels, longest integration step, orientations.
 
         Then the package's orientations, and the matrix from positions to velocities of local
         polynomials.
@@ -151,7 +152,7 @@ class Drop:
 
     def predicted(self, law: Law, change: Array | None = None) -> tuple[float, Array]:
         """
-        Return when it is let go (s since the first stamp, -1 if not), and states (N, 13).
+        Return the time of release (s since the first stamp, -1 without), and states (N, 13).
 
         The start may be changed (12,), in units of `STATE_STD`.
         """
@@ -165,7 +166,7 @@ class Drop:
         return float(released), states
 
     def errors(self, states: Array) -> Array:
-        """Return measured less predicted position (m), velocity (m/s), rotation (rad), (9, N)."""
+        """Return measured minus predicted position (m), velocity (m/s), rotation (rad), (9, N)."""
         position, (*_, orientation, slopes) = self.package.position - states[:, :3], self._inputs
         rotation = lie.log_quaternion(lie.quaternion_product(
             lie.quaternion_conjugate(states[:, 3:7]), orientation))
@@ -176,42 +177,43 @@ class Explained(NamedTuple):
     """Residuals of a law in a drop."""
 
     mass: float
-    """kg."""
+    """Mass, kg."""
     released: float
-    """From the valve to the release, at the drop's instant, s; NaN without a release."""
+    """Time from the valve to the release, with the drop's own delay, s; NaN without a release."""
     own_delay: float
     """Deviation of the drop's delay from the common delay, s."""
     position: float
-    """Root mean square, m, along the gravity."""
+    """RMS residual of the position along gravity, m."""
     velocity: float
-    """The same of the velocity, m/s."""
+    """RMS residual of the velocity, m/s."""
     speed: float
-    """Speed of B at letting go, m/s."""
+    """Speed of B at release, m/s."""
     chi2: float
-    """Mean square of positions and rotations over the noise."""
+    """Mean square of positions and rotations relative to the noise."""
 
 
 class ReleaseFit(NamedTuple):
     """
-    The law of release, and how it explains the drops.
+    A fitted law of release, and its residuals.
 
     Parameters
     ----------
     law : Law
-        All its numbers.
+        All numbers of the law.
     free : tuple of int
-        Those that were fitted.
+        Indices of the fitted numbers.
     covariance : ndarray (8, 8)
-        Covariance of the numbers, from the scatter between drops and the prior of those that are
-        not identifiable; 0 of the others that were not fitted.
+        Covariance of the numbers, from the scatter between drops, and from the prior for
+        unidentifiable ones; 0 for others that were not fitted.
     scatter : ndarray (8,)
-        Standard deviations from drop to drop; 0 of those that are common to all.
+        Standard deviations between drops; 0 for common numbers.
     drops : tuple of Explained
-        In the order they were given.
+        Residuals in the order of the given drops.
     lack : float
-        Mean square that the drops of one mass have left in common, over what scatter explains.
+        Ratio of the common mean square residual of drops of one mass to its expectation by
+        scatter.
     common : float
-        Residual of their positions, m, rms.
+        RMS of the common residual of positions, m.
 
     """
 
@@ -230,17 +232,17 @@ class ReleaseFit(NamedTuple):
 
     @property
     def not_identifiable(self) -> tuple[int, ...]:
-        """The numbers of the law that the drops do not determine: as given, or usual."""
+        """The numbers of the law that are not identifiable: as given, or typical."""
         return tuple(k for k in range(8) if self.std[k] > 0.0 and k not in self.free)
 
     @property
     def chi2(self) -> float:
-        """Mean over the drops."""
+        """Mean of chi^2 over the drops."""
         return float(np.mean([drop.chi2 for drop in self.drops]))
 
     @property
     def position(self) -> float:
-        """Root mean square residual of the positions, m."""
+        """RMS residual of the positions, m."""
         return math.sqrt(float(np.mean([drop.position**2 for drop in self.drops])))
 
     @property
@@ -253,7 +255,7 @@ class ReleaseFit(NamedTuple):
 
 
 def release_parameters(fit: ReleaseFit) -> dict[str, Any]:
-    """Return the parameters `release.*` of a fit, with the scatter from drop to drop."""
+    """Return the parameters `release.*` of a fit, with the scatter between drops."""
     covariance = fit.covariance + np.diag(fit.scatter**2)
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0.0, std, 1.0)
@@ -273,27 +275,27 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     Return the smallest law that explains drops.
 
     Laws are tried in this order: a cup that keeps its length, a cup that opens, a cup that opens
-    with a tau.
+    with tau.
 
     Parameters
     ----------
     drops : sequence of Drop
-        At least `MIN_DROPS`.
+        Drops, at least `MIN_DROPS`.
     given, given_std : Law
-        The numbers that are not identifiable from them, and their standard deviations; without an
-        opening, `TYPICAL_LAW`.
+        Values of unidentifiable numbers, and their standard deviations; without an opening,
+        `TYPICAL_LAW`.
 
     Raises
     ------
     UndeterminedError
-        If there are too few, they do not determine the law, or none explains them.
+        If there are too few drops, they do not determine the law, or no law explains them.
 
     """
     if len(drops) < MIN_DROPS:
         raise UndeterminedError(
             f'The release needs {MIN_DROPS} or more usable drops, got {len(drops)}. Record more.')
     has_grip = drops[0].grip[1] > 0.0
-    # about 12 drops choose the kind of law
+    # about 12 drops select the kind of law
     subset = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // 12)]
     fall = float(np.median([_fall(drop) - drop.valve for drop in subset]))
     closed = np.array(given)
@@ -331,7 +333,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
 def _identifiable(
     drops: Sequence[Drop], fit: ReleaseFit, given: Law, given_std: Law
 ) -> ReleaseFit:
-    """Return a fit of the identifiable numbers alone; the worst of the others go first."""
+    """Return a fit of the identifiable numbers alone; the least identifiable are fixed first."""
     opens = fit.law[5] > 0.0
     default = np.array(TYPICAL_LAW if opens and not given[5] > 0.0 else given)
     std = np.where(np.array(given_std) > 0.0, given_std,
@@ -363,18 +365,18 @@ def _squares(fit: ReleaseFit) -> float:
 
 
 def _fall(drop: Drop) -> float:
-    """Return when a package begins to fall for good, s since the first stamp."""
+    """Return the time at which a package finally begins to fall, s since the first stamp."""
     position, seconds = drop.package.position, drop.package.seconds
     return float(seconds[free_fall_samples(position, seconds, drop.model[2])[0]])
 
 
 def half_window(seconds: Array) -> int:
-    """Return half the samples that a velocity is taken from, of samples at times (s)."""
+    """Return the half window (samples) of velocities, of samples at times (s)."""
     return max(2, round(1.0 / 60.0 / float(np.median(np.diff(seconds)))))  # s
 
 
 def _derivative(values: Array, seconds: Array, order: int, ends: Any) -> Array:
-    """Return a derivative (N, M) of local polynomials; `np.pad` says what stands at the ends."""
+    """Return a derivative (N, M) of local polynomials; `ends` is the padding of `np.pad`."""
     n = half_window(seconds)
     row = weights(n, ORDER, 1.0 / float(np.median(np.diff(seconds))))[order]
     windows = np.lib.stride_tricks.sliding_window_view(values, 2 * n + 1, axis=0)
@@ -390,18 +392,18 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
     position, seconds : array (N, 3), (N,)
         Positions of B in the world, m, and times, s.
     gravity : (3,)
-        m/s^2.
+        Gravity, m/s^2.
 
     Raises
     ------
     UndeterminedError
-        If there is none.
+        If there is no fall.
 
     """
     n = half_window(seconds)
     if len(seconds) > 2 * n:
         felt = np.linalg.norm(_derivative(position, seconds, 2, 'edge') - gravity, axis=1)
-        impact = np.flatnonzero(felt > 80.0)  # m/s^2; a cup that opens has 30
+        impact = np.flatnonzero(felt > 80.0)  # m/s^2; an opening cup has 30
         free = felt[:max(impact[0] - n, 0) if len(impact) else None] < 3.0  # m/s^2
         edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0)).reshape(-1, 2)
         for first, end in edges[::-1]:
@@ -411,13 +413,13 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
 
 
 def _openings(drops: Sequence[Drop], fall: float) -> list[Array]:
-    """Return laws of a cup that opens to begin from: about it, all drops let go at its end."""
+    """Return laws of an opening cup as initial guesses, with the release at the end of opening."""
     weight = max(drop.mass for drop in drops) * float(np.linalg.norm(drops[0].model[2]))
     reach = np.median([
         np.linalg.norm(drop.package.position[np.searchsorted(drop.package.seconds, _fall(drop))]
                        - drop.package.position[0]) for drop in drops])
     damping, delay = max(drops[0].model[0][3][0][8], 10.0), 0.12 * fall
-    rate = 4.0 / (fall - delay)  # of the suction: through 0 after a quarter of the time
+    rate = 4.0 / (fall - delay)  # of the suction, which is 0 after a quarter of the time
     return [np.array([delay, LINEAR_TAU, 0.0, rate * LINEAR_TAU - 1.0, part * weight, reach / 1.5,
                       damping, 3.0]) for part in (0.5, 1.0)]
 
@@ -474,11 +476,11 @@ def _by_scatter(problem: Sequence['_DropFit'], law: Array) -> Array:
 
 def _calibrated(drops: Sequence[Drop], fit: ReleaseFit) -> ReleaseFit:
     """
-    Return a fit whose covariance explains the errors of masses that a fit has not seen.
+    Return a fit whose covariance explains the errors of held-out masses.
 
     The stated variance equals the mean square deviation of height and velocity at the end of the
-    drops of each mass, predicted by a fit to the others. With fewer than `MIN_MASSES` others the
-    residual that drops have in common enlarges the covariance instead.
+    drops of each mass, predicted by a fit to the others. With fewer than `MIN_MASSES` others, the
+    common residual of drops enlarges the covariance instead.
     """
     ratios = list[Array]()
     for mass in sorted({drop.mass for drop in drops if drop.stands}):
@@ -502,7 +504,7 @@ def _calibrated(drops: Sequence[Drop], fit: ReleaseFit) -> ReleaseFit:
 
 
 def _end_error(drop: Drop, law: Law) -> Array:
-    """Return measured less predicted height (m) and velocity (m/s) at the end of a drop."""
+    """Return measured minus predicted height (m) and velocity (m/s) at the end of a drop."""
     errors = drop.errors(drop.predicted(law)[1])
     before = slice(0, max(1, int(np.searchsorted(drop.package.seconds, drop.valve))))
     at, up = -1 - half_window(drop.package.seconds), np.array(drop.model[2])
@@ -527,7 +529,7 @@ def _reduced(problem: Sequence['_DropFit'], law: Array) -> tuple[Array, Array]:
 
 
 def _of_fixed(problem: Sequence['_DropFit'], law: Array, inverse: Any, fixed_std: Array) -> Array:
-    """Return the covariance (8, 8) from fixed numbers of a std (8,), which move the others."""
+    """Return the covariance (8, 8) by fixed numbers with a std (8,), by their effect on others."""
     free, fixed = problem[0].free, np.flatnonzero(fixed_std).tolist()
     both = [_DropFit(one.drop, (*free, *fixed), one.nuisance) for one in problem]
     H, _ = _reduced(both, law)
@@ -540,10 +542,10 @@ def _of_fixed(problem: Sequence['_DropFit'], law: Array, inverse: Any, fixed_std
 
 def _in_common(problem: Sequence['_DropFit'], law: Array) -> tuple[float, float]:
     """
-    Return the residual that drops of one mass have in common, over their scatter, and its RMS (m).
+    Return the common residual of drops of one mass, relative to their scatter, and its RMS (m).
 
-    Noise with memory, too, differs from drop to drop; the model error does not. 1 and 0 where
-    no two drops are of one mass.
+    The model error is common to drops, unlike noise, even with memory. The results are 1 and 0
+    without two drops of one mass.
     """
     between, within, common = 0.0, 0.0, 0.0
     masses = {one.drop.mass for one in problem}
@@ -567,16 +569,15 @@ def _in_common(problem: Sequence['_DropFit'], law: Array) -> tuple[float, float]
 
 class _DropFit:
     """
-    A drop, and its part of the fit.
+    A drop, and its contribution to the fit.
 
-    Its nuisance parameters, in units of their a priori scatter, are the scattering numbers of the
-    law, then the offset of a package at rest, else the state at the start.
+    Its nuisance parameters, in units of their prior scatter, are the scattering numbers of the
+    law, then the offset of a package at rest, or else the state at the start.
     """
 
     def __init__(
         self, drop: Drop, free: tuple[int, ...], nuisance: Array | None = None
     ) -> None:
-        """Begin with nuisance parameters of zero unless given."""
         self.drop, self.free = drop, free
         noise = np.maximum(drop.noise, MIN_NOISE)
         self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
@@ -599,7 +600,7 @@ class _DropFit:
             None if self.drop.stands else nuisance[self._scatter_count:])
 
     def residuals(self, law: Array, nuisance: Array) -> Array:
-        """Return errors over their sizes, and the nuisance parameters, which are to be small."""
+        """Return errors relative to their sizes, and the nuisance parameters."""
         errors = self.drop.errors(self._predicted(law, nuisance)[1])
         if self.drop.stands:
             errors[[0, 1, 2, 6, 7, 8]] -= (np.repeat([1e-3, 0.02], 3) * nuisance[-6:])[:, None]
@@ -607,7 +608,7 @@ class _DropFit:
             np.nan_to_num(errors / self.sizes, nan=1e6).clip(-1e6, 1e6).ravel(), nuisance])
 
     def reduced(self, law: Array) -> tuple[Array, Array]:
-        """Return matrix and gradient of the free numbers, nuisance parameters eliminated."""
+        """Return matrix and gradient of the free numbers, with nuisance parameters eliminated."""
         residuals = self.residuals(law, self.nuisance)
         self.cost = float(residuals @ residuals)
         n, m, scatter_count = len(self.free), len(self.nuisance), self._scatter_count
@@ -631,22 +632,20 @@ class _DropFit:
         return A - B @ self._follows, gradient[:n] - B @ self._newton_step
 
     def trial(self, law: Array, step: Array) -> float:
-        """Return the squares at another law, a step away, with nuisance parameters that follow."""
+        """Return the squares at another law, a step away, with adapted nuisance parameters."""
         self._trial = np.clip(self.nuisance + self._newton_step - self._follows @ step,
                               -MAX_NUISANCE, MAX_NUISANCE)
         residuals = self.residuals(law, self._trial)
         return float(residuals @ residuals)
 
     def accept(self) -> None:
-        """Keep the nuisance parameters of the trial."""
         self.nuisance = self._trial
 
     def errors(self, law: Array) -> Array:
-        """Return the residuals of the law over the sizes (9, N)."""
+        """Return the residuals of the law relative to their sizes (9, N)."""
         return self.residuals(law, self.nuisance)[:-len(self.nuisance)].reshape(9, -1)
 
     def explained(self, law: Array) -> Explained:
-        """Return the residuals of the law in the drop."""
         drop = self.drop
         released, states = self._predicted(law, self.nuisance)
         errors = self.errors(law) * self.sizes
@@ -669,16 +668,16 @@ def drops_of(
     recording: Recording, model: ModelTuple, grip: Grip | None, valves_ns: Sequence[int]
 ) -> tuple[list[Drop], list[str]]:
     """
-    Return the drops in a recording, and why valves that were switched off cannot be used.
+    Return the drops in a recording, and the reasons for unusable switchings of the valve.
 
     Parameters
     ----------
     recording : Recording
         Recording of tool and package.
     model, grip : tuple
-        As the kernels take them.
+        Model and grip for the kernels.
     valves_ns : sequence of int
-        When the valve was switched off, ns.
+        Stamps of switching the valve off, ns.
 
     """
     drops, left_out = list[Drop](), list[str]()
@@ -696,7 +695,7 @@ def drops_of(
 def _drop(
     recording: Recording, model: ModelTuple, grip: Grip, valve_ns: int, until_ns: int
 ) -> Drop:
-    """Return the drop after a valve, up to a stamp."""
+    """Return the drop after a valve, until a stamp."""
     package = _tracked(recording.aligned_package, valve_ns, until_ns)
     tool = _tracked(recording.aligned_tool, valve_ns, int(package.stamps_ns[-1]))
     before = slice(0, max(int(np.searchsorted(package.stamps_ns, valve_ns)), 1))
@@ -726,7 +725,7 @@ def _drop(
 
 
 def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
-    """Return poses from before a valve to a stamp, as far as none is missing."""
+    """Return poses from before a valve to a stamp, up to the first missing one."""
     stamps_ns = poses.stamps_ns
     at, end = (int(np.searchsorted(stamps_ns, ns)) for ns in (valve_ns, until_ns))
     # s before the valve
