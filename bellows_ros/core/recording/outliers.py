@@ -66,8 +66,8 @@ ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
 and in m or rad."""
 
 
-FLIP_NEIGHBOURS = 8
-"""Number of poses on each side of a tag's pose with which its two solutions are compared."""
+FLIP_PRICE, MIN_FLIP = 0.025, 0.1
+"""Rotation that a pose's second solution must save, and smallest difference of solutions, rad."""
 
 
 class LastingStep(NamedTuple):
@@ -154,17 +154,25 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
 
 def find_flips(poses: Trajectory, second: Array) -> Outliers:
     """
-    Find the poses of a flat tag whose second solutions (N, 3, 3) fit their neighbours better.
+    Find the poses of a flat tag with the wrong one of two solutions, the second ones (N, 3, 3).
 
+    The right solutions form the path of least rotation, on which each second solution has a price.
     Blurred poses are no outliers: the measurement model weighs them.
     """
-    places, first = np.arange(len(poses)), np.linalg.inv(poses.rotation)
-    lags = [lag for lag in range(-FLIP_NEIGHBOURS, FLIP_NEIGHBOURS + 1) if lag]
-    neighbours = [poses.rotation[np.clip(places + lag, 0, len(poses) - 1)] for lag in lags]
-    stated, mirrored = (np.median([
-        np.linalg.norm(log_so3(inverse @ R), axis=1) for R in neighbours], axis=0)
-        for inverse in (first, np.linalg.inv(second)))
-    good = ~((stated > 0.15) & (mirrored < 0.5 * stated))  # rad
+    both = np.stack([poses.rotation, second], axis=1)
+    turns = np.linalg.norm(log_so3(
+        np.swapaxes(both[:-1, :, None], -1, -2) @ both[1:, None]), axis=-1)
+    price, before = np.array([0.0, FLIP_PRICE]), list[Array]()
+    best = price
+    for turn in turns:
+        lengths = best[:, None] + turn
+        before.append(lengths.argmin(axis=0))
+        best = lengths.min(axis=0) + price
+    chosen = [int(best.argmin())]
+    for each in reversed(before):
+        chosen.append(int(each[chosen[-1]]))
+    apart = np.linalg.norm(log_so3(np.linalg.inv(both[:, 0]) @ second), axis=1)
+    good = (np.array(chosen[::-1]) == 0) | (apart < MIN_FLIP)
     flips = int(np.count_nonzero(~good))
     _exclude(good, _frozen(poses))
     return Outliers(good, (), flips, dict.fromkeys(QUANTITIES, np.zeros(3)))
