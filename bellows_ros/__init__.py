@@ -1,7 +1,7 @@
 """
 Predict and identify the motion of a package held by a bellows suction cup.
 
-The names in `__all__` are the library, which is loaded when one of them is asked for.
+The names in `__all__` are the library, which is loaded at the first use of a name.
 """
 
 from typing import Any, TYPE_CHECKING
@@ -20,7 +20,7 @@ __all__ = [  # noqa: F405
 
 
 def __getattr__(name: str) -> Any:
-    """Load the library when it is asked for."""
+    """Load the library at its first use."""
     if name not in __all__:
         raise AttributeError(f"module 'bellows_ros' has no attribute '{name}'")
     from bellows_ros import library

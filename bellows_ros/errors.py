@@ -1,4 +1,4 @@
-"""Errors with a message for the user, and what to install where an optional package is missing."""
+"""Errors with a message for the user, and the installation of missing optional packages."""
 
 from collections.abc import Iterable
 import importlib.util
@@ -13,7 +13,7 @@ CRASHED = 70
 
 class BellowsError(Exception):
     """
-    An error that the user can correct; the message says how.
+    An error that the user can correct; the message has the remedy.
 
     The message has the fact, the expectation, the value and the remedy. Commands and nodes print
     the message without a traceback and end with `exit_code`; any other exception is a defect of
@@ -22,35 +22,35 @@ class BellowsError(Exception):
     Attributes
     ----------
     exit_code : int
-        Exit code of the process: 2 for a mistake of the user, 1 for the answer no.
+        Exit code of the process: 2 for a mistake of the user, 1 for a negative answer.
 
     """
 
     exit_code = 2
 
     def __init__(self, message: str = '') -> None:
-        """Escape foreign text in the message, whose lines stay, and bound its length."""
+        """Escape foreign text in the message, except line breaks, and bound its length."""
         super().__init__(shown(message, MAX_MESSAGE, '\n'))
 
 
 MAX_MESSAGE = 2500
-"""Length of an error's message, characters: a screen."""
+"""Longest message of an error, characters: a screen."""
 
 
 class UnitWarning(UserWarning):
-    """A number of the library's caller is likely in another unit."""
+    """A number passed to the library is likely in another unit."""
 
 
 class UnstableError(BellowsError):
-    """The package does not stay on its cup: it has no rest, or a prediction is not finite."""
+    """The package does not stay on its cup: it has no rest, or a prediction diverges."""
 
 
 class NotSetError(BellowsError, AttributeError):
-    """A parameter without a default is not given, as an attribute of `Values`, too."""
+    """A parameter without a default is not given; also raised as an attribute of `Values`."""
 
 
 class NoTopicError(BellowsError):
-    """A recording lacks a topic, or it has another type."""
+    """A recording lacks a topic, or the topic has another type."""
 
 
 class UndeterminedError(BellowsError):
@@ -64,7 +64,7 @@ class UnexplainedError(UndeterminedError):
 
 
 class NoLandingError(BellowsError):
-    """A package is not let go, or not above the floor, or does not come down."""
+    """A package is not released, is below the floor at its release, or never lands."""
 
 
 class NoReleaseError(NoLandingError):
@@ -86,8 +86,8 @@ def install(extra: str) -> str:
     """
     Return the command that installs an extra in this Python.
 
-    Python of Ubuntu 24.04, which ROS uses, comes without pip, and accepts packages for a user
-    only; its own NumPy has to stay, as its SciPy needs that one.
+    Python of Ubuntu 24.04, which ROS uses, lacks pip, and accepts packages for a user only; its
+    NumPy has to stay, as its SciPy requires it.
     """
     marker = Path(sysconfig.get_path('stdlib'), 'EXTERNALLY-MANAGED')
     if sys.prefix != sys.base_prefix or not marker.exists():
@@ -97,13 +97,13 @@ def install(extra: str) -> str:
 
 
 def require_pictures() -> None:
-    """Raise BellowsError where matplotlib is missing: before long work, not after it."""
+    """Raise BellowsError if matplotlib is missing, before long work."""
     if importlib.util.find_spec('matplotlib') is None:
         raise BellowsError(f'matplotlib is not installed, but pictures need it: {install("plot")}')
 
 
 def require_types(**arguments: tuple[Any, ...]) -> None:
-    """Raise BellowsError for arguments, each a value and the types it may have, of another."""
+    """Raise BellowsError for arguments of a wrong type, each a value with its allowed types."""
     for name, (value, *types) in arguments.items():
         if not isinstance(value, tuple(types)):
             expected = ' or '.join(each.__name__ for each in types)
@@ -111,11 +111,11 @@ def require_types(**arguments: tuple[Any, ...]) -> None:
 
 
 MAX_NAME = 255
-"""Length of a usable name of a frame, joint or link, characters."""
+"""Longest name of a frame, joint or link, characters."""
 
 
 def is_name(text: str) -> bool:
-    """Return whether a text can be the name of a frame, joint or link in outputs; '' can."""
+    """Return whether a text, possibly '', can be the name of a frame, joint or link in outputs."""
     return len(text) <= MAX_NAME and text.isprintable()
 
 
@@ -132,7 +132,7 @@ def require_names(names: Iterable[str], what: str) -> None:
 
 def shown(text: object, length: int = 80, allowed: str = '') -> str:
     r"""
-    Return foreign text, as of a file, a message or a URDF, so that it can be shown anywhere.
+    Return foreign text, for example of a file, a message or a URDF, in a printable form.
 
     Parameters
     ----------
@@ -141,13 +141,13 @@ def shown(text: object, length: int = 80, allowed: str = '') -> str:
     length : int
         Largest number of characters of the result; a longer text ends with '...'.
     allowed : str
-        Control characters to keep, as a line break.
+        Control characters to keep, such as a line break.
 
     Returns
     -------
     str
-        All characters but the printable and allowed ones are escaped, as \x1b, so that none
-        controls a terminal, breaks a line of a log, or has no encoding.
+        All characters except printable and allowed ones are escaped, for example as \x1b, so that
+        none controls a terminal, breaks a line of a log, or lacks an encoding.
 
     """
     text = text if isinstance(text, str) else repr(text)

@@ -1,8 +1,8 @@
 """
 The public API, `import bellows_ros`: arrays and paths in, arrays and frozen data out.
 
-Most of it stands in other rooms; the functions here are shortcuts to it. A workflow is loaded when
-its function is called.
+Most of it is in other rooms; the functions here are shortcuts. A workflow is loaded when its
+function is called.
 """
 
 from __future__ import annotations  # signatures show names, not their members
@@ -51,7 +51,7 @@ Parameters = Mapping[str, object] | File
 
 def read_cup(path: File) -> Cup:
     """
-    Read a cup from a parameter file, such as `bellows identify` writes.
+    Read a cup from a parameter file, such as the output of `bellows identify`.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def read_cup(path: File) -> Cup:
     Raises
     ------
     BellowsError
-        If the file cannot be read, or one of the three is missing or not allowed.
+        If the file cannot be read, or a required parameter is missing or invalid.
 
     Examples
     --------
@@ -87,7 +87,7 @@ def read_package(path: File) -> Package:
     Raises
     ------
     BellowsError
-        If the file cannot be read, or one of the three is missing or not allowed.
+        If the file cannot be read, or a parameter is missing or invalid.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def read_package(path: File) -> Package:
 
 def write_cup(path: File, cup: Cup, package: Package | None = None) -> None:
     """
-    Write a cup, and a package if one is given, for both nodes and all commands.
+    Write a cup, and optionally a package, for both nodes and all commands.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def write_cup(path: File, cup: Cup, package: Package | None = None) -> None:
 
 def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]:
     """
-    Return the parameters of a cup, and of a package, for what takes parameters by name.
+    Return the parameters of a cup, and of a package, for functions of parameters by name.
 
     Examples
     --------
@@ -164,8 +164,7 @@ def identify(
     ----------
     recordings : path, or sequence of path or of (Trajectory, Trajectory)
         Each a rosbag2 recording, or the measured poses of the tool tip E and of the package's
-        centre of mass B in a world whose z is up. Samples that are not valid are left out; twists
-        are not needed.
+        centre of mass B in a world with z up. Invalid samples are ignored; twists are not needed.
     package : Package
         Package on the cup.
     cup_length : float
@@ -176,15 +175,15 @@ def identify(
     Returns
     -------
     Identification
-        cup; fit, with stiffness_std and damping_std (6, 6) and the covariance of the parameters
-        that fit.labels names; findings and warnings, in sentences; refusals, which are empty where
-        the cup can be used; parameters() for `write_parameters`; `plot()`, `to_json(path)`.
+        It has cup; fit, with stiffness_std and damping_std (6, 6) and the covariance of the
+        parameters named by fit.labels; findings and warnings, as sentences; refusals, empty for a
+        usable cup; parameters() for `write_parameters`; `plot()`, `to_json(path)`.
 
     Raises
     ------
     BellowsError
-        If a recording is not usable, they do not determine the cup, or something that was given
-        is certainly wrong.
+        If a recording is unusable, the recordings do not determine the cup, or a given quantity is
+        certainly wrong.
 
     Examples
     --------
@@ -235,9 +234,10 @@ def simulate(
     package : Package
         Package on the cup.
     tool : Trajectory
-        N poses of E in the world with body twists, as `savgol` returns; cubic Hermite in between.
+        N poses of E in the world with body twists, as `savgol` returns; interpolated by cubic
+        Hermite curves.
     gravity : float or array_like (3,)
-        Along -z of the world, or as a vector there, m/s^2.
+        Magnitude along -z of the world, or vector in the world, m/s^2.
 
     Returns
     -------
@@ -248,12 +248,12 @@ def simulate(
     ------
     BellowsError
         If cup or package are not physical, there is no static equilibrium to start from, or the
-        simulation does not stay finite.
+        simulation diverges.
 
     Examples
     --------
-    A tool that moves steadily along x for a second: the package, which hung straight below it,
-    is pulled along and swings.
+    A tool moves steadily along x for a second: the package, initially at rest below it, is pulled
+    along and swings.
 
     >>> t = np.linspace(0.0, 1.0, 501)
     >>> tool = bellows_ros.Trajectory(
@@ -278,7 +278,7 @@ def static_equilibrium(
     gravity: float | ArrayLike = cup_package.STANDARD_GRAVITY
 ) -> Array:
     """
-    Return where a package hangs from a tool at rest (3.9).
+    Return the pose of a package that hangs from a tool at rest (3.9).
 
     Parameters
     ----------
@@ -287,9 +287,9 @@ def static_equilibrium(
     package : Package
         Package on the cup.
     T_world_tool : array_like (4, 4) or RigidTransform, optional
-        Pose of the tool tip E in the world, m; upright at the origin when left out.
+        Pose of the tool tip E in the world, m; default: upright at the origin.
     gravity : float or array_like (3,)
-        Along -z of the world, or as a vector there, m/s^2.
+        Magnitude along -z of the world, or vector in the world, m/s^2.
 
     Returns
     -------
@@ -299,7 +299,7 @@ def static_equilibrium(
     Raises
     ------
     BellowsError
-        If T_world_tool is no pose, or the cup cannot carry the package in it.
+        If T_world_tool is not a pose, or the cup cannot carry the package in this pose.
 
     Examples
     --------
@@ -334,9 +334,9 @@ def plan(
     Parameters
     ----------
     motion : path or Trajectory
-        A recording with a plan, joint states, transforms or poses of the tool; a TUM
-        file; a message or a motion as YAML; or the poses of E in a world whose z is up,
-        with body twists, or without from rest to rest.
+        A recording with a plan, joint states, transforms or poses of the tool; a TUM file; a
+        message or a motion as YAML; or the poses of E in a world with z up, with body twists, or,
+        without them, from rest to rest.
     parameters : mapping or path
         Package and cup by name, and the grip if known; or a file with them.
     urdf, topic : str
@@ -345,12 +345,13 @@ def plan(
     Returns
     -------
     PlanReport
-        prediction, std, warnings, holds; `plot()` draws it and `to_json(path)` writes it.
+        It has prediction, std, warnings and holds; `plot()` draws it and `to_json(path)` writes
+        it.
 
     Raises
     ------
     BellowsError
-        If the motion cannot be read, no arm moves so, or the cup cannot hold the package.
+        If the motion cannot be read, is impossible for an arm, or the cup cannot hold the package.
 
     Examples
     --------
@@ -368,18 +369,18 @@ def fastest(
     motion: MotionSource, parameters: Parameters, urdf: str = '', topic: str = ''
 ) -> PlanReport:
     """
-    Predict a motion as `plan`, and find the shortest time in which the grip surely holds.
+    Predict a motion like `plan`, and find the shortest time with a safe grip.
 
     Returns
     -------
     PlanReport
-        As of `plan`; `fastest.scale` is the shortest time over the motion's own time, and `driven`
-        the motion in the shortest time. `fastest` is None where no time is safe.
+        As in `plan`; `fastest.scale` is the ratio of the shortest time to the motion's own time,
+        and `driven` the motion in the shortest time. `fastest` is None if no time is safe.
 
     Raises
     ------
     BellowsError
-        As `plan`; or if the grip is unknown, or the motion is not one from rest to rest.
+        As in `plan`; or if the grip is unknown, or the motion is not from rest to rest.
 
     Examples
     --------
@@ -404,21 +405,21 @@ def steer(
     Parameters
     ----------
     motion, parameters, urdf, topic
-        As of `plan`.
+        As in `plan`.
     method : {'inverse', 'zv', 'zvd'}
-        The inverse of cup and package, or input shaping for their modes at rest.
+        The inverse dynamics of cup and package, or input shaping for their modes at rest.
     limits : mapping or path, optional
-        Limits of the arm, to which the motion is slowed down; as config/limits_example.yaml.
+        Limits of the arm, to which the motion is slowed down, as in config/limits_example.yaml.
 
     Returns
     -------
     SteerReport
-        steered.tool is the new motion; advice, motions; `plot()` and `to_json(path)`.
+        It has steered.tool, the new motion; advice and motions; `plot()` and `to_json(path)`.
 
     Raises
     ------
     BellowsError
-        As `plan`; or if the motion cannot be steered within the limits.
+        As in `plan`; or if the motion cannot be steered within the limits.
 
     Examples
     --------
@@ -438,31 +439,32 @@ def toss(
     monte_carlo: int = 0, urdf: str = '', topic: str = '',
 ) -> TossResult:
     """
-    Predict where a toss lands and how surely, as `bellows toss`.
+    Predict a toss: the landing and its covariance, like `bellows toss`.
 
     Parameters
     ----------
     motion, parameters, urdf, topic
-        As of `plan`, with release.* among the parameters.
+        As in `plan`, with release.* among the parameters.
     release : float, optional
-        When the valve is switched, s since the first point of the motion.
+        Time of the valve, s since the first point of the motion.
     target : (x, y), optional
-        Target of B, m; the time of the valve is then sought. With a `release` as well,
-        `distance_as_asked` is how far (m) from there that one lands.
+        Target of B, m, for which the time of the valve is searched. With a `release` as well,
+        `distance_as_asked` is the distance (m) of its landing from the target.
     target_rotation : array_like (4,) or Rotation, optional
         Quaternion (x, y, z, w) wanted at the landing, or a SciPy rotation.
     monte_carlo : int
-        So many random tosses are drawn as well.
+        Number of additional random tosses.
 
     Returns
     -------
     TossResult
-        toss, covariance (6, 6) of the landing, groups(), warnings; `plot()`, `to_json(path)`.
+        It has toss, covariance (6, 6) of the landing, groups(), warnings; `plot()`,
+        `to_json(path)`.
 
     Raises
     ------
     BellowsError
-        As `plan`; or if neither a time nor a target is given.
+        As in `plan`; or if neither a time nor a target is given.
 
     Examples
     --------
@@ -487,32 +489,32 @@ def design_motion(
     urdf: str = '', seed: int = 0, hold: float = 7.0,
 ) -> DesignedMotion:
     """
-    Design the motion that identifies a cup best, as `bellows excite`.
+    Design the motion with the most information on a cup, like `bellows excite`.
 
     Parameters
     ----------
     parameters : mapping or path
         Package and a guess of the cup by name, or a file with them.
     limits : mapping or path
-        Limits of arm and tracking; config/limits_example.yaml explains them.
+        Limits of arm and tracking, explained in config/limits_example.yaml.
     duration : float
         Duration of rest and motion, s.
     urdf : str
-        File with the arm, whose joints are limited, too.
+        File of the arm, whose joints are limited, too.
     seed : int
-        Seed of the shape from which the search begins.
+        Seed of the initial shape of the search.
     hold : float
-        Duration of a tilt after the motion, s, in which rubber relaxes; 0 for none.
+        Duration of a tilt after the motion for the relaxation of rubber, s; 0 for none.
 
     Returns
     -------
     DesignedMotion
-        design.motion, errors (2 n,) to expect, warnings; `plot()` and `to_json(path)`.
+        It has design.motion, the expected errors (2 n,), warnings; `plot()` and `to_json(path)`.
 
     Raises
     ------
     BellowsError
-        If something is missing or not allowed, or no motion is within the limits.
+        If a setting is missing or invalid, or no motion is within the limits.
 
     Examples
     --------
@@ -531,24 +533,24 @@ def design_motion(
 
 def replay(recording: File, parameters: Parameters) -> Replay:
     """
-    Predict a recording with a cup from start to end and compare, as `bellows replay`.
+    Predict a recording with a cup from start to end and compare both, like `bellows replay`.
 
     Parameters
     ----------
     recording : path
-        rosbag2 folder, or a bare .mcap or .db3 file, which the cup was not identified from.
+        rosbag2 folder, or a bare .mcap or .db3 file, not used for the identification of the cup.
     parameters : mapping or path
-        Package, cup, topics and how it was recorded by name, or a file with them.
+        Package, cup, topics and settings of the recording by name, or a file with them.
 
     Returns
     -------
     Replay
-        validation, live, warnings; `plot()` draws it and `to_json(path)` writes it.
+        It has validation, live and warnings; `plot()` draws it and `to_json(path)` writes it.
 
     Raises
     ------
     BellowsError
-        If a parameter or the recording is not usable, or the cup cannot hold the package.
+        If a parameter or the recording is unusable, or the cup cannot hold the package.
 
     Examples
     --------
@@ -565,24 +567,24 @@ def replay(recording: File, parameters: Parameters) -> Replay:
 
 def observe(recording: File, parameters: Parameters, topic: str) -> Replay:
     """
-    Replay a recording, with another prediction that measured poses of the package correct.
+    Replay a recording, with a second prediction corrected by measured poses of the package.
 
     Parameters
     ----------
     recording, parameters
-        As of `replay`, with measured.* as the node takes it.
+        As in `replay`, with measured.* as for the node.
     topic : str
         Topic with the poses of the package from a camera.
 
     Returns
     -------
     Replay
-        As of `replay`; `observed` compares prediction, camera and both, and has the alarms.
+        As in `replay`; `observed` compares prediction, camera and both, and has the alarms.
 
     Raises
     ------
     BellowsError
-        As `replay`; or if there are no poses on the topic.
+        As in `replay`; or if there are no poses on the topic.
 
     Examples
     --------
@@ -600,7 +602,7 @@ def observe(recording: File, parameters: Parameters, topic: str) -> Replay:
 
 
 def _parameters(source: Parameters, names: Sequence[str] = PACKAGE_PARAMETERS) -> Values:
-    """Return parameters by name; refuse them if one of the names is missing."""
+    """Return parameters by name; raise if a required name is missing."""
     require_types(parameters=(source, Mapping, str, os.PathLike))
     values, what = (Values(source), 'The mapping of parameters') if isinstance(
         source, Mapping) else (Values(read_parameters(source)), f"Parameter file '{source}'")

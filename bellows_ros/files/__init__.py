@@ -6,17 +6,17 @@ from pathlib import Path
 from bellows_ros.errors import BellowsError
 
 File = str | os.PathLike[str]
-"""The name of a file or folder."""
+"""Path of a file or folder."""
 
 
 def read_text(path: File, largest: int, what: str = 'File') -> str:
     """
-    Return the content of a text file in UTF-8 of at most so many bytes.
+    Return the content of a text file in UTF-8 with a limited number of bytes.
 
     Raises
     ------
     BellowsError
-        If it is no such file, or cannot be read; `what` is what its name is called in that.
+        If it is not such a file, or cannot be read; `what` is its name in the message.
 
     """
     file = Path(path)

@@ -1,8 +1,8 @@
 """
-Atomic output: written beside its target, then renamed.
+Atomic output: written next to its target, then renamed.
 
 A process that is killed leaves the old output or the new one, and at most a hidden file or folder
-beside it.
+next to it.
 """
 
 from collections.abc import Iterator
@@ -18,14 +18,14 @@ import sys
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 
-# Constants of renameat2(2): relative names begin in the working folder; two files change places.
+# Constants of renameat2(2): relative names start at the working folder; exchange of two files.
 _HERE, _EXCHANGE = -100, 2
 
 PREFIX = '.bellows-'
 
 
 def write_text(path: File, text: str) -> None:
-    """Write a text file in UTF-8, whole or not at all, to '-' on stdout; see `write_bytes`."""
+    """Write a text file in UTF-8, whole or not at all, or '-' for stdout; see `write_bytes`."""
     if path == '-':
         sys.stdout.write(text)
     else:
@@ -42,7 +42,7 @@ def write_bytes(path: File, data: bytes) -> None:
         Target of the data. An existing file is replaced and keeps its permissions; a link is
         followed.
     data : bytes
-        The whole content.
+        Complete content.
 
     Raises
     ------
@@ -70,12 +70,12 @@ def write_bytes(path: File, data: bytes) -> None:
 
 def require_file_target(path: File) -> Path:
     """
-    Return the path of a file to write, before any work is put into its content.
+    Return the path of an output file, checked before its content is computed.
 
     Raises
     ------
     BellowsError
-        If its folder does not exist, or something that is no plain file is in its place.
+        If its folder does not exist, or the path is taken by something other than a plain file.
 
     """
     target = require_folder_target(path, follow=True)
@@ -89,25 +89,24 @@ def require_file_target(path: File) -> Path:
 @contextmanager
 def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
     """
-    Provide a place for a folder that appears under its name only when it is complete.
+    Provide a path for a folder that gets its name only when it is complete.
 
     Parameters
     ----------
     path : path
-        The folder to be.
+        Final path of the folder.
     replace : bool
-        Whether a folder that is there may be replaced. The caller makes sure that it is one it may
-        delete.
+        Whether an existing folder may be replaced. The caller ensures that it may be deleted.
 
     Yields
     ------
     Path
-        Does not exist yet and has the same last name; the caller makes the folder there.
+        Path with equal last name that does not exist yet; the caller makes the folder there.
 
     Raises
     ------
     BellowsError
-        If something is there and may not be replaced, or the folder cannot be written.
+        If the final path exists and may not be replaced, or the folder cannot be written.
 
     """
     target = require_folder_target(path)
@@ -130,19 +129,19 @@ def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
 
 def require_folder_target(path: File, follow: bool = False) -> Path:
     """
-    Return the path of an output, before any work is put into its content.
+    Return the path of an output folder, checked before its content is computed.
 
     Parameters
     ----------
     path : path
-        The output to be.
+        Path of the output.
     follow : bool
         Whether a link stands for its target.
 
     Raises
     ------
     BellowsError
-        If the folder that it shall lie in does not exist, or the name cannot be one.
+        If the parent folder does not exist, or the name is invalid for a folder.
 
     """
     try:
@@ -159,10 +158,10 @@ def require_folder_target(path: File, follow: bool = False) -> Path:
 
 
 def _move_into_place(work: Path, target: Path, replace: bool) -> None:
-    """Rename the finished folder, or swap it with the one that it replaces."""
+    """Rename the finished folder, or exchange it with the one that it replaces."""
     finished = work / target.name
     if replace and target.exists():
-        if not _exchange(finished, target):  # then there is a moment without either
+        if not _exchange(finished, target):  # with a moment without either
             os.rename(target, work / 'replaced')
             os.rename(finished, target)
     elif os.path.lexists(target):
@@ -173,7 +172,7 @@ def _move_into_place(work: Path, target: Path, replace: bool) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Swap two folders in one step; return whether the system could."""
+    """Exchange two folders in one step; return whether the system supports it."""
     try:
         rename = ctypes.CDLL(None).renameat2
     except AttributeError:  # not Linux
@@ -183,12 +182,12 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _temporary_path(target: Path) -> Path:
-    """Return a hidden path beside a target."""
+    """Return a hidden path in the folder of a target."""
     return target.with_name(f'{PREFIX}{os.getpid()}-{secrets.token_hex(4)}.tmp')
 
 
 def _sync(path: Path) -> None:
-    """Flush a file, or the names in a folder, to disk where the file system can."""
+    """Flush a file, or the names in a folder, to disk if the file system supports it."""
     with suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY)
         try:

@@ -17,7 +17,7 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-# Largest record, chunk or message of a sound recording; a damaged file may claim more.
+# Largest record, chunk or message of an intact recording; a damaged file may declare more.
 MAX_RECORD_BYTES = 256 * 2**20
 
 
@@ -34,11 +34,11 @@ class Channel(NamedTuple):
     type_name: str
     encoding: str
     definition: str = ''
-    """Definition of a type in `DEFINED_TYPES`, as it travels with the recording."""
+    """Definition of a type in `DEFINED_TYPES`, as stored in the recording."""
 
 
 class Message(NamedTuple):
-    """A recorded message: the topic, the time it was recorded at in ns, and its bytes."""
+    """A recorded message: topic, time of recording (ns), and bytes."""
 
     topic: Channel
     log_time_ns: int
@@ -46,13 +46,13 @@ class Message(NamedTuple):
 
 
 Stored = tuple[Channel, int, bytes]
-"""The fields of a `Message`, as a plain tuple for speed."""
+"""Fields of a `Message`, as a plain tuple for speed."""
 
 Wanted = Callable[[Channel], bool]
 
 
 class DamagedError(BellowsError):
-    """A damaged storage file; raised without its name, which the caller adds."""
+    """A damaged storage file; the caller adds its name."""
 
 
 METADATA = 'metadata.yaml'
@@ -68,11 +68,11 @@ class Listing(NamedTuple):
     Parameters
     ----------
     files : tuple of Path
-        Those that hold the messages, in order.
+        Files with the messages, in order.
     information : dict
         Content of its metadata; empty without metadata.
     notes : tuple of str
-        Faults of its folder.
+        Faults of the folder.
 
     """
 
@@ -88,13 +88,13 @@ def listing(path: File) -> Listing:
     Parameters
     ----------
     path : path
-        Folder with metadata.yaml of any rosbag2 version, or as a recorder leaves it that crashed,
-        or a bare storage file.
+        Folder with metadata.yaml of any rosbag2 version, or without it after a crash of the
+        recorder, or a bare storage file.
 
     Raises
     ------
     BellowsError
-        If there is no such recording, its metadata is damaged, or names files that are missing or
+        If there is no recording, its metadata is damaged, or names files that are missing or
         outside its folder.
 
     """
@@ -104,7 +104,7 @@ def listing(path: File) -> Listing:
             return _listed_files(bag)
         if bag.is_file():
             return Listing((bag,), {})
-    except (OSError, ValueError, RuntimeError) as error:  # the last for links in a circle
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError for links in a circle
         reason = getattr(error, 'strerror', None) or error
         raise BellowsError(f"Recording '{str(bag):.200}' cannot be read: {reason}") from None
     problem = 'is neither a file nor a folder' if bag.exists() else 'does not exist'
@@ -114,7 +114,7 @@ def listing(path: File) -> Listing:
 
 def require_no_input(path: File, inputs: Iterable[File]) -> None:
     """
-    Refuse output that is an input, lies in a recording that is one, or has one in it.
+    Raise for output that is an input, is inside an input recording, or contains an input.
 
     Raises
     ------
@@ -153,9 +153,9 @@ def _listed_files(folder: Path) -> Listing:
 
 
 def _without_metadata(folder: Path) -> Listing:
-    """Return the storage files of a folder whose recorder has not written metadata yet."""
+    """Return the storage files of a folder without metadata."""
     names = {p.name for p in folder.iterdir() if p.suffix in STORAGE_SUFFIXES and p.is_file()}
-    # A file that was being compressed is there twice.
+    # A file exists twice during its compression.
     names -= {f'{name}.zstd' for name in names}
     if not names:
         raise BellowsError(
@@ -166,7 +166,7 @@ def _without_metadata(folder: Path) -> Listing:
         raise BellowsError(
             f"Folder '{folder}' has no {METADATA}, but files of two storages, such as "
             f'{" and ".join(sorted(of_storage.values()))}. Give the one that is meant.')
-    # A recorder numbers its files: numbers in names count as such.
+    # A recorder numbers its files: numbers in names are sorted by value.
     recorded = sorted(names, key=lambda name: [
         (text, int(number or -1)) for text, number in re.findall(r'(\D*)(\d*)', name)])
     files = tuple(_inside(folder, name) for name in recorded)
@@ -176,7 +176,7 @@ def _without_metadata(folder: Path) -> Listing:
 
 
 def _damaged(folder: Path, reason: str) -> BellowsError:
-    """Return the error for metadata that cannot be used."""
+    """Return the error for unusable metadata."""
     return BellowsError(
         f"'{folder / METADATA}' is damaged: {reason}. Run 'ros2 bag reindex' on the folder, "
         'or give its storage file itself.')
@@ -197,7 +197,7 @@ ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 ZstdError, ZstdFile = zstd.ZstdError, zstd.ZstdFile
 
 
-# Decompressor of each form of frames, and its exception for damaged ones.
+# Decompressor of each form of frames, and its exception for damaged frames.
 FRAMES: dict[str, tuple[Any, type[Exception]]] = {
     'zstd': (zstd.ZstdDecompressor, zstd.ZstdError),
     'lz4': (lz4.frame.LZ4FrameDecompressor, RuntimeError)}
@@ -205,14 +205,14 @@ FRAMES: dict[str, tuple[Any, type[Exception]]] = {
 
 def decompressed(form: str, data: bytes, limit: int, cut: bool = False) -> bytes:
     """
-    Decompress frames of a form that hold no more than a number of bytes together.
+    Decompress frames of a form, up to a total number of bytes.
 
-    Truncated data give the part that is there.
+    Truncated data give the available part.
 
     Raises
     ------
     DamagedError
-        If the data is damaged, incomplete, or longer than the limit once decompressed.
+        If the data is damaged, incomplete, or decompresses beyond the limit.
 
     """
     new_decompressor, damage = FRAMES[form]
@@ -238,7 +238,7 @@ def digests(path: File) -> list[dict[str, Any]]:
     Raises
     ------
     BellowsError
-        If one cannot be read.
+        If a file cannot be read.
 
     """
     top = Path(path)
@@ -255,14 +255,14 @@ def digests(path: File) -> list[dict[str, Any]]:
 
 def recording_digest(path: File, files: Sequence[Mapping[str, Any]] = ()) -> str:
     """
-    Return the SHA-256 of a recording's stored messages, independent of place and storage.
+    Return the SHA-256 of a recording's stored messages, independent of path and storage.
 
     Its `digests` are computed unless given.
 
     Raises
     ------
     BellowsError
-        If there is no such recording, or it cannot be read.
+        If there is no recording, or it cannot be read.
 
     """
     sha256 = {file['name']: file['sha256'] for file in files or digests(path)}

@@ -1,7 +1,7 @@
 """
 Writing rosbag2 recordings of poses and twists, whole or not at all.
 
-The same content, name and rosbags version give the same bytes.
+Equal content, name and rosbags version give equal bytes.
 """
 
 from collections.abc import Sequence
@@ -29,9 +29,9 @@ class Encoded:
     ----------
     topic, type_name : str
     stamps_ns : int array (N,)
-        When each message was received, ns, in order.
+        Times of receipt, ns, in order.
     data : sequence of bytes, or array (N,) of raw bytes
-        Each as CDR with its four-byte head.
+        Messages as CDR with the four-byte head.
 
     """
 
@@ -51,17 +51,17 @@ def as_messages(
     Parameters
     ----------
     topic, type_name : str
-        The type is one of `messages.MOTIONS`, for instance 'geometry_msgs/msg/PoseStamped'.
+        Topic and type, one of `messages.MOTIONS`, for example 'geometry_msgs/msg/PoseStamped'.
     stamps_ns : int array (N,)
         Header stamps, ns; any order.
     values : array (N, 7), (N, 6) or (N, 13)
         Poses as x, y, z and the quaternion (x, y, z, w); twists as linear, angular; Odometry has
-        both, pose first. Any numbers: faults can be recorded too. Covariances are zero.
+        both, pose first. Any numbers are allowed, so that faults can be recorded. Covariances are
+        zero.
     frame_id, child_frame_id : str
-        The child's only for TransformStamped and Odometry.
+        Frame names; the child's only for TransformStamped and Odometry.
     log_times_ns : int array (N,), optional
-        When each message was received, ns; as stamped when left out. Messages are recorded in this
-        order.
+        Times of receipt, ns, which give the order; default: the stamps.
 
     Raises
     ------
@@ -91,13 +91,13 @@ def write_bag(
     path : path
         Folder to make.
     recorded : sequence of Encoded
-        Several may share a topic of one type.
+        Messages; several items may share a topic of one type.
     storage : str
         'mcap' or 'sqlite3'.
     zstd : bool
-        Whether it is compressed.
+        Whether the recording is compressed.
     replace : bool
-        Whether a recording that is there may be replaced.
+        Whether an existing recording may be replaced.
 
     Raises
     ------
@@ -128,12 +128,12 @@ def write_bag(
                     writer.write(connections[names[number]], log_time_ns, data)
             if storage == 'mcap':
                 mcap.seal(folder / f'{folder.name}.mcap')
-        except sqlite3.Error as error:  # of a full disk, which others say as the system does
+        except sqlite3.Error as error:  # a full disk, reported by the system's message
             raise OSError(f'SQLite says {error}') from None
 
 
 def require_replaceable(folder: Path) -> None:
-    """Refuse to replace a folder that holds anything but a recording."""
+    """Raise for a folder that contains anything but a recording."""
     if not folder.is_dir():
         return
     names = [p.name for p in folder.iterdir()]

@@ -1,12 +1,11 @@
 """
-Reading rosbag2 recordings: SQLite and MCAP, plain and zstd, by folder or by file.
+Reading of rosbag2 recordings: SQLite and MCAP, plain and zstd, by folder or by file.
 
-Files are not trusted: sizes are bounded, and every fault is a BellowsError that names the remedy.
-The recording of a crashed recorder is read as far as possible, with a note.
+Files are not trusted: sizes are bounded, and every fault is a BellowsError with the remedy. The
+recording of a crashed recorder is read as far as possible, with a note.
 
-A database (.db3) is opened read-only and immutable, its schema is not trusted, and the work done
-on it is bounded by its size, so that a damaged or hostile file ends in an error and not in an
-endless query.
+A database (.db3) is opened read-only and immutable, its schema is not trusted, and the work on it
+is bounded by its size: a damaged or hostile file ends in an error instead of an endless query.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -24,9 +23,9 @@ from bellows_ros.files import bag_folder, File, mcap, messages
 from bellows_ros.files.bag_folder import Channel, DamagedError, Message, Stored, Wanted, ZSTD_MAGIC
 import numpy as np
 
-# A recording of a topic may have so many messages: five hours at 500 Hz, some 1 GB once read.
+# Largest number of messages of a topic: five hours at 500 Hz, some 1 GB in memory.
 MAX_MESSAGES = 10_000_000
-# A compressed SQLite file is decompressed in memory, up to this size.
+# Largest size of a compressed SQLite file that is decompressed in memory.
 MAX_DATABASE_BYTES = 2**30
 
 SQLITE_MAGIC = b'SQLite format 3\0'
@@ -50,7 +49,7 @@ class Contents(NamedTuple):
     ----------
     streams : dict of role to PoseStream or TwistStream
     problems : dict of role to BellowsError
-        Why the other roles cannot be read.
+        Reasons for unreadable roles.
     notes : tuple of str
         Missing parts of the recording, and contradictions to its metadata.
 
@@ -63,19 +62,18 @@ class Contents(NamedTuple):
 
 class _Bag:
     """
-    A recording while it is read.
+    A recording during reading.
 
     Attributes
     ----------
     counts : dict
-        Every topic, with its number of messages; filled while reading.
+        Number of messages of every topic; filled during reading.
     notes : list of str
-        Missing parts, and contradictions to its metadata; complete once it is read.
+        Missing parts, and contradictions to its metadata; complete after reading.
 
     """
 
     def __init__(self, path: File) -> None:
-        """Find its files; raise BellowsError if there are none."""
         self.path = Path(path)
         self._listed = bag_folder.listing(path)
         self.counts: dict[Channel, int] = {}
@@ -107,7 +105,7 @@ class _Bag:
                 f'{str(stated)[:20]}. Is the copy complete?')
 
     def require_messages(self) -> None:
-        """Refuse a recording without messages."""
+        """Raise for a recording without messages."""
         if not any(self.counts.values()):
             raise BellowsError(' '.join([
                 f"Recording '{self.path}' is empty: it has {len(self.counts)} topics and no "
@@ -123,12 +121,12 @@ def topics(path: File, notes: list[str] | None = None) -> list[TopicCount]:
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     notes : list of str, optional
-        Gets missing parts of the recording, and contradictions to its metadata.
+        List that receives missing parts of the recording, and contradictions to its metadata.
 
     Raises
     ------
     BellowsError
-        If there is no such recording, or it is damaged.
+        If there is no recording, or it is damaged.
 
     """
     bag = _Bag(path)
@@ -140,14 +138,14 @@ def topics(path: File, notes: list[str] | None = None) -> list[TopicCount]:
 
 def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message], list[str]]:
     """
-    Return the messages of topics as they were recorded, in the order of their log times.
+    Return the recorded messages of topics in the order of their log times.
 
     Parameters
     ----------
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     names : collection of str, optional
-        Topics with poses or twists; default: all of these.
+        Topics with poses or twists; default: all.
 
     Returns
     -------
@@ -158,7 +156,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
     Raises
     ------
     BellowsError
-        If there is no such recording, it is damaged, or lacks a topic.
+        If there is no recording, it is damaged, or lacks a topic.
 
     """
     bag, wanted = _Bag(path), {absolute(name) for name in names}
@@ -176,14 +174,14 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
             f"Recording '{path}' has no poses or twists on "
             f'{", ".join(sorted(wanted - read_topics)) or "any topic"}; there are: {recorded}.')
     sound = [message for message in stored
-             if 16 <= len(message.data) <= messages.MAX_MESSAGE_BYTES]  # of encoding and stamp
+             if 16 <= len(message.data) <= messages.MAX_MESSAGE_BYTES]  # encoding and stamp
     if len(sound) < len(stored):
         bag.notes.append(f'{len(stored) - len(sound)} damaged messages are left out.')
     return sorted(sound, key=lambda message: message.log_time_ns), bag.notes
 
 
 def read_streams(path: File, wanted: Mapping[str, str]) -> dict[str, Stream]:
-    """Return the streams of a recording, all that are wanted; see `read_contents`."""
+    """Return all wanted streams of a recording; see `read_contents`."""
     contents = read_contents(path, wanted)
     for problem in contents.problems.values():
         raise problem
@@ -199,23 +197,23 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     wanted : mapping of role to topic
-        A role ending in 'twist' is read as twists, any other as poses, and 'measured' as poses
-        with their covariances where messages have them. Topics are as recorded; a leading '/' may
-        be left out. A role whose topic is '' is left out of the result.
+        A role that ends in 'twist' is read as twists, any other as poses, and 'measured' as poses
+        with their covariances, if any. Topics are as recorded, optionally without a leading '/'. A
+        role with the topic '' is omitted.
 
     Returns
     -------
     Contents
         Poses from PoseStamped, PoseWithCovarianceStamped, TransformStamped and Odometry; twists
         from TwistStamped and Odometry, whose twists are in the axes of its child frame. Stamps
-        come from the headers. Messages left out are in `refused` of a stream, with indices into
-        the topic's messages in the order they were recorded in. A role has a problem where the
-        recording lacks its topic, or the topic has another type or nothing usable.
+        come from the headers. Omitted messages are in `refused` of a stream, with indices into the
+        topic's messages in the order of recording. A role has a problem if its topic is missing,
+        has another type, or no usable message.
 
     Raises
     ------
     BellowsError
-        If there is no such recording, it is damaged, or has no messages.
+        If there is no recording, it is damaged, or has no messages.
 
     """
     bag = _Bag(path)
@@ -223,7 +221,7 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     collectors: dict[Channel, dict[str, _Collector]] = {}
 
     def is_wanted(topic: Channel) -> bool:
-        """Begin to collect a topic for each role that it is for, and return whether any is."""
+        """Add collectors of a topic for its roles, and return whether there are any."""
         if topic not in collectors:
             collectors[topic] = {
                 role: _Collector(topic, role) for role, name in roles.items()
@@ -254,14 +252,14 @@ def messages_of(path: File, types: Collection[str], topic: str = '') -> Iterator
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     types : collection of str
-        As in 'trajectory_msgs/msg/JointTrajectory'.
+        Types, such as 'trajectory_msgs/msg/JointTrajectory'.
     topic : str, optional
-        Only of this one.
+        Topic of the messages; default: all.
 
     Raises
     ------
     BellowsError
-        If there is no such recording, or it is damaged.
+        If there is no recording, or it is damaged.
 
     """
     name = topic and absolute(topic)
@@ -274,20 +272,20 @@ MOVEIT_TYPES = {
     ROBOT_TRAJECTORY: 'trajectory_msgs/JointTrajectory joint_trajectory\n'
     'trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory',
     DISPLAY_TRAJECTORY: 'string model_id\nmoveit_msgs/RobotTrajectory[] trajectory'}
-"""Definitions of types that rosbags does not know, for recordings without definitions: the first
-fields, common to all releases."""
+"""Definitions of types unknown to rosbags, for recordings without definitions: the first fields,
+common to all releases."""
 
 
 def decoded(data: bytes, type_name: str, definition: str = '') -> Any:
     """
-    Return a message as an object with its fields, of any type.
+    Return a message of any type as an object with its fields.
 
-    A type of `MOVEIT_TYPES` is decoded by its definition in the recording, if there is one.
+    A type of `MOVEIT_TYPES` is decoded by its definition in the recording, if any.
 
     Raises
     ------
     BellowsError
-        If it is damaged.
+        If the message is damaged.
 
     """
     from rosbags.serde import SerdeError
@@ -308,8 +306,8 @@ def decoded(data: bytes, type_name: str, definition: str = '') -> Any:
 
 @cache
 def message_types(type_name: str = '', definition: str = '') -> Any:
-    """Return the store of message types, or of those in the definition of a type alone."""
-    # late: takes long, and is rarely needed
+    """Return the store of message types, or the types in the definition of a type alone."""
+    # late, as it takes long and is rarely needed
     from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
     store = get_typestore(Stores.EMPTY if definition else Stores.ROS2_JAZZY)
@@ -319,12 +317,12 @@ def message_types(type_name: str = '', definition: str = '') -> Any:
 
 
 def absolute(topic: str) -> str:
-    """Return a topic's name as a recording has it, with a slash before it."""
+    """Return a topic's name with a leading slash, as in recordings."""
     return f'/{topic.lstrip("/")}'
 
 
 def accepted_types(role: str) -> tuple[str, ...]:
-    """Return the message types a role can be read from."""
+    """Return the message types from which a role can be read."""
     twists = role.endswith('twist')
     return tuple(name for name, x in messages.LAYOUTS.items() if (x.twist if twists else x.pose))
 
@@ -334,15 +332,14 @@ _BATCH = 4096
 
 
 class _Collector:
-    """The messages of one topic and type for one role, decoded in batches as they come."""
+    """The messages of one topic and type for one role, decoded in batches."""
 
     def __init__(self, topic: Channel, role: str) -> None:
-        """Start empty."""
         self.topic = topic
         self._layout = layout = messages.LAYOUTS[topic.type_name]
         self._twists, self._by_stamp = role.endswith('twist'), role == 'measured'
         part = layout.twist if self._twists else layout.pose
-        assert part  # as accepted types have it
+        assert part  # for all accepted types
         covariance = layout.pose_covariance if self._by_stamp else 0
         self._part = slice(part.start, part.stop + covariance)
         self._frames: dict[tuple[str, ...], int] = {}
@@ -350,14 +347,14 @@ class _Collector:
         self._decoded: list[np.ndarray] = []
 
     def add(self, log_time_ns: int, data: bytes) -> None:
-        """Take a message, and decode all taken at times."""
+        """Store a message, and decode a full batch."""
         self._times.append(log_time_ns)
-        self._messages.append(data[:messages.MAX_MESSAGE_BYTES + 1])  # longer is not decoded
+        self._messages.append(data[:messages.MAX_MESSAGE_BYTES + 1])  # longer ones are not decoded
         if len(self._times) == _BATCH:
             self._decode()
 
     def _decode(self) -> None:
-        """Decode the collected messages, unless they are too many."""
+        """Decode the stored messages, unless there are too many."""
         self._count += len(self._times)
         if self._count > MAX_MESSAGES:
             raise BellowsError(f"Topic '{self.topic.name}' has more than {MAX_MESSAGES} messages. "
@@ -367,7 +364,7 @@ class _Collector:
         self._times, self._messages = [], []
 
     def stream(self, recording: Path) -> Stream:
-        """Return the usable messages as they were recorded, measured poses by their stamps."""
+        """Return the usable messages in the recorded order, measured poses by their stamps."""
         self._decode()
         decoded = np.concatenate(self._decoded)
         order = np.argsort(decoded['stamp' if self._by_stamp else 'arrival'], kind='stable')
@@ -383,7 +380,7 @@ class _Collector:
 
 
 def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -> Stream:
-    """Return the stream of a role, from its messages, or raise its fault."""
+    """Return the stream of a role from its messages, or raise its fault."""
     filled = [each for each in collectors if bag.counts[each.topic]]
     if len(filled) > 1:
         raise BellowsError(
@@ -414,7 +411,7 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
 
 
 def _decompressed(topic: Channel, data: bytes) -> bytes:
-    """Return a compressed message; a damaged one is empty then, which is counted later."""
+    """Return a decompressed message; a damaged one is empty, and counted later."""
     is_layout = topic.type_name in messages.MOTIONS
     with suppress(DamagedError):
         return bag_folder.decompressed(
@@ -452,18 +449,18 @@ def scan_database(
     path: Path, file: BinaryIO | None, wanted: Wanted, counts: dict[Channel, int]
 ) -> Iterator[Stored]:
     """
-    Yield the messages of the wanted topics, topic by topic, in the order they are stored in.
+    Yield the messages of the wanted topics, topic by topic, in the stored order.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Path of the file.
     file : file or None
         Its decompressed content; None for a plain file.
     wanted : callable
-        Topic to whether its messages are yielded.
+        Function that selects topics.
     counts : dict
-        Filled before the first message: every topic, with its number of messages.
+        Number of messages of every topic, filled before the first message.
 
     Raises
     ------
@@ -474,7 +471,7 @@ def scan_database(
     try:
         with closing(_in_memory(file) if file else _connect(path)) as database:
             (verdict,) = database.execute('PRAGMA quick_check(1)').fetchone()
-            if verdict != 'ok':  # its pages do not fit together: messages could be missing
+            if verdict != 'ok':  # inconsistent pages, so that messages could be missing
                 raise DamagedError(f'SQLite finds it damaged: {verdict!s:.200}')
             numbers = _topics(database, counts)
             for topic_id, topic in numbers.items():
@@ -500,7 +497,7 @@ def _in_memory(file: BinaryIO) -> sqlite3.Connection:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Open a database to read; refuse one whose last changes are still in its journal."""
+    """Open a database for reading; raise if its last changes are still in its journal."""
     for suffix in ('-wal', '-journal'):
         other = path.with_name(path.name + suffix)
         if other.is_file() and other.stat().st_size:
@@ -520,7 +517,7 @@ def _topics(database: sqlite3.Connection, counts: dict[Channel, int]) -> dict[in
     amounts = dict(database.execute('SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id'))
     numbers: dict[int, Channel] = {}
     definitions = dict[str, str]()
-    with suppress(sqlite3.OperationalError):  # of recordings before ROS Iron
+    with suppress(sqlite3.OperationalError):  # recordings before ROS Iron
         definitions.update(database.execute(
             'SELECT topic_type, encoded_message_definition FROM message_definitions '
             f'WHERE topic_type IN {bag_folder.DEFINED_TYPES} '

@@ -3,7 +3,7 @@ Cups for other programs: MuJoCo (MJCF), SDF and C, and the limits of each.
 
 The simulators have a spring with the diagonals of K and P between the tool tip and the package, in
 the middle of the cup. None has the energy (3.17) of the thesis, off-diagonal entries, or a damper
-of (3.35). The header in C (bellows_cup.h, and the numbers behind it) is the model itself.
+of (3.35). The C header (bellows_cup.h, followed by the numbers) is the model itself.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,8 +21,8 @@ from bellows_ros.core.model.grip import cup_of_gripper, Grip
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-# A link of SDF without a mass weighs 1 kg. The tool and the links between single joints have this
-# part of the package's mass and inertia instead.
+# Fraction of the package's mass and inertia for the tool and for links between single joints; a
+# link of SDF without a mass weighs 1 kg.
 DUMMY = 1e-3
 HEADER = Path(__file__).with_name('bellows_cup.h')
 """The model in C, with placeholders for the numbers."""
@@ -31,18 +31,18 @@ DOWN = (0.0, 0.0, -STANDARD_GRAVITY)
 
 
 class Target(NamedTuple):
-    """A format: its writer, and the properties that it cannot express."""
+    """A format: its writer, and its limitations."""
 
     name: str
     write: Callable[..., str]
     limits: Sequence[str]
-    """Names of sentences."""
+    """Names of sentences about the limitations."""
     whole: bool = False
-    """Whether it has all entries of K and P."""
+    """Whether the format has all entries of K and P."""
 
 
 def limits(target: Target, cup: Cup, gravity: tuple[float, float, float] = DOWN) -> list[str]:
-    """Return properties that a format lacks: in general, of this cup, of gravity (m/s^2)."""
+    """Return the limitations of a format: in general, for this cup, for gravity (m/s^2)."""
     gaps = [TABLES['sentences'][name] for name in target.limits]
     if target.whole:
         return gaps
@@ -68,7 +68,7 @@ def simulator_model(
     template: str, cup: Cup, package: Package, gravity: tuple[float, float, float] = DOWN, *_: Any
 ) -> str:
     """
-    Return a model for a simulator (XML), from a template: six joints in the middle of the cup.
+    Return a model for a simulator (XML) from a template, with six joints in the middle of the cup.
 
     The joints of SDF form a chain with dummy links. Gravity (m/s^2) is part of MJCF alone.
     """
@@ -85,15 +85,15 @@ def header(
     grip: Grip | None = None, name: str = 'bellows_exported',
 ) -> str:
     """
-    Return a header in C99: the model, and the numbers of this cup and package by their name.
+    Return a C99 header with the model, and the numbers of this cup and package by their name.
 
-    The model has a separate guard, so that a program may include several cups; two of one name
-    do not compile. Gravity is in the world, m/s^2.
+    The model has a separate guard, so that a program may include several cups; two of one name do
+    not compile. Gravity is in the world, m/s^2.
 
     Raises
     ------
     BellowsError
-        If the name is none that C has.
+        If the name is invalid in C.
 
     """
     if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
@@ -115,12 +115,12 @@ def header(
 
 
 def _fields(cup: kernels.CupTuple) -> tuple[Any, ...]:
-    """Return a cup in the order of bellows_cup: the coefficients of stretch are the last."""
+    """Return a cup in the order of bellows_cup, with the coefficients of stretch last."""
     return (*cup[:2], cup[2][:3], *cup[3:], *cup[2][3:])
 
 
 def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
-    """Return the definition of the grip, of a gripper with one of its cups, and their places."""
+    """Return the definition of the grip; for a gripper of one of its cups, with their places."""
     if grip is None:
         return [f'/* There is no {name}_grip: cup.lip_radius and vacuum.holding are not set. */']
     gripper, rest = [], '0, 0, 0'
@@ -136,7 +136,7 @@ def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
 
 
 def _braced(values: Any) -> str:
-    """Return nested tuples of numbers as C initialises structs; a matrix is an array in one."""
+    """Return nested tuples of numbers as C initialisers; a matrix is an array in a struct."""
     if not isinstance(values, tuple):
         return float(values).hex()
     inner = ', '.join(_braced(value) for value in values)
@@ -147,7 +147,7 @@ def _braced(values: Any) -> str:
 WRITERS: Mapping[str, Callable[..., str]] = {
     'mjcf': partial(simulator_model, 'cup.mjcf'), 'sdf': partial(simulator_model, 'cup.sdf'),
     'c': header}
-"""Each takes cup, package, gravity, grip and name; the last three are used in C only."""
+"""Writers, which take cup, package, gravity, grip and name; the last three are used in C only."""
 
 TABLES = tomllib.loads(Path(__file__).with_name('exports.toml').read_text())
 TARGETS: Mapping[str, Target] = {

@@ -1,11 +1,11 @@
 """
-Reading the messages of an MCAP file from front to back, and the checksums of its chunks.
+Reading of the messages of an MCAP file from front to back, and the checksums of its chunks.
 
-The file is read as a stream and nothing in it is believed that could cost memory: sizes are
-bounded before they are allocated, chunks are decompressed one at a time up to the size they
-declare, their sum is bounded by the size of the file, and indexes are not used. A file that does
-not end as it should, as of a recorder that crashed, is read up to the break; a damaged summary
-behind the messages is noted. The format is specified at https://mcap.dev/spec.
+The file is read as a stream without trust in declared sizes: they are bounded before allocation,
+chunks are decompressed one at a time up to their declared size, their sum is bounded by the size
+of the file, and indexes are ignored. A file without its proper end, as after a crash of the
+recorder, is read up to the break; a damaged summary after the messages is noted. The format is
+specified at https://mcap.dev/spec.
 """
 
 from collections import Counter
@@ -33,42 +33,43 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 _STATISTICS, _DATA_END = 0x0B, 0x0F
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<HIqQ')  # channel, number, log time, publish time
-_CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
+_CHUNK_CHECKSUM_AT = 24  # after first and last time and size
 _TRUNCATED = 'a record goes beyond its end'
 _SKIP_STEP = 2**20
 
 MAX_INFLATED, MAX_INFLATION = 2**27, 30
-"""Bytes of the decompressed content of a small file, and in addition per byte of a file."""
+"""Largest decompressed content of a small file, bytes, and additional decompressed bytes per byte
+of a file."""
 
 
 class _InflatingError(DamagedError):
-    """The content of a file is too large for its size, and its end is not sought."""
+    """The content of a file is too large for its size; its end is not searched."""
 
 
 def scan(
     file: BinaryIO, wanted: Wanted, counts: dict[Channel, int], notes: list[str], stored_bytes: int
 ) -> Iterator[Stored]:
     """
-    Yield the messages of the wanted topics as they are stored.
+    Yield the stored messages of the wanted topics.
 
     Parameters
     ----------
     file : binary file
-        It begins with `MAGIC`.
+        Binary file that begins with `MAGIC`.
     wanted : callable
-        Topic to whether its messages are yielded.
+        Function that selects topics.
     counts : dict
-        Filled while reading: every topic, and at the end its number of messages.
+        Topics, filled during reading, with the number of messages at the end.
     notes : list of str
-        Filled while reading: losses because the recording was not closed, or the state of its
-        summary.
+        Losses of a recording that was not closed, or the state of its summary; filled during
+        reading.
     stored_bytes : int
-        Size of the file, compressed if it is.
+        Size of the stored, possibly compressed, file.
 
     Raises
     ------
     DamagedError
-        If the file is damaged though it ends as it should.
+        If the file is damaged although it has its proper end.
 
     """
     file.seek(len(MAGIC))
@@ -86,7 +87,7 @@ def scan(
             return
         size = file.seek(0, os.SEEK_END)
         file.seek(size - len(MAGIC))
-        if size >= 2 * len(MAGIC) and file.read() == MAGIC:  # it ends well
+        if size >= 2 * len(MAGIC) and file.read() == MAGIC:  # proper end
             raise DamagedError(reason) from None
         notes.append(
             f'the recording was not closed, {reason}: {sum(scanned.met.values())} messages were '
@@ -97,7 +98,7 @@ def scan(
 
 
 class _Scan:
-    """The schemas, channels and messages met so far, and the number of bytes in whole records."""
+    """The schemas and channels read so far, and the number of bytes in complete records."""
 
     def __init__(self, wanted: Wanted, counts: dict[Channel, int], most_bytes: int) -> None:
         self._wanted = wanted
@@ -133,9 +134,9 @@ class _Scan:
 
     def _blocks(self, file: BinaryIO) -> Iterator[bytes]:
         """
-        Yield the records of each chunk, and others one by one; check that the file is whole.
+        Yield the records of each chunk, and others one by one; check completeness.
 
-        A truncated record gives the part that is there.
+        A truncated record gives its available part.
         """
         kind = -1
         while kind != _FOOTER:
@@ -160,13 +161,13 @@ class _Scan:
             raise DamagedError('it does not end as an MCAP file does')
 
     def _take(self, size: int) -> None:
-        """Refuse a file whose content is too large for its size."""
+        """Raise for a file whose content is too large for its size."""
         self._bytes_left -= size
         if self._bytes_left < 0:
             raise _InflatingError('its content is far larger than the file')
 
     def _read_other(self, kind: int, body: bytes) -> None:
-        """Read a record that is no message; refuse a file with other counts in its statistics."""
+        """Read a record other than a message; raise for inconsistent counts in the statistics."""
         if kind == _SCHEMA:
             (number,) = struct.unpack_from('<H', body)
             type_name, end = _text(body, 2)
@@ -174,7 +175,7 @@ class _Scan:
             if type_name in DEFINED_TYPES and len(body) < MAX_DEFINITION:
                 definition, _ = _text(body, _text(body, end)[1])
             self._schemas[number] = type_name, definition
-        elif kind == _CHANNEL:  # the summary at the end repeats them
+        elif kind == _CHANNEL:  # repeated in the summary at the end
             number, schema = struct.unpack_from('<HH', body)
             name, end = _text(body, 4)
             encoding, _ = _text(body, end)
@@ -187,7 +188,7 @@ class _Scan:
             if self._wanted(topic):
                 self._wanted_channels.add(number)
         elif kind == _STATISTICS:
-            (size,) = struct.unpack_from('<42xI', body)  # behind totals and times
+            (size,) = struct.unpack_from('<42xI', body)  # after totals and times
             for number, count in struct.iter_unpack('<HQ', body[46:46 + size]):
                 if self.met[number] != count:
                     raise DamagedError(f'it has {self.met[number]} messages in channel {number}, '
@@ -195,7 +196,7 @@ class _Scan:
 
 
 def _exactly(file: BinaryIO, size: int) -> bytes:
-    """Read a number of bytes, which must be there."""
+    """Return exactly a number of bytes, or raise."""
     data = file.read(size)
     if len(data) != size:
         raise DamagedError(_TRUNCATED)
@@ -215,7 +216,7 @@ def _chunk_data(body: bytes) -> bytes:
     """
     Return the decompressed records of a chunk, checked against its size and its checksum.
 
-    A truncated chunk gives the part that is there.
+    A truncated chunk gives its available part.
     """
     (size,), (compression, at) = struct.unpack_from('<16xQ', body), _text(body, 28)
     (stored_size,) = struct.unpack_from('<Q', body, at)
@@ -241,7 +242,7 @@ def _chunk_data(body: bytes) -> bytes:
 
 
 def seal(path: Path) -> None:
-    """Write the checksums of the chunks of a sound MCAP file that was written without them."""
+    """Write the checksums of the chunks of an intact MCAP file written without them."""
     with path.open('r+b') as file:
         file.seek(len(MAGIC))
         kind = 0

@@ -1,11 +1,12 @@
 """
 The codec of frequent messages, for recordings and topics, and their conversion to streams.
 
-These messages are a header, one or two frame names, and a fixed row of doubles, in CDR. Messages
-with equal first bytes and names therefore form one array in memory: recordings are decoded as
-arrays (`decode`, `encode`), topics one message at a time (`Decoder`, `pack`), both by `LAYOUTS`.
+These messages consist of a header, one or two frame names, and a fixed row of doubles, in CDR.
+Messages with equal first bytes and names therefore form one array in memory: recordings are
+decoded as arrays (`decode`, `encode`), topics one message at a time (`Decoder`, `pack`), both by
+`LAYOUTS`.
 
-Unusable messages are left out of a stream, and counted by reason.
+Unusable messages are omitted from a stream, and counted by reason.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +27,7 @@ import numpy as np
 Indices = Stamps
 
 MAX_MESSAGE_BYTES = 4096
-"""Maximum size of a decoded message, bytes."""
+"""Largest size of a decoded message, bytes."""
 
 HEAD = b'\0\1\0\0'
 """Encapsulation of plain CDR in little-endian order."""
@@ -63,13 +64,13 @@ class Layout:
     doubles : int
         Number of doubles after the names.
     pose : slice or None
-        Position of x, y, z and the quaternion (x, y, z, w) among the doubles.
+        Slice of x, y, z and the quaternion (x, y, z, w) among the doubles.
     twist : slice or None
-        Position of the linear and the angular velocity among the doubles.
+        Slice of the linear and the angular velocity among the doubles.
     pose_covariance : int
-        Number of doubles after the pose that are its covariance.
+        Number of doubles of the covariance after the pose.
     in_list : bool
-        Whether the message is a list, here of one item.
+        Whether the message is a list, here with one item.
 
     """
 
@@ -81,7 +82,7 @@ class Layout:
     in_list: bool = False
 
 
-# A pose has 7 doubles, a twist 6, and the covariance behind either 36.
+# A pose has 7 doubles, a twist 6, and a covariance 36.
 _POSE = slice(0, 7)
 
 LAYOUTS: Mapping[str, Layout] = {
@@ -112,18 +113,17 @@ class Decoder:
     Parameters
     ----------
     kind : str
-        One of `LAYOUTS` that is no list.
+        One of `LAYOUTS` that is not a list.
 
     """
 
     def __init__(self, kind: str) -> None:
-        """Expect no names yet."""
         self._kind, self._sizes, self._strings = kind, range(0), b''
         self._names: tuple[str, ...] = ()
         self._unpack: Callable[[bytes], tuple[Any, ...]] = struct.Struct('').unpack_from
 
     def __call__(self, data: bytes) -> Decoded | None:
-        """Return the content of a message; None unless it is whole, plain CDR, and named."""
+        """Return the content of a message; None unless it is complete, plain CDR, and named."""
         if len(data) in self._sizes:
             content = self._unpack(data)
             head, sec, nanosec, strings = content[:4]
@@ -144,7 +144,7 @@ class Decoder:
 
 @lru_cache(maxsize=64)
 def _form(kind: str, names: tuple[str, ...]) -> tuple[struct.Struct, bytes, bytes]:
-    """Return the form of messages with some names, their first bytes, and the names' bytes."""
+    """Return the form of messages with given names, their first bytes, and the names' bytes."""
     layout = LAYOUTS[kind]
     data = head = with_number(HEAD, 1) if layout.in_list else HEAD
     data += bytes(_STRINGS_AT - _STAMP_AT)
@@ -167,7 +167,7 @@ def pack(kind: str, names: tuple[str, ...], stamp_ns: int, *doubles: float) -> b
     names : tuple of str
         frame_id, and child_frame_id if the type has one.
     stamp_ns : int
-        ns.
+        Stamp, ns.
     doubles : float
         All other fields, in their order.
 
@@ -188,19 +188,19 @@ def decode(
     messages : sequence of bytes (N,)
         CDR with its four-byte head, of either endianness.
     log_times_ns : sequence of int (N,)
-        When each was recorded, ns.
+        Time of recording of each message, ns.
     layout : Layout
         Layout of their type.
     part : slice
         Range of the returned doubles.
     numbers : dict
-        The frames met before, with their indices; gets the new ones.
+        Indices of known frames; receives new ones.
 
     Returns
     -------
     structured array (N,)
-        stamp and arrival (ns), frame (its index; -1 where the message could not be decoded), and
-        values, the doubles asked for.
+        Stamp and arrival (ns), frame (its index; -1 if the message could not be decoded), and
+        values, the requested doubles.
 
     """
     decoded = np.zeros(len(messages), [
@@ -227,13 +227,13 @@ def same_layout(
     messages: Sequence[bytes], strings: int
 ) -> dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]]:
     """
-    Return messages that agree in all but the stamp and the doubles.
+    Return messages that agree in everything but the stamp and the doubles.
 
-    By their size, their head and the bytes of their strings: the strings, and their indices.
-    Those with damaged strings are left out.
+    They agree in size, head and the bytes of their strings. Each group has the strings, and
+    indices of its messages; messages with damaged strings are omitted.
     """
     groups: dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]] = {}
-    end = 0  # of the strings of the message before, mostly also of this one
+    end = 0  # end of the previous message's strings, usually equal
     for i, message in enumerate(messages):
         key = len(message), message[:_STAMP_AT], message[_STRINGS_AT:end]
         if key not in groups:
@@ -247,17 +247,16 @@ def same_layout(
 
 
 class Reader:
-    """Reads a message field by field; positions count from its body."""
+    """Reader of a message by fields; positions count from its body."""
 
     def __init__(self, data: bytes) -> None:
-        """Take a message with its four-byte head."""
         if data[:2] not in (b'\0\0', b'\0\1'):
             raise _damaged('it is not plain CDR')
         self.order = '<' if data[1] else '>'
         self.body, self.at = memoryview(data)[4:], 0
 
     def number(self, kind: str = 'I') -> int:
-        """Return an integer of four bytes."""
+        """Return a four-byte integer."""
         self.at += -self.at % 4
         if self.at + 4 > len(self.body):
             raise _damaged('it ends too early')
@@ -278,7 +277,7 @@ class Reader:
             raise _damaged('a string in it is not UTF-8') from None
 
     def skip_list(self, doubles: int) -> int:
-        """Skip a list of items of so many doubles; return the number of items."""
+        """Skip a list of items, each with a number of doubles; return the number of items."""
         count = self.number()
         if count:
             self.at += -self.at % 8 + 8 * doubles * count
@@ -323,7 +322,7 @@ def _doubles_at(end: int) -> int:
 
 
 def _dtype(order: str, doubles_at: int, size: int, layout: Layout) -> np.dtype[np.void]:
-    """Return the memory layout of messages of a byte order and a size."""
+    """Return the memory layout of messages with a byte order and a size."""
     return np.dtype({
         'names': ['sec', 'nanosec', 'doubles'],
         'formats': [f'{order}i4', f'{order}u4', (f'{order}f8', (layout.doubles,))],
@@ -340,7 +339,7 @@ def encode(stamps_ns: Indices, values: Array, names: tuple[str, ...], kind: str)
     stamps_ns : int array (N,)
         Header stamps, ns.
     values : array (N, D)
-        Pose, then twist, if the type has them; its covariances are zero.
+        Pose, then twist, if the type has them; covariances are zero.
     names : tuple of str
         frame_id, and child_frame_id if the type has one.
     kind : str
@@ -381,7 +380,7 @@ REASONS: Mapping[str, str] = {reason: text for table in tomllib.loads(
 
 
 def describe(refused: Mapping[str, tuple[int, ...]]) -> str:
-    """Return the refusals in words: how many of each reason, and where the first is."""
+    """Return the rejections in words: number for each reason, and position of the first."""
     return ', '.join(
         f'{len(indices)} x {REASONS.get(reason, reason)} (first: message {indices[0]})'
         for reason, indices in refused.items() if indices) or 'none'
@@ -396,21 +395,20 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
     name : str
         Topic.
     decoded : array (N,)
-        As of `decode`, in the recording's order; values are x, y, z, the quaternion (x, y, z, w),
+        Result of `decode` in the recorded order; values are x, y, z, the quaternion (x, y, z, w),
         and, if requested, the covariance.
     frames : sequence of tuple of str
-        The names of the frames by their indices: frame_id, and child_frame_id where the type has
-        one.
+        Names of the frames by index: frame_id, and child_frame_id if the type has one.
 
     Returns
     -------
     PoseStream
-        Its `refused` holds only the reasons that occur; each message is counted once, under the
-        first that applies.
+        Its `refused` has only reasons that occur; each message counts once, under the first reason
+        that applies.
 
     """
     poses, covariance = decoded['values'][:, :7], decoded['values'][:, 7:]
-    with np.errstate(over='ignore', invalid='ignore'):  # infinite where the square overflows
+    with np.errstate(over='ignore', invalid='ignore'):  # infinite if the square overflows
         norm = np.linalg.norm(poses[:, 3:], axis=1)
     unusable = {
         'zero_quaternion': norm < 1e-6,
@@ -424,19 +422,19 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
 
 def twist_stream(name: str, decoded: np.ndarray, frames: Frames) -> TwistStream:
     """
-    Return the usable twists in their recorded axes, which in Odometry are axes of its child.
+    Return the usable twists in their recorded axes; in Odometry those are axes of its child.
 
     Parameters
     ----------
     name : str
         Topic.
     decoded, frames
-        As of `pose_stream`; values are linear, then angular.
+        As in `pose_stream`; values are linear, then angular.
 
     Returns
     -------
     TwistStream
-        With `refused` as in `pose_stream`.
+        Stream with `refused` as in `pose_stream`.
 
     """
     twists = decoded['values']
@@ -461,7 +459,7 @@ def _drop_invalid(
     refused: Refused = {}
     for reason, bad in tests.items():
         usable = _drop(refused, reason, usable, bad[usable])
-    # The frame that most messages have; of equals, the one met first.
+    # The frame of most messages; the first one if tied.
     frame = int(np.argmax(np.bincount(decoded['frame'][usable]))) if len(usable) else 0
     usable = _drop(refused, 'frame_id', usable, decoded['frame'][usable] != frame)
     of_stamps = unusable_stamps(decoded['stamp'][usable], decoded['arrival'][usable])
@@ -472,7 +470,7 @@ def _drop_invalid(
 
 
 def _drop(refused: Refused, reason: str, usable: Stamps, bad: Mask) -> Stamps:
-    """Note the bad ones among usable messages, and return the others."""
+    """Add the bad ones among usable messages to the rejections, and return the others."""
     if bad.any():
         refused[reason] = tuple(usable[bad].tolist())
     return usable[~bad]

@@ -1,9 +1,9 @@
 """
-Parameter files: YAML as ROS takes it, read and written.
+Parameter files: YAML in the form of ROS, read and written.
 
-Read are `/**:`, a node's name or its full name over `ros__parameters:`, and files without either;
-names may be nested or dotted. Written files are read by ROS as they are: every double has a
-decimal point.
+Accepted forms are `/**:`, a node's name or its full name above `ros__parameters:`, and files
+without either; names may be nested or dotted. ROS reads written files unchanged: every double has
+a decimal point.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -47,20 +47,20 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     path : path
         YAML file.
     node : str, optional
-        'identifier' or 'predictor': parameters that ROS would give to a node of that name, later
-        values over earlier ones. Default: the parameters of both nodes, without contradictions.
+        Node 'identifier' or 'predictor': the parameters that ROS gives to a node of this name,
+        later values over earlier ones. Default: the parameters of both nodes, without
+        contradictions.
 
     Returns
     -------
     dict
-        Dotted names to values, checked, in the normal form of `checks.validate`. Parameters that
-        every ROS node has, as use_sim_time, are left out.
+        Values by dotted name, checked, in the normal form of `checks.validate`, without the
+        parameters of every ROS node, such as use_sim_time.
 
     Raises
     ------
     BellowsError
-        With the file and the line: not readable, not YAML, an unknown name, or a value that is not
-        allowed.
+        With file and line: unreadable, not YAML, an unknown name, or an invalid value.
 
     Examples
     --------
@@ -97,23 +97,22 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
 
 def write_parameters(path: File, values: Mapping[str, Any], header: Sequence[str] = ()) -> None:
     """
-    Write a parameter file that all ROS nodes take with --params-file, whole or not at all.
+    Write a parameter file for all ROS nodes (--params-file), whole or not at all.
 
     Parameters
     ----------
     path : path
         YAML file.
     values : mapping
-        Dotted names to values; they are checked, and written in the order of the parameter table,
-        behind them the cups that have names.
+        Values by dotted name, which are checked, and written in the order of the parameter table,
+        followed by the named cups.
     header : sequence of str
         Comment lines at the top.
 
     Raises
     ------
     BellowsError
-        If a value is not allowed, or the file cannot be written; an existing file is then
-        unchanged.
+        If a value is invalid, or the file cannot be written; an existing file is then unchanged.
 
     Examples
     --------
@@ -129,7 +128,7 @@ def write_parameters(path: File, values: Mapping[str, Any], header: Sequence[str
 def format_parameters(values: Mapping[str, Any], header: Sequence[str] = ()) -> str:
     """Return the text of a parameter file; see `write_parameters`."""
     checked = {name: validate(name, value) for name, value in values.items()}
-    # A line break in a comment must not end it.
+    # A line break must not end a comment.
     plain = (''.join(c if c.isprintable() else ' ' for c in line) for line in header)
     lines = [f'# {line}'.rstrip() for line in plain]
     lines += ['/**:', f'{_INDENT}{_SECTION}:']
@@ -185,7 +184,7 @@ def _body(values: Mapping[str, Value]) -> Iterator[str]:
     """
     Yield the lines of the values, nested by the parts of their names.
 
-    The values of the table come first, in its order; then the values of each named cup.
+    Values of the table come first, in its order, followed by the values of each named cup.
     """
     order = {name: k for k, name in enumerate(PARAMETERS)}
     cups = cup_names(values)
@@ -205,7 +204,7 @@ def _body(values: Mapping[str, Value]) -> Iterator[str]:
 
 
 def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterator[str]:
-    """Yield the lines of one parameter: its sentence, its value, and units in every line."""
+    """Yield the lines of one parameter: its description, its value, and units in every line."""
     for line in textwrap.wrap(parameter.description, 97 - len(indent)):
         yield f'{indent}# {line}'
     unit = f'  # {parameter.unit}' if parameter.unit else ''
@@ -217,7 +216,7 @@ def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterat
 
 
 def _rows(name: str, value: tuple[Any, ...], indent: str, unit: str) -> Iterator[str]:
-    """Yield the lines of a long list, six items a line."""
+    """Yield the lines of a long list, six items per line."""
     texts = [_scalar(x) for x in value]
     width = max(len(text) for text in texts)
     of_rows = _ROW_UNITS.get(NAMED_CUP.sub(r'cup.\2', name))
@@ -239,7 +238,7 @@ _Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar(
 
 
 def _scalar(value: object) -> str:
-    """Return a value in a form that every version of YAML reads: doubles with a decimal point."""
+    """Return a value in a form for every version of YAML: doubles with a decimal point."""
     text = yaml.dump([value], Dumper=_Dumper, default_flow_style=True, width=math.inf,
                      allow_unicode=True)
     return text.strip()[1:-1]

@@ -1,8 +1,8 @@
 """
-Plans as messages: MultiDOFJointTrajectory and Path as CDR, all points at once, JointTrajectory.
+Plans as messages: MultiDOFJointTrajectory and Path as CDR, and JointTrajectory.
 
-Points lie in memory with one spacing, as doubles are aligned to 8: NumPy reads and writes a plan
-of 2,000 points in the time in which Python objects of 20 are made.
+Points have a constant spacing in memory, as doubles are aligned to 8: NumPy reads and writes a
+plan of 2,000 points in the time of 20 Python objects.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ PATH = 'nav_msgs/msg/Path'
 @dataclass(frozen=True, eq=False)
 class PlanMessage:
     """
-    A plan as messages have it.
+    A plan in the form of messages.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ class PlanMessage:
         Stamp of the header, ns; 0 if the plan starts with the motion of the tool.
     frame_id : str
     names : tuple of str
-        Name of the joint, that is of the moving frame.
+        Name of the joint, the moving frame.
     times_ns : int array (N,)
-        From the start, ns.
+        Times from the start, ns.
     poses : array (N, 7)
         Position (m) and quaternion xyzw.
     twists, accelerations : array (N, 6) or None
@@ -53,7 +53,7 @@ class PlanMessage:
     accelerations: Array | None = None
 
     def __post_init__(self) -> None:
-        """Refuse several names for the one transform of each point, and unusable names."""
+        """Raise for several names for one transform of each point, and for unusable names."""
         require_names((self.frame_id, *self.names), 'the plan')
         if len(self.names) > 1:
             raise BellowsError(
@@ -85,7 +85,7 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
             f'{parts[2]} accelerations; expected 1 transform, and 0 or 1 of the others: a plan is '
             'of one thing, the tool.')
     reader.at = first
-    # The first point may be padded differently.
+    # The first point may have another padding.
     rows = [_points(reader, parts, 1), _points(reader, parts, count - 1)]
     times = [each['sec'].astype(np.int64) * NS_PER_S + each['nanosec'] for each in rows]
     poses, twists, accelerations = (
@@ -122,7 +122,7 @@ def _point(order: str, parts: tuple[int, ...]) -> FieldTypes:
 
 @cache
 def _structure(fields: FieldTypes, offset: int) -> np.dtype[np.void]:
-    """Return the memory layout of fields that begin so many bytes behind a multiple of 8."""
+    """Return the memory layout of fields that begin at an offset from a multiple of 8."""
     offsets, end = [], offset
     for _, form in fields:
         dtype = np.dtype(form)
@@ -137,7 +137,7 @@ def _structure(fields: FieldTypes, offset: int) -> np.dtype[np.void]:
 def _encode(head: bytes, fields: FieldTypes, columns: Mapping[str, Any]) -> bytes:
     """Return a message of a head and equal structures, whose fields are the columns."""
     message = head
-    for part in (slice(0, 1), slice(1, None)):  # the first may be padded differently
+    for part in (slice(0, 1), slice(1, None)):  # the first may have another padding
         rows = np.zeros(len(columns['sec'][part]), _structure(fields, len(message) % 8))
         for name, _ in fields:
             column = columns[name]
@@ -196,12 +196,12 @@ def _header(stamp_ns: int, frame_id: str) -> bytes:
 
 def require_frame(frame_id: str, values: Values) -> None:
     """
-    Refuse a plan in a frame other than plan.frame, or one that moves with the tool.
+    Raise for a plan in a frame other than plan.frame, or in a frame that moves with the tool.
 
     Raises
     ------
     BellowsError
-        If plan.frame names another one, or the frame is the tool's, the lip's or the package's.
+        If plan.frame has another name, or the frame is of the tool, the lip or the package.
 
     """
     wanted = values.plan.frame
@@ -218,7 +218,7 @@ def require_frame(frame_id: str, values: Values) -> None:
 def plan_message(
     motion: Trajectory, stamp_ns: int, frame_id: str, name: str, axes: str
 ) -> PlanMessage:
-    """Return a motion as the plan of a body, with twists in axes of the 'world' or its own."""
+    """Return a motion as the plan of a body, with twists in axes of the 'world' or of the body."""
     twist = np.asarray(motion.twist)
     if axes == 'world':
         twist = apply(motion.rotation[:, None], twist.reshape(-1, 2, 3)).reshape(-1, 6)
@@ -256,7 +256,7 @@ def joint_plan(message: Any) -> JointPlan:
 
 
 def lists_of(points: Sequence[Any], part: str, count: int) -> list[Any] | None:
-    """Return a field of all points, None without the field; reject fields of some points."""
+    """Return a field of all points, None without the field; raise if some points lack it."""
     lists = [getattr(point, part, ()) for point in points]
     if not any(len(each) for each in lists):
         return None
@@ -269,7 +269,7 @@ def lists_of(points: Sequence[Any], part: str, count: int) -> list[Any] | None:
 
 
 def ns_of(stamp: Any) -> int:
-    """Return a stamp or duration in ns, of integers as large as ROS has them."""
+    """Return a stamp or duration in ns, from integers of any size in ROS."""
     for count, lowest, highest in ((stamp.sec, -2**31, 2**31), (stamp.nanosec, 0, 2**32)):
         if not isinstance(count, int | np.integer) or not lowest <= count < highest:
             raise ValueError(f'{count} as seconds or nanoseconds')

@@ -1,11 +1,11 @@
 """
 Plans and tool motions from files: messages of several types in recordings, or YAML.
 
-The results are points as `plan_messages.PlanMessage` has them, unchecked and not interpolated.
+The results are points in the form of `plan_messages.PlanMessage`, unchecked and not interpolated.
 
-Transforms are a tree of frames on /tf and /tf_static, whose links may come at different times and
-rates: the stamps of the moving link next to the wanted frame count, and other links are
-interpolated there.
+Transforms are a tree of frames on /tf and /tf_static, with individual times and rates of the
+links: results have the stamps of the moving link next to the wanted frame, at which other links
+are interpolated.
 """
 
 from collections import Counter
@@ -33,7 +33,7 @@ TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
 
 
 class Transform(NamedTuple):
-    """A frame in its parent: at a time, or always."""
+    """A frame in its parent, at a stamp or fixed."""
 
     child: str
     parent: str
@@ -43,7 +43,7 @@ class Transform(NamedTuple):
 
 def read_transforms(path: File) -> list[Transform]:
     """
-    Return the transforms of a recording: those that are fixed, and the others by their stamps.
+    Return the transforms of a recording: the fixed ones, and the others by stamp.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def read_transforms(path: File) -> list[Transform]:
 
 
 def moving_frames(transforms: Iterable[Transform]) -> list[str]:
-    """Return the frames that have several transforms."""
+    """Return the frames with several transforms."""
     counts = Counter(each.child for each in transforms if not each.is_fixed)
     return sorted(frame for frame, count in counts.items() if count > 1)
 
@@ -77,23 +77,23 @@ def poses_in(
     transforms: Sequence[Transform], frame: str, world: str, of: str
 ) -> tuple[Stamps, Array, str, int]:
     """
-    Return stamps (N,), poses (N, 7) of a frame in another one, and the name of that.
+    Return stamps (N,), poses (N, 7) of a frame in another one, and the other one's name.
 
-    And how many transforms between them are left out because they are no poses.
+    The last result is the number of transforms between them omitted as invalid poses.
 
     Parameters
     ----------
     transforms : sequence of Transform
-        As `read_transforms` returns them.
+        Transforms, as `read_transforms` returns them.
     frame, world : str
         Frame of the body, and frame of its poses; '' for the farthest ancestor.
     of : str
-        Name of the body of the transforms, for messages.
+        Name of the body for messages.
 
     Raises
     ------
     BellowsError
-        If one is unknown, nothing connects them, or nothing moves between them.
+        If a frame is unknown, nothing connects them, or nothing moves between them.
 
     """
     parents = {each.child: each.parent for each in transforms}
@@ -101,7 +101,7 @@ def poses_in(
     world = world.lstrip('/') or path[-1]
     path += _frames_to_root(parents, world, of)
     good = [each for each in transforms if not why_no_pose(*each.sample[1:])]
-    firsts = {each.child: each for each in reversed(good)}  # which make the tree
+    firsts = {each.child: each for each in reversed(good)}  # which form the tree
     chain, rows = Chain(world, path[0]), list[PoseSample]()
     for child, parent, sample, is_fixed in (*firsts.values(), *good):
         q = normalised(sample.quaternion_xyzw)
@@ -118,7 +118,7 @@ def poses_in(
 
 
 def _frames_to_root(parents: Mapping[str, str], frame: str, of: str) -> list[str]:
-    """Return the frames from this one up to the root; refuse loops."""
+    """Return the frames from this one up to the root; raise for loops."""
     if frame not in {*parents, *parents.values()}:
         raise BellowsError(
             f"Frame '{shown(frame)}' is not among the transforms of {of}. There are: "
@@ -140,11 +140,11 @@ JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
 PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, bags.ROBOT_TRAJECTORY, bags.DISPLAY_TRAJECTORY)
-"""Types of messages that are plans."""
+"""Message types of plans."""
 
 
 class NoArmError(BellowsError):
-    """Joints are given, but not the arm they belong to."""
+    """Joints are given without their arm."""
 
 
 def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | JointPlan]]:
@@ -154,7 +154,7 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
     Raises
     ------
     BellowsError
-        If the recording cannot be read, or a plan in it is none.
+        If the recording cannot be read, or a plan in it is invalid.
 
     """
     def plans_of(channel: Channel, data: bytes) -> list[PlanMessage | JointPlan]:
@@ -177,7 +177,7 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
 
 
 def of_moveit(trajectories: Iterable[Any]) -> list[PlanMessage | JointPlan]:
-    """Return the plans in RobotTrajectory messages: of joints, or else of a body."""
+    """Return the plans in RobotTrajectory messages: of joints, or otherwise of a body."""
     return [
         plan_messages.joint_plan(each.joint_trajectory) if each.joint_trajectory.points
         else multi_dof(each.multi_dof_joint_trajectory) for each in trajectories
@@ -186,12 +186,12 @@ def of_moveit(trajectories: Iterable[Any]) -> list[PlanMessage | JointPlan]:
 
 def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPlan:
     """
-    Return the plan in a message written as YAML, as `ros2 topic echo --once` prints it.
+    Return the plan in a message as YAML, as `ros2 topic echo --once` prints it.
 
     Raises
     ------
     BellowsError
-        If it is none of the messages that plans are.
+        If it is not a message with a plan.
 
     """
     try:
@@ -234,7 +234,7 @@ def multi_dof(message: Any) -> PlanMessage:
 
 
 def path_points(message: Any) -> PlanMessage:
-    """Return the points of a Path; its times count from the first pose."""
+    """Return the points of a Path, with times from the first pose."""
     require_count(len(message.poses), 'The plan')
     frames = {pose.header.frame_id for pose in message.poses} - {message.header.frame_id, ''}
     if frames:
@@ -254,7 +254,7 @@ def recorded_joints(path: File, arm: Arm) -> PlanMessage:
     Raises
     ------
     BellowsError
-        If there are none, or they lack a joint of the arm.
+        If there are no joint states, or they lack a joint of the arm.
 
     """
     messages = [bags.decoded(data, STATES) for _, _, data in bags.messages_of(path, (STATES,))]
@@ -277,7 +277,7 @@ def recorded_joints(path: File, arm: Arm) -> PlanMessage:
 
 def joints_or_tf(path: File, urdf: File, tool_link: str) -> PlanMessage:
     """
-    Return the tool poses of recorded joint states and a URDF, or else of transforms.
+    Return the tool poses of recorded joint states and a URDF, or otherwise of transforms.
 
     Raises
     ------
@@ -297,7 +297,7 @@ def joints_or_tf(path: File, urdf: File, tool_link: str) -> PlanMessage:
 
 
 def _recorded(stamps: Stamps, poses: Array, twist: Array | None, frame: str) -> PlanMessage:
-    """Return recorded poses (N, 7) in the order of their stamps, each stamp once."""
+    """Return recorded poses (N, 7) in the order of their stamps, without duplicates."""
     stamps, first = np.unique(stamps, return_index=True)
     return PlanMessage(
         int(stamps[0]), frame, ('tool',), stamps - stamps[0], poses[first],
@@ -311,7 +311,7 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
     Raises
     ------
     BellowsError
-        If there is none, or it does not lead to the link.
+        If there is no URDF, or it does not lead to the link.
 
     """
     if not tool_link:
@@ -336,10 +336,8 @@ def read_yaml(path: File) -> Mapping[str, Any]:
 
 
 def _vector(vector: Any) -> tuple[float, float, float]:
-    """Return a vector's numbers."""
     return float(vector.x), float(vector.y), float(vector.z)
 
 
 def _pose(vector: Any, q: Any) -> tuple[float, ...]:
-    """Return the numbers of a position and a quaternion."""
     return (*_vector(vector), float(q.x), float(q.y), float(q.z), float(q.w))

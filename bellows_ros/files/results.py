@@ -1,9 +1,9 @@
 """
 The result of a fit as a JSON file, with its provenance.
 
-Numbers keep every digit. JSON knows neither NaN nor infinity: an unknown number, because the
-recording does not determine it, is null. Counts, stamps in ns and rates in Hz say so in
-their keys; all other numbers of a fit have their units beside them, in `units` or `unit`.
+Numbers keep every digit. NaN and infinity, which JSON lacks, become null: an undetermined number.
+Counts, stamps in ns and rates in Hz have the unit in their keys; all other numbers of a fit have
+their units in `units` or `unit` of the same mapping.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -53,12 +53,12 @@ def write_json(path: File, content: Any) -> None:
     path : path
         JSON file.
     content : mapping or result
-        As of `plain`.
+        Content for `plain`.
 
     Raises
     ------
     BellowsError
-        If something has no place in JSON, or the file cannot be written.
+        If the content cannot be represented in JSON, or the file cannot be written.
 
     """
     atomic.write_text(path, format_json(content))
@@ -76,12 +76,12 @@ def read_result(path: File) -> dict[str, Any]:
     Returns
     -------
     dict
-        By key; None stands for an unknown number.
+        Content by key; None is an unknown number.
 
     Raises
     ------
     BellowsError
-        If the file cannot be read, or is no such result; `content_of` reports damage in it.
+        If the file cannot be read, or is not such a result; `content_of` reports damage in it.
 
     """
     text = read_text(path, MAX_FILE_BYTES, 'Result')
@@ -102,12 +102,12 @@ def read_result(path: File) -> dict[str, Any]:
 @contextmanager
 def content_of(*paths: File) -> Iterator[None]:
     """
-    Name the files if their content is not the result of a fit.
+    Add the names of the files to errors if their content is not the result of a fit.
 
     Raises
     ------
     BellowsError
-        In place of the exception of a missing key, another type or an impossible number.
+        Instead of the exception for a missing key, another type or an impossible number.
 
     """
     try:
@@ -125,7 +125,7 @@ def content_of(*paths: File) -> Iterator[None]:
 
 
 def _refuse_constant(name: str) -> None:
-    """Refuse NaN and infinity, which are not JSON."""
+    """Raise for NaN and infinity, which are not JSON."""
     raise ValueError(f'{name} is not allowed, null stands for an unknown number')
 
 
@@ -134,8 +134,8 @@ def plain(value: Any, units: bool = False) -> Any:
     Return a result as plain JSON types.
 
     A result becomes its `as_json()`, any other dataclass or named tuple its fields; NumPy becomes
-    Python, NaN and infinity become None. With units, every mapping has the units of its numbers by
-    `UNIT_OF` beside them.
+    Python, NaN and infinity become None. With units, every mapping also has the units of its
+    numbers by `UNIT_OF`.
     """
     if hasattr(value, 'as_json'):
         value = value.as_json()
@@ -164,7 +164,7 @@ def with_units(content: Mapping[str, Any], add: bool = True) -> dict[str, Any]:
         if not isinstance(key, str):
             raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are strings.')
     items = {key: plain(item, add and key not in UNITLESS and UNIT_OF.get(key) != '1')
-             for key, item in content.items()}  # in a mapping of ratios all are ratios
+             for key, item in content.items()}  # all numbers in a mapping of ratios are ratios
     units = {key: UNIT_OF[name] for key, item in content.items() if add and item is not None
              and (name := key.removesuffix('_std')) in UNIT_OF
              and not (isinstance(items[key], dict) and 'units' in items[key])}
@@ -177,7 +177,7 @@ def attributes(result: object, *names: str) -> dict[str, Any]:
 
 
 def _text(value: Any, indent: str) -> str:
-    """Return plain content as JSON; a list of numbers or texts stays on one line."""
+    """Return plain content as JSON, with each list of numbers or texts on one line."""
     inner = indent + '  '
     if isinstance(value, dict) and value:
         items = [f'{inner}{json.dumps(key)}: {_text(x, inner)}' for key, x in value.items()]
@@ -190,7 +190,7 @@ def _text(value: Any, indent: str) -> str:
 
 def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ()) -> dict[str, Any]:
     """
-    Return the files and versions that a result depends on; equal files give equal digests.
+    Return the files and versions that a result depends on; equal files have equal digests.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """
 Safe YAML: plain data, no duplicate or merge keys, bounded, errors with their line.
 
-Aliases are refused where asked: ROS does not know them either, and nested ones grow without bound
-when written out.
+Aliases are optionally rejected: ROS does not support them, and nested ones grow without bound in
+output.
 """
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
@@ -15,27 +15,25 @@ from bellows_ros.files import read_text
 import yaml
 
 MAX_FILE_BYTES = 2**20
-# Values and keys in a file; as many take some seconds.
+# Largest number of values and keys in a file, which takes some seconds.
 MAX_VALUES = 50_000
 
 Lines = dict[tuple[str, ...], int]
 
 
 def _refused(why: str, at: Any) -> yaml.MarkedYAMLError:
-    """Return the error for an event or a node."""
     return yaml.MarkedYAMLError(problem=why, problem_mark=at.start_mark)
 
 
 class Content(dict[str, Any]):
-    """The content of a YAML file, which knows where its keys stand."""
+    """The content of a YAML file, with the lines of its keys."""
 
     def __init__(self, content: Mapping[str, Any], path: Path, lines: Lines) -> None:
-        """Take a mapping, and the line of each key."""
         super().__init__(content)
         self._path, self._lines = path, lines
 
     def where(self, keys: Sequence[str]) -> str:
-        """Return the file and the line of the innermost of some keys that is given."""
+        """Return the file and the line of the innermost given key."""
         lines = (self._lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
         line = next(filter(None, lines), None)
         return f'{self._path}, line {line}: ' if line else f'{self._path}: '
@@ -51,7 +49,7 @@ class _Loader(yaml.SafeLoader):
     count = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Refuse tags, aliases, and more values than anyone writes."""
+        """Raise for tags, aliases, and too many values."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
         self.count += 1
         if self.count > MAX_VALUES:
@@ -65,13 +63,13 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Refuse merge keys."""
+        """Raise for merge keys."""
         for key, _ in node.value:
             if key.tag == 'tag:yaml.org,2002:merge':
                 raise _refused('merge keys (<<) are not allowed', key)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """Refuse keys that are not plain or are given twice."""
+        """Raise for keys that are not plain or are given twice."""
         names: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -82,7 +80,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-# As in ROS: 1e-05 is a number though YAML 1.1 wants a point in it; 2024-05-01 and 1:30 are texts.
+# As in ROS, 1e-05 is a number, although YAML 1.1 requires a point; 2024-05-01 and 1:30 are texts.
 _NUMBERS = {
     'int': r'[-+]?(0b[01_]+|0[0-7_]*|[1-9][0-9_]*|0x[0-9a-fA-F_]+)$',
     'float': r'[-+]?([0-9][0-9_]*\.[0-9_]*([eE][-+]?[0-9]+)?|\.[0-9][0-9_]*([eE][-+]?[0-9]+)?'
@@ -100,18 +98,18 @@ def load(path: Path, aliases: bool = False) -> Any:
     """
     Return the content of a YAML file: dicts, lists, strings, numbers, booleans and None.
 
-    A mapping is returned as `Content`, which knows no lines with aliases.
+    A mapping is returned as `Content`, without lines if aliases are allowed.
 
     Raises
     ------
     BellowsError
-        If the file cannot be read, is too large, or is not the YAML described above.
+        If the file cannot be read, is too large, or is not safe YAML.
 
     """
-    text = read_text(path, MAX_FILE_BYTES).removesuffix('---\n')  # the end of a printed message
+    text = read_text(path, MAX_FILE_BYTES).removesuffix('---\n')  # end of a printed message
     try:
         loader = _Loader(text)
-        loader.aliases_allowed = aliases  # in files that other programs write
+        loader.aliases_allowed = aliases  # in files of other programs
         node = loader.get_single_node()
         if node is None:
             return None
@@ -126,15 +124,15 @@ def load(path: Path, aliases: bool = False) -> Any:
         raise BellowsError(f'{path} is not valid YAML: {error}') from None
     except RecursionError:
         raise BellowsError(f'{path} is nested too deeply to be read.') from None
-    except (ValueError, OverflowError) as error:  # what only looks like a number
+    except (ValueError, OverflowError) as error:  # similar to a number
         raise BellowsError(f'{path}: a value cannot be read: {error}.') from None
 
 
 def _lines(node: yaml.Node, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], int]]:
     """
-    Yield the keys that lead to each value of nested mappings, with the line of the last.
+    Yield the keys that lead to each value of nested mappings, with the line of the last key.
 
-    The mappings of a list are 'name[0]', 'name[1]' and so on.
+    Mappings of a list are 'name[0]', 'name[1]' and so on.
     """
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:

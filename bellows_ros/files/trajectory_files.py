@@ -1,18 +1,17 @@
 """
 Trajectories as text: TUM files, motions with velocities, programs, and exports of Motive.
 
-TUM has a pose per line, `time x y z qx qy qz qw`, in s and m, with blanks between; evo and many
-SLAM tools take it.
+TUM has a pose per line, `time x y z qx qy qz qw`, in s and m, separated by blanks; evo and many
+SLAM tools read it.
 
 The tracked poses of rigid bodies are read from Motive's CSV exports (formats 1.2 to 1.25). A pose
-is left out where its cells are blank, and where fewer markers of its body are seen than a rigid
-body needs. A marker is seen where its quality is at least 0.99 (appendix H); in an export without
-qualities, where its measured position is not blank. (The positions of a 'Rigid Body Marker' say
-nothing about that: they are where the body expects its markers, and always there.) Their layout: a
-row of settings, name and value in turn; a blank row; rows for Type, Name, ID, since format 1.25
-Parent, and quantity; the row of axes, which begins with Frame and Time (Seconds) and, where the
-take has one, TimeCode; then a row per frame. These heads identify columns, so their order does not
-matter.
+is omitted if its cells are blank, or if fewer markers of its body are visible than a rigid body
+needs. A marker is visible if its quality is at least 0.99 (appendix H); in an export without
+qualities, if its measured position is not blank. (The positions of a 'Rigid Body Marker' are
+expected ones, and always present.) The layout is: a row of settings, alternately name and value; a
+blank row; rows for Type, Name, ID, since format 1.25 Parent, and quantity; the row of axes, which
+begins with Frame and Time (Seconds) and, if the take has one, TimeCode; then a row per frame.
+These heads identify columns in any order.
 """
 
 from array import array
@@ -37,7 +36,7 @@ import numpy as np
 MAX_FILE_BYTES = 2**31
 
 TUM_COLUMNS = 8
-"""Numbers in a line of a TUM file."""
+"""Number of columns of a TUM file."""
 
 NumberedRows = list[tuple[int, list[str]]]
 """Numbers and cells of the lines of a file."""
@@ -56,7 +55,7 @@ def read_tum(path: File) -> tuple[Stamps, Array]:
     Raises
     ------
     BellowsError
-        With the line, if it is no such file.
+        With the line, if it is not such a file.
 
     """
     lines = _lines(path)
@@ -110,7 +109,7 @@ def write_csv(path: File, stamps_ns: Stamps, values: Array) -> None:
 
 
 def _write(path: File, head: str, form: str, *columns: Array | Stamps) -> None:
-    """Write a text file of a head and a line per row of some columns."""
+    """Write a text file of a head and a line for each row of the columns."""
     rows = zip(*(column.tolist() for column in columns), strict=True)
     atomic.write_text(path, '\n'.join([head, *map(form.__mod__, rows)]) + '\n')
 
@@ -121,7 +120,7 @@ def write_urscript(
     """
     Write a program for a Universal Robots arm that moves the tool through evenly timed poses.
 
-    It moves to the first of them slowly, after a confirmation at the teach pendant.
+    The first move is slow, after a confirmation at the teach pendant.
 
     Parameters
     ----------
@@ -132,7 +131,7 @@ def write_urscript(
     position, rotation_vector : array (N, 3)
         Poses of the tool tip in a frame, m and rad.
     frame : str
-        Name of that frame.
+        Name of the frame.
 
     Raises
     ------
@@ -148,7 +147,7 @@ def write_urscript(
 
 
 def _lines(path: File) -> NumberedRows:
-    """Return the numbers and cells of the lines that are no comments."""
+    """Return the numbers and cells of the lines without comments."""
     lines = [
         (number, line.split())
         for number, line in enumerate(read_text(path, MAX_FILE_BYTES).splitlines(), 1)
@@ -168,12 +167,12 @@ def _line_error(path: File, number: int, what: str) -> BellowsError:
 
 
 def _stamps(path: File, lines: NumberedRows) -> Stamps:
-    """Return the times (s) at the beginning of lines in ns; none goes through a float."""
+    """Return the times (s) at the beginning of lines in ns, without conversion to float."""
     stamps = []
     for number, (cell, *_) in lines:
         try:
             time = Decimal(cell)
-            valid = 0 <= time < 9 * 10**18 // NS_PER_S  # ns that fit into 64 bits
+            valid = 0 <= time < 9 * 10**18 // NS_PER_S  # 64-bit ns
         except ArithmeticError:
             valid = False
         if not valid:
@@ -183,7 +182,7 @@ def _stamps(path: File, lines: NumberedRows) -> Stamps:
 
 
 def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequence[int]) -> Array:
-    """Return some columns (N, columns) of lines, each with its number."""
+    """Return some columns (N, columns) of numbered lines."""
     values = array('d')
     for number, cells in lines:
         try:
@@ -195,9 +194,9 @@ def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequenc
 
 # ------------------------------------------------------------------------------------- Motive
 
-MIN_MARKERS = 3  # of a rigid body, for a pose
+MIN_MARKERS = 3  # for a pose of a rigid body
 METRES = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0254}  # m
-# In some languages of Windows with P.M., or without.
+# Some languages of Windows write P.M.
 START_FORMS = [f'%Y-%m-%d {time}' for time in (
     '%I.%M.%S.%f %p', '%H.%M.%S.%f', '%I.%M.%S %p', '%H.%M.%S')]
 SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units',
@@ -224,9 +223,9 @@ class MotiveBody:
     values : array (N, 7)
         Position (m) and quaternion (x, y, z, w), in Motive's world.
     missing : int
-        Frames without a pose.
+        Number of frames without a pose.
     unseen : int
-        Frames with a pose made of too few markers.
+        Number of frames with a pose from too few markers.
 
     """
 
@@ -244,14 +243,15 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody,
     Parameters
     ----------
     path : path
-        Exported with header, global coordinates and quaternions; marker quality is used if there.
+        CSV file exported with header, global coordinates and quaternions; marker quality is
+        optional.
     min_markers : int
-        A pose with fewer markers seen is left out, where the file says how many were.
+        Smallest number of visible markers of a pose, if the file states them.
 
     Raises
     ------
     BellowsError
-        If it is no such file, or was exported in another way.
+        If it is not such a file, or was exported with other options.
 
     """
     try:
@@ -262,14 +262,14 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody,
 
 
 def is_motive(path: File) -> bool:
-    """Return whether a file begins like an export of Motive; one that cannot be read does not."""
+    """Return whether a file begins like an export of Motive; false if unreadable."""
     with suppress(OSError), Path(path).open('rb') as file:
         return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
     return False
 
 
 def _bodies(path: Path, rows: Any, min_markers: int) -> tuple[MotiveBody, ...]:
-    """Return the bodies by the rows of a file, of `csv.reader`."""
+    """Return the bodies from the rows of a file (`csv.reader`)."""
     about, heads = _read_head(path, rows)
     scale = METRES[about['Length Units'].lower()]
     columns = _body_columns(path, heads)
@@ -304,7 +304,7 @@ def _read_head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], H
         raise BellowsError(
             f"'{path}' is separated by semicolons, as a spreadsheet saves it. Use the file that "
             'Motive exported.')
-    # By name, as a take's own name or notes may hold commas.
+    # By name, as a take's own name or notes may contain commas.
     about = {name: first[first.index(name) + 1] for name in SETTINGS if name in first[:-1]}
     above: dict[str, list[str]] = {}
     for _, row in zip(range(12), rows, strict=False):
@@ -324,7 +324,7 @@ def _read_head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], H
 
 
 def _require_settings(path: Path, about: Mapping[str, str]) -> None:
-    """Refuse an export that poses cannot be taken from."""
+    """Raise for an export without usable poses."""
     for name, wanted in (('Rotation Type', 'Quaternion'), ('Coordinate Space', 'Global')):
         if about.get(name, wanted) != wanted:
             raise BellowsError(
@@ -337,7 +337,7 @@ def _require_settings(path: Path, about: Mapping[str, str]) -> None:
 
 
 def _start_ns(about: Mapping[str, str]) -> int:
-    """Return when the capture began, ns (its clock is taken as UTC); 1 s if not stated."""
+    """Return the start of the capture, ns (its clock is taken as UTC); 1 s if not stated."""
     text = re.sub('[:,]', '.', about.get('Capture Start Time', '').strip().upper())
     text = re.sub(r'\s*([AP])\.?M\.?$', r' \1M', text)
     for form in START_FORMS:

@@ -1,5 +1,5 @@
 """
-Play recorded poses and twists to ROS when they are due, with rclpy but without `ros2 bag`.
+Play recorded poses and twists to ROS in time, with rclpy but without `ros2 bag`.
 
 `converse` plays to a running predictor, and returns its answers.
 """
@@ -34,7 +34,7 @@ from std_srvs.srv import Trigger
 from .conversions import reader
 
 QUEUE_LENGTH = 10_000
-"""Length of the queues: no message is lost while a process is busy, messages."""
+"""Length of the queues, messages, so that none is lost while a process is busy."""
 
 TIMEOUT = 5.0
 """Longest wait for a subscriber, and for the delivery of the last messages, s."""
@@ -46,13 +46,13 @@ START_TIMEOUT = 90.0
 """Longest wait for each step of the predictor's start; without a cache it compiles first, s."""
 
 STAMP = slice(4, 12)
-"""Position of the stamp in a CDR message that begins with its header, bytes."""
+"""Slice of the stamp in a CDR message with a header, bytes."""
 
 POSES, TWISTS = 'tool_arm/pose', 'tool_arm/twist'
 
 
 class Player:
-    """Publishers of recorded messages, byte by byte, by the names under which they are played."""
+    """Publishers of recorded messages, byte by byte, by the names of the played topics."""
 
     def __init__(
         self, node: Node, executor: SingleThreadedExecutor, messages: Sequence[Message],
@@ -88,7 +88,7 @@ class Player:
     def send_all(
         self, progress: Progress, announce: Callable[[str, Message], None], rate: float = 1.0
     ) -> None:
-        """Publish each message when it is due, after a call with its name."""
+        """Publish each message in time, after a call with its name."""
         start = time.monotonic() + 0.2  # s
         for message in self.messages:
             elapsed = (message.log_time_ns - self.first_ns) / NS_PER_S
@@ -119,7 +119,7 @@ def _player(
 
 
 class Played(NamedTuple):
-    """The number of messages by topic, the duration (s), and whether a subscriber was there."""
+    """The number of messages by topic, the duration (s), and whether there was a subscriber."""
 
     messages: Mapping[str, int]
     duration: float
@@ -131,20 +131,20 @@ def play(
     progress: Progress = no_progress
 ) -> Played:
     """
-    Publish recorded poses and twists when they are due.
+    Publish recorded poses and twists in time.
 
     Parameters
     ----------
     messages : sequence of Message
-        In the order of their recording; at least one.
+        Messages in the order of their recording; at least one.
     names : mapping of str to str
-        Names under which topics are played, by the recorded names.
+        Names of the played topics by the recorded names.
     rate : float
         Seconds of the recording per second.
     clock : bool
         Whether the time of the recording is published on /clock.
     progress : callable
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
 
     """
     with _player('bellows_player', messages, names) as player:
@@ -177,7 +177,7 @@ class Exchange(NamedTuple):
     sent : mapping of str to int
         Numbers of messages on `POSES` and `TWISTS`.
     predicted : Trajectory
-        Poses of the package B in the world, at the stamps that were answered.
+        Poses of the package B in the world, at the stamps of the answers.
     latency : array (N,)
         Time from handing the tool's pose to ROS until the arrival of the prediction, s.
 
@@ -202,9 +202,9 @@ def converse(
     names : mapping of str to str
         `POSES` or `TWISTS`, by the topic of a message.
     require_alive : callable
-        Raises BellowsError when the predictor has ended.
+        Function that raises BellowsError when the predictor has ended.
     progress : callable
-        As of `play`.
+        Callback as in `play`.
 
     Raises
     ------
@@ -247,9 +247,9 @@ def _connect(
     """
     Wait until the predictor answers a stream of probes, and reset it.
 
-    The answers show that messages arrive both ways, and that the predictor is warm. Twists are
+    Answers show that messages arrive both ways, and that kernels are compiled. Twists are
     announced before poses, and announcements arrive in order: an answered pose implies that the
-    predictor receives twists. The reset makes it forget the probes.
+    predictor receives twists. The reset discards the probes.
     """
     # an hour earlier
     probe_stamps = count(player.first_ns - 3_600 * NS_PER_S, round(POLL_PERIOD * NS_PER_S))

@@ -1,9 +1,9 @@
 """
 Run one node as a command: help, start, spin, and an orderly exit.
 
-ROS is imported only when a node is really to run, so that `--help` answers at once and where no
-ROS is installed. Ctrl-C and SIGTERM end a node in order, with exit code 0; errors
-that the user can correct are printed without a traceback and end with 2.
+ROS is imported only to run a node, so that `--help` answers at once, also without ROS. Ctrl-C and
+SIGTERM end a node in order, with exit code 0; errors that the user can correct are printed without
+a traceback and end with 2.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,7 +33,7 @@ HELP_WIDTH = 96
 NODES = {
     'predictor': 'bellows_ros.nodes.predictor_node:PredictorNode',
     'identifier': 'bellows_ros.nodes.identifier_node:IdentifierNode'}
-"""The module, which imports ROS, and the class of each command."""
+"""Module, which imports ROS, and class of each command."""
 
 
 def interface(name: str) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     name : str
         Name of the node and of its command.
     args : sequence of str, optional
-        Words of the command line; by default, the words of this process.
+        Command line; default: the arguments of this process.
     node : str, optional
         The node's module and class, instead of those in `NODES`. A node has a future `finished`:
         its result ends the process with 0, its exception is raised here.
@@ -122,7 +122,7 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
 
 
 def _file_errors(name: str, arguments: Sequence[str]) -> Iterator[BellowsError]:
-    """Yield the errors in parameter files for this node, with file and line; ROS names neither."""
+    """Yield the errors in parameter files for this node, with file and line, which ROS omits."""
     from ..files.parameter_files import read_parameters
 
     is_renamed = '__node' in str(arguments)
@@ -136,10 +136,10 @@ def _file_errors(name: str, arguments: Sequence[str]) -> Iterator[BellowsError]:
 
 def _run_node(argv: Sequence[str], node: str) -> None:
     """
-    Create a node and spin it until it has finished; end the process if it is asked to end.
+    Create a node and spin it until it has finished, or the process is asked to end.
 
     Signals are only recorded: an exception could be raised anywhere, also in a callback from C.
-    While the node is created, and maybe compiled, it has nothing to close.
+    During its creation and possible compilation, the node has nothing to close.
     """
     received: list[int] = []
     created: list[Any] = []
@@ -177,7 +177,7 @@ def _exit_at_once() -> NoReturn:
 
 
 def require_ros() -> None:
-    """Raise BellowsError where ROS is missing, before any work."""
+    """Raise BellowsError if ROS is missing, before any work."""
     if importlib.util.find_spec('rclpy') is None:
         raise BellowsError(NO_ROS)
 
@@ -192,7 +192,7 @@ def _initialise(argv: Sequence[str]) -> None:
             raise BellowsError(f"Parameter file '{file}' does not exist.")
     try:
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # the base of all errors of rcl
+    except RuntimeError as error:  # base class of all errors of rcl
         why = str(error).partition(', at /')[0].rstrip('.').removeprefix(
             'failed to initialize rcl: ')
         hint = ' Write every number of a list as 2.0, not 2.' if 'of same type' in why else ''

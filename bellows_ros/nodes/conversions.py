@@ -1,8 +1,8 @@
 """
 Convert messages to the core's tuples, and predictions to the bytes of messages.
 
-Stamps are integer nanoseconds; a round trip through them changes nothing. Frequent messages are
-taken and sent as bytes, which takes a third of the time of message objects.
+Stamps are integer nanoseconds and survive a round trip unchanged. Frequent messages are processed
+as bytes, which takes a third of the time of message objects.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,10 +30,10 @@ TOOL_POSES: Mapping[str, type] = {
 """Message types by the parameters tool_pose.type and measured.type; all begin with a pose."""
 
 vector: Callable[[Any], Vector] = attrgetter('x', 'y', 'z')
-"""Returns a Point or Vector3 as a tuple."""
+"""Conversion of a Point or Vector3 to a tuple."""
 
 quaternion_xyzw: Callable[[Any], Quaternion] = attrgetter('x', 'y', 'z', 'w')
-"""Returns a Quaternion as a tuple."""
+"""Conversion of a Quaternion to a tuple."""
 
 
 def stamp_to_ns(stamp: Time) -> int:
@@ -43,7 +43,7 @@ def stamp_to_ns(stamp: Time) -> int:
 
 
 def type_name(kind: type) -> str:
-    """Return the ROS name of a message type, for instance std_msgs/msg/Bool."""
+    """Return the ROS name of a message type, for example std_msgs/msg/Bool."""
     return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
 
 
@@ -51,8 +51,8 @@ def reader(kind: type) -> Callable[[bytes], Decoded]:
     """
     Return a function that decodes messages of a type.
 
-    Other encodings than plain little-endian CDR (big-endian, XCDR2) are converted by ROS first. A
-    damaged message has the stamp `NO_STAMP`, which the predictor rejects and counts.
+    ROS converts encodings other than plain little-endian CDR (big-endian, XCDR2) first. A damaged
+    message has the stamp `NO_STAMP`, which the predictor rejects and counts.
     """
     name = type_name(kind)
     decode, layout = Decoder(name), messages.LAYOUTS[name]
@@ -61,7 +61,7 @@ def reader(kind: type) -> Callable[[bytes], Decoded]:
     def read(data: bytes) -> Decoded:
         if decoded := decode(data):
             return decoded
-        with suppress(Exception):  # of the middleware, or a string that is not UTF-8
+        with suppress(Exception):  # of the middleware, or for a string that is not UTF-8
             return decode(serialize_message(deserialize_message(data, kind))) or damaged
         return damaged
 

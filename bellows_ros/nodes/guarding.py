@@ -1,9 +1,9 @@
 """
 A node and a worker thread that survive exceptions in callbacks: logged once, then counted.
 
-The node is spun woken by each message, with garbage collection between messages. An executor of
-rclpy that waits builds the list of everything it waits for anew after each callback, which takes
-more time than the callback itself; one that is woken by events does not.
+The node is woken by each message, with garbage collection between messages. A waiting executor of
+rclpy rebuilds its list of entities after each callback, which takes longer than the callback; an
+executor woken by events does not.
 """
 
 from collections import Counter
@@ -34,14 +34,14 @@ PACKAGE = Path(__file__).parents[1]
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY)
-"""QoS that a parameter can override; durability for a vacuum switch that rarely publishes."""
+"""QoS that parameters can override; durability for a vacuum switch with rare messages."""
 
 
 COMPILE_TIME = 1.0
 """Shortest time of work that compiles, s."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""QoS by which late subscribers get the newest message."""
+"""QoS with which late subscribers get the newest message."""
 
 
 class GuardedNode(Node):
@@ -51,9 +51,9 @@ class GuardedNode(Node):
     Attributes
     ----------
     failures : collections.Counter
-        How often which place in the code failed.
+        Number of failures by place in the code.
     workers : list of Worker
-        Its threads.
+        Threads of the node.
 
     """
 
@@ -65,7 +65,7 @@ class GuardedNode(Node):
         super().__init__(*arguments, **options)
 
     def note_failure(self, error: Exception, place: str = '') -> None:
-        """Count an exception by a place, by default its line of code; log the first there."""
+        """Count an exception by a place, by default its line of code; log the first one there."""
         frames = traceback.extract_tb(error.__traceback__)
         ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
         innermost = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
@@ -73,7 +73,7 @@ class GuardedNode(Node):
         self.failures[place] += 1
         if self.failures[place] > 1:
             return
-        with suppress(Exception):  # a failure to log one must not end the node either
+        with suppress(Exception):  # a failure of logging must not end the node either
             self.get_logger().error(
                 f'A callback failed at {place}: {type(error).__name__}: {shown(str(error))}. The '
                 'node continues, and only counts further failures there. Please report it, with '
@@ -81,7 +81,7 @@ class GuardedNode(Node):
             self.get_logger().debug(''.join(traceback.format_exception(error)))
 
     def note_frame(self, frame_id: str, topic: str, meaning: str) -> None:
-        """Warn once of messages without a frame."""
+        """Warn once about messages without a frame."""
         if not frame_id and topic not in self._without_frame:
             self._without_frame.add(topic)
             self.get_logger().warning(health.say('inputs.no_frame', topic=topic, meaning=meaning))
@@ -89,7 +89,7 @@ class GuardedNode(Node):
     def guarded(
         self, callback: Callable[..., Any], otherwise: Callable[[], Any] = lambda: None
     ) -> Callable[..., Any]:
-        """Return a callback that notes its exceptions and then returns something else."""
+        """Return a callback that records its exceptions and then returns a substitute."""
         @wraps(callback)
         def call(*arguments: Any) -> Any:
             try:
@@ -102,7 +102,7 @@ class GuardedNode(Node):
 
     @contextmanager
     def noticed(self, text: str) -> Iterator[None]:
-        """Log a text if the work takes long enough to compile something."""
+        """Log a text if the work takes long enough for a compilation."""
         notice = Timer(COMPILE_TIME, self.get_logger().info, (text,))
         notice.start()
         try:
@@ -111,7 +111,7 @@ class GuardedNode(Node):
             notice.cancel()
 
     def in_background(self, work: Callable[[], None]) -> None:
-        """Run long work, such as compiling, in a thread that ends with the process."""
+        """Run long work, such as compilation, in a thread that ends with the process."""
         Thread(target=self.guarded(work), daemon=True).start()
 
     def create_subscription(
@@ -121,8 +121,8 @@ class GuardedNode(Node):
         """
         Subscribe with a callback that may fail, and QoS that can be overridden.
 
-        Another may take the number of matching publishers when it changes. rclpy subscribes to the
-        clock here, too.
+        A second callback may receive the number of matching publishers when it changes. rclpy also
+        subscribes to the clock here.
         """
         if on_publishers:
             options['event_callbacks'] = SubscriptionEventCallbacks(
@@ -135,7 +135,7 @@ class GuardedNode(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
     ) -> Any:
-        """Serve with a callback that may fail, which answers with an empty response then."""
+        """Serve with a callback that may fail; it then answers with an empty response."""
         callback = self.guarded(callback, srv_type.Response)
         return super().create_service(srv_type, srv_name, callback, **options)
 
@@ -148,24 +148,24 @@ class GuardedNode(Node):
 
 class Worker:
     """
-    A thread that works on requests one after the other, during the live prediction.
+    A thread that processes requests one after the other, during the live prediction.
 
     Parameters
     ----------
     node : GuardedNode
-        Notes what fails, and closes its workers.
+        Node that records failures, and closes its workers.
     name : str
         Name of the thread.
 
     Attributes
     ----------
     stop : array (1,) of bool
-        For the running work: true once its result is obsolete.
+        Flag for the running work, true once its result is obsolete.
 
     """
 
     def __init__(self, node: GuardedNode, name: str) -> None:
-        """Start the thread, which does not keep the process from ending."""
+        """Start the thread, which does not prevent the process from ending."""
         self._guarded = node.guarded
         self._pending: dict[object, Callable[[], None]] = {}
         self._running: object = None
@@ -177,7 +177,7 @@ class Worker:
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is being worked on, or waits."""
+        """Whether a request is in progress or waiting."""
         return bool(self._pending) or self._running is not None
 
     def pending(self, kind: type) -> int:
@@ -185,7 +185,7 @@ class Worker:
         return sum(isinstance(each, kind) for each in list(self._pending))
 
     def submit(self, kind: object, work: Callable[..., None], *arguments: Any) -> None:
-        """Work on a request; it replaces one of its kind, whether that waits or is worked on."""
+        """Process a request; it replaces one of its kind that is waiting or in progress."""
         with self._changed:
             if self._running == kind:
                 self.stop[0] = True
@@ -193,7 +193,7 @@ class Worker:
             self._changed.notify_all()
 
     def cancel(self) -> None:
-        """Drop the waiting tasks, and stop the present one."""
+        """Drop the waiting requests, and stop the current one."""
         with self._changed:
             self._pending.clear()
             self.stop[0] = True
@@ -207,7 +207,7 @@ class Worker:
         self.cancel()
 
     def _work(self) -> None:
-        """Work on requests in the order of their kinds' first requests."""
+        """Process requests in the order of their kinds' first requests."""
         while True:
             with self._changed:
                 self._running = None
@@ -222,7 +222,7 @@ class Worker:
 
 
 MAX_SPIN_WAIT = 0.1
-"""Longest call of the executor, and delay of a request to end, s."""
+"""Longest call of the executor, and longest delay of a request to end, s."""
 
 COLLECTION_PERIOD = 1.0
 """Period of the garbage collector, s."""
@@ -232,8 +232,8 @@ def executor_for(node: Any) -> Any:
     """
     Return an executor for a node, woken by events if possible.
 
-    It came with rclpy 7.1.4. It takes no guard conditions, and raises RuntimeError at its first
-    spin where the middleware cannot call back.
+    The event executor is available since rclpy 7.1.4. It supports no guard conditions, and raises
+    RuntimeError at its first spin if the middleware has no callbacks.
     """
     with suppress(ImportError):
         from rclpy.experimental.events_executor import EventsExecutor
@@ -257,18 +257,17 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     """
     Let a node work until it has finished or is asked to stop, and close it.
 
-    The collector never examines objects that exist at the beginning, and it runs only here,
-    between two callbacks, never within one. Each call of the executor ends after `MAX_SPIN_WAIT`:
-    an endless one would not let Python see a signal, and never calls back where the C++ library
-    overflows on an endless wait.
+    The garbage collector ignores objects from before, and runs only here, between two callbacks.
+    Each call of the executor ends after `MAX_SPIN_WAIT`: an endless one would keep Python from
+    seeing a signal, and fails if the C++ library overflows on an endless wait.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        With a future `finished`, whose exception is raised here, and methods `close` and
+        Node with a future `finished`, whose exception is raised here, and methods `close` and
         `note_failure`.
     is_asked_to_stop : callable
-        Asked every `MAX_SPIN_WAIT`.
+        Function that is called every `MAX_SPIN_WAIT`.
 
     """
     executor = executor_for(node)

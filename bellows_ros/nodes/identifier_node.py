@@ -22,7 +22,7 @@ PREDICTOR_TIMEOUT = 10.0
 CUP_PREFIXES = ('cup.', 'envelope.')
 RESULT_NAMES = [
     p.name for p in table.parameters_for('identifier') if p.name.startswith(CUP_PREFIXES)]
-"""Parameters that are declared when the work is done."""
+"""Parameters that are declared after the fit."""
 
 OUTPUTS = ('output.parameters', 'output.json', 'output.report', 'output.cell')
 
@@ -39,12 +39,12 @@ class IdentifierNode(TableNode):
     Attributes
     ----------
     finished : rclpy.task.Future
-        Done when the work is and `exit_when_done` is set; raises what went wrong.
+        Done after the work if `exit_when_done` is set; raises the error of the work.
 
     Raises
     ------
     BellowsError
-        If a parameter is unknown, not allowed or missing.
+        If a parameter is unknown, invalid or missing.
 
     """
 
@@ -86,7 +86,7 @@ class IdentifierNode(TableNode):
             self.get_logger().info(stage)
 
     def _show(self, result: Identification) -> dict[str, table.Value]:
-        """Make the result parameters of this node; return all that describes the cup."""
+        """Make the result parameters of this node; return all parameters of the cup."""
         for line in result.findings:
             self.get_logger().info(line)
         for warning in result.warnings:
@@ -94,7 +94,7 @@ class IdentifierNode(TableNode):
         result.require_usable()
         cup = {name: checks.validate(name, value) for name, value in result.parameters().items()
                if name.startswith(CUP_PREFIXES)}
-        cup.setdefault('cup.relaxation', (0.0, 0.0))  # of a cup that does not relax, K is of this
+        cup.setdefault('cup.relaxation', (0.0, 0.0))  # K belongs to a cup without relaxation
         self.values = self.values.replaced(
             {name: cup[name] for name in RESULT_NAMES if name in cup})
         for name in RESULT_NAMES:
@@ -107,7 +107,7 @@ class IdentifierNode(TableNode):
         return cup
 
     def _set_on_predictor(self, cup: Mapping[str, table.Value]) -> None:
-        """Set the cup on the predictor as soon as it is there, and log the answer."""
+        """Set the cup on the predictor once available, and log the answer."""
         name = str(self.values.predictor)
         client = AsyncParameterClient(self, name)
         deadline = time.monotonic() + PREDICTOR_TIMEOUT
@@ -131,5 +131,5 @@ class IdentifierNode(TableNode):
         self.get_logger().info(f"Set the cup on '{name}'.")
 
     def close(self) -> None:
-        """Stop; unfinished work is abandoned, since files are written only at its end."""
+        """Stop; unfinished work is abandoned, as files are written only at its end."""
         self.destroy_node()

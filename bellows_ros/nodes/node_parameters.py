@@ -26,7 +26,7 @@ def ros_parameter(name: str, value: object) -> Parameter:
 
 
 def descriptor(parameter: table.Parameter, read_only: bool) -> interfaces.ParameterDescriptor:
-    """Return the content of `ros2 param describe`: sentence, unit, constraint and range."""
+    """Return the content of `ros2 param describe`: description, unit, constraint and range."""
     unit = f' Unit: {parameter.unit}.' if parameter.unit else ''
     described = interfaces.ParameterDescriptor(
         description=parameter.description + unit,
@@ -34,7 +34,7 @@ def descriptor(parameter: table.Parameter, read_only: bool) -> interfaces.Parame
         read_only=read_only or parameter.read_only)
     low = parameter.above if parameter.minimum is None else parameter.minimum
     high = parameter.maximum
-    if low is not None and high is not None:  # of a single number; ROS knows none for arrays
+    if low is not None and high is not None:  # of a single number; ROS has none for arrays
         if parameter.kind == 'double':
             described.floating_point_range = [
                 interfaces.FloatingPointRange(from_value=float(low), to_value=float(high))]
@@ -51,36 +51,35 @@ class TableNode(GuardedNode):
     Parameters
     ----------
     user : {'predictor', 'identifier'}
-        Default name of the node, and whose parameters it has.
+        Default name of the node, and user of its parameters.
     read_only : bool
-        True if no parameter can change once the node runs.
+        Whether no parameter can change once the node runs.
     results : collection of str
-        Parameters that are not declared before the node has their values.
+        Parameters that are declared only with their values.
     options
         Keyword arguments of `rclpy.node.Node`.
 
     Attributes
     ----------
     values : dict
-        All values as the core takes them; replaced as a whole when some are set.
+        All values in the form of core; replaced as a whole by changes.
     overridden : frozenset of str
-        Names that a file or the command line set.
+        Names set by a file or the command line.
 
     Raises
     ------
     BellowsError
-        If a name is unknown, a value is not allowed, one without a default is missing, or ROS
-        refuses the node, as if required security is not available.
+        If a name is unknown, a value is invalid, a value without a default is missing, or ROS
+        rejects the node, for example if required security is unavailable.
 
     """
 
     def __init__(
         self, user: str, read_only: bool = False, results: Collection[str] = (), **options: Any
     ) -> None:
-        """Declare all parameters, with the values from files and the command line."""
         try:
             super().__init__(user, start_parameter_services=False, **options)
-        except (RuntimeError, ParameterException) as error:  # the bases of rcl's and rclpy's
+        except (RuntimeError, ParameterException) as error:  # bases of errors of rcl and rclpy
             why = ' '.join(str(error).partition(', at /')[0].split())
             raise BellowsError(
                 f"ROS cannot create the node '{user}': {shown(why, 400)}.") from None
@@ -104,17 +103,17 @@ class TableNode(GuardedNode):
         self._parameter_service = AtomicParameterService(self)
 
     def check_values(self, values: Values) -> None:
-        """Raise BellowsError if values that are allowed one by one contradict each other."""
+        """Raise BellowsError if individually valid values contradict each other."""
 
     def on_values(self, names: list[str]) -> None:
-        """Act on new `values`; called after the named parameters have been set."""
+        """Apply new `values`; called after the named parameters have been set."""
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """
-        Set parameters: all in one step, or else those that belong together, and others singly.
+        Set parameters: all in one step, or otherwise related ones together, and others singly.
 
-        A parameter that is given the value it has counts as set, so that what `ros2 param dump`
-        writes can be loaded, and without any effect on what runs.
+        Setting a parameter to its current value succeeds without effect, so that the output of
+        `ros2 param dump` can be loaded.
         """
         result = self.set_parameters_atomically(parameter_list)
         if result.successful:
@@ -126,14 +125,14 @@ class TableNode(GuardedNode):
                 for p in parameter_list]
 
     def declare_from_table(self, name: str, value: table.Value) -> None:
-        """Declare a parameter of the table with a value that has been checked."""
+        """Declare a parameter of the table with a checked value."""
         typed = ros_parameter(name, value)
         self.declare_parameter(
             name, typed.type_ if value == () else typed.value,  # an empty list has no type
             descriptor(table.lookup(name), self._read_only), ignore_override=True)
 
     def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Set all or none of some parameters, and say why not."""
+        """Set all parameters or none, and return the reason."""
         now = {p.name: self.get_parameter_or(p.name, Parameter(p.name)) for p in parameters}
         changing = [p for p in map(_as_double, parameters) if not self.has_parameter(p.name) or (
             now[p.name].get_parameter_value() != p.get_parameter_value())]
@@ -184,14 +183,14 @@ class AtomicParameterService(ParameterService):
     """
     The parameter services of a node, with its own `set_parameters`.
 
-    The service of rclpy sets one parameter after the other, and answers nothing
-    to a request that holds a type that does not exist.
+    The service of rclpy sets one parameter after the other, and does not answer a request with an
+    unknown type.
     """
 
     def _set_parameters_callback(
         self, request: SetParameters.Request, response: SetParameters.Response
     ) -> SetParameters.Response:
-        """Set parameters that belong together all or none, the others one by one."""
+        """Set related parameters all or none, the others one by one."""
         response.results = self._get_node().set_parameters(list(map(_read, request.parameters)))
         return response
 
@@ -205,13 +204,13 @@ class AtomicParameterService(ParameterService):
 
 
 def _read(message: interfaces.Parameter) -> Parameter:
-    """Return a parameter of a request, without value if its type does not exist."""
+    """Return a parameter of a request, without value if its type is unknown."""
     is_known = any(message.value.type == kind.value for kind in Parameter.Type)
     return Parameter.from_parameter_msg(message) if is_known else Parameter(message.name)
 
 
 def _refused(reason: str) -> SetParametersResult:
-    """Return the answer to a refused call."""
+    """Return the answer to a rejected call."""
     return SetParametersResult(successful=False, reason=reason)
 
 
@@ -232,11 +231,11 @@ def _why_unknown(name: str, node: str) -> str:
 
 
 def _as_double(parameter: Parameter) -> Parameter:
-    """Return a parameter with its integers, or empty list, as doubles if doubles are expected."""
+    """Return a parameter with integers, or an empty list, as doubles if doubles are expected."""
     if not (_is_ours(parameter) and table.lookup(parameter.name).kind.startswith('double')):
         return parameter
     kind, value = parameter.type_, parameter.value
-    if kind.name.endswith('_ARRAY') and not value:  # an empty list is sent as one of bytes
+    if kind.name.endswith('_ARRAY') and not value:  # an empty list is sent as bytes
         return ros_parameter(parameter.name, [])
     if kind not in (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY):
         return parameter

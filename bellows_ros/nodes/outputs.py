@@ -1,7 +1,7 @@
 """
-Outputs of the predictor; other than the pose, each topic only while it has subscribers.
+Outputs of the predictor; topics other than the pose are published only with subscribers.
 
-Markers for RViz are the package as a box of its mass and inertia, the cup, and its force; of a
+Markers for RViz are the package as a box with its mass and inertia, the cup, and its force; for a
 toss, the path of the flight and the ellipse of the landing.
 """
 
@@ -43,12 +43,12 @@ QUEUE = 500
 
 class Predicting:
     """
-    The state that all parts of a configured predictor share.
+    The shared state of all parts of a configured predictor.
 
     Attributes
     ----------
     node : ManagedNode
-        Subscribes, publishes and logs; messages count while it is active.
+        Node of subscriptions, publishers and logs; messages are processed while it is active.
     live : LivePredictor
 
     """
@@ -58,7 +58,7 @@ class Predicting:
 
     @property
     def values(self) -> Values:
-        """Parameters in use: with the chosen cup, without cups of a gripper that do not hold."""
+        """Parameters in use: with the chosen cup, without a gripper's cups that do not hold."""
         return self.live.values
 
     @property
@@ -69,12 +69,12 @@ class Predicting:
 
     @property
     def latest(self) -> Prediction | None:
-        """The newest prediction, of a package that is held or flies."""
+        """Newest prediction of a held or flying package."""
         return self.live.latest
 
     @property
     def held(self) -> Prediction | None:
-        """The newest prediction of a held package."""
+        """Newest prediction of a held package."""
         return self.live.held
 
     @property
@@ -86,7 +86,7 @@ class Predicting:
 
 class Topic:
     """
-    A publisher that knows whether somebody listens.
+    A publisher with the presence of its subscribers.
 
     Parameters
     ----------
@@ -95,17 +95,17 @@ class Topic:
     name : str
         Relative name.
     make : callable, optional
-        Returns the message of a prediction. It is called at once with a package at rest, so that
-        all its kernels are compiled before the topic exists.
+        Function that makes the message of a prediction. It is called at once for a package at
+        rest, so that all its kernels are compiled before the topic exists.
     qos : QoSProfile, optional
-        Reliable with a queue unless given; it can be overridden.
+        Default: reliable with a queue; it can be overridden.
     prepare : callable, optional
-        Compiles slow parts of messages, in a thread, at the first subscriber.
+        Function that compiles slow parts of messages, in a thread, at the first subscriber.
 
     Attributes
     ----------
     subscribed : bool
-        Whether somebody listens.
+        Whether there is a subscriber.
     is_ready : bool
         Whether everything is compiled.
 
@@ -115,7 +115,6 @@ class Topic:
         self, kind: type, name: str, make: Callable[[Prediction], Any] | None = None,
         qos: QoSProfile | None = None, prepare: Callable[[], None] | None = None,
     ) -> None:
-        """Compile."""
         self._kind, self.name, self._make = kind, name, make
         self._qos, self._prepare = qos or QoSProfile(depth=QUEUE), prepare
         self.subscribed, self.is_ready = False, prepare is None
@@ -133,19 +132,19 @@ class Topic:
         return self
 
     def send(self, prediction: Prediction) -> None:
-        """Publish the message of a prediction, if somebody listens."""
+        """Publish the message of a prediction, if there is a subscriber."""
         if self.subscribed and self._make:
             self.publish(self._make(prediction))
 
     def publish(self, message: Any) -> None:
-        """Send a message or its bytes; a failure is noted, and does not stop other topics."""
+        """Send a message or its bytes; a failure is recorded, without effect on other topics."""
         try:
             self._publisher.publish(message)
         except Exception as error:  # noqa: BLE001 (of the middleware)
             self._node.note_failure(error, self.name)
 
     def _on_matched(self, matched: Any) -> None:
-        """Note whether somebody listens; prepare the messages at the first subscriber."""
+        """Update the presence of subscribers; prepare the messages at the first one."""
         self.subscribed = matched.current_count > 0
         prepare = self._prepare
         if not (self.subscribed and prepare):
@@ -161,7 +160,7 @@ class Topic:
 
 class Outputs:
     """
-    All that is published about the package.
+    All published outputs on the package.
 
     Parameters
     ----------
@@ -210,11 +209,11 @@ class Outputs:
         self._is_late = self._is_due = False
 
     def use_values(self) -> None:
-        """Go on with another cup or package."""
+        """Continue with another cup or package."""
         self._picture = Markers(self._shared.values)
 
     def _frame(self, name: str) -> tuple[str]:
-        """Return a frame of the package or the lip."""
+        """Return the frame of the package or the lip."""
         return (self._shared.values[f'frames.{name}'],)
 
     def _make_pose(self, now: Prediction) -> bytes:
@@ -223,7 +222,7 @@ class Outputs:
                     *now.quaternion_xyzw)
 
     def _make_odometry(self, now: Prediction) -> bytes:
-        """Return pose and twist; their covariance is large while it is unknown."""
+        """Return pose and twist, with large covariance while it is unknown."""
         is_known = now is not uncertainty.STILL and self._odometry.is_ready and not now.flies
         root = self._shared.uncertainty.root(now) if is_known else uncertainty.UNKNOWN_ROOT
         return odometry(self._shared.live.frame_id, *self._frame('package'), now, root)
@@ -237,10 +236,10 @@ class Outputs:
 
     def publish(self, prediction: Prediction) -> None:
         """
-        Send the pose of a prediction.
+        Publish the pose of a prediction.
 
-        Each pose of the tool gives one pose of the package, and no other is sent, on package/pose.
-        On other topics stamps never go back behind an extrapolated one.
+        Each pose of the tool gives exactly one pose of the package on package/pose. On other
+        topics stamps never go back behind an extrapolated one.
         """
         stamp_ns = prediction.stamp_ns
         self._is_late = 0 <= self._extrapolated_ns - stamp_ns < 1_000_000_000  # of one clock
@@ -254,7 +253,7 @@ class Outputs:
     def publish_more(
         self, prediction: Prediction, factors: tuple[float, float] | None
     ) -> None:
-        """Send all else of the prediction that was published last, and its safety factors."""
+        """Publish all other outputs for the last prediction, and its safety factors."""
         if self._is_due:
             self._twist.send(prediction)
             self._wrench.send(prediction)
@@ -274,7 +273,7 @@ class Outputs:
             self._tf.send(prediction)
 
     def publish_state(self, state: str, is_ok: bool = False) -> None:
-        """Publish the state, and if all is well, when they change; late subscribers get both."""
+        """Publish changes of the state and of `is_ok`; late subscribers get both."""
         if state != self._last_state:
             self._last_state = state
             self._state.publish(String(data=state))
@@ -292,10 +291,9 @@ COASTING = (0.6, 0.6, 0.6, 0.5)
 
 
 class Markers:
-    """Markers that are filled in again for each picture."""
+    """Markers that are updated for each frame."""
 
     def __init__(self, values: Values) -> None:
-        """Make the box, the cup and the arrow."""
         self._box = marker(0, Marker.CUBE, load.equivalent_box(values))
         self._cup = marker(1, Marker.LINE_LIST, (0.04, 0.0, 0.0))
         self._places: list[Vector] = [
@@ -306,7 +304,7 @@ class Markers:
 
     def is_due(self, stamp_ns: int) -> bool:
         """Return whether the next markers are due."""
-        return not 0 <= stamp_ns - self._last_ns < 40_000_000  # 25 a second
+        return not 0 <= stamp_ns - self._last_ns < 40_000_000  # 25 Hz
 
     def fill(self, frame: str, model: kernels.ModelTuple, prediction: Prediction) -> MarkerArray:
         """Return the markers of a prediction; grey while the tool is extrapolated."""
@@ -330,7 +328,7 @@ class Markers:
 
 
 def marker(number: int, kind: int, scale: Vector, namespace: str = NAMESPACE) -> Marker:
-    """Return a marker of a kind and size (m)."""
+    """Return a marker with a kind and size (m)."""
     message = Marker(
         ns=namespace, id=number, type=kind, action=Marker.ADD,
         scale=Vector3(**dict(zip('xyz', scale, strict=True))))
@@ -341,7 +339,7 @@ def marker(number: int, kind: int, scale: Vector, namespace: str = NAMESPACE) ->
 def show(
     marker: Marker, stamp_ns: int, frame_id: str, rgba: tuple[float, float, float, float]
 ) -> None:
-    """Give a marker its header and colour."""
+    """Set header and colour of a marker."""
     marker.header = header(stamp_ns, frame_id)
     marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
 
@@ -363,7 +361,7 @@ BLUE = (0.36, 0.29, 0.62, 0.9)
 
 class Tossing:
     """
-    Subscribers and publishers for a toss.
+    Subscribers and publishers of a toss.
 
     Parameters
     ----------
@@ -383,18 +381,18 @@ class Tossing:
 
     @property
     def flight(self) -> flight.Flight:
-        """Follows the package after the valve."""
+        """The flight of the package after the valve."""
         assert self._shared.live.flight
         return self._shared.live.flight
 
     def publish(self, held: Prediction) -> None:
-        """Publish the landing, and when to release, at their rates."""
+        """Publish landing and release time at their rates."""
         if not self.flight.has_size or self.flight.state:
             return
         model, frame_id = self._shared.live.model, self._shared.live.frame_id
         now_ns = time.monotonic_ns()
         wanted = self._landing.subscribed or self._markers.subscribed
-        period_ns = 0.9e9 / self._shared.values.landing.rate  # ticks are not exact
+        period_ns = 0.9e9 / self._shared.values.landing.rate  # tolerance for inexact ticks
         if wanted and now_ns - self._landing_ns >= period_ns:
             self._landing_ns = now_ns
             landing = self.flight.landing(model, held, self._shared.uncertainty.covariance)
@@ -414,7 +412,7 @@ class Tossing:
     def _publish_valve_time(
         self, model: kernels.ModelTuple, prediction: Prediction, frame_id: str
     ) -> None:
-        """Publish when to switch the valve for the target."""
+        """Publish the valve time for the target."""
         after = self.flight.time_to_target(model, prediction)
         if after is not None and not self._worker.stop[0]:
             self._at.publish(header(prediction.stamp_ns + round(after * NS_PER_S), frame_id))

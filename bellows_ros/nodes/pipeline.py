@@ -2,8 +2,8 @@
 From messages to predictions: inputs, live predictor and outputs of a configured predictor.
 
 Inputs are subscriptions to sensors, best effort unless overridden, monitored for rate, age and
-QoS: the tool's poses and twists; the vacuum, which attaches and detaches the package as two
-services do; and measured poses of the package, which correct the prediction.
+QoS: the tool's poses and twists; the vacuum, which attaches and detaches the package like two
+services; and measured poses of the package, which correct the prediction.
 """
 
 from collections import Counter
@@ -52,7 +52,7 @@ from ..report.sentences import alarm_sentence
 
 class Pipeline(Predicting):
     """
-    The live predictor with all that feeds it and all that publishes its predictions.
+    The live predictor with its inputs and the publishers of its predictions.
 
     Parameters
     ----------
@@ -61,16 +61,16 @@ class Pipeline(Predicting):
     Attributes
     ----------
     compiler : subprocess.Popen or None
-        Compiles the kernels for a camera on a machine without them.
+        Process that compiles the kernels for a camera, if missing.
     pose_in, twist_in : SensorInput
-        The second is None where the poses are Odometry, which has the twists.
+        Inputs; the second is None for Odometry, which includes twists.
     compute : deque
         Computing times of messages, s.
 
     """
 
     def __init__(self, node: ManagedNode) -> None:
-        """Prepare the model, compile all it needs, and only then make the topics."""
+        """Prepare the model, compile all kernels, and only then make the topics."""
         self.node = node
         values = with_chosen_cup(node.values)
         self.compute, self._reported = health.window(), Counter[str]()
@@ -107,7 +107,7 @@ class Pipeline(Predicting):
         node.create_timer(0.02, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def new_counts(self) -> Counter[str]:
-        """Return fresh starts by reason, poses, and those without a twist, since the last call."""
+        """Return restarts by reason, poses, and poses without a twist, since the last call."""
         live, before = self.live, self._reported
         self._reported = Counter(
             {**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
@@ -126,7 +126,7 @@ class Pipeline(Predicting):
     def process_pose(
         self, stamp_ns: int, frame_id: str, position: Vector, orientation: Quaternion
     ) -> None:
-        """Predict with a pose of the tool, wherever it is from."""
+        """Predict with a pose of the tool from any input."""
         if not self.node.is_active:
             return
         arrival_ns = self.pose_in.note(stamp_ns)
@@ -134,7 +134,7 @@ class Pipeline(Predicting):
         self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
 
     def _on_pose(self, data: bytes) -> None:
-        """Predict with a message, and with its twist if its driver fills it in."""
+        """Predict with a message, and with its twist if its driver provides it."""
         if not self.node.is_active:
             return
         stamp_ns, names, numbers = self._read_pose(data)
@@ -173,7 +173,7 @@ class Pipeline(Predicting):
             self.live.reset(reason)
 
     def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
-        """Send the predictions of a step; other outputs that fail do not affect their poses."""
+        """Publish the predictions of a step, in spite of failures of other outputs."""
         was_predicting, before = self.latest is not None, self.live.state
         for prediction in self.advance(step, *arguments):
             self.outputs.publish(prediction)
@@ -184,7 +184,7 @@ class Pipeline(Predicting):
             self.report(before)
 
     def _publish_secondary(self, prediction: Prediction) -> None:
-        """Send all but the pose, and watch the load on the cup."""
+        """Publish all but the pose, and record the load of the cup."""
         factors = self.live.watch(prediction)
         self.outputs.publish_more(prediction, factors)
         if factors and min(factors) < self.load.required:
@@ -207,7 +207,7 @@ class Pipeline(Predicting):
         self.change(self.live.on_valve, on, stamp_ns)
 
     def change(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the outcome of a step that may change the package's state; report a change."""
+        """Return the result of a step that may change the package's state; report a change."""
         before = self.live.state
         outcome = self.advance(step, *arguments)
         self.report(before)
@@ -223,9 +223,9 @@ class Pipeline(Predicting):
             self.publish_state()
 
     def _tick(self) -> None:
-        """Predict for waiting poses when no more messages arrive, and bridge a pause."""
+        """Predict for waiting poses when no more messages arrive, and bridge a gap."""
         before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
-        # After a pause of this process what waits comes first; not twice.
+        # After a pause of this process, waiting messages come first.
         self._was_late = not self._was_late and self._ticked_ns - before_ns > 40_000_000
         if self._is_compiling and len(self._compiled) > 1:
             self.use_values()
@@ -245,7 +245,7 @@ class Pipeline(Predicting):
             self.tossing.publish(held)
 
     def publish_state(self) -> None:
-        """Publish the state when it changes, if messages count."""
+        """Publish a change of the state while the node is active."""
         if self.node.is_active:
             alarm, now_ns = self.live.alarm, time.monotonic_ns()
             self.outputs.publish_state(
@@ -255,7 +255,7 @@ class Pipeline(Predicting):
     # ------------------------------------------------------------- parameters
 
     def use_values(self) -> None:
-        """Use the node's parameters; the package moves on."""
+        """Use the node's parameters; the package keeps its motion."""
         values = with_chosen_cup(self.node.values)
         if _kernels_of(values) not in self._compiled:
             if not self._is_compiling:
@@ -269,18 +269,18 @@ class Pipeline(Predicting):
         self._apply()
 
     def _compile_predictor(self, values: Values) -> ModelTuple:
-        """Compile what predicts with some values, and tosses; return their model."""
+        """Compile predictor and tosses for some values; return their model."""
         cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
         model = model_tuple(cup, package, gravity)
         warm_up(cup, package, gravity, values.tool_twist.frame)
         release = flight.Flight(values)
-        if release.has_size:  # whose landings have a covariance
+        if release.has_size:  # landings have a covariance
             release.warm_up(model)
             uncertainty.warm_up_uncertainty(cup.relaxation)
         return model
 
     def _compile(self, values: Values) -> None:
-        """Compile for values of another kind, in a thread; the next tick goes on with them."""
+        """Compile for values of another kind, in a thread; the next tick continues with them."""
         try:
             model = self._compile_predictor(values)
             uncertainty.warm_up_uncertainty(cup_of(values).relaxation)
@@ -297,14 +297,14 @@ class Pipeline(Predicting):
 
 
 def compile_topics(values: Values) -> None:
-    """Compile what topics other than the tool's may need."""
+    """Compile kernels of topics other than the tool's."""
     cup = cup_of(values)
     uncertainty.warm_up_uncertainty(cup.relaxation)
     warm_up_observer(values, model_tuple(cup, package_of(values), gravity_of(values)))
 
 
 def _kernels_of(values: Values) -> tuple[int, bool]:
-    """Return the properties of values that decide on kernels: relaxing cups, flights."""
+    """Return the properties of values that select kernels: relaxing cups, flights."""
     return len(cup_of(values).as_tuple), flight.Flight(values).has_size
 
 
@@ -320,11 +320,11 @@ class SensorInput:
     topic : str
         Relative name.
     callback : callable
-        Takes each message; its bytes if the type is one of `LAYOUTS`.
+        Callback for each message; with its bytes if the type is one of `LAYOUTS`.
     on_publishers : callable, optional
-        Takes the number of matching publishers when it changes.
+        Callback with the number of matching publishers when it changes.
     qos : QoSProfile, optional
-        As for any sensor unless given: without asking for lost messages.
+        Default: as for any sensor, without repetition of lost messages.
 
     Attributes
     ----------
@@ -337,7 +337,6 @@ class SensorInput:
         self, node: GuardedNode, kind: type, topic: str, callback: Callable[[Any], None],
         on_publishers: Callable[[int], None] | None = None, qos: QoSProfile | None = None,
     ) -> None:
-        """Listen as to any sensor, without asking for lost messages; QoS can be overridden."""
         self._node, self._type = node, type_name(kind)
         self.arrivals = health.Arrivals()
         self._refused: Mapping[str, int] = {}
@@ -349,10 +348,10 @@ class SensorInput:
 
     def note(self, stamp_ns: int | None = None) -> int:
         """
-        Note a message, and its age if it has a stamp; return its arrival (ns), monotonic.
+        Record a message, and its age if it has a stamp; return its arrival (ns), monotonic.
 
-        The node's clock takes 2.5 us to ask, the system's 0.04: it is the same one unless time is
-        simulated, which is looked up once a report.
+        Reading the node's clock takes 2.5 us, the system's 0.04 us: both are equal unless time is
+        simulated, which is checked once per report.
         """
         arrival_ns = time.monotonic_ns()
         if not self.arrivals.count:
@@ -364,10 +363,10 @@ class SensorInput:
         return arrival_ns
 
     def report(self, refused: Mapping[str, int]) -> health.InputReport:
-        """Return the statistics since the last call, with the refused messages so far."""
+        """Return the statistics since the last call, with the rejected messages so far."""
         before, self._refused = self._refused, dict(refused)
         if any(count < before.get(reason, 0) for reason, count in refused.items()):
-            before = {}  # what counts has been replaced
+            before = {}  # the counter has been replaced
         last_ns = self.arrivals.last_ns
         silent = (time.monotonic_ns() - last_ns) / NS_PER_S if last_ns >= 0 else float('inf')
         publishers = self._node.count_publishers(self.topic)
@@ -376,7 +375,7 @@ class SensorInput:
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
     def _mismatch(self, publishers: int) -> str:
-        """Return why a publisher cannot be heard, if there is one."""
+        """Return the reason why a publisher is incompatible, if any."""
         if self._subscription.get_publisher_count() >= publishers:
             return ''
         asked = self._subscription.qos_profile
@@ -398,7 +397,7 @@ class SensorInput:
 
 class TransformInput(SensorInput):
     """
-    The poses of the tool by tf: the way from `frames.world` to `frames.tool`.
+    The poses of the tool by tf: the chain from `frames.world` to `frames.tool`.
 
     Parameters
     ----------
@@ -406,19 +405,19 @@ class TransformInput(SensorInput):
     values : mapping
         Parameters by name.
     on_pose : callable
-        Takes stamp (ns), frame, position and quaternion of each pose.
+        Callback with stamp (ns), frame, position and quaternion of each pose.
 
     Raises
     ------
     BellowsError
-        Where tf2_msgs is not installed.
+        If tf2_msgs is not installed.
 
     """
 
     def __init__(
         self, node: GuardedNode, values: Values, on_pose: Callable[..., None]
     ) -> None:
-        """Listen to transforms, and to the static ones, which come once."""
+        """Subscribe to transforms, and to the static ones, which are sent once."""
         if importlib.util.find_spec('tf2_msgs') is None:
             raise BellowsError(
                 'tool_pose.type is tf, but tf2_msgs is not installed. Install it (apt: '
@@ -434,13 +433,13 @@ class TransformInput(SensorInput):
             qos=QoSProfile(depth=QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL))
 
     def _on_moving(self, message: Any) -> None:
-        """Pass on the poses that a message completes."""
+        """Process the poses that a message completes."""
         self._add(message, static=False)
         for pose in self._chain.due():
             self._on_pose(pose.stamp_ns, self._chain.world, *pose[1:])
 
     def _add(self, message: Any, static: bool) -> None:
-        """Put the transforms of a message into the tree."""
+        """Add the transforms of a message to the tree."""
         for stamped in message.transforms:
             header, transform = stamped.header, stamped.transform
             self._chain.add(header.frame_id, stamped.child_frame_id, PoseSample(
@@ -452,19 +451,19 @@ class TransformInput(SensorInput):
         return super().report({**refused, 'no_transform': self._chain.dropped})
 
     def _mismatch(self, publishers: int) -> str:
-        """Return why there is no pose although there is a publisher."""
+        """Return the reason for missing poses despite a publisher."""
         missing = self._chain.missing if publishers and not self.arrivals.count else ''
         return self._sentence('frames', missing) if missing else super()._mismatch(publishers)
 
 
 class Attachment:
     """
-    Services and vacuum signal, which attach and detach the package.
+    Services and vacuum signal that attach and detach the package.
 
     Parameters
     ----------
     pipeline : Pipeline
-        Attaches and detaches.
+        Pipeline that attaches and detaches the package.
 
     Attributes
     ----------
@@ -474,7 +473,7 @@ class Attachment:
     """
 
     def __init__(self, pipeline: Pipeline) -> None:
-        """Offer the services, and listen to the vacuum if the parameters say so."""
+        """Offer the services, and subscribe to the vacuum if configured."""
         self._pipeline, node = pipeline, pipeline.node
         self._kind = pipeline.values.vacuum.signal
         for service, held, words in (
@@ -498,13 +497,13 @@ class Attachment:
         return response
 
     def _on_held(self, message: Bool) -> None:
-        """Follow a vacuum switch."""
+        """Process a message of a vacuum switch."""
         assert self.signal
         self.signal.note()
         self._pipeline.change(self._pipeline.live.on_vacuum, message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
-        """Follow the pressure in the cup, and go on without cups of a gripper that lose it."""
+        """Process the pressure in the cup, and continue without a gripper's lost cups."""
         assert self.signal
         live = self._pipeline.live
         if len(live.values.cup.layout) > 3:
@@ -522,7 +521,7 @@ class Attachment:
                 f'Without vacuum: cups {cups} of cup.layout.' if cups else 'All cups have vacuum.')
 
     def status(self, name: str) -> health.Status | None:
-        """Return the diagnostics line on the vacuum signal, if there is to be one."""
+        """Return the diagnostics line on the vacuum signal, if any."""
         if self.signal is None:
             return None
         return health.vacuum_status(
@@ -537,7 +536,7 @@ class Observing:
     Parameters
     ----------
     pipeline : Pipeline
-        Takes the poses.
+        Pipeline that processes the poses.
 
     Attributes
     ----------
@@ -583,7 +582,7 @@ class Observing:
         self.is_ready = True
 
     def warm_up(self, model: ModelTuple) -> None:
-        """Compile for a model what corrects it, if a camera may come."""
+        """Compile the observer for a model, if a camera is possible."""
         if self._has_camera:
             warm_up_observer(self._pipeline.values, model)
 
@@ -626,7 +625,7 @@ class Observing:
             self._pipeline.node.get_logger().error(text)
 
     def status(self, name: str) -> health.Status | None:
-        """Return the line of the diagnostics; None if no message ever came."""
+        """Return the line of the diagnostics; None before the first message."""
         observer, live = self._observer, self._live
         if observer is None:
             return None

@@ -45,35 +45,35 @@ MAX_PLAN_LEAD = 3600.0
 """Longest lead of a plan stamped by the same clock, s."""
 
 TAIL = 2.0
-"""Time (s) after the end of a plan that is predicted."""
+"""Predicted time after the end of a plan, s."""
 
 MAX_STEERED_DURATION = 60.0
-"""Longest motion (s) that is steered live; its splines hold the interpreter."""
+"""Longest motion that is steered live, s; its splines block the interpreter."""
 
 
 class Answers:
     """
-    Answers to messages, of which only the newest counts, made in a thread.
+    Answers to the newest message, computed in a thread.
 
-    The kernels release the interpreter, and the rest returns it soon.
+    The kernels release the interpreter, and other code returns it soon.
 
     Parameters
     ----------
     node : PredictorNode
-        Subscribes.
+        Node of the subscriptions.
     what : str
         Name of the request.
     warm_up : callable
-        Compiles what answers, in the thread, once a possible publisher appears.
+        Function that compiles the answers, in the thread, once a possible publisher appears.
     refuse : callable
-        Takes the refused subject, and the BellowsError that explains it.
+        Callback with the rejected subject, and the explaining BellowsError.
 
     Attributes
     ----------
     worker : Worker
-        Makes the answers.
+        Thread of the answers.
     is_warm : bool
-        Whether there was a possible publisher.
+        Whether a possible publisher has appeared.
 
     """
 
@@ -81,10 +81,9 @@ class Answers:
         self, node: ManagedNode, what: str, warm_up: Callable[[], None],
         refuse: Callable[[str, BellowsError], None],
     ) -> None:
-        """Start the thread."""
         self._node, self._what, self._warm_up, self._refuse = node, what, warm_up, refuse
         self.worker, self.is_warm = Worker(node, what), False
-        sys.setswitchinterval(5e-5)  # s; the live prediction waits no longer
+        sys.setswitchinterval(5e-5)  # s; limits the wait of the live prediction
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe; messages with many points are handled as bytes."""
@@ -93,11 +92,11 @@ class Answers:
             raw=kind is MultiDOFJointTrajectory)
 
     def submit(self, work: Callable[..., None], *content: Any) -> None:
-        """Answer by some work, instead of a pending one."""
+        """Answer by some work, instead of a waiting one."""
         self.worker.submit(self._what, self._attempt, work, *content)
 
     def _attempt(self, work: Callable[..., None], *content: Any) -> None:
-        """Do some work; refuse an unanswerable request, unless nobody waits for it any more."""
+        """Do some work; reject an unanswerable request, unless obsolete."""
         try:
             work(*content)
         except BellowsError as error:
@@ -113,17 +112,17 @@ class Answers:
 
 class Planning:
     """
-    Prediction of plans, before they are driven and while they are, and of single moments.
+    Prediction of plans, before and during their motion, and of single stamps.
 
     Parameters
     ----------
     pipeline : Predicting
-        Has the node, the live prediction, and the parameters.
+        Node, live prediction and parameters.
 
     Attributes
     ----------
     plans, steering : Answers
-        No plan waits for the steering of a motion.
+        Answers, in two threads, as steering takes long.
     reader : PlanReader
 
     """
@@ -152,30 +151,30 @@ class Planning:
         self._predicted_ns = 0
 
     def use_values(self) -> None:
-        """Go on with other values."""
+        """Continue with other values."""
         self._coarse = COARSE_STEP_FACTOR * largest_step(self._live.model)
         # poses come at their rate
         self._period_ns = round(0.9e9 / self._pipeline.values.plan.rate)
 
     def _warm_up(self) -> None:
-        """Compile the answers to a plan and to a request, by making one of each."""
+        """Compile the answers to a plan and to a request with an example of each."""
         model, tracker = self._live.model, PlanTracker(_standstill(), 0)
         tracker.follow(STILL)
         PlanSimulation(
             model, grip_of(self._pipeline.values), tracker.rest(STILL), tail=0.1).predict()
         thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
         assert self._live.flight is not None  # set with the values
-        with suppress(BellowsError):  # of a package that has landed
+        with suppress(BellowsError):  # the package may have landed
             self._live.flight.later(model, STILL, 0.1)
         self._live.flight.root_later(
             model, STILL, 0.1, Uncertainty(model, self._pipeline.values))
-        gc.freeze()  # the collector need not look through what numba has made
+        gc.freeze()  # the collector need not scan objects of numba
 
     def rest(self, now: Prediction, deviations: float = 0.0) -> ToolRows | None:
         """
         Return the plan of the tool from a prediction on, or None without a plan in progress.
 
-        The progress is changed by so many of its standard deviations.
+        The progress is changed by a number of its standard deviations.
         """
         tracker = self._tracker
         if tracker is None or not tracker.is_driven(now):
@@ -183,7 +182,7 @@ class Planning:
         return tracker.rest(now, deviations=deviations)
 
     def _refuse(self, what: str, error: BellowsError) -> None:
-        """Log why a message is refused; the prediction goes on."""
+        """Log why a message is rejected; the prediction continues."""
         self._tracker = None if what == 'plan' else self._tracker
         self._outcome = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
         self._node.get_logger().warning(f'A {what} was refused. {error}')
@@ -218,7 +217,7 @@ class Planning:
             self._node.get_logger().warning(f'Plan: {status.message}')
 
     def follow(self) -> None:
-        """Find the tool on its plan; predict the rest of it as often as asked for."""
+        """Locate the tool on its plan; predict the rest at the requested rate."""
         tracker, now = self._tracker, self._pipeline.held
         if tracker is None or now is None or now.coasting:
             return
@@ -231,8 +230,8 @@ class Planning:
             self.plans.submit(self._predict_rest, tracker, now)
 
     def _predict_rest(self, tracker: PlanTracker, now: Prediction) -> None:
-        """Predict the rest of a plan from a live state, once that has been delivered."""
-        time.sleep(4e-4)  # s; the listeners of the prediction come first
+        """Predict the rest of a plan from a live state, after its delivery."""
+        time.sleep(4e-4)  # s; subscribers of the prediction come first
         self._publish(PlanSimulation(
             self._live.model, self._pipeline.load.grip, tracker.rest(now), now.body, 0.0,
             self._coarse, self.plans.worker.stop), now.stamp_ns)
@@ -255,7 +254,7 @@ class Planning:
 
     @property
     def status(self) -> Status | None:
-        """The line of the diagnostics on the plan, once there was one."""
+        """The line of the diagnostics on the plan, if there was one."""
         outcome, values = self._outcome, self._pipeline.values
         if outcome is None or isinstance(outcome, Status):
             return outcome
@@ -308,19 +307,19 @@ class Planning:
 
 
 def _standstill() -> ToolRows:
-    """Return a plan of a tool that stands."""
+    """Return a plan of a tool at rest."""
     return plan_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
                    np.zeros((9, 6)))
 
 
 class PlanReader:
     """
-    Reads plans of the tool, and of the joints of the arm on robot_description.
+    Reader of plans of the tool, and of the joints of the arm on robot_description.
 
     Parameters
     ----------
     pipeline : Predicting
-        Has the node, the frame of the tool's poses, and the parameters.
+        Node, frame of the tool's poses, and parameters.
 
     """
 
@@ -363,7 +362,7 @@ class PlanReader:
         return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[4:])
 
     def _require_frame(self, frame_id: str) -> None:
-        """Refuse a plan in another frame than the tool's poses."""
+        """Raise for a plan in another frame than the tool's poses."""
         plan_messages.require_frame(frame_id, self._pipeline.values)
         frame = self._pipeline.live.frame_id
         if frame and frame_id not in ('', frame):
@@ -379,11 +378,11 @@ class Steering(Answers):
     Parameters
     ----------
     pipeline : Predicting
-        Has the node, the model, and the parameters.
+        Node, model and parameters.
     reader : PlanReader
-        Reads the motions.
+        Reader of the motions.
     refuse : callable
-        As of `Answers`.
+        Callback as in `Answers`.
 
     """
 
@@ -401,12 +400,12 @@ class Steering(Answers):
             self.subscribe(kind, topic, partial(self.submit, work))
 
     def _compile(self) -> None:
-        """Compile the answer to a motion to be steered, by answering one."""
+        """Compile the answer to a motion with an example."""
         self._steered(_standstill().trajectory())
         gc.freeze()
 
     def _steered(self, plan: Trajectory, of_package: bool = False) -> Trajectory:
-        """Return a motion of the tool without swing; refuse to work on it for long."""
+        """Return a motion of the tool without swing; raise for too long a motion."""
         if plan.seconds[-1] > MAX_STEERED_DURATION:
             raise BellowsError(
                 f'It takes {plan.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
@@ -422,7 +421,7 @@ class Steering(Answers):
         return found.tool
 
     def _steer_tool(self, data: bytes) -> None:
-        """Publish a motion of the tool or the package, steered."""
+        """Publish a steered motion of the tool or the package."""
         message, plan, of_package = self._reader.of_tool(data)
         values = self._pipeline.values
         tool = self._steered(plan.trajectory() if isinstance(plan, ToolRows) else plan, of_package)
@@ -431,7 +430,7 @@ class Steering(Answers):
             values.tool_twist.frame)))
 
     def _steer_joints(self, message: JointTrajectory) -> None:
-        """Publish a motion, steered, in the same joints; slower where their speeds need that."""
+        """Publish a steered motion of these joints, slowed down to their speeds."""
         plan, planned, joints = self._reader.of_joints(message)
 
         @cache

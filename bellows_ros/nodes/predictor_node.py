@@ -41,9 +41,9 @@ class PredictorNode(ManagedNode):
     """
     Predict the package's pose and twist and the cup's wrench from the tool arm's messages.
 
-    A managed node: configured it has its model and its topics, active it predicts. With the
-    parameter autostart it goes there by itself. It refuses invalid transitions, at which rclpy
-    would end, and cleans up.
+    A managed node: in the configured state it has its model and its topics, in the active state it
+    predicts. The parameter autostart selects both at once. Invalid transitions, at which rclpy
+    would end, are rejected and cleaned up.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ class PredictorNode(ManagedNode):
     Attributes
     ----------
     pipeline : Pipeline or None
-        All that predicts; None until it is configured.
+        Parts of the prediction; None until configured.
     finished : rclpy.task.Future
-        Ends the process when it is done.
+        Ends the process when done.
 
     Raises
     ------
     BellowsError
-        If a parameter is unknown, not allowed or missing.
+        If a parameter is unknown, invalid or missing.
 
     """
 
@@ -69,12 +69,12 @@ class PredictorNode(ManagedNode):
         self.pipeline: Pipeline | None = None
         TableNode.__init__(self, 'predictor', **options)
         LifecycleNodeMixin.__init__(self)
-        # rclpy's own callback raises where a transition is not allowed, and leaves no answer.
+        # rclpy's callback raises for an invalid transition, without an answer.
         service = next(each for each in self.services if each.srv_type is ChangeState)
         self._change_state_unchecked = self.guarded(service.callback, ChangeState.Response)
         service.callback = self._change_state
         self.finished: Future = Future()
-        self._before: set[Any] | None = None  # what exists while it is not configured
+        self._before: set[Any] | None = None  # entities of the unconfigured node
         self._failure, self.is_active = '', False
         self.diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
@@ -97,7 +97,7 @@ class PredictorNode(ManagedNode):
         return str(self._state_machine.current_state[1])
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Configure, or log why not and leave nothing behind."""
+        """Configure, or log the reason for a failure and clean up."""
         self._before = {*self.publishers, *self.subscriptions, *self.services, *self.timers}
         try:
             self.configure()
@@ -137,7 +137,7 @@ class PredictorNode(ManagedNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything that was made, so that the node can be configured again."""
+        """Release all configured parts, so that the node can be configured again."""
         self.release_resources()
         return super().on_cleanup(state)
 
@@ -173,14 +173,14 @@ class PredictorNode(ManagedNode):
         self._before = None
 
     def close(self) -> None:
-        """Release everything, and leave the graph."""
+        """Release all parts, and leave the graph."""
         self.release_resources()
         self.destroy_node()
 
     def _change_state(
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
-        """Go through a transition that the state allows; refuse any other."""
+        """Go through an allowed transition; reject any other."""
         wanted = request.transition
         allowed = self._state_machine.available_transitions
         if any(wanted.label == label if wanted.label else wanted.id == number
@@ -196,11 +196,11 @@ class PredictorNode(ManagedNode):
     def destroy_node(self) -> None:
         """Leave the graph; rclpy forgets the state machine, which would keep the node there."""
         super().destroy_node()
-        if hasattr(self, '_state_machine'):  # not where the parameters were refused
+        if hasattr(self, '_state_machine'):  # missing if the parameters were rejected
             self._state_machine.destroy_when_not_in_use()
 
     def _log_model(self, pipeline: Pipeline) -> None:
-        """Log the cup and the package that are used."""
+        """Log the cup and the package in use."""
         log, values = self.get_logger().info, pipeline.values
         name = values.cup.name
         if name:
@@ -227,7 +227,7 @@ class PredictorNode(ManagedNode):
             self.pipeline.restart('clock_jump')
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Start again from static equilibrium."""
+        """Restart from static equilibrium."""
         response.success = self.is_active
         response.message = 'The node is not active.'
         if self.is_active:
@@ -238,7 +238,7 @@ class PredictorNode(ManagedNode):
         return response
 
     def check_values(self, values: Values) -> None:
-        """Refuse impossible cups and packages, and settings without effect."""
+        """Raise for impossible cups and packages, and for settings without effect."""
         name = values.cup.name
         for key in CUP_DEFAULTS if name else ():
             if values[key] != self.values[key]:
@@ -255,7 +255,7 @@ class PredictorNode(ManagedNode):
 
 
 LOG_DELAY, LOG_INTERVAL = 5.0, 30.0
-"""Seconds that a fault must last before it is logged, and before it is logged again."""
+"""Duration of a fault before it is logged, and before it is logged again, s."""
 
 
 class Diagnostics:
@@ -265,12 +265,11 @@ class Diagnostics:
     Parameters
     ----------
     node : PredictorNode
-        Publishes and logs.
+        Node of publishers and logs.
 
     """
 
     def __init__(self, node: PredictorNode) -> None:
-        """Advertise."""
         self._node = node
         self._publisher = node.create_publisher(
             DiagnosticArray, '/diagnostics', QoSProfile(depth=10),
@@ -314,7 +313,7 @@ class Diagnostics:
         self._log(lines[0], above or bool(started), 0.0 if started else LOG_DELAY, started)
         of_twists = {k: n for k, n in live.refused.items() if k.startswith('twist_')}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
-        of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
+        of_twists.pop('twist_unpaired')  # no fault if twists come more often than poses
         twist_in, poses = pipeline.twist_in, pipeline.pose_in.report(of_poses)
         twists = twist_in.report(of_twists) if twist_in else poses._replace(
             refused={}, total_refused=of_twists)
@@ -335,7 +334,7 @@ class Diagnostics:
     def _log(
         self, line: health.Status, wrong: bool, after: float = 0.0, kind: object = None
     ) -> None:
-        """Log a line whose fault lasts (s); faults of one level and kind only at intervals."""
+        """Log a line whose fault persists (s); faults of one level and kind only at intervals."""
         now, key = time.monotonic(), (line.name, (line.level, kind))
         if not wrong:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
@@ -343,5 +342,5 @@ class Diagnostics:
             self._due[key] = now + LOG_INTERVAL
             if line.level == health.Level.ERROR and line.name in ('prediction', 'load'):
                 self._node.get_logger().error(shown(line.message, MAX_MESSAGE))
-            else:  # another line of code: rclpy refuses a second severity from one
+            else:  # another line of code, as rclpy rejects a second severity from one
                 self._node.get_logger().warning(shown(line.message, MAX_MESSAGE))
