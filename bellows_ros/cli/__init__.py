@@ -4,8 +4,7 @@ The command `bellows`: the package from a shell, without ROS.
 
 Finds the command, runs it, and turns errors into a message and an exit code. A command is a module
 of this package with its name, whose `run(arguments, console)` does the work and returns an
-`options.Outcome`. The module is imported only to run; help and arguments are in
-`commands.toml`.
+`options.Outcome`. The module is imported only to run; help and arguments are in `commands.toml`.
 
 An argument of the table has `name` (with what stands for its values in the help) and `help`, and
 
@@ -51,7 +50,7 @@ def arguments_of(command: str) -> list[tuple[str, dict[str, Any]]]:
 def _expanded(
     entries: Iterable[Mapping[str, Any]], texts: Mapping[str, str]
 ) -> Iterator[dict[str, Any]]:
-    """Yield arguments with texts for their placeholders, shared ones in place of their use."""
+    """Yield arguments with texts for their placeholders, and with shared ones expanded."""
     for entry in entries:
         filled = {key: value.format_map(texts) if isinstance(value, str) else value
                   for key, value in entry.items()}
@@ -86,13 +85,13 @@ def _argument(
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser with short errors: the fault, and the place of help."""
+    """A parser with short errors: the fault, and a pointer to the help."""
 
     commands: Mapping[str, 'Parser'] = MappingProxyType({})
     """Parsers of the commands; empty in the parser of a command."""
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
-        """Wrap the description; the epilog stays as it is."""
+        """Wrap the description; the epilog is unchanged."""
         super().__init__(
             prog=prog, epilog=epilog, allow_abbrev=False,
             description=textwrap.fill(' '.join(description.split()), WIDTH),
@@ -129,7 +128,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     args : sequence of str, optional
-        Words of the command line; by default, the words of this process.
+        Command line; default: the arguments of this process.
 
     Returns
     -------
@@ -139,7 +138,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Raises
     ------
     SystemExit
-        After --help and --version, and when the command line itself is wrong.
+        After --help and --version, and for a faulty command line.
 
     """
     return run_guarded(lambda console: _run(sys.argv[1:] if args is None else args, console))
@@ -161,7 +160,7 @@ def _run(args: Sequence[str], console: Console) -> int:
 
 
 def _complete(program: Parser) -> None:
-    """Print what can follow a command line, which the shell gives in its environment, and end."""
+    """Print completions of a command line, which the shell gives in its environment, and end."""
     import argcomplete
     from bellows_ros.core.parameters.table import PARAMETERS
 
@@ -182,7 +181,7 @@ def add_arguments(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 def program_parser() -> Parser:
-    """Return the parser of the program and, inside it, of its commands."""
+    """Return the parser of the program with the parsers of its commands."""
     width = max(map(len, COMMANDS))
     listed = '\n'.join(f'  {name:{width}}  {entry["does"]}' for name, entry in COMMANDS.items())
     program = Parser('bellows', PROGRAM['text'], PROGRAM['ends'].format(

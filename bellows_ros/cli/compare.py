@@ -1,4 +1,4 @@
-"""Report the differences of two fits in standard errors, and whether both are of one cup."""
+"""Report the differences of two fits in standard errors, and the test for one cup."""
 
 import argparse
 
@@ -10,7 +10,6 @@ from .options import Outcome
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
-    """Compare."""
     result = compare_files(arguments.before, arguments.after)
     return Outcome(result, not result.differs)
 

@@ -1,9 +1,8 @@
 """
 Output, exit codes and signals of the commands.
 
-Results go to one stream, all else to stderr, both plain unless on a terminal: colour is used only
-there, and not where NO_COLOR is set or TERM is dumb. Signals that end a command end it in order,
-and none divides finished work.
+Results go to one stream, all else to stderr. Colour is used only on terminals, and not if NO_COLOR
+is set or TERM is dumb. A signal ends a command in order, without partial output.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,11 +29,11 @@ OK = 0
 NOT_USABLE = 1
 USER_ERROR = 2
 STDOUT = '-'
-"""Name of the standard output, as in `files.atomic`."""
+"""Name of standard output, as in `files.atomic`."""
 
 WIDTH = 79
 MAX_TEXT = 100_000
-"""Length of a printed text, characters: more than any result, less than floods a terminal."""
+"""Longest printed text, characters: more than any result, less than floods a terminal."""
 GUTTER = 2
 """Space between columns of a table, characters."""
 BAR = 24  # characters
@@ -47,7 +46,7 @@ class Output(str):
 
 
 class Binary(Output):
-    """The name of a file to write that is no text."""
+    """The name of a binary file to write."""
 
 
 class Folder(Binary):
@@ -61,37 +60,37 @@ class Console:
     Parameters
     ----------
     out : text stream
-        For the requested output.
+        Stream for the requested output.
     err : text stream
-        For notes, warnings, errors and progress.
+        Stream for notes, warnings, errors and progress.
 
     Attributes
     ----------
     final_warnings : list of str
-        Printed when the work has been done.
+        Warnings printed after the work.
     progress : Progress
         Progress of the work, on stderr.
 
     """
 
     def __init__(self, out: TextIO, err: TextIO, signals: Sequence[int] = ()) -> None:
-        """Remember the streams, and where signals are noted."""
+        """Store the streams and the list of received signals."""
         self._out, self._err, self._signals = out, err, signals
         self._gap = self._begun = False
         self.final_warnings: list[str] = []
         self.progress = Progress(self, err)
 
     def keep_stdout_free(self) -> None:
-        """Print results on stderr from now on: stdout takes a file's content."""
+        """Print results on stderr from now on, as stdout takes a file's content."""
         self._out = self._err
 
     def require_no_signal(self) -> None:
-        """End if a signal has been noted, but its exception was lost."""
+        """Exit if a signal was received whose exception was lost."""
         if self._signals:
             raise KeyboardInterrupt
 
     def line(self, text: str = '', style: str = '') -> None:
-        """Print a line of the result; without one it is empty, but never two, nor first."""
+        """Print a line of the result, by default an empty one, but never two, nor first."""
         if not text:
             self._gap = self._begun
             return
@@ -101,20 +100,20 @@ class Console:
         print(self._styled(self._out, printable(text), style), file=self._out, flush=True)
 
     def _close_gap(self) -> None:
-        """Print the empty line that is due."""
+        """Print a pending empty line."""
         if self._gap:
             print(file=self._out)
         self._gap = False
 
     def paragraph(self, *texts: str, style: str = '') -> None:
-        """Print sentences of the result, wrapped, each text with its indentation allowed."""
+        """Print sentences of the result, wrapped, each optionally with its indentation."""
         for text in texts:
             indent = text[:len(text) - len(text.lstrip())]
             for line in _wrapped(text.strip(), indent, 2 * indent):
                 self.line(line, style)
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
-        """Print rows in columns between empty lines; all but the first right-aligned if wanted."""
+        """Print rows in columns between empty lines, optionally right-aligned except the first."""
         self.line()
         if title:
             self.line(title, 'bold')
@@ -135,20 +134,20 @@ class Console:
     def error(self, text: str) -> None:
         """Print an error."""
         lines = f'bellows: {printable(text, chr(10))}'.splitlines()
-        if _is_terminal(self._err):  # elsewhere a message stays one line, to be searched for
+        if _is_terminal(self._err):  # elsewhere a message is one line, for searching
             lines = [part for line in lines for part in (
                 [line] if line[:1] in ('', ' ', '/') else _wrapped(line, '', ''))]
         head, _, rest = '\n'.join(lines).partition(' ')
         self._write_error(f'{self._styled(self._err, head, "red")} {rest}')
 
     def _write_error(self, text: str) -> None:
-        """Print on stderr, in order if both streams have the same target."""
+        """Print on stderr, in order if both streams have one target."""
         self._close_gap()
         self._out.flush()
         print(text, file=self._err)
 
     def _styled(self, stream: TextIO, text: str, style: str) -> str:
-        """Return a string in a style, where the stream shows it."""
+        """Return a string in a style, if the stream supports it."""
         shown = style and _is_terminal(stream) and not os.environ.get('NO_COLOR')
         return f'\x1b[{STYLES[style]}m{text}\x1b[0m' if shown else text
 
@@ -158,10 +157,9 @@ COMPILING = '; compiling, once on this machine'
 
 
 class Progress:
-    """One line with the current stage, a bar, and the time left."""
+    """One line with the current stage, a bar, and the remaining time."""
 
     def __init__(self, console: Console, stream: TextIO) -> None:
-        """Show nothing yet."""
         self._console, self._stream, self._shown = console, stream, _is_terminal(stream)
         self._start, self._next, self._stage = 0.0, 0.0, ''
 
@@ -179,7 +177,7 @@ class Progress:
         self._next, self._stage = now + 0.1, stage  # s
         width = shutil.get_terminal_size().columns - 1
         line = progress_line(stage, fraction, now - self._start)
-        shown = line if len(line) <= width else stage  # the step matters more than the bar
+        shown = line if len(line) <= width else stage  # the stage matters more than the bar
         self._stream.write(CLEAR_LINE + printable(shown)[:width])
         self._stream.flush()
         jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')
@@ -193,7 +191,7 @@ class Progress:
             self(f'{stage}{COMPILING}')
 
     def __exit__(self, *_: object) -> None:
-        """Leave no trace on the terminal."""
+        """Clear the line on the terminal."""
         if self._shown and self._stage:
             self._stream.write(CLEAR_LINE)
             self._stream.flush()
@@ -201,7 +199,7 @@ class Progress:
 
 
 def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
-    """Return a line with a bar, and the time left (s) unless the stage has it."""
+    """Return a line with a bar, and the remaining time (s) unless included in the stage."""
     if fraction is None:
         return f'{stage} ...'
     done = min(max(fraction, 0.0), 1.0)
@@ -225,7 +223,7 @@ def _is_terminal(stream: TextIO) -> bool:
 
 
 def _wrapped(text: str, first: str, rest: str) -> list[str]:
-    """Return indented lines as wide as the terminal, up to the widest that is easy to read."""
+    """Return indented lines with the width of the terminal, up to a readable maximum."""
     width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), 40)
     return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=rest,
                          break_long_words=False, break_on_hyphens=False)
@@ -233,9 +231,9 @@ def _wrapped(text: str, first: str, rest: str) -> list[str]:
 
 def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
     """
-    Return rows as lines with columns below each other; all but the first right-aligned.
+    Return rows as lines with aligned columns, all but the first right-aligned.
 
-    On a terminal that is too narrow, columns follow in blocks, each with the first one again.
+    On a narrow terminal, columns follow in blocks, each with the first one repeated.
     """
     room = shutil.get_terminal_size((0, 0)).columns - 2  # indented
     columns = [
@@ -252,14 +250,14 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
 
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-TWICE = 0.5  # s, within which two signals are one
+TWICE = 0.5  # s, within which two signals count as one
 
 
 class Stopped(KeyboardInterrupt):
     """
-    A signal has come.
+    Exception for a received signal.
 
-    A subclass, since CPython ends a process with -SIGINT, regardless of its exit code, if
+    It is a subclass, since CPython ends a process with -SIGINT, regardless of its exit code, if
     KeyboardInterrupt itself passes through an exec(), as in the definition of a dataclass.
     """
 
@@ -268,10 +266,11 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     """
     Do some work with the streams of this process; return the exit code.
 
-    An error ends as a message, and so do signals that would end this process at once: they raise
-    what Ctrl-C does, so that all is removed. Once, as they often come twice, to a process and to
-    its group: the second must not stop that. They are noted, too: an exception in a callback of a
-    library is lost, and the command ends where it prints next.
+    An error ends with a message, and so do signals that would otherwise end the process at once:
+    they raise the exception of Ctrl-C, so that temporary files are removed. Only the first signal
+    raises, as signals often come twice, to a process and to its group, and a second one must not
+    stop the cleanup. Signals are also recorded: an exception in a callback of a library is lost,
+    and the command then ends at its next output.
     """
     ended = list[int]()
     first = 0.0
@@ -283,7 +282,7 @@ def run_guarded(work: Callable[[Console], int]) -> int:
         nonlocal first
         now = time.monotonic()
         first = first if ended else now
-        # Ctrl-C is pressed again where the first one did not help
+        # for characters outside the encoding, as stderr
         if not ended or number == signal.SIGINT and now - first > TWICE:
             ended.append(number)
             raise Stopped
@@ -301,7 +300,7 @@ def run_guarded(work: Callable[[Console], int]) -> int:
         return _run_guarded(work, console, ended)
     except BrokenPipeError:  # the reader of the output has closed it
         _discard(sys.stdout)
-        return 141  # as a shell reports SIGPIPE
+        return 141  # exit code of SIGPIPE in a shell
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
@@ -315,10 +314,10 @@ def run_guarded(work: Callable[[Console], int]) -> int:
 
 
 def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequence[int]) -> int:
-    """Do some work, and print why it ends; return the exit code."""
+    """Do some work, and print the reason of its end; return the exit code."""
     try:
         code = work(console)
-        sys.stdout.flush()  # now: an error at the very end could not be reported
+        sys.stdout.flush()  # now, as an error at the very end could not be reported
         console.require_no_signal()
         return code
     except BellowsError as error:
@@ -327,7 +326,7 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
             console.note('Give the file with --params FILE, or a value with --set NAME=VALUE.')
         return error.exit_code
     except KeyboardInterrupt:
-        for each in STOP_SIGNALS if ended else ():  # only the message is left
+        for each in STOP_SIGNALS if ended else ():  # only the message remains
             signal.signal(each, signal.SIG_IGN)
         number = (*ended, signal.SIGINT)[0]
         how = 'Interrupted' if number == signal.SIGINT else (
@@ -345,7 +344,7 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
 
 
 def _discard(stream: TextIO) -> None:
-    """Let nothing be written any more, also not when the process ends."""
+    """Discard further output, also at the end of the process."""
     with suppress(OSError):
         stream.flush()
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -1,4 +1,4 @@
-"""Make recordings from files of Motive or TUM, from joints or tf."""
+"""Make recordings from files of Motive or TUM, from joints or from transforms."""
 
 import argparse
 import os
@@ -12,7 +12,6 @@ from .console import Console
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Convert."""
     span = options.interval_settings(arguments)
     text = arguments.out.lower().endswith(convert.TEXT_ENDINGS)
     frames = bool(arguments.tool_frame or arguments.package_frame) and not text
@@ -45,7 +44,7 @@ def _is_of_units(arguments: argparse.Namespace) -> bool:
 
 
 def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -> None:
-    """Refuse what cannot be made of the sources: a text, poses of two frames, or a recording."""
+    """Raise for an impossible conversion to a text, of two frames, or to a recording."""
     alone = bool(text or arguments.tool_link) and not frames
     if _is_of_units(arguments):
         if frames or alone or len(arguments.sources) > 1:

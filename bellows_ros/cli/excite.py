@@ -1,4 +1,4 @@
-"""Design a motion that identifies a cup best."""
+"""Design a motion with the most information on a cup."""
 
 import argparse
 import math
@@ -14,7 +14,6 @@ from .options import Outcome, read_settings
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
-    """Design and write."""
     result = excite(
         read_settings(arguments, cup_for=console), load(arguments.limits), arguments.time,
         str(arguments.urdf or ''), arguments.beside, arguments.seed, console.progress,

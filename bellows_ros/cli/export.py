@@ -11,7 +11,7 @@ from .console import Console
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Write the model, and list its properties that the format cannot express."""
+    """Write the model, and list the limitations of the format."""
     values = options.read_settings(arguments, cup_for=console)
     settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
     console.final_warnings += checks.implausible(settings)
@@ -27,6 +27,6 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
 
 def print_result(missing: tuple[str, Sequence[str]], console: Console) -> None:
-    """Print the name of the format, and the properties that it cannot express."""
+    """Print the name of the format, and its limitations."""
     console.line(f'What differs or is left out in {missing[0]}:')
     console.paragraph(*(f'  - {sentence}' for sentence in missing[1]))

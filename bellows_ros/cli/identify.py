@@ -19,11 +19,10 @@ if TYPE_CHECKING:
 
 OUTPUTS = {'out': 'output.parameters', 'out_cell': 'output.cell', 'json': 'output.json',
            'report': 'output.report'}
-"""The parameters that name what options do."""
+"""Parameters that name outputs, by the options that replace them."""
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Identify and write."""
     settings = _settings(arguments, console)
     if arguments.release:
         return _release(arguments, settings, console)
@@ -97,7 +96,7 @@ def print_result(result: 'Identification | ReleaseResult', console: Console) -> 
 
 
 def _print_release(result: 'ReleaseResult', console: Console) -> None:
-    """Print the law with its errors, and how it explains the drops of each mass."""
+    """Print the law with its errors, and its residuals for the drops of each mass."""
     from bellows_ros.workflows.toss import RELEASE_UNITS
 
     fit, milli, names = result.fit, 1e3, list(RELEASE_UNITS)
@@ -130,7 +129,7 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
 
 
 def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
-    """Return the parameters, and those that have an argument; outputs are arguments then."""
+    """Return the parameters, and those with an argument; outputs are arguments then."""
     values = options.read_settings(arguments, 'identifier', console if arguments.release else None)
     if arguments.bags:
         values['bags'] = tuple(map(str, arguments.bags))

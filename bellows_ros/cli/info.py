@@ -1,4 +1,4 @@
-"""List the topics of a recording, and guess which is the tool."""
+"""List the topics of a recording, and guess their roles."""
 
 import argparse
 from collections.abc import Iterator, Mapping
@@ -20,14 +20,13 @@ from .parameters import template_with
 
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
            'cup.length')
-"""Quantities that a recording does not show: comments of the file, to fill in."""
+"""Quantities that a recording does not contain: comments of the file, to fill in."""
 
 CERTAIN = ('tool_pose.offset', 'recording.package_frame', 'measured.model')
-"""Settings of the checks that the file has as values; others are comments."""
+"""Settings of the checks that are values in the file; others are comments."""
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Look and write."""
     options.require_absent(arguments.write_params, arguments.force)
     console.progress(f'reading {arguments.bag}')
     result = info(arguments.bag, options.interval_settings(arguments))
@@ -95,7 +94,7 @@ def _commented(result: Info, settings: Mapping[str, Any]) -> list[str]:
 
 
 def _yaml(value: object) -> str:
-    """Return a value as in a parameter file."""
+    """Return a value in the form of a parameter file."""
     if isinstance(value, list | tuple):
         return f'[{", ".join(map(_yaml, value))}]'
     if isinstance(value, bool):

@@ -18,7 +18,7 @@ from bellows_ros.version import __version__
 from .console import Binary, Console, Folder, NOT_USABLE, OK, Output, STDOUT
 
 INTERVAL = {'from': 'recording.start', 'to': 'recording.end'}
-"""The parameters that options for a part of a recording set."""
+"""Parameters set by the options for a part of a recording."""
 
 INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
 """Parameters that name inputs."""
@@ -31,15 +31,15 @@ class Outcome(NamedTuple):
     Parameters
     ----------
     result
-        What `print_result` of its module prints, and whose `as_json()` is written to --json, with
-        the version.
+        Result for `print_result` of its module, whose `as_json()` is written to --json, with the
+        version.
     succeeded : bool
         Whether the exit code is 0.
     then : tuple of str
         Next steps after a file was written.
     inputs : sequence of path or None
-        Recordings and plans that the JSON file names with their digests, beside the parameter
-        files; None for a JSON file without provenance, or with its own.
+        Recordings and plans named in the JSON file with their digests, in addition to the
+        parameter files; None for a JSON file without provenance, or with its own.
     content : mapping or None
         Content for --json instead of the result.
     draw : str
@@ -83,7 +83,7 @@ def run_command(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def require_absent(output: str, force: bool) -> None:
-    """Refuse an output that exists, unless it may be replaced."""
+    """Raise for an output that exists, unless it may be replaced."""
     if output and os.path.exists(output) and not force:
         raise BellowsError(
             f"Output '{output}' exists. Give another name, or replace it with --force; what it "
@@ -91,7 +91,7 @@ def require_absent(output: str, force: bool) -> None:
 
 
 def require_drawable(arguments: argparse.Namespace) -> None:
-    """Refuse a name for --plot that is no picture, nor a film where there are some."""
+    """Raise for a name for --plot that is neither a picture nor, if available, a film."""
     if getattr(arguments, 'plot', ''):
         from bellows_ros.plots import style
 
@@ -104,23 +104,23 @@ def read_settings(
     arguments: argparse.Namespace, node: str | None = None, cup_for: Console | None = None
 ) -> dict[str, table.Value]:
     """
-    Return the parameters of the files, replaced by the parameters of the command line.
+    Return the parameters of the files, overridden by the command line.
 
     Parameters
     ----------
     arguments : Namespace
-        With `params`, files of which later ones override earlier ones, and `overrides`, each
-        'name=value'; `tool_link`, if there is one, overrides both.
+        Namespace with `params`, files of which later ones override earlier ones, and `overrides`,
+        each 'name=value'; `tool_link`, if any, overrides both.
     node : str, optional
-        Only the part of a file for this node.
+        Node whose part of a file is used.
     cup_for : Console, optional
-        Warns at the end if there is no cup among them.
+        Console that warns at the end if there is no cup.
 
     Raises
     ------
     BellowsError
-        If a file cannot be read, a name or value is not allowed, or an output of the command line
-        is read because a parameter says so.
+        If a file cannot be read, a name or value is invalid, or an output of the command line is
+        also an input by a parameter.
 
     """
     values: dict[str, Any] = {}
@@ -150,7 +150,7 @@ def interval_settings(arguments: argparse.Namespace) -> dict[str, table.Value]:
 
 def parse_override(text: str, option: str = '') -> tuple[str, table.Value]:
     """
-    Return name and checked value of 'name=value', as --set or another option has it.
+    Return name and checked value of 'name=value', from --set or another option.
 
     Lists are written as in YAML or without brackets: `package.com=[0, 0, -0.03]` or
     `package.com=0,0,-0.03`.
@@ -158,7 +158,7 @@ def parse_override(text: str, option: str = '') -> tuple[str, table.Value]:
     Raises
     ------
     BellowsError
-        If there is no '=', or name or value are not allowed.
+        If there is no '=', or name or value are invalid.
 
     """
     name, equals, value = (part.strip() for part in text.partition('='))
@@ -173,7 +173,7 @@ def parse_override(text: str, option: str = '') -> tuple[str, table.Value]:
 
 
 def _parsed(kind: str, text: str) -> object:
-    """Return a value of a parameter's kind, or the text itself if it is none."""
+    """Return a value of a parameter's kind, or the text itself if invalid."""
     if kind == 'bool':
         return {'true': True, 'false': False}.get(text.lower(), text)
     if kind.endswith('_array'):
@@ -197,8 +197,8 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
     Raises
     ------
     BellowsError
-        If a folder is missing, a path is no file, two paths are equal, an output would replace
-        an input or lie in one, or binary output is for stdout.
+        If a folder is missing, a path is not a file, two paths are equal, an output would replace
+        an input or be inside one, or binary output is for stdout.
 
     """
     named = [item for value in vars(arguments).values()

@@ -17,7 +17,7 @@ INDENT = '    '
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Choose the parameters, and print their file."""
+    """Select the parameters, and print their file."""
     chosen = [p for p in PARAMETERS.values()
               if not arguments.names or p.name.startswith(tuple(arguments.names))]
     for prefix in arguments.names:

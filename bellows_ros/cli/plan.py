@@ -11,7 +11,6 @@ from .options import Outcome, read_settings
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
-    """Predict and write."""
     values = read_settings(arguments, cup_for=console)
     console.progress('planning')
     report = plan(
@@ -22,7 +21,7 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
 
 
 def print_result(report: PlanReport, console: Console) -> None:
-    """Print the figures and their meaning."""
+    """Print the numbers and their meaning."""
     source = report.source
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
     console.line(f'Plan {source.path}', 'bold')

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Read, and play."""
     if not (math.isfinite(arguments.rate) and arguments.rate > 0.0):
         raise BellowsError(f'--rate must be a number above 0, got {arguments.rate:g}.')
     require_ros()

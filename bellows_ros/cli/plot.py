@@ -19,7 +19,6 @@ MAX_SPEED = 100.0  # times real time
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Read, draw, write."""
     needs_cup = arguments.what not in ('motion', 'spectra', 'path')
     values = options.read_settings(arguments, cup_for=console if needs_cup else None)
     has_cup = 'cup.stiffness' in values
@@ -43,7 +42,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
 
 def print_result(result: None, console: Console) -> None:
-    """Print nothing: the picture is all."""
+    """Print nothing, as the picture is the result."""
 
 
 def _draw(

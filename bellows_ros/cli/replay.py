@@ -1,4 +1,4 @@
-"""Predict a recording with a cup, and report how well it does."""
+"""Predict a recording with a cup, and report the errors."""
 
 import argparse
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from .console import Console
 
 
 def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
-    """Refuse what cannot be drawn or written, before any work."""
+    """Raise for drawings or files that cannot be made, before any work."""
     if arguments.report:
         require_pictures()
     if arguments.calibrate and not arguments.observe:
@@ -28,7 +28,6 @@ def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Replay and write."""
     settings = options.read_settings(arguments, cup_for=console)
     _check(arguments, settings)
     result = replay.replay(

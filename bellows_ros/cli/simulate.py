@@ -13,7 +13,6 @@ from .console import Console
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Simulate and write."""
     values = options.read_settings(arguments, cup_for=console)
     report = simulate_recording(
         values, load(arguments.motion), arguments.out, console.progress, arguments.force,

@@ -22,7 +22,6 @@ MILLIMETRES, DEGREES = (*display_unit('m'), 'position'), (*display_unit('rad'), 
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Find and write."""
     settings = options.read_settings(arguments)
     named, masses = arguments.bags, arguments.masses
     if masses and len(masses) != len(named):
@@ -57,7 +56,7 @@ def print_result(result: StaticResult, console: Console) -> None:
 
 
 def _standstill_rows(result: StaticResult) -> list[tuple[str, ...]]:
-    """Return the standstills as rows of a table: the lip as seen from the tool."""
+    """Return the standstills as rows of a table: the lip in the tool frame."""
     names = [Path(recording.name).name for recording in result.recordings
              for _ in static.standstills_in(recording)[0]]
     stills = result.standstills
@@ -75,7 +74,7 @@ def _standstill_rows(result: StaticResult) -> list[tuple[str, ...]]:
 
 
 def _spring_rows(spring: Sequence[PoseCheck]) -> list[tuple[str, ...]]:
-    """Return each pose's deflection, and how far the predicted one is off, as rows of a table."""
+    """Return each pose's deflection, and the error of its prediction, as rows of a table."""
     stills = [pose.standstill for pose in spring]
     columns = []
     for unit, part in ((MILLIMETRES, slice(0, 3)), (DEGREES, slice(3, 6))):
@@ -99,7 +98,7 @@ def _column(
 
 
 def _print_length(result: StaticResult, console: Console) -> None:
-    """Print the cup length, or why it is not identifiable."""
+    """Print the cup length, or the reason why it is not identifiable."""
     length = result.length
     if length is None:
         console.paragraph(f'No cup length: {result.no_length}')

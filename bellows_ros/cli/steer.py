@@ -15,7 +15,6 @@ DEGREES = math.degrees(1.0)
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
-    """Steer and write."""
     values = read_settings(arguments, cup_for=console)
     console.progress('planning')
     report = steer.steer_plan(
@@ -32,7 +31,7 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
 
 
 def print_result(report: steer.SteerReport, console: Console) -> None:
-    """Print the effects of the motions, and which one to use."""
+    """Print the effects of the motions, and the recommended one."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows: list[tuple[str, ...]] = [
         ('motion', 'tool moves', 'package arrives', 'tilt', 'residual', 'expected', 'settled',

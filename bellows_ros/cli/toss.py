@@ -1,4 +1,4 @@
-"""Predict where a tossed package lands, and what limits the accuracy."""
+"""Predict the landing of a tossed package, and the limits of its accuracy."""
 
 import argparse
 import math
@@ -16,7 +16,6 @@ MILLI = 1e3
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
-    """Predict and write."""
     result = toss_plan(
         arguments.plan, read_settings(arguments, cup_for=console), arguments.release,
         arguments.target, arguments.target_rotation, arguments.monte_carlo, console.progress,
@@ -60,7 +59,7 @@ def print_result(result: TossResult, console: Console) -> None:
 
 
 def _print_budget(result: TossResult, console: Console) -> None:
-    """Print the contributions to the uncertainty, and which to reduce first."""
+    """Print the contributions to the uncertainty, and the first to reduce."""
     groups = result.groups()
     if not groups:
         console.paragraph(

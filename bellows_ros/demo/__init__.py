@@ -2,7 +2,7 @@
 The demonstration on the recordings in bags/: `python -m bellows_ros.demo`.
 
 Identifies a cup, starts the node predictor with it, plays another recording to it over DDS at
-recorded speed, and shows how well the predicted poses meet the measured ones.
+recorded speed, and reports the errors of the predicted poses.
 
 `isolate`, for it and the tests, restricts ROS to this machine and an unused domain.
 """
@@ -13,12 +13,12 @@ from typing import Any
 
 from bellows_ros.errors import BellowsError
 
-# DDS on Linux: domains 1 to 101 keep clear of the ports that the system hands out by itself.
+# DDS on Linux: domains 1 to 101 avoid the ports that the system assigns itself.
 DOMAINS = 101
 PORTS = (7400, 7410)  # of domain 0: multicast discovery, the first participant's unicast
 
-# Open until this process ends: two processes that search at once do not choose the same domain
-# before ROS occupies it.
+# Sockets open until this process ends: two simultaneous searches do not choose one domain before
+# ROS occupies it.
 _reserved: list[socket.socket] = []
 
 
@@ -35,7 +35,8 @@ def unused_domain() -> int:
     """
     Return a ROS domain that nothing on this machine uses, reserved for this process.
 
-    The search starts at a domain of this process, so that runs started together differ.
+    The search starts at a domain that depends on the process, so that runs started together
+    differ.
 
     Raises
     ------

@@ -41,13 +41,13 @@ PACKAGE = 'package.yaml'
 MILLI, MICRO = 1e3, 1e6
 
 MAX_ERROR = 2.0
-"""Largest RMS error of a prediction in units of the measured noise; 1.0 for a right cup."""
+"""Largest RMS error of a prediction relative to the measured noise; 1.0 for a perfect cup."""
 
 RELIABLE = tuple(
     word for topic in ('pose', 'twist')
     for setting in ('reliability:=reliable', 'depth:=10000')  # it may be paused
     for word in ('-p', f'qos_overrides./tool_arm/{topic}.subscription.{setting}'))
-"""Arguments by which the predictor takes part in an exchange without loss."""
+"""Arguments with which the predictor takes part in an exchange without loss."""
 
 PICTURES = {'light': 'demo.png', 'dark': 'demo_dark.png'}
 
@@ -68,7 +68,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def run(bags: Path, out: Path, console: Console) -> int:
-    """Identify, predict live, compare, and show the outcome."""
+    """Identify, predict live, compare, and print the result."""
     start = time.monotonic()
     require_ros()
     require_pictures()
@@ -84,7 +84,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
             f"Output folder '{out}' cannot be created: {error.strerror}. Give another with --out."
         ) from None
     package, bag = parameter_files.read_parameters(bags / PACKAGE), bags / IDENTIFICATION
-    compiler = compile_aside(  # meanwhile: what predicts needs nothing of what identifies
+    compiler = compile_aside(  # meanwhile, as prediction and identification share no kernels
         warm_up, Cup.thesis(), package_of(resolve(package, PACKAGE_PARAMETERS)), 9.81, 'world')
     console.line(f'1. Identify the cup from {bag}', 'bold')
     with console.progress as progress:
@@ -122,7 +122,7 @@ def _predict_live(
     """
     Play a recording's tool-arm messages to the node predictor at recorded speed.
 
-    From here on this process has an unused ROS domain, reached from this machine only.
+    From here on this process uses an unused ROS domain on this machine only.
     """
     with tempfile.TemporaryDirectory(prefix='bellows_log_') as logs:
         isolate(logs)
@@ -170,19 +170,20 @@ def _print_result(
 @contextmanager
 def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], None]]:
     """
-    Run the node while the context lasts.
+    Run the node within the context.
 
     Parameters
     ----------
     parameters : sequence of Path
-        Each for --params-file.
+        Files for --params-file.
     log : Path
-        Gets the node's output.
+        File for the node's output.
 
     Yields
     ------
     callable
-        Raises BellowsError, with the end of the log, when the node has ended by itself.
+        Function that raises BellowsError, with the end of the log, if the node has ended by
+        itself.
 
     """
     command = [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args',
@@ -204,7 +205,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
         require_alive()
     finally:
         if process.poll() is None:
-            process.send_signal(signal.SIGINT)  # as Ctrl-C does
+            process.send_signal(signal.SIGINT)  # like Ctrl-C
         try:
             process.wait(10.0)  # s
         except subprocess.TimeoutExpired:

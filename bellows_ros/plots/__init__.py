@@ -7,7 +7,7 @@ from bellows_ros.workflows import CommandResult
 
 
 def figure_of(result: CommandResult, theme: str) -> Any:
-    """Draw a result; the pictures are loaded when one is drawn."""
+    """Draw a result; the pictures are loaded at the first use."""
     require_pictures()
     from bellows_ros.plots.pictures import FIGURES
 

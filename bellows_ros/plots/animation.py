@@ -23,12 +23,12 @@ from .style import FILMS, picture, require_picture, Theme
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 SIZE, DPI = (8.0, 4.5), 80
 TAIL_SHOWN = 0.5
-"""Time after the end of a steered motion that is shown, s."""
+"""Time shown after the end of a steered motion, s."""
 
 FLOOR_LINES = 0.1
-"""Distance of the lines on the floor, m."""
+"""Spacing of the lines on the floor, m."""
 
-RINGS, SIDES = 25, 13  # of the drawn cup; the last point of a ring is its first one again
+RINGS, SIDES = 25, 13  # of the drawn cup; the last point of a ring repeats the first
 CONVOLUTIONS = 2.5
 RADIUS = 0.020  # m
 
@@ -42,27 +42,27 @@ def write_animation(
     progress: recordings.Progress = recordings.no_progress, speed: float = 1.0,
 ) -> None:
     """
-    Write a replay as a GIF, or as an MP4 where ffmpeg is there.
+    Write a replay as a GIF, or, with ffmpeg, as an MP4.
 
     Parameters
     ----------
     path : path
-        Ends in .gif or .mp4.
+        Path that ends in .gif or .mp4.
     replayed : Replayed
-        The poses to draw.
+        Poses of the animation.
     note : str
         Name of recording and cup.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
     progress : callable, optional
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
     speed : float
         Seconds of the recording per second of the animation.
 
     Raises
     ------
     BellowsError
-        If the ending is another, or ffmpeg is missing.
+        If the ending is another one, or ffmpeg is missing.
 
     """
     views = (View('in the world', replayed, 1.3),
@@ -93,9 +93,9 @@ def write_steering(
 
 class View(NamedTuple):
     """
-    A scene in the world, or close up and moving with the tool tip.
+    A scene in the world, or close-up and moving with the tool tip.
 
-    With `shows_tilt` there are a floor, the trail of the package, and its present tilt.
+    With `shows_tilt` it has a floor, the trail of the package, and its current tilt.
     """
 
     label: str
@@ -109,7 +109,7 @@ def _write(
     path: File, views: Sequence[View], title: str, note: str, theme: str,
     progress: recordings.Progress, speed: float,
 ) -> None:
-    """Write views side by side, from the first time to the last of all."""
+    """Write views side by side, from the first to the last time of all."""
     ending = f'.{require_picture(path, FILMS)}'
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else _mp4
@@ -156,7 +156,7 @@ def _drawn(
 
 
 def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
-    """Return a panel that shows the whole way, or the cup close up."""
+    """Return a panel that shows the whole path, or a close-up of the cup."""
     scene = view.scene
     bodies = np.vstack([scene.tool.position, scene.package.position])
     low, high = bodies.min(axis=0), bodies.max(axis=0)
@@ -193,7 +193,7 @@ def _draw_floor(space: Any, centre: Array, reach: Array, colours: Theme) -> None
 
 
 def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
-    """Draw one moment into a panel and return its artists."""
+    """Draw one instant into a panel and return its artists."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
     scene = view.scene
@@ -229,7 +229,7 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
 
 
 def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:
-    """Return a GIF that runs for ever."""
+    """Return an endless GIF."""
     from PIL import Image
 
     images = [Image.fromarray(p).quantize(64, dither=Image.Dither.NONE) for p in pictures]
@@ -241,7 +241,7 @@ def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:
 
 
 def _mp4(pictures: Iterator[Any], rate_hz: float) -> bytes:
-    """Return an MP4, made by ffmpeg, that plays everywhere and before it is loaded to its end."""
+    """Return an MP4 by ffmpeg that plays everywhere, also before it is completely loaded."""
     width, height = (round(DPI * side) for side in SIZE)
     with TemporaryDirectory() as folder:
         target = Path(folder, 'animation.mp4')
@@ -272,7 +272,7 @@ def bellows_rings(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> Arr
     top_o, lip_o : array (3,)
         Tool tip E and lip S in the world, m.
     top_R, lip_R : array (3, 3)
-        Their orientations.
+        Orientations of tool tip and lip.
 
     Returns
     -------

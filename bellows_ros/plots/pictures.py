@@ -32,7 +32,7 @@ from .animation import box_corners, BOX_EDGES, RADIUS
 
 def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
     """
-    Draw tool and package over time, each axis from its start.
+    Draw tool and package over time, each axis relative to its start.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def spectra_figure(
     spectra: Spectra, note: str, theme: str = 'light', one_step: residuals.Spectrum | None = None
 ) -> Any:
     """
-    Draw the spectra of the package's motion seen from the tool, and of a prediction's error.
+    Draw the spectra of the package's motion in the tool frame, and of a prediction's error.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def spectra_figure(
 
 def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
     """
-    Draw the paths of tool and package in space, with the axes of both now and then.
+    Draw the paths of tool and package in space, with the axes of both at intervals.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
         package = style.masked(motion.package_position, motion.valid)
         space.plot(*tool.T, color=colours.measured, linewidth=2.4, label='tool tip E')
         space.plot(*package.T, color=colours.predicted, linewidth=1.0, label='package B')
-        for i in usable[:: max(1, len(usable) // 40)]:  # some forty
+        for i in usable[:: max(1, len(usable) // 40)]:  # about forty
             space.plot(*np.array([tool[i], package[i]]).T, color=colours.quiet, linewidth=0.6)
         space.plot(*tool[usable[0]][:, None], 'o', color=colours.text, markersize=4.0)
         space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.93)
@@ -139,7 +139,7 @@ MAX_POINTS = 4000
 
 def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     """
-    Draw the load that the motion needs against the deflection, and the cup's stiffness.
+    Draw the required load against the deflection, and the cup's stiffness.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
 
 
 def sketch_figure(values: Values, theme: str = 'light') -> Any:
-    """Draw cup, lip and package to scale, seen along y, with the points E, S and B."""
+    """Draw cup, lip and package to scale, viewed along y, with the points E, S and B."""
     depth, _, height = equivalent_box(values)
     x, _, z = values.package.com
     length = values.cup.length
@@ -203,7 +203,7 @@ def sketch_figure(values: Values, theme: str = 'light') -> Any:
 
 def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     """
-    Draw the load that the motion needs, and below it the part unexplained by the cup.
+    Draw the required load, and below it the part unexplained by the cup.
 
     Parameters
     ----------
@@ -243,9 +243,9 @@ def prediction_figure(
     Parameters
     ----------
     seconds : array (N,)
-        From the recording's first stamp, s.
+        Times from the recording's first stamp, s.
     comparison : Comparison
-        Measured and predicted coordinates; a line is interrupted where values are missing.
+        Measured and predicted coordinates; lines are interrupted at missing values.
     title, note : str
         Content of the figure, and its conditions.
     theme : {'light', 'dark'}
@@ -280,12 +280,12 @@ def errors_figure(
     estimates: Mapping[str, residuals.Comparison], note: str, theme: str = 'light'
 ) -> Any:
     """
-    Draw the errors of up to three estimates over time, each from the first stamp of all.
+    Draw the errors of up to three estimates over time, each from the first common stamp.
 
     Parameters
     ----------
     estimates : mapping of str to Comparison
-        By name.
+        Estimates by name.
     note : str
         Name of the recording.
     theme : {'light', 'dark'}
@@ -432,7 +432,7 @@ def margin_figure(margins: replay.Margins, note: str, theme: str = 'light') -> A
 
 
 def _draw_margins(panel: Any, margins: replay.Margins, colours: style.Theme) -> None:
-    """Draw the safety factors, the smallest, the required one, and where the cup lets go."""
+    """Draw the safety factors, the smallest, the required one, and the time of the loss."""
     style.draw_series(panel, margins.seconds, margins.factors, colours.three, MODES, margins.std)
     factor, mode, time = margins.smallest
     panel.plot([time], [factor], 'o', markersize=4.0, color=colours.text,
@@ -452,7 +452,7 @@ def _draw_margins(panel: Any, margins: replay.Margins, colours: style.Theme) -> 
 
 def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:
     """
-    Draw a motion, its spectrum, and how much of each limit it uses.
+    Draw a motion, its spectrum, and its ratios to the limits.
 
     Parameters
     ----------
@@ -495,7 +495,7 @@ def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:
 
 
 TAIL_SHOWN = 1.0
-"""Time (s) shown after the end of the last motion."""
+"""Time shown after the end of the last motion, s."""
 
 
 def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
@@ -527,7 +527,7 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
             z = np.clip(tool.rotation[:, :, 2] @ tool.rotation[0, :, 2], -1.0, 1.0)
             line = {'color': colour, 'linewidth': 1.4}
             panels[0].plot(motion.along.seconds, np.degrees(motion.tilt), label=name, **line)
-            seconds = np.append(tool.seconds, end)  # it stands after its motion
+            seconds = np.append(tool.seconds, end)  # at rest after its motion
             for panel, values in (
                     (panels[1], distance), (panels[2], np.degrees(np.arccos(z)))):
                 panel.plot(seconds, np.append(values, values[-1]), **line)
@@ -596,7 +596,7 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
         _draw_landing(above, close, result, colours)
         if result.aim is not None:
             side.plot(result.aim.target[0], height, '+', color=colours.text, markersize=12)
-        width = max(np.ptp(side.get_xlim()), *(  # the same scale for all three axes
+        width = max(np.ptp(side.get_xlim()), *(  # equal scale for all three axes
             np.ptp(panel.get_ylim()) * panel.bbox.width / panel.bbox.height
             for panel in (side, above)))
         side.set_xlim(np.mean(side.get_xlim()) + width * np.array([-0.5, 0.5]))
@@ -608,14 +608,14 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
 
 
 def _outlines(path: Array, half: Array, middle: Array) -> Iterator[Array]:
-    """Yield the edges (12, 2, 3) of the flying box at a few places."""
+    """Yield the edges (12, 2, 3) of the flying box at a few positions."""
     for row in path[np.linspace(0, len(path) - 1, 6).astype(int)]:
         R = quaternion_to_rotation(row[3:7])
         yield box_corners(row[:3] + R @ middle, R, 2.0 * half)[BOX_EDGES]
 
 
 def _draw_landing(above: Any, close: Any, result: toss.TossResult, colours: style.Theme) -> None:
-    """Draw ellipse, drawn landings and target from above, and once more closely."""
+    """Draw ellipse, drawn landings and target from above, and a close-up."""
     landing = np.array(result.toss.landing[0][:2])
     for panel, origin, scale in ((above, np.zeros(2), 1.0), (close, landing, style.MILLI)):
         panel.plot(*(scale * (landing - origin + ellipse(result.covariance, 121))).T,
@@ -632,14 +632,14 @@ def _draw_landing(above: Any, close: Any, result: toss.TossResult, colours: styl
 
 
 def replay_figure(result: replay.Replay, theme: str = 'light') -> Any:
-    """Draw a replay as `prediction_figure` does."""
+    """Draw a replay by `prediction_figure`."""
     return prediction_figure(
         result.recording.since_start(result.validation.stamps_ns), result.validation,
         'Measured and predicted', f'{result.bag}, relative to the tool', theme)
 
 
 def identification_figure(result: Identification, theme: str = 'light') -> Any:
-    """Draw the free simulation of a validation recording, or else of the first fitted one."""
+    """Draw the free simulation of a validation recording, or otherwise of the first fitted one."""
     return replay_figure(next(iter(result.validations), None) or replay.validated(
         result.cup_values(), as_found(result.recordings[0], result.fit.nuisances, 0)), theme)
 

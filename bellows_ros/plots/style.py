@@ -1,8 +1,8 @@
 """
 Style of the pictures: a light and a dark theme, layouts of panels, and atomic output.
 
-A measured quantity is a wide pale line, a predicted one a thin strong line on top of it: the two
-differ by width, too, and their colours are distinct with all common kinds of colour vision.
+A measured quantity is a wide pale line, a predicted one a thin strong line on top of it: both also
+differ in width, and their colours are distinct with all common kinds of colour vision.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,7 +28,7 @@ SAME_BYTES: dict[Any, Any] = {'svg.hashsalt': 'bellows_ros'}
 
 @dataclass(frozen=True)
 class Theme:
-    """Colours of a picture by purpose, as matplotlib names them."""
+    """Colours of a picture by purpose, by matplotlib's names."""
 
     background: str
     text: str
@@ -73,7 +73,7 @@ PICTURES, FILMS = ('.png', '.svg', '.pdf'), ('.gif', '.mp4')
 
 
 def require_picture(path: File, allowed: tuple[str, ...] = PICTURES) -> str:
-    """Return the format of a picture or film by its name's ending; refuse one not allowed."""
+    """Return the format of a picture or film from its name's ending; raise for others."""
     ending = Path(path).suffix.lower()
     if ending not in allowed:
         raise BellowsError(
@@ -85,8 +85,8 @@ def description(figure: Any) -> str:
     """
     Return the content of a figure as text.
 
-    A row of texts and legends, then a row per panel: title, labels, legend, and of each line its
-    name, its number of points, and its smallest and largest value.
+    It has a row of texts and legends, then a row per panel: title, labels, legend, and for each
+    line its name, number of points, and smallest and largest value.
     """
     def words(*texts: Any) -> str:
         return ', '.join(filter(None, (text if isinstance(text, str) else text.get_text()
@@ -126,12 +126,13 @@ def inline_svg(figure: Any) -> str:
     """
     Return a figure of the light theme as SVG for a page, which defines its colours.
 
-    The colours become CSS variables with the names of a `Theme`. The figure's label is read out.
+    The colours become CSS variables with the names of a `Theme`. Screen readers read the figure's
+    label.
     """
     import matplotlib
 
     data = io.StringIO()
-    with matplotlib.rc_context({  # text stays text, and close points of a line become one
+    with matplotlib.rc_context({  # texts remain texts, and close points of a line are merged
             **SAME_BYTES, 'svg.fonttype': 'none', 'path.simplify_threshold': 0.5}):
         figure.savefig(data, format='svg', metadata=dict.fromkeys(
             ('Creator', 'Date', 'Format', 'Type')))
@@ -140,7 +141,7 @@ def inline_svg(figure: Any) -> str:
         rf'<svg \1 role="img" aria-label="{escape(figure.get_label())}">',
         data.getvalue(), count=1, flags=re.DOTALL)
     svg = re.sub(r'<g id="[^"]*"', '<g', svg)
-    svg = re.sub(  # a tenth of a point and no line ends are enough of a path
+    svg = re.sub(  # a tenth of a point, without line ends, suffices for a path
         r' d="[^"]*"', lambda path: re.sub(r'(\.\d)\d+', r'\1', path[0]).replace(' \n', ''), svg)
     for name, colour in asdict(THEMES['light']).items():
         svg = svg.replace(colour, f'var(--{name})')
@@ -148,7 +149,7 @@ def inline_svg(figure: Any) -> str:
 
 
 SIZE = (9.4, 6.9)  # inches
-LEFT_EDGE = 0.095  # of the panels, in parts of the width
+LEFT_EDGE = 0.095  # of the panels, relative to the width
 BELOW_HEAD = {'left': LEFT_EDGE, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
 """Edges of the panels of a figure of `SIZE`."""
 
@@ -213,9 +214,9 @@ def six_lines(
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
     lines : sequence of Line
-        Drawn in this order, in their units. A line without a name is not in the legend.
+        Lines in the order of drawing, in their units. A line without a name is not in the legend.
     abscissa : str
-        Label, with its unit.
+        Label of the abscissa, with its unit.
     units : sequence of str
         Unit of each axis.
     log : bool
@@ -265,7 +266,7 @@ def name_panel(panel: Any, title: str, abscissa: str = '') -> None:
 
 
 def legend_of(figure: Any, lines: Sequence[Line], theme: Theme) -> None:
-    """Write a legend of the lines that have a name at the top right."""
+    """Write a legend of the named lines at the top right."""
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], color=getattr(theme, line.colour), linewidth=line.width,
@@ -276,7 +277,7 @@ def legend_of(figure: Any, lines: Sequence[Line], theme: Theme) -> None:
 
 
 def label_abscissa(panel: Any, axis: int, label: str) -> None:
-    """Label the abscissa of one of six panels: only the lowest of a column shows it."""
+    """Label the abscissa of one of six panels: only the lowest of a column has a label."""
     if axis % 3 == 2:
         panel.set_xlabel(label)
     else:
@@ -291,7 +292,7 @@ def six_pairs(
     units: Sequence[str] = DISPLAY_UNITS,
 ) -> Any:
     """
-    Draw six coordinates over time, and an error of each below it, to another scale.
+    Draw six coordinates over time, with an error of each below, to another scale.
 
     Parameters
     ----------
@@ -300,9 +301,9 @@ def six_pairs(
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
     lines : sequence of Line
-        Over the same times (s), in their units.
+        Lines over common times (s), in their units.
     error : Line
-        Drawn about zero.
+        Error, drawn about zero.
     titles : sequence of str
         Title of each coordinate.
     units : sequence of str

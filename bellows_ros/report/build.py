@@ -1,7 +1,7 @@
 """
 Pages of an identification and of a replay: tables of the terminal, pictures, provenance.
 
-Headings, tables and pictures are HTML, with all style inside.
+Headings, tables and pictures are HTML with inline style.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ from .text import print_identification, print_replay
 
 
 def page(title: str, subtitle: str, sections: Iterable[str]) -> str:
-    """Return a whole page of sections in HTML, light and dark as the reader's system has it."""
+    """Return a page of sections in HTML, light or dark by the reader's system."""
     light, dark = (''.join(f'--{name}:{colour};' for name, colour in asdict(theme).items())
                    for theme in THEMES.values())
     style = (f':root{{{light}--warn:#9a6700}}\n'
@@ -41,16 +41,16 @@ def page(title: str, subtitle: str, sections: Iterable[str]) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return text, foreign one too, as HTML."""
+    """Return any text as HTML."""
     return escape(shown(text, MAX_TEXT))
 
 
 MAX_TEXT = 5000
-"""Length of a paragraph or cell, characters."""
+"""Longest paragraph or cell, characters."""
 
 
 class Section:
-    """A section of a page, written as a command writes to the console."""
+    """A section of a page, with the methods of the console."""
 
     def __init__(self, title: str) -> None:
         """Begin with a heading."""
@@ -70,7 +70,7 @@ class Section:
         self._parts += [f'<p{kind}>{escaped(text)}</p>' for text in texts]
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
-        """Write a table with a head, all but the first column to the right if wanted."""
+        """Write a table with a head, optionally with all but the first column right-aligned."""
         self.line(title, 'bold')
         self.add(table(rows, right))
 
@@ -85,7 +85,7 @@ class Section:
 
 
 def table(rows: Sequence[Sequence[str]], right: bool = False) -> str:
-    """Return a table with a head, all but the first column to the right if wanted."""
+    """Return a table with a head, optionally with all but the first column right-aligned."""
     lines = [''.join(
         f'<{tag}{" class=number" if right and column else ""}>{escaped(cell)}</{tag}>'
         for column, cell in enumerate(cells))
@@ -96,9 +96,9 @@ def table(rows: Sequence[Sequence[str]], right: bool = False) -> str:
 
 def figure(drawn: Any, caption: str = '') -> str:
     """
-    Return a figure of `plots` as a picture of the page, with a sentence below it.
+    Return a figure of `plots` as a picture of the page, with a caption.
 
-    On a narrow screen the two columns of six panels stand below each other.
+    On a narrow screen the two columns of six panels are stacked.
     """
     svg = inline_svg(drawn)
     text = f'<figcaption>{escaped(caption)}</figcaption>' if caption else ''
@@ -119,7 +119,7 @@ PAGE, STYLE = (Path(__file__).with_name(name) for name in ('page.html', 'style.c
 
 def identification_report(result: identification.Identification) -> str:
     """
-    Return the page of a fit for which the parameter output.report was set.
+    Return the page of a fit with the parameter output.report.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def identification_report(result: identification.Identification) -> str:
         strict=True))
     for recording in result.recordings:
         sections.append(_simulated(parameters[recording.name], recording))
-    origin = dict(result.as_json()['provenance'])  # and of recordings outside the fit
+    origin = dict(result.as_json()['provenance'])  # including recordings outside the fit
     origin['recordings'] = [
         *origin['recordings'],
         *results.provenance([each.bag for each in result.validations])['recordings']]
@@ -147,7 +147,7 @@ def identification_report(result: identification.Identification) -> str:
 
 
 def _card(result: identification.Identification, details: Section) -> Section:
-    """Return verdict, cup, modes, validity range and the limits of accuracy, with a sketch."""
+    """Return verdict, cup, modes, validity range and limits of accuracy, with a sketch."""
     card = Section('Summary')
     fit, values = result.fit, result.cup_values()
     if not result.refusals:
@@ -193,7 +193,7 @@ def replay_report(result: replay.Replay, parameter_files: Sequence[File] = ()) -
 
 def write_page(result: identification.Identification, path: File) -> None:
     """
-    Write the page of an identification for which the parameter output.report was set.
+    Write the page of an identification with the parameter output.report.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def _simulated(values: Values, recording: Recording) -> Section:
 
 
 def _motion(title: str, replayed: replay.Replay, with_loads: bool = False) -> Section:
-    """Return text and figures of a recording that was simulated freely."""
+    """Return text and figures of a freely simulated recording."""
     section = Section(title)
     print_replay(replayed, section)
     if with_loads:
@@ -229,7 +229,7 @@ def _motion(title: str, replayed: replay.Replay, with_loads: bool = False) -> Se
 
 
 def _figures(replayed: replay.Replay) -> Iterator[tuple[Any, str, dict[str, Any]]]:
-    """Yield figures of a recording that was simulated freely, with codes of their captions."""
+    """Yield figures of a freely simulated recording, with codes of their captions."""
     validation, bag = replayed.validation, replayed.bag
     yield pictures.replay_figure(replayed), 'replay', {'samples': validation.scores.samples}
     if replayed.margin:
@@ -264,7 +264,7 @@ def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
 
 
 def _setting(value: Any) -> str:
-    """Return a setting; of a matrix its rows."""
+    """Return a setting; for a matrix its rows."""
     if isinstance(value, list | tuple):
         return '[' + ', '.join(_setting(item) for item in value) + ']'
     if isinstance(value, float):

@@ -1,5 +1,5 @@
 """
-Diagnostics of the predictor: observations as levels (REP-107), messages and numbers; no ROS.
+Diagnostics of the predictor: levels (REP-107), messages and numbers; no ROS.
 
 Rates, jitter, age and computing times of messages are kept in constant memory.
 
@@ -32,7 +32,7 @@ def window() -> deque[float]:
 
 
 def taken(numbers: deque[float]) -> Array:
-    """Return the numbers of a queue, and begin again."""
+    """Return and clear the numbers of a queue."""
     values = np.array(numbers, np.float64)
     numbers.clear()
     return values
@@ -51,14 +51,13 @@ class Arrivals:
     Attributes
     ----------
     last_ns : int
-        When the newest came, -1 before the first.
+        Arrival of the newest message, -1 before the first.
     count : int
-        How many came.
+        Number of messages.
 
     """
 
     def __init__(self) -> None:
-        """Start without arrivals."""
         self.last_ns, self.count = -1, 0
         self._ages, self._intervals = window(), window()
 
@@ -72,9 +71,10 @@ class Arrivals:
 
     def reset(self) -> tuple[int, float, float, dict[str, float]]:
         """
-        Return how messages arrived since the last call, and begin again.
+        Return statistics of the arrivals since the last call, and reset them.
 
-        Number, rate (Hz), jitter and age (s) as in `InputReport`; NaN where too few did.
+        They are number, rate (Hz), jitter and age (s) as in `InputReport`; NaN for too few
+        messages.
         """
         count, self.count, intervals = self.count, 0, taken(self._intervals)
         mean = float(intervals.mean()) if len(intervals) else math.nan
@@ -83,10 +83,10 @@ class Arrivals:
 
 
 MAX_AGE = 1.0
-"""Messages older or younger (s) than this carry stamps of another clock."""
+"""Largest absolute age of a message on the node's clock, s; other stamps are of another clock."""
 
 say = partial(sentence, 'live')
-"""Return the sentence of a code of the live predictor."""
+"""Function that returns the sentence of a code of the live predictor."""
 
 REASONS: Mapping[str, str] = {**messages.REASONS, **{
     code.partition('.')[2]: text.format(gap=LONGEST_GAP_NS / NS_PER_S)
@@ -112,12 +112,12 @@ class Status(NamedTuple):
 
 
 class InputReport(NamedTuple):
-    """One input since the last report."""
+    """Statistics of one input since the last report."""
 
     topic: str
     publishers: int
     mismatch: str
-    """QoS setting that does not match a publisher, or ''."""
+    """QoS setting that is incompatible with a publisher, or ''."""
     messages: int
     rate_hz: float
     jitter: float
@@ -125,7 +125,7 @@ class InputReport(NamedTuple):
     age: dict[str, float]
     """Quantiles of arrival minus stamp on the node's clock, s."""
     silent: float
-    """Seconds since the last message; infinite before the first."""
+    """Time since the last message, s; infinite before the first."""
     refused: Mapping[str, int]
     """Counts since the last report."""
     total_refused: Mapping[str, int]
@@ -156,7 +156,7 @@ def _listed(counts: Mapping[str, int]) -> str:
 
 
 def _refusals(report: InputReport) -> str:
-    """Return how many messages were refused since the last report, and why."""
+    """Return numbers and reasons of rejected messages since the last report."""
     refused = sum(report.refused.values())
     return f'{refused} of {report.messages} messages refused: {_listed(report.refused)}'
 
@@ -167,7 +167,7 @@ def _first(*cases: tuple[object, Level, str]) -> tuple[Level, str]:
 
 
 def input_status(name: str, report: InputReport, optional: bool = False) -> Status:
-    """Return the status of an input; one that is optional may be absent."""
+    """Return the status of an input, which may be absent if optional."""
     topic, rate, age, silent = report.topic, report.rate_hz, report.age['p50'], report.silent
     worst = Level.WARN if optional else Level.ERROR
     refused = sum(report.refused.values())
@@ -201,9 +201,9 @@ def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> 
     """
     Return the status of the vacuum signal.
 
-    A latched one is sent when it changes, and may be silent after its first message.
+    A latched signal is sent when it changes, and may be silent after its first message.
     """
-    worst = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
+    worst = Level.WARN if held else Level.ERROR  # without a held package nothing is predicted
     state, topic = f'the package counts as {"" if held else "not "}held', report.topic
     level, message = _first(
         (report.mismatch, worst, report.mismatch),
@@ -229,16 +229,16 @@ def prediction_status(
     name : str
         Name of the line.
     state : str
-        State of the lifecycle: 'active' or another.
+        Lifecycle state, 'active' or another one.
     phase, cup, twist_verdict : str
-        As of `LivePredictor.phase`, the cup in use, and as of `ToolMotion.verdict`.
+        Results of `LivePredictor.phase` and `ToolMotion.verdict`, and the cup in use.
     compute : array
-        Seconds from each message's arrival until its predictions were published.
+        Time from each message's arrival until the publication of its predictions, s.
     counts, restarts : mapping of str to int
-        Since the start, and since the last report.
+        Counts since the start, and since the last report.
     has_covariance, above : bool
-        Whether the odometry's covariance is one; whether z of the tool points down, so that the
-        package is above it.
+        Whether the odometry has a covariance; whether z of the tool points down, with the package
+        above it.
 
     """
     failures, reasons, said = restarts.get('failure'), _listed(restarts), texts('live')
@@ -266,7 +266,7 @@ def prediction_status(
 def load_status(
     name: str, load: Load, safety: Safety | None, excess: Distance | None, bending: float
 ) -> Status:
-    """Return the status of the cup's load, by what its `reset` returns."""
+    """Return the status of the cup's load, from the results of its `reset`."""
     factor, mode = safety or Safety(math.nan, 'nothing')
     has_grip, required = load.grip is not None, load.required
     values = {

@@ -1,13 +1,14 @@
 """
-Sentences of findings, warnings, verdicts and alarms: made of a code and of numbers in SI units.
+Sentences of findings, warnings, verdicts and alarms, from codes and numbers in SI units.
 
-`texts/ROOM.toml` holds the sentences of a room by code. A sentence is a format string; a format
-may end with a unit of `SENTENCE_UNITS`, which follows the number, or with `# noun` for a count:
+`texts/ROOM.toml` has the sentences of a room by code. A sentence is a format string; a format may
+end with a unit of `SENTENCE_UNITS`, which is printed after the number, or with `# noun` for a
+count:
 
     shift = "Topic '{topic}' jumps by {shift:.1f mm} and {rotation:.2g deg}, {count:# time}."
 
-with shift in m and rotation in rad. Values that are text pass `errors.shown`; lists become
-'a, b and c'; None and numbers that are not finite become '-'.
+with shift in m and rotation in rad. Texts among the values are escaped by `errors.shown`; lists
+become 'a, b and c'; None and numbers that are not finite become '-'.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -36,13 +37,13 @@ SENTENCE_UNITS: Mapping[str, tuple[float, str]] = {
     'mm': (1e3, 'mm'), 'um': (1e6, 'um'), 'mm/s': (1e3, 'mm/s'), 'ms': (1e3, 'ms'),
     'us': (1e6, 'us'), 'g': (1e3, 'g'), '%': (1e2, '%'), 'ppm': (1e6, 'ppm'),
     'deg': (math.degrees(1.0), 'degrees'), 'deg/s': (math.degrees(1.0), 'degrees/s')}
-"""Units of sentences: their number in one SI unit, and their name in a sentence."""
+"""Units in sentences: their number in one SI unit, and their printed name."""
 
 MAX_LISTED = 5
-"""Number of items of a list that a sentence names."""
+"""Largest number of list items named in a sentence."""
 
 MAX_TEXT = 200
-"""Length of a text within a sentence, characters."""
+"""Longest text within a sentence, characters."""
 
 
 def sentence(room: str, code: str, **numbers: Any) -> str:
@@ -54,7 +55,7 @@ def sentence(room: str, code: str, **numbers: Any) -> str:
     room : str
         Name of a file in `texts/`.
     code : str
-        Key in the file; of a table in it `table.key`.
+        Key in the file, or `table.key` for a table in it.
     **numbers : float, str, sequence or None
         Values of the sentence's fields, in SI units.
 
@@ -75,7 +76,7 @@ def flip_warning(angle: float, code: str = 'flips', begin: float = 0.0) -> str:
 
 
 def listed(items: Sequence[str]) -> str:
-    """Return items as in a sentence; of many the first ones and the number of the others."""
+    """Return a list in words; of many items the first ones and the number of the others."""
     if len(items) > MAX_LISTED:
         return f'{", ".join(items[:MAX_LISTED])} and {len(items) - MAX_LISTED} more'
     return ' and '.join(filter(None, [', '.join(items[:-1]), items[-1]]))
@@ -99,7 +100,7 @@ def _flat(inside: str, table: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 class _Sentence(Formatter):
-    """Formats numbers with units, counts with nouns, lists, and foreign text."""
+    """Formatter of numbers with units, counts with nouns, lists, and foreign text."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         form, _, unit = format_spec.rpartition(' ')
@@ -120,7 +121,7 @@ class _Sentence(Formatter):
 
 
 def alarm_sentence(alarm: 'Alarm') -> str:
-    """Return the finding of an alarm, its second cause, and the way to decide between them."""
+    """Return the finding of an alarm, its second cause, and a test to decide between them."""
     parts = [_finding(alarm.cause, alarm.parts, alarm), sentence(
         'alarms', 'second', second=alarm.second, odds=max(alarm.odds, 1.0))]
     if alarm.second_parts:
@@ -166,7 +167,7 @@ def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
 
 
 def setting_of(finding: Finding) -> str:
-    """Return the parameter to change, both if either may be wrong, '' if the cup is the cause."""
+    """Return the parameter to change, both if undecided, '' for a cause in the cup."""
     if finding.name == 'yaw':
         bodies = [text.split()[0] for text in (finding.value, finding.instead) if text]
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
@@ -176,7 +177,7 @@ def setting_of(finding: Finding) -> str:
 
 
 def _cause_of(finding: Finding) -> str:
-    """Return the name of a cause in the texts, of which some causes have two forms."""
+    """Return the name of a cause in the texts, as some causes have two forms."""
     if finding.name in ('com', 'length') and finding.instead:
         return 'length or com'
     if finding.instead == 'force':
@@ -204,7 +205,7 @@ def _marker_fields(finding: Finding, given: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _yaw_fields(finding: Finding, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the frames of which one is turned about z."""
+    """Return the frames of which one is rotated about z."""
     words = ', or '.join(
         f"the {body}'s frame is turned by {degrees} degrees about z"
         for body, degrees in map(str.split, filter(None, (finding.value, finding.instead))))
@@ -213,7 +214,7 @@ def _yaw_fields(finding: Finding, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _down(given: Mapping[str, Any], down: Array) -> str:
-    """Return gravity.direction of a direction in the world that it levels."""
+    """Return gravity.direction of a direction in the levelled world."""
     return _numbers(
         alignment.levelling(given.get('gravity.direction', alignment.DOWN)).T @ down)
 

@@ -1,4 +1,4 @@
-"""Numbers, lists, and results as the commands print them and the pages show them."""
+"""Numbers, lists, and results in the form printed by commands and pages."""
 
 from collections.abc import Sequence
 import math
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 def with_error(value: float, error: float, unit: str = '') -> str:
     """
-    Return a value to the decimal place of its standard error's second figure, the error, the unit.
+    Return a value to the decimal of its error's second digit, the error, and the unit.
 
-    With an infinite error the value is meaningless, and not shown.
+    With an infinite error the value is meaningless, and omitted.
     """
     if math.isinf(error):
         return 'not identifiable'
@@ -33,9 +33,9 @@ def with_error(value: float, error: float, unit: str = '') -> str:
 
 def column(values: Sequence[float], error: float | None = None) -> list[str]:
     """
-    Return numbers with the same decimals: as many as show two figures of an error.
+    Return numbers with equal decimals: enough for two digits of an error.
 
-    Without one, of the smallest number that is not below a hundredth of the largest.
+    Without an error, enough for the smallest number that is at least 1 % of the largest.
     """
     sizes = [abs(value) for value in values if math.isfinite(value) and value]
     least = error or min((size for size in sizes if size >= 0.01 * max(sizes)), default=1.0)
@@ -54,12 +54,12 @@ def formatted(
 
 
 def percent(ratio: float, decimals: int = 2) -> str:
-    """Return a ratio in percent, or a dash if nothing moved."""
+    """Return a ratio in percent, or a dash without motion."""
     return formatted(ratio, f'.{decimals}f', '%', 100.0)
 
 
 def display_unit(unit: str) -> tuple[float, str]:
-    """Return factor and name of the unit in which a small quantity is printed."""
+    """Return factor and name of the printed unit of a small quantity."""
     if unit == 'kg':
         return 1e3, 'g'
     if unit == 'rad':
@@ -71,7 +71,7 @@ class Writer(Protocol):
     """The console of a command, or a section of a page."""
 
     def line(self, text: str = '', style: str = '') -> None:
-        """Write a line, or leave one empty."""
+        """Write a line, by default an empty one."""
 
     def paragraph(self, *texts: str, style: str = '') -> None:
         """Write sentences."""
@@ -86,7 +86,7 @@ class Writer(Protocol):
 def print_identification(
     result: 'Identification', out: Writer, details: Writer | None = None
 ) -> None:
-    """Print the cup, and the samples and findings behind it, which a page has elsewhere."""
+    """Print the cup, with samples and findings, which a page has elsewhere."""
     details = details or out
     fit, verdict = result.fit, result.verdict
     sentences = verdict.sentences if verdict else ()
@@ -156,7 +156,7 @@ def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
 
 
 def _in_percent(error: float, value: float) -> str:
-    """Return a standard error as a part of its value, '' if the value is not identifiable."""
+    """Return a standard error relative to its value, '' if the value is not identifiable."""
     if not (math.isfinite(error) and value):
         return ''
     percent = 100.0 * error / abs(value)
@@ -166,7 +166,7 @@ def _in_percent(error: float, value: float) -> str:
 def print_relaxation(
     strengths: tuple[float, float], errors: tuple[float, float], out: Writer
 ) -> None:
-    """Print how the rubber relaxes, if it does."""
+    """Print the relaxation of the rubber, if any."""
     if any(strengths):
         out.paragraph(sentence('report', 'relaxation', strengths=[
             f'r{branch} = {with_error(strength, std)}' for branch, (strength, std) in enumerate(
@@ -229,7 +229,7 @@ def _print_observed(observed: 'Observed', out: Writer) -> None:
 
 
 def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
-    """Return a row for each axis: errors, the part due to noise, and whether they are white."""
+    """Return a row for each axis: errors, the part due to noise, and whiteness."""
     validation, live = result.validation, result.live
     white = validation.one_step.whiteness.verdicts if validation.one_step else ('-',) * 6
     rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]

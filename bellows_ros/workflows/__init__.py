@@ -1,8 +1,8 @@
 """
 One complete job each: files in, `bellows_ros.core` in the middle, files out.
 
-Prints nothing and knows no ROS, so that commands, nodes and scripts share the same work. Results
-draw and write themselves. Rarely needed modules are loaded at their first use.
+Nothing is printed and ROS is not imported, so that commands, nodes and scripts share the work.
+Results draw and write themselves. Rarely needed modules are loaded at their first use.
 """
 
 from collections.abc import Callable
@@ -17,15 +17,15 @@ class CommandResult:
     """A result that has `as_json()`."""
 
     figure: ClassVar[Callable[['CommandResult', str], Any]]
-    """How a result is drawn; `plots`, which stands above, sets it."""
+    """Function that draws the result; `plots`, a higher room, sets it."""
 
     def as_json(self) -> dict[str, Any]:
-        """Return all figures by name, SI units, null for unknown values."""
+        """Return all numbers by name, SI units, null for unknown values."""
         raise NotImplementedError
 
     def to_json(self, path: File) -> None:
         """
-        Write all figures as JSON, whole or not at all.
+        Write all numbers as JSON, whole or not at all.
 
         Raises
         ------

@@ -24,7 +24,7 @@ class ComparedFits(NamedTuple):
     consistency : Consistency
         Test for one cup.
     shared : tuple of str
-        Recordings of both fits, if there are two: such fits are not independent.
+        Recordings used by both of two fits, which are then not independent.
 
     """
 
@@ -47,7 +47,7 @@ class ComparedFits(NamedTuple):
                      name=self.names[numbers['fit']], **numbers))
 
     def rows(self) -> list[tuple[str, str, float, float, float, float, float]]:
-        """Return label, unit, values, standard errors and difference in standard errors of two."""
+        """Return label, unit, values, standard errors, and the difference in standard errors."""
         found = self.consistency
         (before, after), (before_std, after_std) = found.values, found.std
         with np.errstate(divide='ignore', invalid='ignore'):
@@ -75,12 +75,12 @@ class ComparedFits(NamedTuple):
 
 def compare_files(before: File, after: File) -> ComparedFits:
     """
-    Compare two JSON files that `bellows identify` has written.
+    Compare two JSON files written by `bellows identify`.
 
     Raises
     ------
     BellowsError
-        If a file is not such a result.
+        If a file is not the result of a fit.
 
     """
     contents = [results.read_result(path) for path in (before, after)]
@@ -112,7 +112,7 @@ def _digests(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 def consistency(
     parts: Sequence[AnyRecording], fit_alone: Callable[[AnyRecording, str], Fit]
 ) -> ComparedFits:
-    """Return the comparison of single fits to recordings, each fitted under its name."""
+    """Return the comparison of fits to single recordings, each fitted under its name."""
     differ = len({part.payload.mass for part in parts}) > 1
     names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
              for part in parts]

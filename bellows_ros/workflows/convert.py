@@ -1,4 +1,4 @@
-"""Poses of files, joints or transforms to recordings, and from recordings to TUM."""
+"""Conversion of poses in files, joints or transforms to recordings, and of recordings to TUM."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -35,7 +35,7 @@ class Body(NamedTuple):
     source : str
         File, with the name of the body if the file has several bodies.
     left_out : mapping of str to int
-        Reason to number of frames that are not among them.
+        Number of omitted frames by reason.
     world : {'z_up', 'motive_y_up'}
         The value of recording.world.
 
@@ -57,7 +57,7 @@ class Body(NamedTuple):
         return len(self.messages.stamps_ns)
 
     def at(self, chosen: Mask) -> 'Body':
-        """Return some of the messages."""
+        """Return selected messages."""
         return self._replace(messages=replace(
             self.messages, stamps_ns=self.messages.stamps_ns[chosen],
             data=tuple(compress(self.messages.data, chosen))))
@@ -100,17 +100,16 @@ def bodies_in_files(
     Parameters
     ----------
     sources : sequence of path
-        Motive CSV exports, whose every rigid body becomes a topic, or TUM
-        files, each a topic.
+        Motive CSV exports, with a topic for each rigid body, or TUM files, with a topic each.
     names : sequence of str, optional
-        Topics, in the order of files and bodies; by default '/NAME/pose'.
+        Topics, in the order of files and bodies; default: '/NAME/pose'.
     min_markers : int
-        Poses of Motive with fewer markers seen are left out.
+        Smallest number of visible markers of a pose from Motive.
 
     Raises
     ------
     BellowsError
-        If a source cannot be read, or two bodies would have one topic.
+        If a source cannot be read, or two bodies would have the same topic.
 
     """
     bodies = [body for source in sources for body in _bodies_in_file(Path(source), min_markers)]
@@ -140,14 +139,14 @@ def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -
     tool_link : str
         Link or frame at the tool tip E.
     urdf : str, optional
-        File with the arm; without it that on /robot_description, or else the transforms count.
+        File with the arm; default: the arm on /robot_description, or otherwise the transforms.
     topic : str, optional
         Topic for the tool's poses; default: '/tool_arm/pose'.
 
     Raises
     ------
     BellowsError
-        If the recording has no way to the tool.
+        If the recording has neither joints nor transforms of the tool.
 
     """
     read = plans.joints_or_tf(bag, urdf, tool_link)
@@ -172,7 +171,7 @@ def bodies_in_transforms(
     Parameters
     ----------
     bag : path
-        rosbag2 folder, or a bare .mcap or .db3 file, with /tf and perhaps /tf_static.
+        rosbag2 folder, or a bare .mcap or .db3 file, with /tf and optionally /tf_static.
     tool_frame, package_frame : str
         Frames of the tool tip E and of the package.
     world_frame : str
@@ -206,7 +205,7 @@ def bodies_in_recording(
     bag: File, names: Sequence[str] = (), millimetres: bool = False, w_first: bool = False
 ) -> list[Body]:
     """
-    Return poses of a recording converted to m and to quaternions with w last, the rest copied.
+    Return poses of a recording converted to m and to quaternions with w last; others copied.
 
     Parameters
     ----------
@@ -239,7 +238,7 @@ def bodies_in_recording(
 
 
 def _copied_topics(bag: File, types: Collection[str], without: Collection[str] = ()) -> list[Body]:
-    """Return unchanged messages of some types, without the messages of some topics."""
+    """Return unchanged messages of some types, except on some topics."""
     grouped: dict[Channel, list[tuple[int, bytes]]] = {}
     for topic, log_ns, data in bags.messages_of(bag, types):
         if topic.name not in without:
@@ -267,14 +266,14 @@ def to_bag(
     storage : str
         'mcap' or 'sqlite3'.
     replace : bool
-        Whether a recording that is there may be replaced.
+        Whether an existing recording may be replaced.
     span : mapping
-        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
+        Parameters 'recording.start' and 'recording.end', s, for a part.
 
     Raises
     ------
     BellowsError
-        If no pose is left, or the output exists or cannot be written.
+        If no pose remains, or the output exists or cannot be written.
 
     """
     notes = [f'{body.source} was never tracked; its topic is empty.'
@@ -297,7 +296,7 @@ def to_bag(
 
 
 def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
-    """Return the bodies in a file, with the number of frames left out."""
+    """Return the bodies in a file, with the number of omitted frames."""
     if not os.path.isfile(source):
         raise BellowsError(
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM file.")
@@ -332,14 +331,14 @@ def to_tum(
     out : path
         Text file.
     topic : str, optional
-        May be left out where the recording has poses on one topic only.
+        Topic of the poses; optional if the recording has a single one.
     span : mapping
-        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
+        Parameters 'recording.start' and 'recording.end', s, for a part.
 
     Raises
     ------
     BellowsError
-        If the recording cannot be read, or several topics could be meant.
+        If the recording cannot be read, or has several topics of poses.
 
     """
     if not topic:
@@ -357,5 +356,5 @@ def to_tum(
 
 
 def _refused_counts(stream: PoseStream) -> dict[str, int]:
-    """Return how many messages of a stream were refused, by reason."""
+    """Return the numbers of rejected messages of a stream, by reason."""
     return {reason: len(where) for reason, where in stream.refused.items() if len(where)}

@@ -1,4 +1,4 @@
-"""Design the motion that identifies a cup best, report the expected errors, and write it."""
+"""Design of the motion with the most information on a cup, its expected errors, and its output."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -42,17 +42,17 @@ class DesignedMotion(CommandResult):
     Parameters
     ----------
     design : Design
-        The motion, its parts of the limits, its information.
+        The motion, its ratios to the limits, its information.
     structure : Structure
         Structure of K and P: their free entries.
     guess : array (2 n,)
-        Their values in the guess.
+        Values of the free entries in the guess.
     beside : mapping of str to array (2 n,)
-        Standard errors that other motions of the same time would give, by their names.
+        Standard errors by other motions of equal duration, by name.
     values : mapping
         All parameters.
     hold : float
-        The hold that was wanted, s.
+        Requested duration of the hold, s.
 
     """
 
@@ -70,7 +70,7 @@ class DesignedMotion(CommandResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings before the motion: parameters that it cannot identify, and remedies."""
+        """Return warnings before the motion: unidentifiable parameters, and remedies."""
         warnings = checks.implausible(self.values)
         if motion_design.LOADS[-1] not in self.design.ratios:
             warnings += (NO_FACTOR,)
@@ -103,7 +103,7 @@ class DesignedMotion(CommandResult):
 
 
 def _rounded_up(factor: float) -> str:
-    """Return a factor with two digits, not below it."""
+    """Return a factor rounded up to two digits."""
     digits = 10.0 ** (math.floor(math.log10(factor)) - 1)
     return f'{math.ceil(factor / digits) * digits:.2g}'
 
@@ -114,31 +114,31 @@ def excite(
     progress: Progress = no_progress, hold: float = motion_design.HOLD,
 ) -> DesignedMotion:
     """
-    Design a motion that is most informative on K and P.
+    Design the motion with the most information on K and P.
 
     Parameters
     ----------
     settings : mapping
         Parameters by name: the initial guess of the cup, the package, fit.structure, safety.least.
     limits : mapping
-        Content of a limits file; config/limits_example.yaml explains it.
+        Content of a limits file, explained in config/limits_example.yaml.
     duration : float
         Duration of rest and motion, s.
     urdf : str
-        File with the arm, whose joints are limited, too.
+        File of the arm, whose joints are limited, too.
     beside : sequence of path
-        Other plans, whose standard errors are wanted for comparison.
+        Other plans, whose standard errors are computed for comparison.
     seed : int
-        Seed of the shape from which the search begins.
+        Seed of the initial shape of the search.
     progress : callable, optional
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
     hold : float
-        Duration of a tilt after the motion, s, in which rubber relaxes; 0 for none.
+        Duration of a tilt after the motion for the relaxation of rubber, s; 0 for none.
 
     Raises
     ------
     BellowsError
-        If something is missing or not allowed, or no motion is within the limits.
+        If a setting is missing or invalid, or no motion is within the limits.
 
     """
     for valid, words in (
@@ -181,12 +181,12 @@ def excite(
 
 def tracking_from(settings: checks.Settings) -> motion_design.Tracking:
     """
-    Return how tool and package are tracked, of blocks as in a motion file.
+    Return the tracking of tool and package, from blocks as in a motion file.
 
     Raises
     ------
     BellowsError
-        If rate or noise of one is missing.
+        If rate or noise of a body is missing.
 
     """
     numbers: list[Any] = []
@@ -206,7 +206,7 @@ def write_motion(
     path: File, result: DesignedMotion, csv: str = '', urscript: str = '', replace: bool = False
 ) -> None:
     """
-    Write the motion as a recording with a plan, and as CSV and URScript where wanted.
+    Write the motion as a recording with a plan, and optionally as CSV and URScript.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""An identified cup as sentences, as a cup file, as JSON."""
+"""An identified cup as sentences, as a cup file, and as JSON."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -37,7 +37,7 @@ NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
 
 CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.stretch', 'cup.layout')
-"""Parameters in the cup file unless they have the default: K and P depend on them."""
+"""Parameters that K and P depend on, in the cup file unless they have the default."""
 
 NO_VERDICT = (
     'None of the first recordings could be used: the error of a free simulation, and whether the '
@@ -45,7 +45,7 @@ NO_VERDICT = (
 """Reason for a missing verdict."""
 
 UNKNOWN_STD = 1e9
-"""Standard error in parameter files of an entry that is not identifiable."""
+"""Standard error of an unidentifiable entry in parameter files."""
 
 FREE_PARAMETERS = {
     'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
@@ -69,27 +69,27 @@ class Identification(CommandResult):
     excitation : Excitation
         Identifiability by the recordings.
     values : mapping
-        All parameters of the run, as they were given.
+        All given parameters of the run.
     parts : tuple of ReducedRecording
-        The recordings that were used.
+        Used recordings, reduced.
     recordings : tuple of Recording
-        These recordings; empty if no later step needs them.
+        Used recordings; empty if no later step needs them.
     consistency : ComparedFits or None
-        Whether the recordings are of one cup, None if not requested.
+        Test for one cup by each recording alone, None if not requested.
     static : StaticResult or None
         Result of the recordings of standstills, None without any.
     selection : StructureSelection or None
         Comparison of structures of K and P, None if not requested.
     validations : tuple of Replay
-        Recordings that the fit has not seen, simulated with its cup.
+        Recordings outside the fit, simulated with its cup.
     verdict : FitVerdict or None
-        Quality of the cup and of the given quantities; None if no recording itself was at hand.
+        Quality of the cup and of the given quantities; None without an unreduced recording.
     failed : tuple of Failed
-        Recordings that were left out.
+        Unusable recordings.
     assumed : tuple of str
-        Sentences on values that were not given, but taken from the thesis.
+        Sentences on values taken from the thesis for lack of given ones.
     parameter_files : tuple of mapping
-        Path and digests of files that the parameters are from.
+        Path and digests of the parameter files.
 
     """
 
@@ -109,7 +109,7 @@ class Identification(CommandResult):
 
     @property
     def bags(self) -> tuple[str, ...]:
-        """The recordings that were used."""
+        """Used recordings."""
         return tuple(part.name for part in self.parts)
 
     @property
@@ -168,16 +168,16 @@ class Identification(CommandResult):
                             ('recording.package_world', 'measured.camera_std')):
             if name in found:
                 errors[whole] = [float(max(part)) for part in np.split(found[name][1], 2)]
-        if 'measured.offset' in found:  # the pose of the tag in the centre of mass
+        if 'measured.offset' in found:  # the pose of the tag is relative to the com
             given |= {'recording.package_frame': 'com', 'recording.align_at_rest': False}
         return {**given, **{name: value for name, (value, *_) in found.items()}, **errors}
 
     @cached_property
     def found(self) -> Mapping[str, tuple[Any, Any, str]]:
         """
-        Estimates beside K and P by parameters: value, standard errors and unit.
+        Estimates jointly with K and P by parameter: value, standard errors and unit.
 
-        Clock, marker and world come from the recording with the best known world.
+        Clock, marker and world are from the recording with the most certain world.
         """
         result = dict[str, tuple[Any, Any, str]]()
         if not self.fit.converged:
@@ -247,7 +247,8 @@ class Identification(CommandResult):
         noise = self.fit.noise_in_motion.get(number)
         if recording.settings.tag and noise is not None and (
                 tag := recording.with_noise(noise).settings.tag):
-            # World and marker absorb errors that belong to the view: none is below the stated.
+            # World and marker absorb errors of the view: no standard error is below the stated
+            # one.
             stated = measurement_model(self.values)
             for name, found, least, unit in (
                     ('noise', tag.at_rest, stated.at_rest, 'm, m, rad, rad'),
@@ -262,7 +263,7 @@ class Identification(CommandResult):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Findings besides K and P, in sentences."""
+        """Findings in addition to K and P, as sentences."""
         static, consistency = self.static, self.consistency
         return (
             *(self.verdict.sentences if self.verdict else (NO_VERDICT,)),
@@ -278,7 +279,7 @@ class Identification(CommandResult):
                 *offset_sentence(each.bag, each.time_offset), each.sentence)))
 
     def _free_sentences(self) -> Iterator[str]:
-        """Yield sentences about the parameters that were estimated by fit.free, lengths in mm."""
+        """Yield sentences about the parameters estimated by fit.free, lengths in mm."""
         for freed in self.fit.freed if self.found else ():
             name = FREE_PARAMETERS[freed.name][0]
             value, std, unit = self.found[name]
@@ -297,7 +298,7 @@ class Identification(CommandResult):
             yield from offset_sentence(bag, offset)
 
     def _fit_warnings(self) -> tuple[str, ...]:
-        """Return the warnings of the fit and its equations, unless a found fault causes them."""
+        """Return the warnings of the fit and its equations, unless detected faults cause them."""
         causes = self.verdict.diagnosis.findings[:1] if self.verdict else ()
         if any(cause.material for cause in causes):
             return ()
@@ -352,14 +353,14 @@ class Identification(CommandResult):
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """Why the cup is refused; empty if it is not."""
+        """Reasons to reject the cup; empty for a usable one."""
         doubts = self.verdict.refusals if self.verdict else ()
         return doubts if doubts or self.fit.usable else (
             'This cup cannot hold a package: see the warnings.' if self.fit.converged else
             'K and P were not found, as the search did not converge: see the warnings.',)
 
     def require_usable(self, force: bool = False) -> None:
-        """Raise BellowsError if the cup is refused; with force, if no predictor can take it."""
+        """Raise BellowsError for a rejected cup; with force, only if prediction is impossible."""
         if self.refusals and not (force and self.fit.usable):
             causes = self.verdict.sentences[:1] if self.verdict else ()
             more = () if self.fit.usable else (*self.assumed, *self._fit_warnings())
@@ -377,7 +378,7 @@ class Identification(CommandResult):
 
 
 def _standstill_sentences(result: Identification) -> Iterator[str]:
-    """Yield what standstills contribute to a fit, and the cup length they give."""
+    """Yield sentences on the contribution of standstills to a fit, and on their cup length."""
     standstills, static = result.fit.standstills, result.static
     if standstills is None or static is None:
         return
@@ -401,13 +402,13 @@ def save(
     """
     Write the cup file, the JSON file and the cell file, unless None or ''.
 
-    With force the file of a refused cup is written, too, with a note in its header.
+    With force the file of a rejected cup is also written, with a note in its header.
 
     Raises
     ------
     BellowsError
-        If a file cannot be written, or the cup is refused. The JSON file is written in that case
-        too, the others are not.
+        If a file cannot be written, or the cup is rejected. The JSON file is also written for a
+        rejected cup, the others are not.
 
     """
     if json_path:
@@ -455,12 +456,12 @@ def fit_json(fit: Fit) -> dict[str, Any]:
 
 
 def _products(units: Any) -> list[list[str]]:
-    """Return the units of products of numbers with these units."""
+    """Return the units of products of numbers."""
     return [[f'{one} {other}' for other in units] for one in units]
 
 
 def excitation_json(excitation: identifiability.Excitation) -> dict[str, Any]:
-    """Return the identifiability by the recordings, for a JSON file; null is unknown."""
+    """Return the identifiability by the recordings for a JSON file; null is unknown."""
     units = parameter_units(structure_named(excitation.structure))
     return {
         'structure': excitation.structure,

@@ -1,8 +1,8 @@
 """
-Identify a cup: recordings in, K and P with their uncertainty out.
+Identification of a cup: recordings in, K and P with their uncertainty out.
 
 Every recording is reduced to the statistics of a fit, in this process, in others or on a cluster,
-with the same result. Checks that need the recordings themselves get them here.
+with equal results. Steps that need the recordings themselves get them here.
 """
 
 from collections.abc import Container, Iterator, Mapping, Sequence
@@ -41,16 +41,16 @@ Poses = Mapping[str, PoseStream]
 """Poses of tool and package."""
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
-"""Fractions of the work at which the fit begins and ends, for the progress."""
+"""Fractions of the work at which the fit begins and ends, for the progress display."""
 
 CAUSE_TESTS = 'testing possible causes'
-"""The work of a diagnosis, for the progress."""
+"""Name of the diagnosis in the progress display."""
 
 MAX_PAGE_RECORDINGS = 20
-"""Most recordings shown in a report."""
+"""Largest number of recordings in a report."""
 
 RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
-"""Parameters that need the recordings themselves, not only their statistics."""
+"""Parameters of steps that need the recordings themselves, not only their statistics."""
 
 
 def identify(
@@ -59,34 +59,34 @@ def identify(
     dask: str = '', force: bool = False, poses: Mapping[str, Poses] | None = None
 ) -> identification.Identification:
     """
-    Identify a cup from the recordings that the parameter `bags` names.
+    Identify a cup from the recordings of the parameter `bags`.
 
-    The output error is not fitted where something given is certainly wrong.
+    Output error is not fitted if a given quantity is certainly wrong.
 
     Parameters
     ----------
     settings : mapping
-        Parameters by name; those left out have their defaults.
+        Parameters by name; others have their defaults.
     progress : callable, optional
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
     parameter_files : sequence of path, optional
-        Files that the settings are from, for the provenance.
+        Files of the settings, for the provenance.
     jobs : int, optional
-        Processes that read recordings on this machine, -1 for one per core. A recording that
-        cannot be used is then reported and left out.
+        Number of processes that read recordings on this machine, -1 for one per core. An unusable
+        recording is then reported and omitted.
     dask : str
-        Address of a Dask scheduler whose workers see the recordings at the same paths, used
-        instead of processes here; '' for none.
+        Address of a Dask scheduler whose workers have the recordings at equal paths, instead of
+        local processes; '' for none.
     force : bool
-        Whether the output error is fitted to wrong data, too.
+        Whether output error is also fitted to wrong data.
     poses : mapping
-        Recordings that are no files, by their names in `bags`: see `prepare_streams`.
+        Recordings in memory, by their names in `bags`: see `prepare_streams`.
 
     Raises
     ------
     BellowsError
-        If a parameter or a recording is not usable, an extra package is missing, the scheduler
-        does not answer, or the recordings do not determine the cup.
+        If a parameter or a recording is unusable, an extra package is missing, the scheduler does
+        not answer, or the recordings do not determine the cup.
 
     """
     values = resolved(settings)
@@ -112,7 +112,7 @@ def identify(
 def _require_no_facts(
     recordings: Sequence[Recording], values: Values, progress: Progress
 ) -> None:
-    """Refuse recordings that are wrong without any fit; say what else is wrong with them."""
+    """Raise for recordings with faults detected without a fit, with all further faults."""
     if causes.facts(recordings, values.cup.length):
         progress(CAUSE_TESTS, FIT_BEGINS)
         verdict = verdict_of(None, recordings, values.cup.length, values)
@@ -122,7 +122,7 @@ def _require_no_facts(
 
 
 def resolved(settings: Mapping[str, Any]) -> Values:
-    """Return all parameters of a run, or raise BellowsError where something is missing."""
+    """Return all parameters of a run, or raise BellowsError for missing ones."""
     required = () if settings.get('package.files') else checks.RECORDING_PARAMETERS
     values = checks.resolve(settings, required)
     free = values.fit.free
@@ -201,14 +201,14 @@ def read_part(
     path : str
         Path for the reader; default: the name.
     keep : container of str
-        The recordings that are wanted themselves.
+        Names of the recordings that are kept in full.
     poses : mapping
-        As of `identify`.
+        Recordings in memory, as in `identify`.
 
     Raises
     ------
     BellowsError
-        If it is not usable.
+        If the recording is unusable.
 
     """
     if poses and bag in poses:
@@ -229,9 +229,9 @@ def read_all(
     poses: Mapping[str, Poses] | None = None,
 ) -> tuple[list[Any], list[Failed]]:
     """
-    Return the recordings, and those that cannot be used.
+    Return the recordings, and the unusable ones.
 
-    They are read by processes or a cluster, or one after the other: then all must be usable.
+    They are read by processes or a cluster, or sequentially, in which case all must be usable.
     """
     bags = [os.fspath(bag) for bag in values.bags]
     task = partial(read_part, keep=frozenset(bags if keep else bags[:MAX_TESTED]), poses=poses)
@@ -272,8 +272,8 @@ def _identify(
     """
     Fit the recordings; return the result.
 
-    `effective` are the parameters `values` with the length that standstills have given. Estimates
-    of the package or the cup's length replace the given values, in the recordings, too.
+    `effective` are the parameters `values` with the length estimated from standstills. Estimates
+    of the package or the cup's length replace the given values, also in the recordings.
     """
     progress('fitting', FIT_BEGINS)
     length = static.length if static and values.static.length else None
@@ -324,7 +324,7 @@ def _identify(
 def _consistency(
     parts: Sequence[AnyRecording], values: Values, progress: Progress
 ) -> 'ComparedFits | None':
-    """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
+    """Return the test for one cup by each recording alone, with fit.compare_recordings."""
     if not values.fit.compare_recordings or len(parts) < 2:
         return None
 

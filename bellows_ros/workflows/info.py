@@ -1,9 +1,8 @@
 """
 Contents and quality of a recording: topics, rates, gaps, and their probable roles.
 
-Which is the tool and which the package is seen from the poses: the package hangs below the tool,
-at a distance that hardly changes while both move. The names of the topics are asked only where
-the poses leave a choice.
+Tool and package are distinguished by their poses: the package hangs below the tool, at a nearly
+constant distance while both move. Names of topics decide only if the poses are ambiguous.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,16 +32,17 @@ from bellows_ros.workflows.recordings import fact_sentence, remark_sentences, wi
 import numpy as np
 
 MIN_HOLD, MIN_TILT = 4.0, 0.1
-"""Shortest hold (s) that shows the creep of rubber, and its smallest tilt (rad)."""
+"""Shortest hold (s) in which creep of rubber is observable, and its smallest tilt (rad)."""
 
 IMPLAUSIBLE_DISTANCE, MAX_CHANGE = (0.3, 10.0), 0.05
-"""Range (m) of distances from tool to package that no cup has, if they change by more (m)."""
+"""Range of implausible distances from tool to package (m), if they also change by more than a
+limit (m)."""
 
 MAX_FRAMES = 20
-"""Frames of transforms that are named."""
+"""Largest number of frames of transforms that are named."""
 
 HOLD_STEP, STILL_SPEED = 0.25, (0.01, 0.04)
-"""Time (s) between the poses that are compared, and speeds of a standstill (m/s, rad/s)."""
+"""Time between the compared poses (s), and largest speeds of a standstill (m/s, rad/s)."""
 
 TOOL_WORDS = frozenset('tool tcp ee eef effector flange arm robot gripper tip'.split())
 PACKAGE_WORDS = frozenset(
@@ -51,10 +51,10 @@ PACKAGE_WORDS = frozenset(
 
 MAX_DISTANCE = 1.0  # m, between tool and package
 
-SAMPLES = 2000  # at which two streams are compared
-TWIST_WINDOW = 0.05  # s, over which a twist is compared with the change of the poses
-MIN_SHIFT, MIN_ROTATION = 2e-3, 5e-3  # m and rad in that time: a smaller motion is not compared
-TWIST_TOLERANCE = 0.3  # relative difference between the two, at most, to belong together
+SAMPLES = 2000  # number of compared samples of two streams
+TWIST_WINDOW = 0.05  # s, for the comparison of a twist with poses
+MIN_SHIFT, MIN_ROTATION = 2e-3, 5e-3  # m and rad within the window; smaller motion is not compared
+TWIST_TOLERANCE = 0.3  # largest relative difference of matching streams
 
 
 class TopicInfo(NamedTuple):
@@ -66,28 +66,28 @@ class TopicInfo(NamedTuple):
     name, type_name : str
     messages : int
     kind : str
-        'pose', 'twist', 'pose and twist', or '' for an unusable type.
+        Content 'pose', 'twist', 'pose and twist', or '' for an unusable type.
     problem : str
-        Reason that a topic of a fitting type cannot be read; else ''.
+        Reason for an unreadable topic of a suitable type; otherwise ''.
     frame_id : str
     start_ns : int
-        First stamp.
+        First stamp, ns.
     duration_s, rate_hz, jitter_s : float
-        Last minus first stamp; rate without gaps; robust deviation of the steps.
+        Last minus first stamp (s); rate without gaps (Hz); robust deviation of the steps (s).
     gaps : tuple of (float, float)
         Start, from the recording's first stamp, and length of each, s.
     refused : mapping of str to int
-        Reason to number of messages that would be left out.
+        Numbers of omitted messages by reason.
     outliers : int
-        Poses that look like lost tracking: jumps, steps, repeats.
+        Number of poses with tracking errors: jumps, steps, repeats.
     noise : mapping of str to list of 3 floats
-        Standard deviation of 'position' (m) along the world's axes and of 'rotation' (rad) about
-        the body's.
+        Standard deviations of 'position' (m) along the world's axes and of 'rotation' (rad) about
+        body axes.
     motion : mapping of str to list of 3 floats
-        Largest minus smallest coordinate of 'position' (m) and of 'rotation', the rotation vector
-        (rad) from the start, in recorded axes.
+        Range of the coordinates of 'position' (m) and of 'rotation', the rotation vector (rad)
+        from the start, in recorded axes.
     warnings : tuple of str
-        Warnings about an identification from these poses.
+        Warnings for an identification from these poses.
 
     """
 
@@ -111,15 +111,15 @@ class TopicInfo(NamedTuple):
 
 class Guess(NamedTuple):
     """
-    A topic for a role.
+    A probable topic for a role.
 
     Parameters
     ----------
     topic : str
     why : tuple of str
-        The evidence for it.
+        Evidence for the role.
     frame : str
-        Value of tool_twist.frame with which a twist agrees with the poses.
+        Value of tool_twist.frame with which a twist is consistent with the poses.
 
     """
 
@@ -130,20 +130,19 @@ class Guess(NamedTuple):
 
 class Pair(NamedTuple):
     """
-    A tool and the package it holds.
+    A tool and its package.
 
     Parameters
     ----------
     tool, package : Guess
     world : str
-        Value of recording.world under which the package hangs below the tool; 'z_up' where neither
-        shows it.
+        Value of recording.world with the package below the tool; 'z_up' if undecided.
     distance : float
-        Between the two at the start, m.
+        Initial distance of tool and package, m.
     change : float
-        Change of the distance, from its lowest to its highest percent, m.
+        Range of the distance from its 1 % to its 99 % quantile, m.
     score : float
-        The more, the likelier.
+        Score that grows with the likelihood.
 
     """
 
@@ -163,16 +162,16 @@ class Info(NamedTuple):
     ----------
     path : str
     topics : tuple of TopicInfo
-        By name.
+        Topics by name.
     tool, package, twist : Guess or None
     rest_s : float or None
-        How long both stand still at the beginning.
+        Duration of the initial rest of both bodies, s.
     settings : mapping
-        Parameters with which to read it, by name.
+        Parameters for reading the recording, by name.
     notes : tuple of str
-        Warnings about an identification from the recording.
+        Warnings for an identification from the recording.
     checks : tuple of Check
-        Checks before a fit, in the order in which they are to be settled.
+        Checks before a fit, in the order in which they should be settled.
 
     """
 
@@ -188,7 +187,7 @@ class Info(NamedTuple):
 
     @property
     def valve(self) -> str:
-        """The topic that switches the valve, if only one can; else ''."""
+        """The only possible topic of the valve; otherwise ''."""
         able = [topic.name for topic in self.topics if topic.type_name == messages.BOOL]
         return able[0] if len(able) == 1 else ''
 
@@ -201,19 +200,19 @@ class Info(NamedTuple):
 
 def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     """
-    Describe a recording and propose the settings that read it.
+    Describe a recording and propose settings for reading it.
 
     Parameters
     ----------
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     span : mapping
-        Parameters 'recording.start' and 'recording.end', s, to describe a part only.
+        Parameters 'recording.start' and 'recording.end', s, for a part.
 
     Raises
     ------
     BellowsError
-        If there is no such recording, or it is damaged.
+        If there is no recording, or it is damaged.
 
     """
     notes: list[str] = []
@@ -235,7 +234,7 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
 
 
 def _frames_note(path: File, has_poses: bool) -> str:
-    """Return the moving frames of the transforms, and the command that makes poses of them."""
+    """Return the moving frames of the transforms, and the command that converts them to poses."""
     frames = '--tool-link LINK' if has_poses else '--tool-frame FRAME --package-frame FRAME'
     moving = list(map(shown, plans.moving_frames(plans.read_transforms(path))))
     if len(moving) > MAX_FRAMES:
@@ -265,7 +264,7 @@ def _describe_topic(
 
 
 def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
-    """Return rate, gaps, and of poses outliers, noise and motion."""
+    """Return rate, gaps, and, for poses, outliers, noise and motion."""
     time = timing(stream.stamps_ns)
     quality: dict[str, Any] = {
         'rate_hz': time.rate_hz,
@@ -326,7 +325,7 @@ def _registration_settings(
     pair: Pair | None, streams: Sequence[PoseStream], path: File, settings: dict[str, Any],
     notes: list[str]
 ) -> tuple[float | None, tuple[Check, ...]]:
-    """Add settings and notes on both poses together; return the first rest (s), and checks."""
+    """Add settings and notes on both poses; return the initial rest (s), and checks."""
     remarks, (tool, package) = list[str](), streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
     error = conventions.convention_sentence(tool, package, path) or ' '.join(
@@ -349,15 +348,15 @@ def _registration_settings(
         rest_s, at_rest, more = _initial_rest(pair, tool, package, bool(separate))
         settings |= at_rest
         remarks += more
-    notes[:] = [error, *notes] if error else notes + remarks  # an error makes remarks doubtful
+    notes[:] = [error, *notes] if error else notes + remarks  # remarks are doubtful after an error
     return rest_s, () if error else checks_of(
-        # m, a rough depth of the centre of mass
+        # m, approximate depth of the com
         tool, package, R, THESIS_LENGTH + 0.03, bool(separate),
         bool(settings.get('recording.align_at_rest')))
 
 
 def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
-    """Return why two topics are of two worlds or two clocks, '' if both agree."""
+    """Return the reason for two worlds or two clocks of two topics, '' if consistent."""
     frames = shown(tool.frame_id), shown(package.frame_id)
     if all(frames) and frames[0] != frames[1]:
         return f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'."
@@ -375,15 +374,15 @@ def _initial_rest(
     pair: Pair, tool_poses: PoseStream, package_poses: PoseStream, separate: bool
 ) -> tuple[float, dict[str, Any], list[str]]:
     """
-    Return the duration of the initial standstill, the settings from it, and remarks.
+    Return the duration of the initial standstill, its settings, and remarks.
 
-    Distance and relative rotation of bodies in two worlds mean nothing.
+    Distance and relative rotation of bodies in two worlds are not evaluated.
     """
     R = alignment.world_rotation(pair.world)
     tool, package = (alignment.in_world(poses.trajectory(), R)
                      for poses in (tool_poses, package_poses))
     rest = alignment.rest_of(tool, package)
-    # A package that hangs aside is turned, too, and a fit finds its marker.
+    # An off-centre package is also rotated, and a fit estimates its marker.
     aligned = rest.is_turned and not separate and bool(
         rest.tilts[0] > np.deg2rad(1.0) or rest.turned > np.deg2rad(10.0))
     notes = [text for text, applies in (
@@ -405,9 +404,9 @@ def _initial_rest(
 
 
 def longest_hold(tool: Trajectory) -> float:
-    """Return the longest time (s) for which a tool stands still, tilted against its start."""
+    """Return the longest standstill of a tool (s) tilted relative to its start."""
     steps = (tool.stamps_ns - tool.stamps_ns[0]) // round(HOLD_STEP * NS_PER_S)
-    some = tool.select(np.unique(steps, return_index=True)[1])  # stamps may be years apart
+    some = tool.select(np.unique(steps, return_index=True)[1])  # stamps may span years
     up = some.rotation[:, 2]
     rotation = log_so3(np.swapaxes(some.rotation[:-1], 1, 2) @ some.rotation[1:])
     still = np.arccos(np.clip(up[1:] @ up[0], -1.0, 1.0)) > MIN_TILT
@@ -418,7 +417,7 @@ def longest_hold(tool: Trajectory) -> float:
 
 
 def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:
-    """Return tool and package judged by names alone, None where no name tells."""
+    """Return tool and package by name alone, None if undecided."""
     tool, package = (
         next((Guess(name, reason) for name in poses if (reason := _name_reason(name, words))
               and not _name_reason(name, others)), None)
@@ -432,7 +431,7 @@ def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess
 
 
 def _name_reason(topic: str, words: frozenset[str]) -> tuple[str, ...]:
-    """Return the reason that is a name, if some of the words are in it."""
+    """Return the name as a reason, if it contains one of the words."""
     there = "' and '".join(sorted(words.intersection(re.findall(r'[a-z]+', topic.lower()))))
     return (f"its name contains '{there}'",) if there else ()
 
@@ -450,12 +449,12 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     distance = float(np.linalg.norm(start))
     down = {name: -float(alignment.world_rotation(name)[2] @ start) for name in alignment.WORLDS}
     lowest = max(down, key=lambda name: down[name])
-    one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2  # else places tell nothing
+    one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2  # else places say nothing
     below = one_frame and distance > 0.0 and down[lowest] > distance * np.cos(np.deg2rad(40.0))
     world = lowest if below else 'z_up'
     low, quarter, most, high = np.percentile(distances, (1, 25, 75, 99))  # without tracking jumps
     constant = one_frame and distance < MAX_DISTANCE and (
-        most - quarter < 0.25 * distance) and (  # of a package on a cup the distance varies little
+        most - quarter < 0.25 * distance) and (  # nearly constant for a package on a cup
         distance < IMPLAUSIBLE_DISTANCE[0] or high - low < MAX_CHANGE)
     why_tool = [*_name_reason(tool.name, TOOL_WORDS)]
     why_package = [*_name_reason(package.name, PACKAGE_WORDS)]
@@ -523,7 +522,7 @@ def _twist_match(tool: PoseStream, twist: TwistStream) -> tuple[float, str, bool
         return np.nan, '', in_degrees
     in_world, in_tool = (_rms(integrated(rates) - shift) / _rms(shift)
                          for rates in (linear, apply(body.rotation, linear)))
-    # Without rotation of the tool both agree; then the usual one is meant.
+    # Without rotation of the tool both agree, and the usual one is selected.
     error, frame = (in_world, 'world') if in_world <= 1.2 * in_tool else (in_tool, 'tool')
     return error, frame, in_degrees
 

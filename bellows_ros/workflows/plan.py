@@ -1,4 +1,4 @@
-"""Predict a planned motion: read the plan, predict the package, and the uncertainty."""
+"""Prediction of a planned motion: reading of the plan, the package, and its uncertainty."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -36,15 +36,15 @@ import numpy as np
 
 YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt')
 TAIL_SHOWN = 1.5
-"""Longest time after the end that a picture shows, s."""
+"""Longest time after the end in a picture, s."""
 STANDSTILL_STEP = 0.005
 """Spacing of the points after the end, s."""
 
 START_WINDOW, MIN_START_POSES = 0.2, 8
-"""Time from which the twist at the start of a recording is fitted (s), and fewest poses."""
+"""Duration of the fit of the initial twist in a recording (s), and smallest number of poses."""
 
 START_DEVIATIONS = 3.0
-"""Standard errors of the fitted twist within which a tool stands: 0.3 % false alarms."""
+"""Largest fitted twist of a tool at rest, standard errors; false-alarm rate 0.3 %."""
 
 MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
@@ -64,20 +64,20 @@ class Source:
     Parameters
     ----------
     tool : Trajectory
-        E in the plan's frame with body twists.
+        Motion of E in the plan's frame with body twists.
     frame_id : str
     notes : tuple of str
-        On reading it.
+        Notes on reading the plan.
     moves : str
         Name of the moved body in the message.
     recorded : Trajectory or None
-        The measured poses of E; None where the motion was planned.
+        Measured poses of E; None for a planned motion.
     path : str
-        The file.
+        Path of the file.
     values : mapping
         All parameters.
     joints : Joints or None
-        Arm of a plan of joints, else None.
+        Arm of a plan of joints, otherwise None.
 
     """
 
@@ -97,7 +97,7 @@ class Source:
 
     @property
     def begins_at_rest(self) -> bool:
-        """Whether the tool stands at its first point."""
+        """Whether the tool is at rest at its first point."""
         return simulation.stands(np.asarray(self.tool.twist)[0])
 
     @cached_property
@@ -126,7 +126,7 @@ class Curves(NamedTuple):
     Parameters
     ----------
     seconds : array (N,)
-        Since its first point.
+        Times since the first point, s.
     tool : array (N, 3)
         Position of E, m.
     values, std : array (N, 12)
@@ -153,13 +153,13 @@ class PlanReport(CommandResult):
     prediction : PlanPrediction
         Predicted motion of the package.
     std : mapping of str to float
-        Standard deviation of each of the prediction's figures.
+        Standard deviation of each number of the prediction's summary.
     outside : tuple of str
-        Sentences on departures from the validity range of the cup.
+        Sentences on exceeded validity ranges of the cup.
     fastest : Fastest or None
-        The shortest safe time scale, None without a search or a safe one.
+        Shortest safe time scale, None if not searched or not found.
     sought : bool
-        Whether the shortest time scale was searched for.
+        Whether the shortest time scale was searched.
 
     """
 
@@ -172,12 +172,12 @@ class PlanReport(CommandResult):
 
     @property
     def least(self) -> float:
-        """Safety factor that is needed."""
+        """Required safety factor."""
         return float(self.source.values.safety.least)
 
     @property
     def holds(self) -> bool:
-        """Whether the cup holds, unless unknown, and a safe time exists where sought."""
+        """Whether the cup holds, unless unknown, and a safe time was found if searched."""
         held = self.prediction.grip is None or self.prediction.smallest_safety[0] >= 1.0
         return held and (self.fastest is not None or not self.sought)
 
@@ -186,7 +186,8 @@ class PlanReport(CommandResult):
         """
         The motion to write: the plan, or the plan in its shortest safe time if requested.
 
-        The tool, the package's states (N, 13), and the limit of a joint that needs more time, ''.
+        It consists of the tool, the package's states (N, 13), and the limit of a joint that
+        requires more time, or ''.
         """
         source = self.source
         if self.fastest is None:
@@ -195,7 +196,7 @@ class PlanReport(CommandResult):
         if source.joints is not None:
             factor, limit = joint_excess(
                 source.joints.arm, source.joints.along(tool, source.tool), math.inf)
-            # peaks are sought at points 1 ms apart
+            # peaks are evaluated at points 1 ms apart
             tool = timed(tool, factor * 1.001 if limit else 1.0)
         return tool, PlanSimulation(source.model, None, tool, tail=0.0).states(), limit
 
@@ -243,22 +244,21 @@ def plan(
     Parameters
     ----------
     path : path or Trajectory
-        A recording with a plan, joint states, transforms or poses of the tool; a TUM
-        file; a message or a motion as YAML; or a trajectory of E, without twists from rest to
-        rest.
+        A recording with a plan, joint states, transforms or poses of the tool; a TUM file; a
+        message or a motion as YAML; or a trajectory of E, from rest to rest if without twists.
     settings : mapping
-        Parameters by name: cup, package, and how the plan is to be read.
+        Parameters by name: cup, package, and settings for reading the plan.
     urdf : str
-        File with the arm, where the plan is one of its joints; '' for that in the recording.
+        File of the arm for a plan of joints; '' for the arm in the recording.
     topic : str
         Topic of the plan in a recording with several.
     seek_fastest : bool
-        Whether the shortest safe time is sought.
+        Whether the shortest safe time is searched.
 
     Raises
     ------
     BellowsError
-        If the plan cannot be read, or no arm moves so, or the package cannot be held.
+        If the plan cannot be read, is impossible for an arm, or the package cannot be held.
 
     """
     source = plan_with_cup(path, settings, urdf, topic)
@@ -268,7 +268,7 @@ def plan(
 
     def figures(changed: ModelTuple) -> Array:
         numbers = run.with_model(changed).predict().summary()
-        numbers['settled_after'] = min(numbers['settled_after'], MAX_TAIL)  # it jumps there
+        numbers['settled_after'] = min(numbers['settled_after'], MAX_TAIL)  # discontinuous there
         return np.array(list(numbers.values()))
 
     deviations = _deviations(values, model, figures).tolist()
@@ -292,7 +292,7 @@ def plan(
 def _deviations(
     values: Values, model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> Array:
-    """Return the standard deviations of a function of the model; 0 if all parameters are exact."""
+    """Return the standard deviations of a function of the model; 0 for exact parameters."""
     _, parts = contributions(conversion.uncertain_of(values), model, compute)
     return np.asarray(np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(model))
 
@@ -308,7 +308,7 @@ def curves(
     values: Values, model: ModelTuple, grip: Grip | None, tool: Trajectory,
     start: State | None = None,
 ) -> Curves:
-    """Return the curves of a motion; the package rests at its start when that is left out."""
+    """Return the curves of a motion, by default with the package at rest at its start."""
     run = PlanSimulation(model, grip, tool, start, tail=0.0)
 
     def compute(changed: ModelTuple) -> Array:
@@ -321,7 +321,7 @@ def curves(
 
 
 def extended(tool: Trajectory, seconds: float) -> Trajectory:
-    """Return a plan with a standstill of that many seconds added at its end."""
+    """Return a plan with a final standstill of a duration (s)."""
     count = round(seconds / STANDSTILL_STEP)
     if count == 0:
         return tool
@@ -356,7 +356,7 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     Raises
     ------
     BellowsError
-        If there is none, or no arm moves so.
+        If there is no plan, or it is impossible for an arm.
 
     """
     source = _read_plan(Path(path), values, urdf, topic)
@@ -380,7 +380,7 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     return replace(source, tool=tool, path=os.fspath(path), values=values, notes=notes)
 
 
-@seldom_collected()  # which takes most of the time, of many points
+@seldom_collected()  # most of the time for many points
 def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
     """Return the whole plan in a file."""
     if topic and file.suffix.lower() in (*YAML, *TEXT):
@@ -441,7 +441,7 @@ def _checked_motion(
 
 
 def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> Source:
-    """Return the tool's motion in a recording, of poses, joints or transforms."""
+    """Return the tool's motion in a recording of poses, joints or transforms."""
     wanted = {'tool_pose': topic or values.topics.tool_pose,
               'tool_twist': values.topics.tool_twist}
     contents = bags.read_contents(path, wanted)
@@ -474,9 +474,9 @@ def with_fitted_start(
     """
     Return a motion with its first two poses and twists from a quintic through measured poses.
 
-    The quintic is fitted by position and rotation vector to the first `START_WINDOW`. The largest
-    standard errors of the first acceleration, m/s^2 and rad/s^2, are infinite for fewer than
-    `MIN_START_POSES` poses, whose motion stays.
+    The quintic is fitted to position and rotation vector over the first `START_WINDOW`. The second
+    result, the largest standard errors of the initial acceleration (m/s^2, rad/s^2), is infinite
+    for fewer than `MIN_START_POSES` poses, whose motion is unchanged.
     """
     window = measured.select(measured.seconds <= START_WINDOW)
     if len(window) < MIN_START_POSES:
@@ -502,9 +502,9 @@ def with_fitted_start(
 
 def stands_at_first(measured: Trajectory) -> bool:
     """
-    Return whether a recorded tool stands in the first `START_WINDOW`.
+    Return whether a recorded tool is at rest in the first `START_WINDOW`.
 
-    Its mean twist there, fitted to the poses, is below `START_DEVIATIONS` standard errors.
+    Its mean twist there, fitted to the poses, must be below `START_DEVIATIONS` standard errors.
     """
     window = measured.select(measured.seconds <= START_WINDOW)
     if len(window) < MIN_START_POSES:
@@ -519,7 +519,7 @@ def stands_at_first(measured: Trajectory) -> bool:
 
 
 def from_rest(tool: Trajectory) -> Trajectory:
-    """Return a motion whose first twist is zero: the package rests at its start."""
+    """Return a motion with zero initial twist: the package is at rest at its start."""
     twist = np.array(tool.twist)
     twist[0] = 0.0
     return replace(tool, twist=twist)
@@ -550,24 +550,24 @@ def write_prediction(
     path: File, source: Source, tool: Trajectory, states: Array, replace_bag: bool = False
 ) -> None:
     """
-    Write a motion of the tool, and the package along it, as a recording.
+    Write a motion of the tool, and of the package, as a recording.
 
-    Its topics: tool_arm/plan and package/plan (MultiDOFJointTrajectory), package/plan_path
+    Its topics are tool_arm/plan and package/plan (MultiDOFJointTrajectory), package/plan_path
     (Path), tool_arm/pose, tool_arm/twist and package/pose, stamped from the plan's start; and
-    tool_arm/plan_joints (JointTrajectory) where the plan was one of an arm's joints.
+    tool_arm/plan_joints (JointTrajectory) for a plan of joints.
 
     Parameters
     ----------
     path : path
         Folder to make.
     source : Source
-        The plan, with the frame and parameters of the motion.
+        Plan with the frame and parameters of the motion.
     tool : Trajectory
         Motion of E, with body twists.
     states : array (N, 13)
-        States of B in the same frame: position, quaternion, body twist.
+        States of B in the tool's frame: position, quaternion, body twist.
     replace_bag : bool
-        Whether a recording that is there may be replaced.
+        Whether an existing recording may be replaced.
 
     Raises
     ------

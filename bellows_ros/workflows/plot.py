@@ -23,22 +23,22 @@ from bellows_ros.workflows.recordings import load, NO_INERTIA
 from bellows_ros.workflows.replay import Live, Margins, predicted_live
 import numpy as np
 
-SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
+SPECTRUM_SECONDS = 4.0  # of a segment: resolution 0.25 Hz
 NO_PACKAGE = {
     'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inertia': NO_INERTIA,
     'package.com': (0.0, 0.0, 0.0)}
-"""Puts B at the tracked point; a picture of motion needs no mass."""
+"""Parameters with B at the tracked point, for a picture of motion without a mass."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMotion:
     """
-    Tool and package as measured, at common times.
+    Measured motion of tool and package at common times.
 
     Parameters
     ----------
     seconds : array (N,)
-        From the recording's first stamp, s.
+        Times from the recording's first stamp, s.
     tool_position, package_position : array (N, 3)
         Positions of E and B in the world, m.
     tool_rotation, package_rotation : array (N, 3, 3)
@@ -46,7 +46,7 @@ class MeasuredMotion:
     relative : array (N, 6)
         Position (m) and rotation vector (rad) of B in E.
     valid : bool array (N,)
-        False where a pose is missing or wrong.
+        False for a missing or wrong pose.
 
     """
 
@@ -68,7 +68,7 @@ class Spectra:
     ----------
     frequency_hz : array (F,)
     measured : array (F, 6)
-        m/sqrt(Hz) and rad/sqrt(Hz).
+        Spectra of the measured coordinates, m/sqrt(Hz) and rad/sqrt(Hz).
     error : array (F, 6) or None
         Spectrum of predicted minus measured coordinates.
 
@@ -85,20 +85,20 @@ class Loads:
     Load and deflection of the cup: at S1, in axes halfway between tool and lip.
 
     In these axes load and deflection of a bent cup are parallel; in axes of the tool or the lip
-    the weight of a bent cup's package has a sideways component.
+    the weight would have a lateral component.
 
     Parameters
     ----------
     seconds : array (N,)
-        From the recording's first stamp, s.
+        Times from the recording's first stamp, s.
     deflection : array (N, 6)
         Position of S1 in S2 (m), and rotation vector (rad).
     load : array (N, 6)
-        Wrench of the package on the cup that its motion needs, N and N m.
+        Wrench of the package on the cup required by its motion, N and N m.
     residual : array (N, 6)
-        Load minus the wrench that the cup of the parameters predicts.
+        Load minus the wrench predicted by the parameters' cup.
     stiffness : array (6,)
-        Diagonal of that cup's K.
+        Diagonal of K of this cup.
     valid : bool array (N,)
 
     """
@@ -119,13 +119,13 @@ class Scene:
     Parameters
     ----------
     seconds : array (N,)
-        From the recording's first stamp, s.
+        Times from the recording's first stamp, s.
     tool, package, outline : Trajectory
-        N poses of E, of B, and of B as drawn beside the measured one.
+        N poses of E, of B, and of B as an outline for comparison.
     cup_length : float
-        m.
+        Length of the cup, m.
     com, box : array (3,)
-        B in S, and depth, width and height of the box that has the package's inertia, m.
+        B in S, and depth, width and height of the box with the package's inertia, m.
 
     """
 
@@ -141,14 +141,15 @@ class Scene:
 @dataclass(frozen=True, eq=False)
 class Replayed(Scene):
     """
-    A replayed recording at the samples with a pose of the tool; the outline is the measured one.
+    A replayed recording at the samples with a pose of the tool; the outline is measured.
 
     Parameters
     ----------
     live : Live
         The live prediction.
     deflection : array (N, 6)
-        Deflection of the predicted lip from its nominal pose: shift (m), rotation vector (rad), E.
+        Deflection of the predicted lip from its nominal pose in tool axes: shift (m), rotation
+        vector (rad).
 
     """
 
@@ -192,7 +193,7 @@ def spectra(values: Values, recording: Recording, cup: bool) -> Spectra:
     """
     Return the spectra of a recording and, with a cup, of the prediction error.
 
-    Samples that are missing are interpolated linearly.
+    Missing samples are interpolated linearly.
     """
     shown = motion(recording)
     rate_hz = trajectory.uniform_rate_hz(recording.measured_package.stamps_ns)
@@ -238,16 +239,16 @@ def loads(values: Values, recording: Recording) -> Loads:
 
 def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
     """
-    Return the poses of all bodies of a live prediction, where the tool has poses.
+    Return the poses of all bodies of a live prediction, at poses of the tool.
 
     Parameters
     ----------
     values : mapping
         Parameters by name: cup and package.
     recording : Recording
-        As it was prepared.
+        Prepared recording.
     live : Live
-        Its prediction.
+        Live prediction of the recording.
 
     """
     live = replace(live, **vars(live.select(np.isfinite(live.predicted[:, 0]))))
@@ -265,19 +266,19 @@ def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
 
 def within(shown: Timed, first: float, last: float) -> Timed:
     """
-    Return the data of a picture for a part of the time.
+    Return the data of a picture for an interval.
 
     Parameters
     ----------
     shown : MeasuredMotion, Loads, Margins or Replayed
-        Content for the whole recording.
+        Data of the whole recording.
     first, last : float
-        From the recording's first stamp, s.
+        Interval from the recording's first stamp, s.
 
     Raises
     ------
     BellowsError
-        If there are no two usable samples.
+        If there are fewer than two usable samples.
 
     """
     seconds = shown.seconds
@@ -299,7 +300,7 @@ def within(shown: Timed, first: float, last: float) -> Timed:
 
 
 def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:
-    """Return the numbers that a picture is drawn from, for a JSON file; SI units."""
+    """Return the data of a picture for a JSON file; SI units."""
     if not isinstance(shown, Replayed):
         return with_units({**vars(shown), 'units': DRAWN_UNITS[type(shown)]})
     return with_units({

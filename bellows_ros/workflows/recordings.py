@@ -1,4 +1,4 @@
-"""Read a recording and prepare it according to its parameters."""
+"""Reading of a recording, and its preparation by its parameters."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -27,11 +27,11 @@ from bellows_ros.report.sentences import finding_sentence, sentence
 import numpy as np
 
 Progress = Callable[..., None]
-"""Called with the present step and its completed part (0 to 1)."""
+"""Callback with the current step and its completed fraction (0 to 1)."""
 
 
 def no_progress(what: str, part: float = 0.0) -> None:
-    """Say nothing of the progress."""
+    """Ignore the progress."""
 
 
 OTHER_TOPICS = ' If the topics of recordings differ, give each a file in package.files.'
@@ -41,25 +41,26 @@ FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 """Settings for reading whole recordings: plans, standstills, validations."""
 
 MIN_POSES = 20
-"""Number of poses of each body from which their faults are looked for."""
+"""Smallest number of poses of each body for a search for their faults."""
 
 FAULTS = frozenset((
     'frozen_orientation', 'package_on_tool', 'package_at_rest', 'conjugated', 'inverse_rotation',
     'inverted', 'rotation_frame', 'left_handed'))
-"""Faults of poses with which nothing is fitted."""
+"""Faults of poses that prevent a fit."""
 
 NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
-"""Placeholder for the inertia (kg m^2) of a package at rest, which does not matter."""
+"""Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
 
 FILES_OF = {'bags': 'package.files', 'static.bags': 'static.files'}
 """Parameters that name the parameter files of recordings."""
 
 RECORDING_PREFIXES = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
-"""Prefixes of parameters, besides package, in which recordings of one cup may differ."""
+"""Prefixes of parameters, in addition to the package, in which recordings of one cup may
+differ."""
 
 
 class Failed(NamedTuple):
-    """A recording that cannot be used, and why."""
+    """An unusable recording, and the reason."""
 
     bag: str
     reason: str
@@ -83,7 +84,7 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
     Raises
     ------
     BellowsError
-        If it cannot be read, or is not a recording that a cup can be identified from.
+        If it cannot be read, or is unusable for the identification of a cup.
 
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
@@ -108,14 +109,14 @@ def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> l
     Parameters
     ----------
     all_stamps : sequence of int arrays
-        ns, in any order; the parameters count from the first of all.
+        Stamps in any order, ns; the parameters count from the first of all.
     values : mapping
-        With these parameters, s; an end of 0, or left out, is the recording's end.
+        Parameters of the interval, s; an end of 0, or none, is the recording's end.
 
     Raises
     ------
     BellowsError
-        If the end is not after the start, or there is nothing at all.
+        If the end is not after the start, or there are no stamps.
 
     """
     start, end = (values.get(name, 0.0) for name in FULL_RANGE)
@@ -152,8 +153,8 @@ def prepare_streams(
     """
     Return prepared streams, in one world and on one clock, with sentences on their remarks.
 
-    Streams are poses of tool and package, and twists of the tool if there are any, by the names
-    of their topics.
+    Streams are poses of tool and package, and twists of the tool, if any, by the names of their
+    topics.
     """
     recording = _prepared(streams, settings, values, name)
     return replace(recording, report=replace(
@@ -182,7 +183,7 @@ def _prepared(
         prepared.require_one_frame(tool, package)
     elif tool.frame_id != package.frame_id and (
             wrong := conventions.convention_sentence(tool, package, name)):
-        raise UnexplainedError(wrong)  # no world is found from such poses
+        raise UnexplainedError(wrong)  # such poses determine no world
     world = values.recording.package_world
     registers = bool(values.fit.time_offset or world == checks.ESTIMATE
                      or 'package_marker' in values.fit.free)
@@ -204,13 +205,13 @@ def _prepared(
 
 
 def is_measured(values: Values) -> bool:
-    """Return whether measured.* describes the recorded package: a tag, or one in its own world."""
+    """Return whether measured.* describes the recorded package: a tag, or its own world."""
     return values.measured.model == 'tag' or (
         values.recording.package_world not in ('', checks.ESTIMATE))
 
 
 def as_measured(package: PoseStream, values: Values) -> PoseStream:
-    """Return recorded poses of the package without the stated latency and scale."""
+    """Return recorded poses of the package corrected by the stated latency and scale."""
     if not is_measured(values):
         return package
     model = measurement_model(values)
@@ -231,7 +232,7 @@ def marker_alignment(values: Values) -> frames.Alignment | None:
 def _require_no_faults(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings, registers: bool
 ) -> None:
-    """Refuse poses with a fault that no fit can correct, or that misleads a registration."""
+    """Raise for poses with a fault that no fit can correct, or that misleads a registration."""
     if min(len(tool), len(package)) < MIN_POSES:
         return
     for fact in facts_of(tool, package, settings.R_world_recorded):
@@ -241,7 +242,7 @@ def _require_no_faults(
 
 
 def fact_sentence(fact: Fact, tool: PoseStream, package: PoseStream) -> str:
-    """Return the sentence of a fault of the poses, with their topics."""
+    """Return the sentence on a fault of the poses, with their topics."""
     names = {'tool': [tool.name], 'package': [package.name]}
     topics = names.get(fact.body, [tool.name, package.name])
     return sentence('facts', fact.code, topic="' and '".join(topics), **fact.numbers)
@@ -271,7 +272,7 @@ def world_sentence(bag: object, estimated: prepared.PackageWorld | None) -> list
 
 def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
     """
-    Yield recordings that occur twice, under any name, each with a sentence.
+    Yield recordings that are given twice, under any name, each with a sentence.
 
     Parameters
     ----------
@@ -281,7 +282,7 @@ def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str
     Yields
     ------
     (int, str)
-        Place of a recording that has been there before, and a sentence about it.
+        Index of a repeated recording, and a sentence about it.
 
     """
     names: dict[str, str] = {}
@@ -300,7 +301,7 @@ def values_of_each(values: Values, bags_in: str = 'bags') -> list[Values]:
     Raises
     ------
     BellowsError
-        If there are not as many files, or something is not set for a recording.
+        If the numbers of files and recordings differ, or a parameter is missing for a recording.
 
     """
     files, bags = values[FILES_OF[bags_in]], values[bags_in]

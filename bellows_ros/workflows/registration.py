@@ -1,4 +1,4 @@
-"""Estimate how recorded streams are registered: the world, marker and clock that are not given."""
+"""Registration of recorded streams: estimates of world, marker and clock that are not given."""
 
 from dataclasses import replace
 from typing import Any
@@ -41,14 +41,13 @@ def _registered(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
     values: Values, rough_s: float,
 ) -> Recording:
-    """Return prepared streams, where the clocks differ by about rough_s, s."""
+    """Return prepared streams with clocks that differ by about rough_s, s."""
     estimate = values.recording.package_world == checks.ESTIMATE
-    # At rest no marker can be aligned with a world that is unknown.
+    # At rest no marker can be aligned with an unknown world.
     marked = 'package_marker' in values.fit.free or estimate and settings.align_at_rest
     pose, alignment = _first_guess(tool, package, settings, values, marked)
 
     def filtered(alignment: frames.Alignment | None) -> Recording:
-        """Return the streams in the world of the tool, filtered."""
         if pose is None:
             return prepare(tool, package, settings, twist, alignment)
         moved = frames.in_tool_world(package, pose, tool.frame_id)

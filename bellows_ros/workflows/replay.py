@@ -1,4 +1,4 @@
-"""Predict a recording with a cup, also with measured poses of the package, and rate the cup."""
+"""Prediction of a recording with a cup, also with measured poses of the package; its errors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
 
 MAX_LISTED = 3
-"""Validity ranges named in a warning."""
+"""Largest number of validity ranges named in a warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,11 @@ class Live(residuals.Comparison):
     Parameters
     ----------
     counts : mapping of str to int
-        Messages in, predictions out, and all that was left out or restarted.
+        Numbers of incoming messages, predictions, omitted messages and restarts.
     real_time_factor : float
-        Seconds of recording per second of predicting, which is all that a live node does.
+        Duration of the recording per processing time of the predictor.
     took : float
-        Wall time (s) of predicting.
+        Wall time of the prediction, s.
 
     """
 
@@ -79,11 +79,11 @@ class Margins:
     Parameters
     ----------
     seconds : array (N,)
-        From the recording's first stamp, s.
+        Times from the recording's first stamp, s.
     factors, std : array (N, 2)
         Safety factors against peel and slip, and their standard deviations.
     smallest : Margin
-        With its mode and instant.
+        Smallest safety factor with its mode and time.
     least : float
         Required safety factor.
 
@@ -98,26 +98,25 @@ class Margins:
 
 class Observed(NamedTuple):
     """
-    The recorded package and three estimates of it, over the same time.
+    The recorded package and three estimates over a common time.
 
     Parameters
     ----------
     topic : str
         Topic of the measured poses.
     estimates : mapping of str to residuals.Comparison
-        'prediction alone', from the tool; 'camera alone', the newest measured pose; 'both', which
-        is predicted and corrected. Each knows at any stamp what had been measured before it, and
-        no more.
+        'prediction alone', from the tool; 'camera alone', the newest measured pose; 'both', the
+        corrected prediction. Each uses only measurements before its stamp.
     counts : mapping of str to int
-        Measured poses that were used, and those that were not, by reason.
+        Numbers of used measured poses, and of others by reason.
     alarms : tuple of (float, Alarm)
-        Detected faults, and when, s from the first pose of the tool.
+        Detected faults with their times, s from the first pose of the tool.
     payload : Payload or None
-        Estimated mass and centre of mass, where payload.estimate is set.
+        Estimated mass and centre of mass, if payload.estimate is set.
     calibration : Calibration or None
         Estimated errors of the camera.
     parameters : mapping
-        Parameters that take this into account, with what stays uncertain.
+        Parameters with these estimates, and their remaining uncertainty.
     model_calibration : ModelCalibration or None
         Calibrated measurement model, if requested.
 
@@ -167,7 +166,7 @@ class Observed(NamedTuple):
 
     @property
     def alarm_lines(self) -> list[str]:
-        """When each cause was detected first, and what to do; how often and until when later."""
+        """Lines with the first detection of each cause and a remedy, and its later detections."""
         times: dict[str, list[float]] = {}
         for seconds, alarm in self.alarms:
             times.setdefault(alarm.cause, []).append(seconds)
@@ -194,7 +193,7 @@ class Observed(NamedTuple):
 
 
 def _with_std(values: Any, std: Any, factor: float) -> str:
-    """Return numbers with their standard deviations, times a factor."""
+    """Return numbers with their standard deviations, multiplied by a factor."""
     return ', '.join(f'{factor * value:.2f} ± {factor * error:.2g}' for value, error in zip(
         np.atleast_1d(values), np.atleast_1d(std), strict=True))
 
@@ -207,15 +206,15 @@ class Replay(CommandResult):
     Parameters
     ----------
     bag : str
-        The recording.
+        Path of the recording.
     values : mapping
         All parameters of the run.
     recording : Recording
-        As it was prepared.
+        Prepared recording.
     validation : Validation
         Result of the free simulation.
     warnings : tuple of str
-        Warnings about the recording, the simulation and the envelope.
+        Warnings about the recording, the simulation and the validity range.
     live : Live or None
         Result of the live predictor, None if not requested.
     observed : Observed or None
@@ -233,19 +232,19 @@ class Replay(CommandResult):
 
     @property
     def time_offset(self) -> TimeOffset | None:
-        """The offset that was subtracted from the tool's stamps; None if it was not estimated."""
+        """The offset subtracted from the tool's stamps; None if not estimated."""
         return self.recording.report.time_offset
 
     @cached_property
     def _factors(self) -> Array | None:
-        """Safety factors of the free simulation, as of `factors_along`; None if unknown."""
+        """Safety factors of the free simulation, by `factors_along`; None if unknown."""
         grip, validation = grip_of(self.values), self.validation
         rows = map(simulation.tool_rows, (validation.tool, validation.package))
         return None if grip is None else factors_along(validation.model, grip, *rows)
 
     @property
     def margin(self) -> Margin | None:
-        """The smallest safety factor of the grip in the free simulation; None if unknown."""
+        """Smallest safety factor of the grip in the free simulation; None if unknown."""
         grip, factors = grip_of(self.values), self._factors
         return None if grip is None or factors is None else margin(
             grip, factors, self.recording.since_start(self.validation.tool.stamps_ns))
@@ -278,7 +277,7 @@ class Replay(CommandResult):
 
     @property
     def sentence(self) -> str:
-        """The verdict on the cup by a recording not used in the fit."""
+        """Verdict on the cup by a recording outside of the fit."""
         validation = self.validation
         errors = [f'{name} {100.0 * ratio:.2f} %' for name, moves, ratio in zip(
             residuals.AXES, validation.moves, validation.scores.nrmse, strict=True) if moves]
@@ -320,29 +319,29 @@ def replay(
     calibrate: bool = False,
 ) -> Replay:
     """
-    Predict a recording with a cup, freely from start to end, and compare.
+    Predict a recording with a cup, freely from start to end, and compare both.
 
-    Twice: by a simulation of the tool as it was smoothed, which shows the accuracy of the cup, and
-    by the live predictor from the messages as they came, which shows the output of the node.
+    There are two predictions: a simulation with the smoothed tool, for the accuracy of the cup,
+    and the live predictor with the recorded messages, for the output of the node.
 
     Parameters
     ----------
     bag : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     settings : mapping
-        Parameters by name: cup, package, topics and how it was recorded.
+        Parameters by name: cup, package, topics and settings of the recording.
     progress : callable, optional
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
     observe : str
-        Topic with measured poses of the package, which correct another live prediction; none when
-        left out.
+        Topic with measured poses of the package, which correct a second live prediction; default:
+        none.
     calibrate : bool
         Whether to calibrate the measurement model on this recording of sound work.
 
     Raises
     ------
     BellowsError
-        If a parameter or the recording is not usable, or the cup cannot hold the package.
+        If a parameter or the recording is unusable, or the cup cannot hold the package.
 
     """
     require_types(recording=(bag, str, os.PathLike))
@@ -366,7 +365,7 @@ def replay(
 
 
 def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
-    """Return the warnings; findings of a camera explain the errors, instead of a mean stretch."""
+    """Return the warnings; findings of a camera replace the mean stretch as explanations."""
     if camera is None:
         return free.warnings
     losses = [seconds for seconds, alarm in camera.alarms if alarm.cause == 'lost']
@@ -382,7 +381,7 @@ def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
 
 
 def validated(values: Values, recording: Recording) -> Replay:
-    """Simulate a prepared recording with the cup of the parameters, and compare."""
+    """Simulate a prepared recording with the cup of the parameters, and compare both."""
     try:
         validation = validate(cup_of(values), recording)
         is_worse = bool(validation.worse_than_noise)
@@ -407,11 +406,11 @@ def validated(values: Values, recording: Recording) -> Replay:
 
 
 STRETCH_RATIOS = (0.7, 1.4)
-"""Range of the ratios of stretch that a wrong stiffness explains."""
+"""Range of the ratios of stretch that a wrong stiffness can explain."""
 
 
 def _mass_hint(values: Values, recording: Recording) -> tuple[str, ...]:
-    """Return a hint if the mean stretch of the cup indicates another mass than package.mass."""
+    """Return a hint if the mean stretch of the cup indicates a wrong package.mass."""
     relative = residuals.relative_coordinates(
         recording.measured_tool, recording.measured_package)[recording.measured]
     lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ np.array(values.package.com)
@@ -435,15 +434,15 @@ def predicted_live(
     messages: Messages | None = None, signals: Sequence[Signal] = (),
 ) -> Live:
     """
-    Send a recording's tool messages through the predictor and compare with its package poses.
+    Predict a recording live from its tool messages, and compare it with the package's poses.
 
-    Messages are `tool_messages`, if given. Tool poses that are marked as tracking
-    outliers are left out, and counted. With signals the package is predicted while it is held.
+    Messages are `tool_messages`, if given. Outliers of the tool's poses are omitted, and counted.
+    With signals the package is predicted while it is held.
 
     Raises
     ------
     BellowsError
-        If it predicts too little to compare.
+        If there are too few predictions for a comparison.
 
     """
     messages = messages or tool_messages(recording, values)
@@ -454,7 +453,7 @@ def predicted_live(
     predicted = predicted_trajectory(live, messages, progress, signals=signals)
     took = time.perf_counter() - start
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
-    del messages  # of a long recording, tens of megabytes
+    del messages  # tens of megabytes for a long recording
     compared = _compared(predicted, recording.measured_tool, recording.measured_package)
     return Live(
         **vars(compared), counts=_counts(live, recording),
@@ -469,7 +468,7 @@ def tool_messages(recording: Recording, values: Values) -> Messages:
     twists, stamps_ns = recording.tool_twist, poses.stamps_ns
     if twists is not None:
         stamps_ns = np.concatenate([stamps_ns, twists.stamps_ns])
-    order = np.argsort(stamps_ns, kind='stable')  # a pose comes before the twist of its stamp
+    order = np.argsort(stamps_ns, kind='stable')  # poses come before twists of equal stamps
     is_twist, numbers = order >= len(poses.stamps_ns), np.zeros((len(order), 7))
     numbers[~is_twist, :3] = poses.position
     numbers[~is_twist, 3:] = lie.rotation_to_quaternion(poses.rotation)
@@ -483,7 +482,7 @@ def tool_messages(recording: Recording, values: Values) -> Messages:
 
 
 def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
-    """Return the counts of messages in, predictions out, and anything left out."""
+    """Return the numbers of incoming messages, predictions and omitted messages."""
     lost = {
         'tool poses left out as outliers': recording.report.tool.marked,
         **{f'tool poses refused: {r}': len(w) for r, w in recording.tool_pose.refused.items()},
@@ -515,24 +514,24 @@ def observed(
     calibrate: bool = False,
 ) -> Observed:
     """
-    Predict a recording live with the poses of the package on a topic, and compare.
+    Predict a recording live with measured poses of the package, and compare both.
 
     Parameters
     ----------
     bag : path
         Path of the recording.
     recording : Recording
-        As it was prepared.
+        Prepared recording.
     messages : Messages
         Messages of the tool.
     uncorrected : Comparison
-        The live prediction from these, without a camera.
+        Live prediction from these messages without a camera.
     values : mapping
-        Parameters by name, measured.* among them.
+        Parameters by name, including measured.*.
     topic : str
-        With poses of the package in the world of the recording.
+        Topic with poses of the package in the world of the recording.
     signals : sequence of Signal
-        Vacuum and valve; without any the package is held from start to end.
+        Vacuum and valve; without signals the package is held from start to end.
     calibrate : bool
         Whether to calibrate the measurement model, see `calibrated`.
 
@@ -600,16 +599,16 @@ def _calibrated(
     calibration: Calibration | None, pose: Array, R_model_tool: Array
 ) -> dict[str, Any]:
     """
-    Return parameters with which a camera is no longer off.
+    Return parameters that correct the errors of a camera.
 
     Parameters
     ----------
     calibration : Calibration or None
-        In the world of the model.
+        Estimated errors of the camera in the world of the model.
     pose : ndarray (7,)
         Given pose of the camera's world in the model's world.
     R_model_tool : ndarray (3, 3)
-        From the world of the tool to the world of the model.
+        Rotation from the world of the tool to the world of the model.
 
     """
     if calibration is None:
@@ -624,7 +623,7 @@ def _calibrated(
 
 def signals_of(bag: File, values: Values) -> list[Signal]:
     """
-    Return the recorded vacuum and valve, in order; none with vacuum.signal: none.
+    Return the recorded vacuum and valve, in order; empty with vacuum.signal: none.
 
     They are on the topics of the node, in any namespace.
 
@@ -682,7 +681,7 @@ def _held_part(
 
 
 def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
-    """Return a predictor in the world of the model, of a held package without signals."""
+    """Return a predictor in the world of the model; without signals its package is held."""
     in_model: dict[str, Any] = {
         'tool_pose.offset': '', 'gravity.direction': (0.0, 0.0, -1.0)}
     if not signals:
@@ -693,7 +692,7 @@ def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
 def _compared(
     predicted: Trajectory, tool: Trajectory, package: Trajectory
 ) -> residuals.Comparison:
-    """Compare a prediction with a recording as `compare_recorded`, while it was predicted."""
+    """Compare a prediction with a recording as `compare_recorded`, within the predicted time."""
     after = np.searchsorted(predicted.stamps_ns, package.stamps_ns)
     after = after.clip(1, len(predicted) - 1)
     gaps_ns = predicted.stamps_ns[after] - predicted.stamps_ns[after - 1]
@@ -704,7 +703,7 @@ def _compared(
 def _last_measured(
     observer: Observer, poses: Sequence[Any], at: Trajectory, com: Array
 ) -> Trajectory:
-    """Return the poses of B as they were measured last before each stamp."""
+    """Return the last measured poses of B before each stamp."""
     newest = np.searchsorted([stamp_ns for stamp_ns, *_ in poses], at.stamps_ns) - 1
     inside = newest >= 0
     if inside.sum() < 2:

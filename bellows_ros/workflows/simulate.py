@@ -1,7 +1,7 @@
 """
-Simulate a recording of a given cup: a motion and its faults in, a rosbag2 recording out.
+Simulation of a recording with a given cup: a motion and its faults in, a rosbag2 recording out.
 
-The entries of a motion file, with units, stand in config/motion_example.yaml.
+The entries of a motion file, with units, are in config/motion_example.yaml.
 """
 
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ MAX_SAMPLES = 5_000_000
 
 
 class Event(NamedTuple):
-    """A simulated outlier or dropout: its topic, its kind, and when it began, s."""
+    """A simulated outlier or dropout: topic, kind and begin, s."""
 
     topic: str
     kind: str
@@ -54,24 +54,24 @@ class SimulationReport(NamedTuple):
     Parameters
     ----------
     bag : Path
-        The recording.
+        Path of the recording.
     truth : Path or None
-        File with the true motion, where asked for.
+        File with the true motion, if requested.
     duration_s : float
     messages : mapping of topic to int
-        Messages on each topic.
+        Number of messages on each topic.
     events : tuple of Event
         Outliers and dropouts, by topic and time.
     largest_bending_rad : float
         Largest angle between the z axes of tool and lip, rad.
     largest_bending_time_s : float
-        When it was reached, s after the beginning.
+        Time of the largest bending, s after the beginning.
     warnings : tuple of str
         Warnings about the use of the recording.
     margin : Margin or None
-        The smallest safety factor of the grip while the valve is on; None if unknown.
+        Smallest safety factor of the grip while the valve is on; None if unknown.
     tosses : tuple of Thrown
-        With valve and blow-off as they were drawn.
+        Tosses with their drawn valve and blow-off.
 
     """
 
@@ -94,20 +94,20 @@ def simulate_recording(
     """
     Simulate a held package, and write the recording of a tracking system.
 
-    The same input gives the same recording.
+    Equal inputs give equal recordings.
 
     Parameters
     ----------
     parameters : mapping
-        Dotted names to values: cup, package and gravity; others are checked but not used.
+        Values by dotted name: cup, package and gravity; others are only checked.
     motion : mapping
         Content of a motion file.
     out : path
-        Folder of the recording, which must not exist yet unless it may be replaced.
+        Folder of the recording.
     progress : callable, optional
-        Called with a sentence as the work goes on.
+        Callback with a sentence on the current step.
     replace : bool
-        Whether a recording that is there may be replaced.
+        Whether an existing recording may be replaced.
     plan : path, optional
         A plan of the tool, as `workflows.plan.plan` takes it, instead of the file's motion.
 
@@ -118,8 +118,8 @@ def simulate_recording(
     Raises
     ------
     BellowsError
-        If a parameter or setting is missing, unknown or not allowed, the package cannot be held,
-        or the output exists or cannot be written. Nothing is written then.
+        If a parameter or setting is missing, unknown or invalid, the package cannot be held, or
+        the output exists or cannot be written. Nothing is written then.
 
     """
     values = resolve(parameters, PACKAGE_PARAMETERS)
@@ -177,7 +177,7 @@ def _smallest_margin(values: Values, truth: Truth, recipe: Recipe) -> Margin | N
 
 
 def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> Truth:
-    """Simulate at all sampling times of both streams, and as finely in between as truth needs."""
+    """Simulate at all sampling times of both streams, with a rate sufficient for the truth."""
     motion, cup, package = recipe.motion, cup_of(values), package_of(values)
     model = model_tuple(cup, package, values.gravity.magnitude)
     rate = max(MIN_RATE, 100.0 * motion.highest_frequency,
@@ -218,7 +218,7 @@ def _record(
     recorded = list[bag_writer.Encoded]()
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
                                      ('package', at.package, recipe.package, tracked)):
-        late_ns = round(sensor.latency * NS_PER_S)  # messages are received so much later
+        late_ns = round(sensor.latency * NS_PER_S)  # delay of the receipt
         poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
         recorded.append(bag_writer.as_messages(
             recipe.topics[f'{name}_pose'], messages.POSE, poses.stamps_ns,
@@ -246,9 +246,9 @@ def _truth_bytes(
     R_world_level: Array
 ) -> bytes:
     """
-    Return an .npz file with the true motion at the times at which the package was sampled.
+    Return an .npz file with the true motion at the sampling times of the package.
 
-    The motion is planned where z is up; `R_world_level` (3, 3) turns from there to the world.
+    The motion is planned in a world with z up; `R_world_level` (3, 3) rotates it to the world.
     """
     sampled_ns = plans['package'].sampled_ns
     sampled_ns = sampled_ns[truth.at(sampled_ns).tracked]
@@ -264,7 +264,7 @@ def _truth_bytes(
 
 
 def _bending(truth: Truth) -> tuple[float, float, tuple[str, ...]]:
-    """Return the largest bending (rad), when that is (s), and what to know of it."""
+    """Return the largest bending (rad), its time (s), and a warning."""
     seconds = truth.tool.seconds
     angle = np.where(truth.held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
     worst = int(np.argmax(angle))

@@ -21,7 +21,7 @@ from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
 import numpy as np
 
 StaticBag = tuple[str, Mapping[str, Any]]
-"""A recording, and the parameters that hold for it alone, such as its package."""
+"""A recording, and its individual parameters, such as its package."""
 
 
 class StaticResult(NamedTuple):
@@ -37,9 +37,9 @@ class StaticResult(NamedTuple):
     no_length : str
         Reason for the missing length, or ''.
     cup_length : float
-        The length that the cup is taken to have, m.
+        Assumed length of the cup, m.
     spring : tuple of PoseCheck or None
-        The spring in every pose; None where no stiffness is given.
+        Check of the spring in every pose; None without a stiffness.
 
     """
 
@@ -119,7 +119,7 @@ class StaticResult(NamedTuple):
 
 
 def length_sentence(length: statics.CupLength) -> str:
-    """Return a length with its standard error, or a statement that it has none."""
+    """Return a length with its standard error, or a statement that there is no error."""
     known = math.isfinite(length.length_std)
     return sentence('static', 'length' if known else 'length_alone', length=length.length,
                     std=length.length_std)
@@ -131,7 +131,7 @@ def length_warnings(length: statics.CupLength) -> tuple[str, ...]:
 
 
 def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
-    """Return a recording's standstills, and how often one of the tool failed."""
+    """Return a recording's standstills, and the number of failed ones of the tool."""
     try:
         return recording.cached('standstills', lambda: standstills_of(recording))
     except BellowsError as error:
@@ -149,12 +149,12 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
     values : mapping
         All parameters.
     progress : callable
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
 
     Raises
     ------
     BellowsError
-        If a recording is not usable, or static.length asks for one that they do not determine.
+        If a recording is unusable, or static.length requests an undetermined length.
 
     """
     result = _read(static_bags(values), values, lambda what, part: progress(what, 0.0))
@@ -177,22 +177,22 @@ def static_check(
     bags: Sequence[StaticBag], settings: Mapping[str, Any], progress: Progress = no_progress
 ) -> StaticResult:
     """
-    Find the standstills of recordings and the cup length, and check the spring.
+    Find the standstills of recordings, estimate the cup length, and check the spring.
 
     Parameters
     ----------
     bags : sequence of StaticBag
         Recordings of one cup with known masses.
     settings : mapping
-        Parameters by name. The spring is checked if cup.stiffness is among them; with cup.length,
-        else with the estimated length.
+        Parameters by name. The spring is checked if cup.stiffness is given, with cup.length, or
+        otherwise the estimated length.
     progress : callable, optional
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
 
     Raises
     ------
     BellowsError
-        If a parameter or a recording is not usable, or they give neither a cup length nor a
+        If a parameter or a recording is unusable, or they determine neither a cup length nor a
         check of the spring.
 
     """
@@ -220,7 +220,7 @@ def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
 
 
 def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress) -> StaticResult:
-    """Return the result of recordings, each with its parameters; twists do not matter at rest."""
+    """Return the result of recordings, each with its parameters; twists are irrelevant at rest."""
     recordings = list[Recording]()
     for number, (bag, parameters) in enumerate(each):
         progress(f'reading {bag}', number / len(each))
@@ -247,7 +247,7 @@ def save_length(result: StaticResult, path: File) -> None:
     Raises
     ------
     BellowsError
-        If none was estimated, or the file cannot be written.
+        If no length was estimated, or the file cannot be written.
 
     """
     if result.length is None:

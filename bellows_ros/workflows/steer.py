@@ -1,4 +1,4 @@
-"""Change a motion so that the package does not swing: read a plan, steer it, report the gain."""
+"""Steering of a motion for a package without swing: a plan in, the steered motion out."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -25,7 +25,7 @@ from bellows_ros.workflows.plan import extended, MotionSource, NO_FACTOR, plan_w
 import numpy as np
 
 TAIL = 2.0
-"""Duration after the end of the motion for which the swing is predicted, s."""
+"""Duration of the predicted swing after the end of the motion, s."""
 
 
 class SteeredMotion(NamedTuple):
@@ -34,19 +34,19 @@ class SteeredMotion(NamedTuple):
     tool: Trajectory
     prediction: PlanPrediction
     added_time: float
-    """Time (s) beyond the plan until the package arrives."""
+    """Additional time beyond the plan until the package arrives, s."""
     along: Trajectory
-    """The tool until `TAIL` after the end, N points."""
+    """Motion of the tool until `TAIL` after the end, N points."""
     states: Array
     """States of B in the world (N, 13): position, quaternion, body twist."""
     reference: Trajectory
     """Reference motion of B, N points."""
     expected_swing: float
-    """RMS of the remaining swing over the uncertainty of cup and package, rad."""
+    """RMS of the residual swing over the uncertainty of cup and package, rad."""
 
     @property
     def tilt(self) -> Array:
-        """Turn of the package (N,) from its reference, rad."""
+        """Rotation of the package (N,) from its reference, rad."""
         R = quaternion_to_rotation(self.states[:, 3:7])
         rotation = log_so3(np.swapaxes(self.reference.rotation, -1, -2) @ R)
         return np.asarray(np.linalg.norm(rotation, axis=1))
@@ -72,7 +72,7 @@ EXCITE_SETTINGS = (
 @dataclass(frozen=True, eq=False)
 class SteerReport(CommandResult):
     """
-    A plan and the same motion steered.
+    A plan, and its steered motion.
 
     Parameters
     ----------
@@ -81,13 +81,13 @@ class SteerReport(CommandResult):
     method : str
         One of `core.planning.steering.METHODS`.
     motions : mapping
-        The method, 'as planned', and with the inverse 'zvd', where these can be predicted.
+        Motions by method, 'as planned', and with the inverse also 'zvd', if they can be predicted.
     steered : Steered
-        By the method.
+        Motion steered by the method.
     time_scale : float
         Factor by which the motion was slowed down for the limits.
     limit : str
-        The limit that required this.
+        Limit that required the slowdown.
     uncertain : bool
         Whether any parameter has a standard deviation.
 
@@ -161,7 +161,7 @@ def steer_plan(
     Parameters
     ----------
     path, settings, urdf, topic
-        As of `workflows.plan.plan`. A plan of what frames.package names is one of B.
+        As in `workflows.plan.plan`. A plan of the frame in frames.package is a plan of B.
     method : str
         One of `core.planning.steering.METHODS`.
     limits : path or mapping
@@ -170,8 +170,7 @@ def steer_plan(
     Raises
     ------
     BellowsError
-        If the method is unknown, the plan cannot be read or steered, or the limits cannot be kept
-        to.
+        If the method is unknown, the plan cannot be read or steered, or the limits cannot be kept.
 
     """
     if method not in steering.METHODS:
@@ -186,7 +185,7 @@ def steer_plan(
     steered = steering.steer(model, reference, method, of_package)
     arrival = float((reference if method == 'inverse' else steered.tool).seconds[-1])
     motions = {method: _effect(source, steered.tool, steered.package, arrival)}
-    with suppress(UnstableError):  # as planned the package falls over: the method stands alone
+    with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
         planned = steering.tool_above(model, source.tool) if of_package else source.tool
         motions['as planned'] = _effect(
             source, planned, steering.hanging(model, planned), source.duration)
@@ -200,14 +199,14 @@ def steer_plan(
 
 def read_limits(content: object) -> Limits:
     """
-    Return the limits in the content of a YAML file, as config/limits_example.yaml explains it.
+    Return the limits in the content of a YAML file, explained in config/limits_example.yaml.
 
-    All of them are optional. Settings of `bellows excite` alone are not read.
+    All limits are optional. Settings of `bellows excite` alone are ignored.
 
     Raises
     ------
     BellowsError
-        If a name or number is not allowed.
+        If a name or number is invalid.
 
     """
     settings = Settings(content)
@@ -226,7 +225,7 @@ def read_limits(content: object) -> Limits:
 
 
 def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> tuple[float, str]:
-    """Return the factor of the duration that keeps the limits, and the limit that requires it."""
+    """Return the factor of the duration within the limits, and the limit that requires it."""
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
         raise BellowsError(
@@ -255,7 +254,7 @@ def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> 
 def _effect(
     source: Source, tool: Trajectory, reference: Trajectory, arrival: float
 ) -> SteeredMotion:
-    """Return the effect of a motion of the tool on the package, which arrives then (s)."""
+    """Return the effect of a motion of the tool on the package, which arrives at a time (s)."""
     model = source.model
     run, longer = PlanSimulation(model, source.grip, tool), extended(tool, TAIL)
     square = mean_square(

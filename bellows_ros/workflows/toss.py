@@ -1,4 +1,4 @@
-"""Predict the landing of a planned toss and its covariance; identify the release from drops."""
+"""Landing of a planned toss with its covariance; identification of the release."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class Share(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TossResult(CommandResult):
-    """A toss of a plan, with all that was asked of it."""
+    """A toss of a plan, with all requested results."""
 
     source: plan.Source
     case: landing.TossProblem
@@ -59,7 +59,7 @@ class TossResult(CommandResult):
     parts: landing.Contributions
     aim: landing.Aim | None
     distance_as_asked: float | None
-    """Distance (m) from the target, if there is one, with the valve at the given time."""
+    """Distance (m) from the target, if any, with the valve at the given time."""
     drawn: landing.MonteCarlo | None
 
     @property
@@ -68,21 +68,21 @@ class TossResult(CommandResult):
         return self.parts.covariance
 
     def shares(self) -> list[Share]:
-        """Return the contribution of each uncertain number, the largest first."""
+        """Return the contribution of each uncertain parameter, the largest first."""
         return self._shares(tuple(dict.fromkeys(self.parts.names)))
 
     def groups(self) -> list[Share]:
         """
-        Return the contributions of whole parameters, the largest first.
+        Return the contributions of groups of parameters, the largest first.
 
-        Numbers of the law of release that are correlated are one, 'release'.
+        Correlated numbers of the law of release are one group, 'release'.
         """
         independent = np.array_equal(self.parts.correlation, np.eye(len(self.parts.std)))
         return self._shares((*GROUPS, *(
             (*RELEASE_NAMES, landing.SECOND_ORDER) if independent else ['release'])))
 
     def _shares(self, names: tuple[str, ...]) -> list[Share]:
-        """Return the contributions of quantities whose names begin with one of these."""
+        """Return the contributions of quantities with given prefixes."""
         shares = []
         for name in names:
             std, covariance = self.parts.of(name)
@@ -93,7 +93,7 @@ class TossResult(CommandResult):
 
     @property
     def per_millisecond(self) -> float:
-        """Shift of the landing (m) by each millisecond of the valve; 0 if unknown."""
+        """Shift of the landing (m) per millisecond of the valve; 0 if unknown."""
         return next((1e-3 * share.metres / share.std for share in self.shares()
                      if share.name == 'release.delay'), 0.0)
 
@@ -131,7 +131,7 @@ class TossResult(CommandResult):
 
     @property
     def reached(self) -> bool:
-        """Whether the target, if there is one, is in the 95 % ellipse of the landing."""
+        """Whether the target, if any, is in the 95 % ellipse of the landing."""
         return self.aim is None or bool(landing.coverage(
             self.covariance + TOLERANCE**2 * np.eye(6),
             np.subtract([self.toss.landing[0][:2]], self.aim.target)))
@@ -167,14 +167,14 @@ class TossResult(CommandResult):
 
 
 def _budget(shares: list[Share]) -> list[dict[str, Any]]:
-    """Return contributions as JSON; groups are independent, so that their squares add up."""
+    """Return contributions as JSON; squares of independent groups add up."""
     return [{'name': share.name, 'std': share.std, 'contribution_mm': 1e3 * share.metres,
              'contribution_deg': math.degrees(share.radians)} for share in shares]
 
 
 def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> None:
     """
-    Write tool and package, held, parting and flying to its landing, as `write_prediction` does.
+    Write tool and package, held, released and flying to its landing, like `write_prediction`.
 
     Raises
     ------
@@ -202,24 +202,24 @@ def toss_plan(
     path : path
         A plan, as `workflows.plan.read_plan` reads it.
     parameters : mapping
-        Dotted names to values.
+        Values by dotted name.
     switched : float or None
-        When the valve is switched, s since the first point of the plan; None with a target.
+        Time of the valve, s since the first point of the plan; None with a target.
     target : (x, y), optional
-        Target of B in the world, m; the time of the valve is then sought.
+        Target of B in the world, m, for which the time of the valve is searched.
     target_rotation : array (4,), optional
         Quaternion (x, y, z, w) wanted at landing.
     monte_carlo : int
-        So many tosses are drawn as well.
+        Number of additional random tosses.
     progress : callable
-        Called with a sentence as the work goes on.
+        Callback with a sentence on the current step.
     urdf, topic : str
         URDF of the arm and topic of the plan, as for `workflows.plan.read_plan`.
 
     Raises
     ------
     BellowsError
-        If the plan, the parameters or the time are not usable.
+        If the plan, the parameters or the time are unusable.
 
     """
     if target is None and (target_rotation is not None or switched is None):
@@ -275,13 +275,13 @@ class ReleaseResult(NamedTuple):
     Parameters
     ----------
     fit : ReleaseFit
-        The law, and how it explains each drop.
+        The law, and the residuals of each drop.
     bags : tuple of str
         Names of all recordings.
     used : tuple of str
         The recording of each drop.
     left_out : tuple of str
-        The valve-offs that were not used, and why.
+        Unused switchings of the valve, with the reasons.
     values : mapping
         All parameters.
 
@@ -307,7 +307,7 @@ class ReleaseResult(NamedTuple):
              f'{"; ".join(self.left_out)}.', count)) if applies)
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
-        """Return mass (kg), drops, letting go (s; NaN if later), and rms (m, m/s)."""
+        """Return mass (kg), drops, release (s; NaN if later), and rms (m, m/s)."""
         rows = []
         for mass in sorted({drop.mass for drop in self.fit.drops}):
             released, position, velocity = np.array([
@@ -347,20 +347,19 @@ def identify_release(
     settings: Mapping[str, Any], progress: Progress = no_progress
 ) -> ReleaseResult:
     """
-    Identify the law of release from the drops in the recordings that `bags` names.
+    Identify the law of release from the drops in the recordings of `bags`.
 
     Parameters
     ----------
     settings : mapping
         Parameters by name, with the cup, and the package of each recording.
     progress : callable
-        Called with the present step and its completed part (0 to 1).
+        Callback with the current step and its completed fraction (0 to 1).
 
     Raises
     ------
     BellowsError
-        If a parameter or a recording is not usable, the drops are too few, or no law explains
-        them.
+        If a parameter or a recording is unusable, the drops are too few, or no law explains them.
 
     """
     from bellows_ros.workflows.identify import resolved
@@ -394,7 +393,7 @@ def identify_release(
 
 
 def _valve_times(bag: str, values: Values) -> list[int]:
-    """Return when the valve is switched off, ns as received."""
+    """Return the times of switching the valve off, ns as received."""
     topic = values.topics.valve
     switched = sorted(
         (log_ns, on) for _, log_ns, data in bags.messages_of(bag, (messages.BOOL,), topic)

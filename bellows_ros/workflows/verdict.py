@@ -1,4 +1,4 @@
-"""Quality of a cup, causes of residuals beyond the noise, and whether the cup is refused."""
+"""Quality of a cup, causes of a misfit, and the acceptance of the cup."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -22,27 +22,27 @@ from bellows_ros.report.sentences import finding_sentence, setting_of, texts
 import numpy as np
 
 MAX_TESTED = 3
-"""Recordings tested; more add nothing new."""
+"""Largest number of tested recordings; more give no further information."""
 
 MAX_SIMULATED = 50_000
-"""Samples of a recording that are simulated freely for the verdict."""
+"""Largest number of samples of a recording simulated freely for the verdict."""
 
 UNEXPLAINED = 0.2
-"""Largest fraction of the motion in an axis that may be unexplained."""
+"""Largest unexplained fraction of the motion in an axis."""
 
 DRAWS, SIGMAS = 5, 3.0
-"""Cups drawn from the standard errors, and how many standard deviations are allowed."""
+"""Number of cups drawn by the standard errors, and number of allowed standard deviations."""
 
 LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_world'})
-"""Quantities that recordings separate from K and P; not mass and inertia, which scale with
-them."""
+"""Quantities that recordings separate from K and P, unlike mass and inertia, which scale with K
+and P."""
 
 CLOCK_RATE, EXPOSURE = 'rate of the clocks (ppm)', 'exposure of the camera (ms)'
-"""Names of estimated quantities that are no parameters."""
+"""Names of estimated quantities that are not parameters."""
 
 MAX_PULL = 5.0
-"""Standard deviations by which a fit may change centre of mass or length: a cup that is otherwise
-than the model seems to be longer."""
+"""Largest change of centre of mass or length by a fit, standard deviations: a cup that deviates
+from the model appears longer."""
 
 
 class Simulated(NamedTuple):
@@ -54,15 +54,15 @@ class Simulated(NamedTuple):
     motion: Array
     unexplained: tuple[str, ...]
     beginning: float = 0.0
-    """Simulated beginning of a long recording, s; 0 for a whole recording."""
+    """Duration of the simulated beginning of a long recording, s; 0 for a whole recording."""
     uncertainty: Array | float = 0.0
-    """RMS errors (6,) that the standard errors of K and P explain."""
+    """RMS errors (6,) explained by the standard errors of K and P."""
     all_identifiable: bool = True
-    """Whether no entry of K and P is free to be anything."""
+    """Whether all entries of K and P are identifiable."""
 
     @property
     def largest(self) -> Array:
-        """Largest RMS errors (6,) that noise and the standard errors of K and P explain."""
+        """Largest RMS errors (6,) explained by noise and the standard errors of K and P."""
         allowed = np.hypot(
             methods.MAX_MISFIT_TO_NOISE * self.noise, SIGMAS * np.asarray(self.uncertainty))
         if not self.all_identifiable:
@@ -95,8 +95,8 @@ class FitVerdict(NamedTuple):
     """
     Free simulations of recordings of the fit, and deviations from given quantities.
 
-    A misfit beyond the noise refuses a cup of the output error, whose chi^2 per degree of freedom
-    is given, from their median; None for others.
+    A cup of output error is rejected for a misfit by its robust chi^2 per degree of freedom, which
+    is None for other methods.
     """
 
     simulated: tuple[Simulated, ...]
@@ -104,18 +104,20 @@ class FitVerdict(NamedTuple):
     given: Values
     chi2: float | None = None
     expected: Free = MappingProxyType({})
-    """Standard deviations, SI units, of what output error may correct beside K and P."""
+    """Standard deviations, SI units, of given quantities that output error may correct jointly
+    with K and P."""
     log_inertia_ratio: float = 0.0
-    """Logarithm of inertia over mass as estimated by the fit, relative to the given ratio."""
+    """Logarithm of the ratio of inertia and mass as estimated by the fit, relative to the given
+    ratio."""
     found: Mapping[str, tuple[Array, str, float]] = MappingProxyType({})
     """
-    Notably changed parameters of package and cup: value by the fit, change, and change in standard
-    deviations; the largest change first.
+    Significantly changed parameters of package and cup: value by the fit, change, and change in
+    standard deviations; the largest change first.
     """
 
     @property
     def wrong(self) -> list[causes.Finding]:
-        """Findings that refuse a cup: certain ones, and likely ones that change K materially."""
+        """Findings that reject a cup: certain ones, and likely ones that change K materially."""
         return [finding for finding in self.causing if finding.datum and (
             finding.certain
             or self.chi2 is not None and finding.name in LOCAL
@@ -124,7 +126,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def causing(self) -> list[causes.Finding]:
-        """Causes, the likeliest first, then deviations no larger than expected."""
+        """Causes, the likeliest first, followed by deviations within expectation."""
         alone = self.diagnosis.findings
         first = alone if alone and alone[0].is_fact else alone[:1]
         findings = [*first, *self.diagnosis.besides]
@@ -134,19 +136,19 @@ class FitVerdict(NamedTuple):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The likeliest cause, if there is one, and the quality of the cup."""
+        """Sentences on the likeliest cause, if any, and on the quality of the cup."""
         return (*self.cause, *self.doubts, *(simulated.sentence for simulated in self.simulated))
 
     @property
     def is_at_noise(self) -> bool:
-        """Whether free simulations are as good as the poses."""
+        """Whether free simulations are as accurate as the poses."""
         return bool(self.simulated) and all(
-            # as good as noise
+            # as accurate as noise
             (simulated.rms <= 1.1 * simulated.noise).all() for simulated in self.simulated)
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on corrections by the fit that may also be due to a wrong mass."""
+        """Sentences on corrections by the fit that may be due to a wrong mass."""
         sentences = []
         if abs(self.log_inertia_ratio) >= causes.MATERIAL:
             sentences.append(
@@ -163,7 +165,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def cause(self) -> tuple[str, ...]:
-        """Sentences about the main cause and further ones, or none."""
+        """Sentences about the main cause and further ones, if any."""
         if not self.diagnosis.findings:
             return ()
         first, *others = self.causing
@@ -202,7 +204,7 @@ class FitVerdict(NamedTuple):
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """Reasons to refuse the cup; empty for a usable one."""
+        """Reasons to reject the cup; empty for a usable one."""
         reasons = []
         for simulated in self.simulated:
             if simulated.unexplained:
@@ -250,7 +252,7 @@ class FitVerdict(NamedTuple):
 
 
 def _is_within(finding: causes.Finding, std: Free) -> bool:
-    """Return whether a cause is no larger than three standard deviations of the given value."""
+    """Return whether a cause is within three standard deviations of the given value."""
     if finding.name not in std or not len(finding.theta):
         return False
     limit = SIGMAS * std[finding.name]
@@ -266,7 +268,7 @@ def verdict_of(
     Parameters
     ----------
     fit : Fit or None
-        K and P; None where only a cause is looked for.
+        K and P; None for a search of causes alone.
     recordings : sequence of Recording
         Recordings of the fit.
     length : float
@@ -307,7 +309,7 @@ def _judged(
     verdict: FitVerdict, fit: Fit, tested: Sequence[Recording], length: float, values: Values
 ) -> FitVerdict:
     """Return a verdict with free simulations of recordings, and with the corrections of a fit."""
-    log_inertia_ratio = float(  # one of the three moments may hardly be known
+    log_inertia_ratio = float(  # one of the three moments may be uncertain
         np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
         'inertia' in fit.nuisances) else 0.0
     length += float(fit.nuisances['length'][0, 0]) if 'length' in fit.nuisances else 0.0
@@ -329,7 +331,7 @@ def _judged(
 def _found(
     fit: Fit, values: Values, recording: Recording, length: float
 ) -> Mapping[str, tuple[Array, str, float]]:
-    """Return `FitVerdict.found` of a fit that converged; length in m."""
+    """Return `FitVerdict.found` of a converged fit; length in m."""
     if not fit.converged:
         return {}
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()
@@ -354,7 +356,7 @@ def _found(
 
 
 def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
-    """Return cups with K and P drawn from the covariance of a fit, and widely without one."""
+    """Return cups with K and P drawn from the covariance of a fit, or widely without a fit."""
     finite, rng = np.isfinite(np.diag(fit.covariance)), np.random.default_rng(0)
     if not finite.any():
         return []
@@ -372,7 +374,7 @@ def _simulated(
     cup: Cup, recording: Recording, others: Sequence[Cup] = (),
     noise_in_motion: Array | None = None,
 ) -> Simulated:
-    """Return a free simulation of a recording; a simulation that fails explains no motion."""
+    """Return a free simulation of a recording; a failed simulation explains no motion."""
     if recording.pose_errors and noise_in_motion is not None:
         recording, noise_in_motion = recording.with_noise(noise_in_motion), None
     try:

@@ -14,18 +14,18 @@ from bellows_ros.errors import BellowsError, install
 from bellows_ros.workflows.recordings import Failed
 
 ANSWER_TIMEOUT = 10.0
-"""Longest wait (s) for an answer of the Dask scheduler."""
+"""Longest wait for an answer of the Dask scheduler, s."""
 
 Work = tuple[int, str, Values]
 """Index in the parameter `bags`, recording, and its parameters."""
 Task = Callable[..., Any]
-"""Processes a recording (name, parameters, perhaps path)."""
+"""Function of a recording (name, parameters, optionally path)."""
 Outcome = tuple[int, Any]
 """Index of a piece of work, and its result, or a `Failed`."""
 
 
 def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
-    """Yield the results of processes on this machine, as they come."""
+    """Yield the results of processes on this machine, in the order of completion."""
     if jobs == 1 or len(work) == 1:
         yield from (_attempt(task, *item) for item in work)
         return
@@ -36,7 +36,7 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
             for number, result in results:
                 del pending[number]
                 yield number, result
-    except BrokenProcessPool:  # one of them has ended its process; alone it ends no other
+    except BrokenProcessPool:  # one of them has ended its process; run alone it ends no other
         for item in pending.values():
             try:
                 yield from _in_pool(joblib, 2, task, [item])
@@ -50,7 +50,7 @@ def _in_pool(
     joblib: Any, jobs: int, task: Task, work: Sequence[Work]
 ) -> Generator[Outcome, None, None]:
     """
-    Yield the results of a pool of processes, with one task in each process and none waiting.
+    Yield the results of a pool of processes, with one task per process and none waiting.
 
     Closing the generator ends the processes.
     """
@@ -64,7 +64,7 @@ def _in_pool(
 
 
 def _attempt(task: Task, number: int, bag: str, values: Values, **more: Any) -> Outcome:
-    """Return the result of a task on a recording, or the reason of any failure."""
+    """Return the result of a task on a recording, or the reason of its failure."""
     try:
         return number, task(bag, values, **more)
     except BellowsError as error:
@@ -78,7 +78,7 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
     distributed = _imported('distributed', 'dask', '--dask')
     logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are reported here
     try:
-        # A client without a scheduler cannot be closed: look for the scheduler first.
+        # A client without a scheduler cannot be closed: search the scheduler first.
         asyncio.run(_require_scheduler(distributed, address))
         client = distributed.Client(address, timeout=ANSWER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
@@ -109,7 +109,7 @@ async def _require_scheduler(distributed: Any, address: str) -> None:
 
 
 def _imported(module: str, extra: str, option: str) -> Any:
-    """Return an optional module; raise BellowsError with the way to install it."""
+    """Return an optional module; raise BellowsError with its installation."""
     try:
         return importlib.import_module(module)
     except ImportError:
