@@ -8,9 +8,10 @@ is kept on disk; without numba Python interprets the kernel's source.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 import ctypes
-from functools import cache
+from functools import cache, partial
 import gc
 import hashlib
+import importlib
 import mmap
 import os
 from pathlib import Path
@@ -61,7 +62,8 @@ def array_kernel(function: Function) -> Function:
     """
     Compile a function on arrays, or return it unchanged without numba.
 
-    The function is not inlined: a call with arrays costs nothing, and its callers compile faster.
+    The function is compiled once and called by name. By default numba copies a function into its
+    callers, their callers and so on, and compiles every copy.
     """
     return _wrapped(function, {**OPTIONS, 'forceinline': False}) if COMPILED else function
 
@@ -71,19 +73,51 @@ def _wrapped(function: Function, options: dict[str, Any]) -> Function:
     compiled = _compiler(function, options)
     called = cache(lambda: _compiler(function, options, called=True))
     # Other kernels call this one without converting Python's numbers: a third less to compile.
-    compiled.get_call_template = lambda *types: called().get_call_template(*types)
-    compiled.get_overload = lambda signature: called().get_overload(signature)
+    # One version serves all constants.
+    compiled.get_call_template = lambda types, named: called().get_call_template(
+        tuple(map(numba.types.unliteral, types)), named)
+    compiled.get_overload = lambda arguments: (
+        called().get_overload(arguments) if options['forceinline'] else
+        _by_name(called(), arguments))
+    compiled.called = called
     return compiled  # type: ignore[no-any-return]
+
+
+NAMED: dict[str, tuple[str, str, Any]] = {}
+"""By names in machine code: modules, names and types of arguments of kernels called by name."""
+
+
+def _by_name(kernel: Any, arguments: Any) -> Any:
+    """Return the code for types of arguments, of which callers get the name and not a copy."""
+    code, context = kernel.overloads[tuple(arguments)], kernel.targetctx
+    context.remove_user_function(code.entry_point)
+    context.insert_user_function(code.entry_point, code.fndesc)
+    NAMED[code.fndesc.mangled_name] = kernel.__module__, kernel.__qualname__, code.signature.args
+    return code.entry_point
+
+
+def load(module: str, name: str, arguments: Any) -> None:
+    """Load or compile a kernel that loaded code calls by name."""
+    kernel = getattr(importlib.import_module(module), name).called()
+    kernel.compile(arguments)
+    _by_name(kernel, arguments)
 
 
 def _compiler(function: Callable[..., Any], options: dict[str, Any], called: bool = False) -> Any:
     """Return a decorator that compiles a kernel for Python, or for other kernels alone."""
+    class Named(numba.core.compiler.Compiler):  # type: ignore[misc]
+
+        def _compile_bytecode(self) -> Any:
+            """Compile under a name that every process gives to the same code."""
+            self.state.func_id.unique_id = _source_digest(function).hex()
+            return super()._compile_bytecode()
+
     options = {**options, 'no_cfunc_wrapper': True, 'no_cpython_wrapper': called}
     try:
-        compiled = numba.njit(cache=True, **options)(function)
+        compiled = numba.njit(cache=True, pipeline_class=Named, **options)(function)
         compiled._cache = _TolerantCache(compiled._cache, function, '.called' if called else '')
     except RuntimeError:  # neither the package's folder nor the user's cache can be written
-        compiled = numba.njit(**options)(function)
+        compiled = numba.njit(pipeline_class=Named, **options)(function)
     return compiled
 
 
@@ -246,9 +280,11 @@ class _TolerantCache:
             return None
 
     def save_overload(self, signature: Any, code: Any) -> None:
-        """Save compiled code if possible."""
+        """Save compiled code, with the names that it calls, if possible."""
+        called = [partial(load, *NAMED[each.name]) for each in code.library._final_module.functions
+                  if each.is_declaration and each.name in NAMED]
         try:
-            self._cache.save_overload(signature, code)
+            self._cache.save_overload(signature, code._replace(reload_init=called))
         except Exception as error:  # noqa: BLE001 (what is compiled works all the same)
             self._warn(error)
             self._cache.disable()

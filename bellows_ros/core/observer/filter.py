@@ -730,7 +730,6 @@ def body_at_end(
 ) -> State:
     """Return the package of an estimate at a later stamp, and write it into the samples."""
     none = np.zeros((0, 0))
-    is_recorded = len(none) > 0  # a constant False would compile another version
     return propagated(
         kernels.model_of(row, law), beginning, (none, none, np.zeros((0, 12, 13))), samples,
-        is_recorded, until_ns, max_step, np.zeros((0, 0, 0)), 0.0, np.zeros((0, 54)))[1]
+        False, until_ns, max_step, np.zeros((0, 0, 0)), 0.0, np.zeros((0, 54)))[1]

@@ -253,6 +253,28 @@ def test_code_for_other_arguments_is_not_used(copy):
     assert first == (out, '') and 'cannot be used (ValueError)' in err
 
 
+BY_NAME = """
+import json
+import numpy as np
+from bellows_ros.core.geometry.tuples import product
+A = np.arange(26.0).reshape(2, 13)
+found = product(A, A.T.copy(), np.empty((2, 2)))
+print(json.dumps([(found - A @ A.T).tolist(), sum(product.stats.cache_hits.values())]))
+"""
+
+
+@compiled
+def test_code_whose_called_kernel_is_not_on_disk_compiles_that_alone(copy):
+    equal = [[0.0, 0.0], [0.0, 0.0]]
+    assert run(BY_NAME, copy) == [equal, 0]
+    files = list((copy / 'bellows_ros/core/geometry/__pycache__').glob('tuples._add_from-*'))
+    assert files
+    for file in files:
+        file.unlink()
+    assert run(BY_NAME, copy) == [equal, 1]
+    assert all(file.exists() for file in files)
+
+
 def test_work_aside_is_done_in_another_process(tmp_path, capfd):
     """Call the function with its arguments; fail without a word, as its kernels come later."""
     assert jit.compile_aside(os.mkdir, str(tmp_path / 'made')).wait(600) == 0
