@@ -133,7 +133,7 @@ $(VENV)/demo-ready: setup.py | $(BIN)/python
 
 $(VENV)/ready: setup.py | $(BIN)/python
 	@.ci/install $(BIN)/python 'what tests and lint need' \
-	    --editable '.[ros,fast,plot,parallel,dask,test,lint]'
+	    --editable '.[ros,fast,plot,dask,test,lint]'
 	@touch $@
 
 $(VENV)/docs-ready: setup.py | $(VENV)/ready

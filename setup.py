@@ -22,8 +22,7 @@ EXTRAS = {
     # What runs notebooks/; open them with any Jupyter.
     'notebook': ['ipykernel>=6.29', 'nbclient>=0.10', 'matplotlib>=3.8'],
     'docs': ['sphinx>=7.2', 'myst-parser>=3', 'furo>=2024.1'],
-    # Many recordings at a time, on the cores of this machine or on those of a cluster.
-    'parallel': ['joblib>=1.3'],
+    # Many recordings on the machines of a cluster.
     'dask': ['distributed>=2024.1'],
     'test': [
         'argcomplete>=2',

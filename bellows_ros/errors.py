@@ -78,7 +78,6 @@ PACKAGES = {
     'ros': "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
     'plot': 'matplotlib',
     'video': 'imageio-ffmpeg',
-    'parallel': 'joblib',
     'dask': 'distributed'}
 
 

@@ -154,8 +154,9 @@ def bound_of(
     cup: Cup, structure: Structure, true: MeasuredSegment, free: Mapping[str, Array]
 ) -> Array:
     """Return the Cramer-Rao bound (n,) of the parameters and of all else that is free."""
-    problem = Problem((Segment.of(true),), structure, cup, free)
-    J = problem.whitened(problem.start, problem.segments[0], problem.segments[0].first).jacobian
+    segment = Segment.of(true)
+    problem = Problem.of([segment], structure, cup, free)
+    J = problem.whitened(problem.start, segment, segment.first).jacobian
     return np.sqrt(np.diag(np.linalg.inv(J.T @ J + np.diag(problem.weights)))) * problem.units
 
 

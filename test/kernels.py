@@ -65,9 +65,9 @@ def _compile_search(relaxation=(0.0, 0.0)):
 
     from .core.identification.test_output_error import measured
 
-    problem = Problem((Segment.of(measured(9, duration=3.0)),), STRUCTURES['axisymmetric'],
-                      _cup(relaxation), {})
-    problem.whitened(problem.start, problem.segments[0], problem.segments[0].first)
+    segment = Segment.of(measured(9, duration=3.0))
+    problem = Problem.of([segment], STRUCTURES['axisymmetric'], _cup(relaxation), {})
+    problem.whitened(problem.start, segment, segment.first)
 
 
 def compile_observer(relaxation=(0.0, 0.0)):

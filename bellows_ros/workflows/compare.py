@@ -110,13 +110,13 @@ def _digests(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 
 def consistency(
-    parts: Sequence[AnyRecording], fit_alone: Callable[[AnyRecording, str], Fit]
+    parts: Sequence[AnyRecording], fit_alone: Callable[[int, str], Fit]
 ) -> ComparedFits:
-    """Return the comparison of fits to single recordings, each fitted under its name."""
+    """Return the comparison of single fits to recordings, each by its number and name."""
     differ = len({part.payload.mass for part in parts}) > 1
     names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
              for part in parts]
-    fits = [*map(fit_alone, parts, names)]
+    fits = [*map(fit_alone, range(len(parts)), names)]
     return ComparedFits(tuple(names), same_cup([
         Estimates(structure_named(fit.structure), fit.parameters, fit.covariance)
         for fit in fits]))

@@ -73,7 +73,7 @@ class Identification(CommandResult):
     parts : tuple of ReducedRecording
         Used recordings, reduced.
     recordings : tuple of Recording
-        Used recordings; empty if no later step needs them.
+        The first of these recordings, as far as a later step needs them.
     consistency : ComparedFits or None
         Test for one cup by each recording alone, None if not requested.
     static : StaticResult or None
@@ -182,7 +182,7 @@ class Identification(CommandResult):
         result = dict[str, tuple[Any, Any, str]]()
         if not self.fit.converged:
             return result
-        number = min(range(len(self.parts)), key=lambda n: float(np.sum(
+        number = min(range(len(self.recordings or self.parts)), key=lambda n: float(np.sum(
             world.std if (world := self.parts[n].package_world) else 0.0)))
         free = {name: rows[0] for name, rows in self.fit.nuisances.items()}
         package = payload_of(self.recordings[0].payload if self.recordings else (
@@ -200,14 +200,14 @@ class Identification(CommandResult):
                 error = error * np.atleast_1d(value)[:len(error)]
             result[parameter] = value.tolist(), np.resize(
                 np.pad(error, (0, value.size - len(error))), value.shape), unit
-        if len(self.recordings) == len(self.parts):
+        if self.recordings:
             result |= self._frames(number)
         return result
 
     def _final_world(self, number: int) -> PackageWorld | None:
         """Return the estimated pose of the package's world after the fit, or None."""
         world = self.parts[number].package_world
-        if world is None or len(self.recordings) < len(self.parts):
+        if world is None or number >= len(self.recordings):
             return world
         text = dict(self._frames(number))['recording.package_world'][0]
         return world._replace(pose=alignment.pose_of(text))

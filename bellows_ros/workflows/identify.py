@@ -6,14 +6,15 @@ with equal results. Steps that need the recordings themselves get them here.
 """
 
 from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import partial
-from operator import itemgetter
 import os
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
+from bellows_ros.core.geometry.jit import usable_cores
 from bellows_ros.core.identification import causes, methods
-from bellows_ros.core.identification.quantities import as_found
+from bellows_ros.core.identification.pool import Held, here, Pool, Runner
+from bellows_ros.core.identification.quantities import as_found, payload_of
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
@@ -25,12 +26,12 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures, UnexplainedError
 from bellows_ros.files import bag_folder
+from bellows_ros.report.sentences import finding_sentence
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult, with_spring
 from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
-from bellows_ros.workflows.workers import on_cores, on_dask
 import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
@@ -72,8 +73,8 @@ def identify(
     parameter_files : sequence of path, optional
         Files of the settings, for the provenance.
     jobs : int, optional
-        Number of processes that read recordings on this machine, -1 for one per core. An unusable
-        recording is then reported and omitted.
+        Processes on this machine that read recordings and keep them for the fit, -1 for one per
+        core. A recording that cannot be used is then reported and left out.
     dask : str
         Address of a Dask scheduler whose workers have the recordings at equal paths, instead of
         local processes; '' for none.
@@ -95,29 +96,43 @@ def identify(
     if values.static.bags:
         static = read_standstills(values.replaced({**FULL_RANGE}), progress)
     effective = values.replaced({'cup.length': static.cup_length}) if static else values
-    keep = values.fit.method != 'least_squares' or any(
-        values[name] for name in RECORDING_USERS)
+    with _runner(jobs, dask, len(values.bags)) as run:
+        reads, placed, failed = read_all(effective, progress, run, poses)
+        parts = [read.part for read in reads]
+        if values.fit.method == 'output_error' and not force:
+            _require_no_facts(
+                parts, [fact for read in reads for fact in read.facts], effective, progress)
+        return _identify(
+            values, effective, parts, static, progress, placed,
+            failed=tuple(failed), assumed=_assumed(settings),
+            parameter_files=tuple(
+                {'path': os.fspath(file), 'files': bag_folder.digests(file)}
+                for file in parameter_files))
 
-    parts, failed = read_all(effective, keep, progress, jobs, dask, poses)
-    if values.fit.method == 'output_error' and not force:
-        _require_no_facts(whole_recordings(parts), effective, progress)
-    return _identify(
-        values, effective, parts, static, progress, failed=tuple(failed),
-        assumed=_assumed(settings),
-        parameter_files=tuple(
-            {'path': os.fspath(file), 'files': bag_folder.digests(file)}
-            for file in parameter_files))
+
+def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager[Runner | None]:
+    """Return the runner of processes or of a cluster, None for this process."""
+    if jobs is None and not dask:
+        return nullcontext()
+    from bellows_ros.workflows.workers import cluster, processes
+
+    if dask:
+        return cluster(dask)
+    return processes(min(usable_cores() if jobs == -1 else jobs or 1, count))
 
 
 def _require_no_facts(
-    recordings: Sequence[Recording], values: Values, progress: Progress
+    parts: Sequence[AnyRecording], found: Sequence[causes.Finding], values: Values,
+    progress: Progress,
 ) -> None:
     """Raise for recordings with faults detected without a fit, with all further faults."""
-    if causes.facts(recordings, values.cup.length):
+    recordings = whole_recordings(parts)
+    if found or causes.facts(recordings, values.cup.length):
         progress(CAUSE_TESTS, FIT_BEGINS)
         verdict = verdict_of(None, recordings, values.cup.length, values)
+        words = verdict.cause if verdict else ()
         raise UnexplainedError(' '.join([
-            *(verdict.cause if verdict else ()),
+            *(words or (finding_sentence(fact, values) for fact in found)),
             "The cup was not fitted; 'bellows identify --force' fits it all the same."]))
 
 
@@ -185,25 +200,32 @@ def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
         'load.',)
 
 
+class Read(NamedTuple):
+    """A recording or its statistics, and the facts about it."""
+
+    part: AnyRecording
+    facts: tuple[causes.Finding, ...] = ()
+
+
 def read_part(
-    bag: str, values: Values, path: str = '', keep: Container[str] = (),
-    poses: Mapping[str, Poses] | None = None,
-) -> Any:
+    keep: Container[str], poses: Mapping[str, Poses], number: int, bag: str, path: str,
+    values: Values,
+) -> tuple[methods.Pair | None, Read]:
     """
-    Read and reduce a recording; return the recording or its sufficient statistics.
+    Read and reduce a recording; return the pair kept for a fit by simulation, and the rest.
 
     Parameters
     ----------
-    bag : str
-        Name of the recording by the user.
-    values : mapping
-        All parameters.
-    path : str
-        Path for the reader; default: the name.
     keep : container of str
         Names of the recordings that are kept in full.
     poses : mapping
         Recordings in memory, as in `identify`.
+    number : int
+        Number of the recording.
+    bag, path : str
+        Name of the recording by the user, and path for the reader.
+    values : mapping
+        All parameters.
 
     Raises
     ------
@@ -211,63 +233,97 @@ def read_part(
         If the recording is unusable.
 
     """
-    if poses and bag in poses:
+    if bag in poses:
         settings = reading.prepare_settings(values)
         recording = replace(
             reading.prepare_streams(poses[bag], settings, values), name=bag, digest=bag)
     else:
-        recording = reading.load(path or bag, values, name=bag, with_digest=True)
+        recording = reading.load(path, values, name=bag, with_digest=True)
     if causes.misread(recording):
         verdict = verdict_of(None, [recording], values.cup.length, values)
         raise BellowsError(' '.join(verdict.cause if verdict else ()))
-    part = reduced(recording, values)
-    return recording if bag in keep else part
+    part, pair = reduced(recording, values), None
+    facts: tuple[causes.Finding, ...] = ()
+    if values.fit.method == 'output_error':
+        pair, (facts, _) = methods.pair_of(recording, values, number), causes.corrected(recording)
+        part = part._replace(statistics=part.statistics.head()._replace(noise=None))
+    return pair, Read(recording if bag in keep else part, facts)
+
+
+def _attempted(*arguments: Any) -> tuple[methods.Pair | None, Read]:
+    """Return the result of `read_part`, any failure being a reason to leave the recording out."""
+    try:
+        return read_part(*arguments)
+    except BellowsError:
+        raise
+    except Exception as error:  # noqa: BLE001 (of one recording)
+        raise BellowsError(f'{type(error).__name__}: {error}') from None
 
 
 def read_all(
-    values: Values, keep: bool, progress: Progress, jobs: int | None = None, dask: str = '',
+    values: Values, progress: Progress, run: Runner | None = None,
     poses: Mapping[str, Poses] | None = None,
-) -> tuple[list[Any], list[Failed]]:
+) -> tuple[list[Read], methods.Placed | None, list[Failed]]:
     """
-    Return the recordings, and the unusable ones.
+    Return usable recordings, their places for a fit by simulation, and unusable recordings.
 
     They are read by processes or a cluster, or sequentially, in which case all must be usable.
     """
     bags = [os.fspath(bag) for bag in values.bags]
-    task = partial(read_part, keep=frozenset(bags if keep else bags[:MAX_TESTED]), poses=poses)
-    work = [(n, bag, each) for n, (bag, each) in
-            enumerate(zip(bags, reading.values_of_each(values), strict=True))]
-    if jobs is None and not dask:
-        parts = list[Any]()
-        for number, bag, each in work:
-            progress(f'reading {bag}', FIT_BEGINS * number / len(bags))
-            parts.append(task(bag, each))
-            for _, sentence in reading.duplicates((part.name, part.digest) for part in parts):
-                raise BellowsError(sentence)
-        return parts, []
-    words = f'reading {len(bags)} recordings'
+    keep = frozenset(bags if any(values[name] for name in RECORDING_USERS) else bags[:MAX_TESTED])
+    each = reading.values_of_each(values)
+    pairs, reads, failed = _read_elsewhere(bags, each, keep, progress, run) if run else (
+        *_read_here(bags, each, keep, progress, poses or {}), [])
+    is_simulated = values.fit.method == 'output_error'
+    return reads, methods.Placed.of(pairs) if is_simulated else None, failed
+
+
+def _read_here(
+    bags: Sequence[str], values: Sequence[Values], keep: Container[str], progress: Progress,
+    poses: Mapping[str, Poses],
+) -> tuple[Held, list[Read]]:
+    """Return recordings read one after the other."""
+    pairs, reads = list[methods.Pair | None](), list[Read]()
+    for number, (bag, own) in enumerate(zip(bags, values, strict=True)):
+        progress(f'reading {bag}', FIT_BEGINS * number / len(bags))
+        pair, read = read_part(keep, poses, number, bag, bag, own)
+        pairs.append(pair)
+        reads.append(read)
+        for _, sentence in reading.duplicates((one.part.name, one.part.digest) for one in reads):
+            raise BellowsError(sentence)
+    return here(pairs), reads
+
+
+def _read_elsewhere(
+    bags: Sequence[str], values: Sequence[Values], keep: Container[str], progress: Progress,
+    run: Runner,
+) -> tuple[Held, list[Read], list[Failed]]:
+    """Return recordings read by workers, and unusable recordings."""
+    pool, words = Pool(run, len(bags)), f'reading {len(bags)} recordings'
+    pairs = pool.begun(_attempted, keep, {}, *map(pool.each, (
+        range(len(bags)), bags, list(map(os.path.abspath, bags)), values)))
     progress(words, 0.0)
-    outcomes: dict[int, Any] = {}
-    for number, outcome in (
-            on_dask(work, dask, task) if dask else on_cores(work, jobs or 1, task)):
-        outcomes[number] = outcome
+    outcomes = dict[int, Any]()
+    for number, reply in pool.replies(pairs.recipe):
+        outcomes[number] = Failed(bags[number], str(reply.error)) if reply.error else reply.result
         progress(words, FIT_BEGINS * len(outcomes) / len(bags))
     done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
-    digested = ((outcomes[n].name, outcomes[n].digest) for n in done)
+    digested = ((outcomes[n].part.name, outcomes[n].part.digest) for n in done)
     for place, sentence in reading.duplicates(digested):
         outcomes[done[place]] = Failed(bags[done[place]], sentence)
-    parts, failed = ([each for _, each in sorted(outcomes.items(), key=itemgetter(0))
-                      if isinstance(each, Failed) is unusable] for unusable in (False, True))
-    if not parts:
+    failed = [outcomes[n] for n in range(len(bags)) if isinstance(outcomes[n], Failed)]
+    usable = [n for n in done if not isinstance(outcomes[n], Failed)]
+    if not usable:
         raise BellowsError(
             f'None of {len(failed)} recordings can be used. The first, '
             f"'{failed[0].bag}': {failed[0].reason}")
-    return parts, failed
+    return Held(pool.only(usable), pairs.recipe), [outcomes[n] for n in usable], failed
 
 
 def _identify(
     values: Values, effective: Values, parts: Sequence[AnyRecording],
-    static: StaticResult | None, progress: Progress, assumed: tuple[str, ...], **more: Any,
+    static: StaticResult | None, progress: Progress, placed: methods.Placed | None,
+    assumed: tuple[str, ...], **more: Any,
 ) -> identification.Identification:
     """
     Fit the recordings; return the result.
@@ -281,9 +337,9 @@ def _identify(
         result = methods.fit(
             parts, effective,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-            static.standstills if static else (), length.length_std if length else 0.0)
+            static.standstills if static else (), length.length_std if length else 0.0, placed)
     except BellowsError:
-        _require_no_facts(whole_recordings(parts), effective, progress)
+        _require_no_facts(parts, (), effective, progress)
         raise
     fit = result.fit
     if values.fit.structure == structure.AUTO:
@@ -292,7 +348,10 @@ def _identify(
     if fit.freed and fit.converged:
         values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))
         found = {freed.name: np.array([freed.change]) for freed in fit.freed}
-        parts = [as_found(part, found, n) for n, part in enumerate(whole_recordings(parts))]
+        parts = [
+            as_found(part, found, n) if isinstance(part, Recording) else part._replace(
+                payload=payload_of(part.payload, {name: rows[0] for name, rows in found.items()}))
+            for n, part in enumerate(parts)]
     recordings = whole_recordings(parts)
     progress(CAUSE_TESTS, FIT_ENDS)
     verdict = verdict_of(
@@ -310,7 +369,7 @@ def _identify(
             if is_gripper(effective) else None)
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
-        tuple(recordings), _consistency(parts, effective, progress), verdict=verdict,
+        tuple(recordings), _consistency(parts, effective, progress, placed), verdict=verdict,
         selection=selected, assumed=assumed, **more)
     if static:
         identified = replace(identified, static=with_spring(
@@ -322,15 +381,18 @@ def _identify(
 
 
 def _consistency(
-    parts: Sequence[AnyRecording], values: Values, progress: Progress
+    parts: Sequence[AnyRecording], values: Values, progress: Progress,
+    placed: methods.Placed | None,
 ) -> 'ComparedFits | None':
     """Return the test for one cup by each recording alone, with fit.compare_recordings."""
     if not values.fit.compare_recordings or len(parts) < 2:
         return None
 
-    def alone(part: AnyRecording, name: str) -> Fit:
+    def alone(number: int, name: str) -> Fit:
         return methods.fitted(
-            [part], values, lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS))
+            [parts[number]], values,
+            lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS),
+            placed and placed.only([number]))
 
     from bellows_ros.workflows.compare import consistency
 

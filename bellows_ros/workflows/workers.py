@@ -1,80 +1,121 @@
-"""Work on single recordings in parallel: in processes on this machine, or on a Dask cluster."""
+"""Runners that keep the recordings of a fit: processes of this machine, or a Dask cluster."""
 
 import asyncio
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import as_completed, CancelledError, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 import importlib
+from itertools import chain
 import logging
 import os
+import pickle
+import subprocess
+import sys
 from typing import Any
 
-from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.identification.pool import Batch, carried_out, forget, Reply, Runner
 from bellows_ros.errors import BellowsError, install
-from bellows_ros.workflows.recordings import Failed
 
 ANSWER_TIMEOUT = 10.0
 """Longest wait for an answer of the Dask scheduler, s."""
 
-Work = tuple[int, str, Values]
-"""Index in the parameter `bags`, recording, and its parameters."""
-Task = Callable[..., Any]
-"""Function of a recording (name, parameters, optionally path)."""
-Outcome = tuple[int, Any]
-"""Index of a piece of work, and its result, or a `Failed`."""
+LOOKS = 2.0
+"""Time between two looks at the workers of a Dask cluster, s."""
 
+MAX_TRIES = 2
+"""Number of workers that a batch may end."""
 
-def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
-    """Yield the results of processes on this machine, in the order of completion."""
-    if jobs == 1 or len(work) == 1:
-        yield from (_attempt(task, *item) for item in work)
-        return
-    joblib = _imported('joblib', 'parallel', '--jobs')
-    pending = {item[0]: item for item in work}
+ENDED = ('the process that has it was ended from outside, twice. If memory was short, take fewer '
+         'jobs, or a shorter recording.')
+
+PROGRAM = """
+import os, pickle, sys
+from bellows_ros.core import configure_process
+configure_process()
+from bellows_ros.core.identification.pool import carried_out
+answers = os.fdopen(os.dup(1), 'wb')
+os.dup2(2, 1)
+while sys.stdin.buffer.peek(1):
     try:
-        with closing(_in_pool(joblib, jobs, task, work)) as results:
-            for number, result in results:
-                del pending[number]
-                yield number, result
-    except BrokenProcessPool:  # one of them has ended its process; run alone it ends no other
-        for item in pending.values():
-            try:
-                yield from _in_pool(joblib, 2, task, [item])
-            except BrokenProcessPool:
-                yield item[0], Failed(
-                    item[1], 'the process that read it was ended from outside, twice. If '
-                    'memory was short, take fewer jobs, or a shorter recording.')
+        replies = carried_out(pickle.load(sys.stdin.buffer))
+    except Exception as error:
+        replies = error
+    pickle.dump(replies, answers)
+    answers.flush()
+"""
+"""Program of a process that carries out batches until its input ends."""
 
 
-def _in_pool(
-    joblib: Any, jobs: int, task: Task, work: Sequence[Work]
-) -> Generator[Outcome, None, None]:
-    """
-    Yield the results of a pool of processes, with one task per process and none waiting.
+def shares(batch: Batch, places: Sequence[Any]) -> Iterator[tuple[Any, Batch]]:
+    """Yield the parts of a batch: each recording alone where it is read, else by their places."""
+    alone = not batch.steps[0].needs
+    of: dict[Any, list[int]] = {}
+    for number, place in zip(batch.recordings, places, strict=True):
+        of.setdefault((place, number * alone), []).append(number)
+    for (place, _), numbers in of.items():
+        yield place, batch.of(numbers)
 
-    Closing the generator ends the processes.
-    """
-    parallel = joblib.Parallel(
-        jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')
-    results = parallel(joblib.delayed(_attempt)(task, *item) for item in work)
+
+class Process:
+    """A process that keeps values of its recordings, started again if it was ended."""
+
+    def __init__(self) -> None:
+        """Start."""
+        self.messages, self.process = ThreadPoolExecutor(1), self._started()
+
+    def _started(self) -> 'subprocess.Popen[bytes]':
+        return subprocess.Popen(
+            [sys.executable, '-P', '-c', PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+
+    def answer(self, batch: Batch) -> list[Reply]:
+        """Return the replies to a batch."""
+        for _ in range(MAX_TRIES):
+            assert self.process.stdin and self.process.stdout
+            with suppress(OSError, EOFError, pickle.UnpicklingError):
+                pickle.dump(batch, self.process.stdin)
+                self.process.stdin.flush()
+                replies: list[Reply] | Exception = pickle.load(self.process.stdout)
+                break
+            self.end()
+            self.process = self._started()
+        else:
+            return [Reply(error=BellowsError(ENDED))] * len(batch.recordings)
+        if isinstance(replies, Exception):
+            raise replies
+        return replies
+
+    def end(self) -> None:
+        """End the process."""
+        self.process.kill()
+        with suppress(OSError):
+            self.process.communicate()
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Runner]:
+    """Yield the runner of a number of processes of this machine."""
+    workers = [Process() for _ in range(count)]
+
+    def run(batch: Batch) -> Iterator[tuple[int, Reply]]:
+        futures = {
+            worker.messages.submit(worker.answer, part): part.recordings
+            for worker, part in shares(batch, [workers[n % count] for n in batch.recordings])}
+        for future in as_completed(futures):
+            yield from zip(futures[future], future.result(), strict=True)
+
     try:
-        yield from results
+        yield run
     finally:
-        results.close()
+        for worker in workers:
+            worker.messages.shutdown(cancel_futures=True, wait=False)
+            worker.end()
 
 
-def _attempt(task: Task, number: int, bag: str, values: Values, **more: Any) -> Outcome:
-    """Return the result of a task on a recording, or the reason of its failure."""
-    try:
-        return number, task(bag, values, **more)
-    except BellowsError as error:
-        return number, Failed(bag, str(error))
-    except Exception as error:  # noqa: BLE001 (one recording must not end the work on others)
-        return number, Failed(bag, f'{type(error).__name__}: {error}')
-
-
-def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]:
-    """Yield the results of a Dask cluster's workers."""
+@contextmanager
+def cluster(address: str) -> Iterator[Runner]:
+    """Yield the runner of the workers of a Dask cluster."""
     distributed = _imported('distributed', 'dask', '--dask')
     logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are reported here
     try:
@@ -86,20 +127,105 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
             f"No Dask scheduler answers at '{address}': {error}. Start one with 'dask scheduler', "
             'and give the address that it prints.') from None
     with client:
-        futures = [
-            client.submit(_attempt, task, *item, path=os.path.abspath(item[1]), pure=False)
-            for item in work]
-        for future, (number, bag, _) in zip(futures, work, strict=True):
-            try:
-                result: Outcome = future.result()
-            except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)
-                if future.status != 'error':
-                    raise BellowsError(
-                        f"The Dask scheduler at '{address}' was lost during the work. See in its "
-                        'log why, start it again, and repeat the command.') from None
-                result = number, Failed(bag, f'{type(error).__name__}: {error}')
-            yield result
-            future.release()
+        runner = _Cluster(distributed, client, address)
+        yield runner
+        for session in runner.sessions:
+            client.run(forget, session)
+
+
+class _Cluster:
+    """Runner on the workers of a Dask cluster, each of which keeps its recordings."""
+
+    def __init__(self, distributed: Any, client: Any, address: str) -> None:
+        self._distributed, self._client, self._address = distributed, client, address
+        self._places, self.sessions = dict[int, str](), set[str]()
+
+    def __call__(self, batch: Batch) -> Iterator[tuple[int, Reply]]:
+        """Yield the replies to a batch; other workers replace a lost one."""
+        self.sessions.add(batch.session)
+        queues, threads = self._queues([batch])
+        tries, waiting = Counter[int](), dict[Any, tuple[str, Batch]]()
+        while queues or waiting:
+            busy = Counter(place for place, _ in waiting.values())
+            for place, parts in list(queues.items()):  # what waits is not blamed for a loss
+                while parts and busy[place] < threads[place]:
+                    part = parts.pop()
+                    busy[place] += 1
+                    waiting[self._client.submit(
+                        carried_out, part, threads[place], workers=[place], pure=False
+                    )] = place, part
+                if not parts:
+                    del queues[place]
+            lost = list[Batch]()
+            for future in self._ended(waiting):
+                _, part = waiting.pop(future)
+                replies = self._replies(future, part)
+                tries.update(part.recordings)
+                if not replies and max(map(tries.__getitem__, part.recordings)) < MAX_TRIES:
+                    lost.append(part)
+                    continue
+                yield from zip(part.recordings, replies or [
+                    Reply(error=BellowsError(ENDED))] * len(part.recordings), strict=True)
+            if lost:
+                queues, threads = self._queues([*lost, *chain.from_iterable(queues.values())])
+
+    def _queues(self, parts: Sequence[Batch]) -> tuple[dict[str, list[Batch]], dict[str, int]]:
+        """Return parts of work by the workers that have their recordings, and their threads."""
+        threads, queues = self._workers(), defaultdict[str, list[Batch]](list)
+        load = dict.fromkeys(threads, 0) | Counter(
+            place for place in self._places.values() if place in threads)
+        for part in parts:
+            for number in part.recordings:
+                if self._places.get(number) not in threads:
+                    self._places[number] = min(load, key=load.__getitem__)
+                    load[self._places[number]] += 1
+            for place, own in shares(part, [self._places[n] for n in part.recordings]):
+                queues[place].append(own)
+        return dict(queues), threads
+
+    def _workers(self) -> dict[str, int]:
+        """Return the number of threads of each worker."""
+        for _ in range(int(ANSWER_TIMEOUT / LOOKS)):
+            with suppress(OSError, TimeoutError):
+                if threads := dict[str, int](self._client.ncores()):
+                    return threads
+            with suppress(TimeoutError):
+                self._client.wait_for_workers(1, timeout=LOOKS)
+        raise BellowsError(
+            f"The Dask scheduler at '{self._address}' has no workers. Start some with 'dask "
+            f"worker {self._address}', and repeat the command.")
+
+    def _ended(self, waiting: Mapping[Any, tuple[str, Batch]]) -> list[Any]:
+        """Return the ended futures, or else the cancelled futures of lost workers."""
+        with suppress(TimeoutError), self._client.as_current():
+            return list(self._distributed.wait(
+                list(waiting), timeout=LOOKS, return_when='FIRST_COMPLETED').done)
+        living = self._workers()
+        lost = [future for future, (place, _) in waiting.items()
+                if place not in living and not future.done()]
+        self._client.cancel(lost)
+        return lost
+
+    def _replies(self, future: Any, part: Batch) -> list[Reply]:
+        """Return the replies of a future that has ended, none if its worker was lost."""
+        try:
+            replies: list[Reply] = future.result()
+        except (CancelledError, self._distributed.scheduler.KilledWorker):
+            if self._client.status == 'running':
+                return []
+            raise self._lost() from None
+        except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)
+            if future.status != 'error':
+                raise self._lost() from None
+            return [Reply(error=BellowsError(
+                f'{type(error).__name__}: {error}'))] * len(part.recordings)
+        return replies
+
+    def _lost(self) -> BellowsError:
+        """Return what to say of a scheduler that was lost."""
+        return BellowsError(
+            f"The Dask scheduler at '{self._address}' was lost during the work. See in its log "
+            'why, start it again, and repeat the command.')
 
 
 async def _require_scheduler(distributed: Any, address: str) -> None:

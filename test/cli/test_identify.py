@@ -72,7 +72,6 @@ QUICK = ('--set', 'fit.method=least_squares')
 
 def test_identify_on_two_cores_leaves_out_what_is_bad(succeed, root, tmp_path):
     """Say so, and show on the page what was read."""
-    pytest.importorskip('joblib', reason='extra parallel')
     cup, fit, page = tmp_path / 'cup.yaml', tmp_path / 'fit.json', tmp_path / 'page.html'
     done = succeed(
         'identify', 'bags/identification', 'bags/none', '--params', 'bags/package.yaml', *QUICK,

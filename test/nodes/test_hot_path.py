@@ -16,7 +16,7 @@ import gc, json, os, sys, threading, time, tracemalloc
 
 class Absent:  # what recordings, pictures and fits need, the node does not
     def find_spec(self, name, path=None, target=None):
-        if name.partition('.')[0] in ('rosbags', 'joblib', 'matplotlib') or name in (
+        if name.partition('.')[0] in ('rosbags', 'matplotlib') or name in (
                 'scipy.optimize', 'scipy.signal', 'scipy.stats'):
             raise ModuleNotFoundError(f'No module named {name!r}', name=name)
 

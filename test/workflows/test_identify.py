@@ -3,8 +3,10 @@
 from collections import Counter
 from dataclasses import replace
 import functools
+import hashlib
 import importlib
 import json
+import pickle
 import pkgutil
 import re
 import sys
@@ -304,7 +306,6 @@ EXPENSIVE = {
 
 def test_nothing_is_computed_twice(root, known, tmp_path, monkeypatch):
     """Identify with all that can be asked for and its page: no argument comes a second time."""
-    joblib = pytest.importorskip('joblib', reason='extra parallel')
     for module in pkgutil.walk_packages(bellows_ros.__path__, 'bellows_ros.'):
         if not module.name.startswith(('bellows_ros.nodes', 'bellows_ros.demo')) and \
                 not module.name.endswith('__main__'):
@@ -314,7 +315,8 @@ def test_nothing_is_computed_twice(root, known, tmp_path, monkeypatch):
     def counted(function):
         @functools.wraps(function)
         def call(*arguments, **named):
-            calls[function.__name__, joblib.hash((arguments, named))] += 1
+            calls[function.__name__, hashlib.sha256(pickle.dumps(
+                (arguments, named))).hexdigest()] += 1
             return function(*arguments, **named)
         return call
 

@@ -7,11 +7,12 @@ from pathlib import Path
 import shutil
 import signal
 
+from bellows_ros.core.identification.pool import Pool
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows import workers
-from bellows_ros.workflows.identify import identify, read_part
+from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.simulate import simulate_recording
 from numpy.testing import assert_allclose
 import pytest
@@ -53,7 +54,6 @@ def leaves(content, path=''):
     'axisymmetric', *(pytest.param(name, marks=pytest.mark.stress)
                       for name in ('diagonal', 'full'))])
 def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, root, structure):
-    pytest.importorskip('joblib', reason='extra parallel')
     asked = {**settings, 'fit.structure': structure, 'fit.compare_recordings': True,
              'fit.compare_structures': True, 'static.bags': [str(root / 'bags/static')],
              'validation.bags': [str(root / 'bags/validation')]}
@@ -98,6 +98,47 @@ def test_dask_cluster_gives_the_same(settings, one_result, cluster):
     assert len(result.verdict.simulated) == len(settings['bags'])  # read where the workers are
 
 
+@pytest.fixture(scope='module')
+def simulated(settings):
+    """Return the settings of a fit by simulation, and its result in this process."""
+    asked = {**settings, 'fit.method': 'output_error', 'fit.compare_recordings': True}
+    return asked, content_of(identify(asked))
+
+
+def require_the_same(asked, expected, **route):
+    """Check that a fit by simulation elsewhere gives the same to the last digit."""
+    assert content_of(identify(asked, **route)) == expected
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_processes_give_the_same_cup_to_the_last_digit(simulated, jobs):
+    require_the_same(*simulated, jobs=jobs)
+
+
+def test_a_cluster_gives_the_same_cup_although_a_worker_is_lost(simulated, cluster):
+    cluster.scheduler.allowed_failures = 3
+    progress = killer(lambda: next(iter(cluster.workers.values())).pid)
+    require_the_same(*simulated, dask=cluster.scheduler_address, progress=progress)
+    assert progress.killed
+
+
+def test_processes_give_the_same_cup_although_one_is_lost(simulated):
+    progress = killer(lambda: processes()[0])
+    require_the_same(*simulated, jobs=2, progress=progress)
+    assert progress.killed
+
+
+def killer(process):
+    """Return a progress that kills a process in the third step of a search."""
+    def progress(what, part=0.0):
+        if 'step 3' in what and not progress.killed:
+            progress.killed.append(process())
+            os.kill(progress.killed[0], signal.SIGKILL)
+
+    progress.killed = []
+    return progress
+
+
 @pytest.mark.parametrize('address', [
     'nonsense://127.0.0.1:1', 'tcp://127.0.0.1:1'])
 def test_no_scheduler(settings, address, monkeypatch):
@@ -127,12 +168,12 @@ class Deadly(Values):
 
 
 def processes():
-    """Return the processes that joblib has started for this one."""
+    """Return the processes with recordings that this one has started."""
     found = []
     for folder in Path('/proc').glob('[0-9]*'):
         try:
             parent = int((folder / 'stat').read_text().rpartition(')')[2].split()[1])
-            if parent == os.getpid() and b'popen_loky' in (folder / 'cmdline').read_bytes():
+            if parent == os.getpid() and b'carried_out' in (folder / 'cmdline').read_bytes():
                 found.append(int(folder.name))
         except OSError:
             continue  # it has ended
@@ -140,7 +181,6 @@ def processes():
 
 
 def test_a_worker_that_dies_ends_no_work(settings, one_result):
-    pytest.importorskip('joblib', reason='extra parallel')
     killed = []
 
     def kill_one(what, part):
@@ -156,27 +196,39 @@ def test_a_worker_that_dies_ends_no_work(settings, one_result):
     assert result.fit.samples_used == one_result.fit.samples_used
 
 
-def test_a_recording_that_kills_its_worker_is_left_out(settings):
-    pytest.importorskip('joblib', reason='extra parallel')
-    work = [(0, 'a', Values({})), (1, 'deadly', Deadly({})), (2, 'b', Values({})),
-            (3, 'c', Values({}))]
-    results = dict(workers.on_cores(work, 2, read_part))
-    assert [results[n].bag for n in range(4)] == ['a', 'deadly', 'b', 'c']
-    assert ['package.mass' in results[n].reason for n in range(4)] == [True, False, True, True]
+def deadly_replies(run):
+    """Return the replies of readers of four recordings, one of which ends its process."""
+    pool = Pool(run, 4)
+    values = [Values({}), Deadly({}), Values({}), Values({})]
+    return dict(pool.replies(pool.begun(package_mass, pool.each(values)).recipe))
+
+
+def package_mass(values):
+    """Return a parameter as what stays, and nothing."""
+    if 'package.mass' not in values:
+        raise BellowsError('no package.mass')
+    return values['package.mass'], None
+
+
+def test_a_recording_that_kills_its_worker_is_left_out():
+    with workers.processes(2) as run:
+        replies = deadly_replies(run)
+    said = [str(replies[n].error) for n in range(4)]
+    assert ['package.mass' in one for one in said] == [True, False, True, True]
+    assert 'twice' in said[1]
 
 
 def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
     cluster.scheduler.allowed_failures = 0
-    results = list(workers.on_dask(
-        [(0, 'deadly', Deadly({}))], cluster.scheduler_address, read_part))
-    assert [number for number, _ in results] == [0]
-    assert 'KilledWorker' in results[0][1].reason
+    with workers.cluster(cluster.scheduler_address) as run:
+        replies = deadly_replies(run)
+    assert ['package.mass' in str(replies[n].error) for n in range(4)] == [True, False, True, True]
 
 
 def test_missing_extra_is_said(settings, monkeypatch):
-    monkeypatch.setitem(__import__('sys').modules, 'joblib', None)
-    with pytest.raises(BellowsError, match="--jobs.*'joblib'"):
-        identify(settings, jobs=2)
+    monkeypatch.setitem(__import__('sys').modules, 'distributed', None)
+    with pytest.raises(BellowsError, match="--dask.*'distributed'"):
+        identify(settings, dask='tcp://127.0.0.1:1')
 
 
 def test_a_recording_counts_once_by_whatever_name(settings, tmp_path):

@@ -274,7 +274,7 @@ def motion_information(
         density * np.array(tracking.tool), tracking.package))
     measured = MeasuredSegment(tool, body, package, gravity, of_tool, of_package)
     segment = Segment.of(measured)
-    problem = Problem((segment,), structure, cup, {})
+    problem = Problem.of([segment], structure, cup, {})
     J = problem.whitened(problem.start, segment, segment.first).jacobian / problem.units
     return J.T @ J
 

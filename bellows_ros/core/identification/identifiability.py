@@ -11,7 +11,13 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import LinearSolution, noise_bias, weighted
-from bellows_ros.core.identification.reduction import Movement, PassBand, ReducedRecording
+from bellows_ros.core.identification.pool import Held
+from bellows_ros.core.identification.reduction import (
+    Movement,
+    PassBand,
+    ReducedRecording,
+    Statistics,
+)
 from bellows_ros.core.identification.result import NOTE_TEXTS, NOTES, with_unidentifiable
 from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import Structure
@@ -214,7 +220,7 @@ class Excitation(NamedTuple):
 
 def excitation_of(
     parts: Sequence[ReducedRecording], method: str = 'least_squares',
-    fit: tuple[Array, Array] | None = None,
+    fit: tuple[Array, Array] | None = None, rows: Held | None = None,
 ) -> Excitation:
     """
     Return the identifiability of K and P from recordings.
@@ -230,6 +236,8 @@ def excitation_of(
         another method.
     fit : (ndarray (2 n,), ndarray (2 n, 2 n)), optional
         Parameters and their covariance, if estimated already.
+    rows : Held, optional
+        Statistics of the recordings, if they are elsewhere.
 
     Raises
     ------
@@ -239,7 +247,8 @@ def excitation_of(
     """
     statistics, movements = [part.statistics for part in parts], [part.movement for part in parts]
     structure = statistics[0].structure
-    whitening, solved, noise = weighted(statistics)
+    whitening, solved, noise = weighted(statistics if rows is None else rows.pool.begun(
+        _in_structure, structure, rows))
     axes, is_filtered = _axes(movements), method == 'least_squares'
     shares = bias = np.full(len(solved.x), np.nan)
     if is_filtered and noise is not None:
@@ -263,6 +272,11 @@ def excitation_of(
         structure.name, axes, parameters, rank, len(values), solved.condition_number, pairs,
         (*(advice(parameters, structure, pairs, source) if method != 'output_error' else ()),
          *fast))
+
+
+def _in_structure(structure: Structure, part: Statistics) -> tuple[Statistics, None]:
+    """Return the statistics of a recording in a structure, to be kept."""
+    return part.of(structure), None
 
 
 def _noise_effects(

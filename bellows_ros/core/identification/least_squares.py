@@ -6,19 +6,25 @@ normal equations of the raw data. Noise in the equations adds M to A^T A and m t
 if the noise is given, both are subtracted (compensated least squares).
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification import result
 from bellows_ros.core.identification import samples as sampling
+from bellows_ros.core.identification.pool import Held
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import Fit, IN_NULL_SPACE, MAX_RELATIVE_ERROR, NOTES
-from bellows_ros.core.identification.samples import Equations, joined
+from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import has_coupling, Structure
 from bellows_ros.errors import UndeterminedError
 import numpy as np
+
+AllStatistics = Sequence[Statistics] | Held
+"""Statistics of all recordings, here or with the recordings."""
+
+T = TypeVar('T')
 
 MAX_LISTED = 4
 """Largest number of parameters named in a sentence."""
@@ -113,13 +119,20 @@ def solution(R: Array, structure: Structure) -> LinearSolution:
         float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf)
 
 
-def least_squares(parts: Sequence[Statistics]) -> Fit:
+def mapped(function: Callable[..., T], parts: AllStatistics, *arguments: Any) -> list[T]:
+    """Return a function of arguments and the statistics of each recording, where these are."""
+    if isinstance(parts, Held):
+        return parts.pool.results(function, *arguments, parts)
+    return [function(*arguments, part) for part in parts]
+
+
+def least_squares(parts: AllStatistics) -> Fit:
     """
     Fit K and P so that the cup's wrench is the wrench required by the motion (4.66, 4.74).
 
     Parameters
     ----------
-    parts : sequence of Statistics
+    parts : sequence of Statistics, or Held
         Statistics of recordings of one cup, all with one structure and cup length.
 
     Returns
@@ -135,8 +148,9 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         If there are too few samples, or no parameter is identifiable.
 
     """
-    structure = parts[0].structure
-    used, rejected = sum(part.used for part in parts), sum(part.rejected for part in parts)
+    heads = mapped(Statistics.head, parts)
+    structure = heads[0].structure
+    used, rejected = sum(head.used for head in heads), sum(head.rejected for head in heads)
     if 6 * used <= 2 * structure.size:
         raise UndeterminedError(
             f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
@@ -192,29 +206,67 @@ def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
     return least_squares([part.of(simpler) for part in parts])
 
 
-def weighted(parts: Sequence[Statistics]) -> tuple[Array, LinearSolution, Array | None]:
+def weighted(parts: AllStatistics) -> tuple[Array, LinearSolution, Array | None]:
     """
     Return the whitening (6, 6), the solution with noise, and the noise in its products.
 
     The products (6, q, 6, q) are summed over all parts (see `noise_products`), None if one lacks
     them.
     """
-    structure = parts[0].structure
-    whitening = whitening_of(joined(part.moments for part in parts).covariance(structure))
-    noises = [part.noise for part in parts if part.noise is not None]
+    heads = mapped(Statistics.head, parts)
+    structure = heads[0].structure
+    whitening = whitening_of(joined(head.moments for head in heads).covariance(structure))
+    noises = [head.noise for head in heads if head.noise is not None]
     size = 2 * structure.size + 1
-    R = r_factor((rows.reshape(-1, size) for rows, _ in _rows(parts, whitening)), size)
+    R = r_factor(mapped(_r_factor, parts, whitening), size)
     return (whitening, solution(R, structure),
-            np.sum(noises, axis=0) if len(noises) == len(parts) else None)
+            np.sum(noises, axis=0) if len(noises) == len(heads) else None)
 
 
-def _rows(parts: Sequence[Statistics], whitening: Array) -> Iterator[Equations]:
-    """Return the whitened rows of all parts."""
-    return ((whitening @ rows, clusters) for part in parts for rows, clusters in part.rows())
+def _r_factor(whitening: Array, part: Statistics) -> Array:
+    """Return R (q, q) of the whitened rows of a recording."""
+    size = 2 * part.structure.size + 1
+    return r_factor(((whitening @ rows).reshape(-1, size) for rows, _ in part.rows()), size)
+
+
+class ClusterSums(NamedTuple):
+    """
+    Sums over the clusters of a recording, see `_uncertainty`.
+
+    Squares (6,) of the wrench residuals and of the whitened residuals, products (6, p, p) of the
+    rows of Z, number of the vectors u (p,), their sum, and the sum of their products.
+    """
+
+    squares: Array
+    whitened: Array
+    products: Array
+    clusters: int
+    total: Array
+    outer: Array
+
+
+def _scores(whitening: Array, x: Array, inverse: Array, part: Statistics) -> ClusterSums:
+    """Return the sums of a recording."""
+    size, colour, scores = len(x), np.linalg.inv(whitening), [np.empty((0, len(x)))]
+    squares, whitened, products = np.zeros(6), np.zeros(6), np.zeros((6, size, size))
+    for plain, clusters in part.rows():
+        rows = whitening @ plain
+        A, b = rows[..., :-1], rows[..., -1]
+        Z, r = A @ inverse, b - A @ x
+        squares += np.sum((r @ colour.T) ** 2, axis=0)
+        whitened += np.sum(r**2, axis=0)
+        products += np.transpose(Z, (1, 2, 0)) @ np.swapaxes(Z, 0, 1)
+        for cluster in clusters:
+            Z_cluster = Z[cluster].reshape(-1, size)
+            share, V = np.linalg.eigh(np.eye(size) - Z_cluster.T @ Z_cluster)
+            root = V / np.sqrt(np.maximum(share, MIN_SHARE))
+            scores.append((root @ (V.T @ (Z_cluster.T @ r[cluster].ravel())))[None])
+    u = np.concatenate(scores)
+    return ClusterSums(squares, whitened, products, len(u), u.sum(axis=0), u.T @ u)
 
 
 def _uncertainty(
-    parts: Sequence[Statistics], whitening: Array, x: Array, inverse: Array, gain: Array
+    parts: AllStatistics, whitening: Array, x: Array, inverse: Array, gain: Array
 ) -> tuple[Array, Array]:
     """
     Return the covariance (p, p) of x, and the squares (6,) of wrench residuals.
@@ -230,28 +282,17 @@ def _uncertainty(
     window and independent between windows; infinite if so many windows leave no residual. A short
     last cluster is not counted.
     """
-    size, colour, scores = len(x), np.linalg.inv(whitening), []
-    squares, whitened, products = np.zeros(6), np.zeros(6), np.zeros((6, size, size))
-    for rows, clusters in _rows(parts, whitening):
-        A, b = rows[..., :-1], rows[..., -1]
-        Z, r = A @ inverse, b - A @ x
-        squares += np.sum((r @ colour.T) ** 2, axis=0)
-        whitened += np.sum(r**2, axis=0)
-        products += np.transpose(Z, (1, 2, 0)) @ np.swapaxes(Z, 0, 1)
-        for part in clusters:
-            Z_cluster = Z[part].reshape(-1, size)
-            share, V = np.linalg.eigh(np.eye(size) - Z_cluster.T @ Z_cluster)
-            root = V / np.sqrt(np.maximum(share, MIN_SHARE))
-            scores.append(root @ (V.T @ (Z_cluster.T @ r[part].ravel())))
-    u = np.array(scores)
-    if gain is not inverse:
-        u = u - u.mean(axis=0)
-    covariance = gain @ u.T @ u @ gain.T
-    if len(u) >= CLUSTERS_PER_PARAMETER * size:
+    squares, whitened, products, count, total, outer = (
+        sum(each[1:], each[0]) for each in zip(
+            *mapped(_scores, parts, whitening, x, inverse), strict=True))
+    size, mean = len(x), total / max(count, 1)
+    centred = outer if gain is inverse else outer - count * np.outer(mean, mean)
+    covariance = gain @ centred @ gain.T
+    if count >= CLUSTERS_PER_PARAMETER * size:
         return covariance, squares
     variances = np.diag(covariance)
-    if len(u) < MIN_CLUSTERS:
-        degrees = 6 * sampling.CLUSTER_WINDOWS * (len(u) - 1) - size
+    if count < MIN_CLUSTERS:
+        degrees = 6 * sampling.CLUSTER_WINDOWS * (count - 1) - size
         meat = np.tensordot(6.0 * whitened / max(degrees, 1), products, axes=1)
         variances = np.maximum(
             variances, np.diag(gain @ meat @ gain.T) if degrees > 0 else np.inf)

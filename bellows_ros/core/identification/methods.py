@@ -5,18 +5,19 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import math
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares, reduction
 from bellows_ros.core.identification.diagnosis.candidates import MARKERS
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import given_std, weak_prior
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.segments import measured_segments
+from bellows_ros.core.identification.segments import measured_segments, Segments, segments_of
 from bellows_ros.core.identification.statics import joined_with_standstills, Length
 from bellows_ros.core.model.cup_package import Cup, varied
 from bellows_ros.core.model.structure import AUTO
@@ -34,7 +35,6 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 Progress = Callable[[str, float], None]
-T = TypeVar('T', bound=AnyRecording)
 
 TYPICAL_STEPS = 12
 """Typical number of steps of a fit by simulation."""
@@ -68,6 +68,37 @@ LENGTH_STEP = 1e-5
 """Step of numerical derivatives by cup.length, m."""
 
 
+class Placed(NamedTuple):
+    """Recordings where they are: the `Segments` of each, and its statistics."""
+
+    segments: Held
+    statistics: Held
+
+    @classmethod
+    def of(cls, pairs: Held) -> 'Placed':
+        """Return the parts of held pairs of `pair_of`."""
+        pool = pairs.pool
+        return cls(*(pool.hold(_part_of_pair, place, pairs)[0] for place in range(2)))
+
+    def only(self, places: Sequence[int]) -> 'Placed':
+        """Return some of the recordings."""
+        return Placed(*(Held(held.pool.only(places), held.recipe) for held in self))
+
+
+Pair = tuple[Segments, reduction.Statistics]
+
+
+def pair_of(recording: Recording, values: Values, number: int = 0) -> Pair:
+    """Return the segments and the statistics of a recording, for a fit by simulation."""
+    return (segments_of(measured_segments(recording, number)),
+            reduced(recording, values).statistics._replace(noise=None))
+
+
+def _part_of_pair(place: int, pair: Pair) -> tuple[Any, None]:
+    """Return one of a pair to be kept."""
+    return pair[place], None
+
+
 class Result(NamedTuple):
     """A fit, and the identifiability of its parameters."""
 
@@ -81,6 +112,7 @@ def fit(
     progress: Progress | None = None,
     standstills: Sequence[Standstill] = (),
     length_std: float = 0.0,
+    placed: Placed | None = None,
 ) -> Result:
     """
     Fit a cup to recordings, as the parameters specify.
@@ -99,6 +131,8 @@ def fit(
         Standstills of the cup, whose balance is included.
     length_std : float
         Standard error of cup.length, m.
+    placed : Placed, optional
+        The recordings for a fit by simulation, if they are elsewhere.
 
     Raises
     ------
@@ -106,11 +140,12 @@ def fit(
         If the recordings do not determine the cup.
 
     """
-    result = fitted(recordings, values, progress)
+    result = fitted(recordings, values, progress, placed)
     if values.fit.structure == AUTO:
         values = values.replaced({'fit.structure': result.structure})
     parts = [reduced(recording, values) for recording in recordings]
-    excitation = excitation_of(parts, result.method, (result.parameters, result.covariance))
+    excitation = excitation_of(
+        parts, result.method, (result.parameters, result.covariance), placed and placed.statistics)
     unknown = [freed.name for freed in result.freed if not np.all(np.isfinite(freed.std))]
     if result.converged and unknown:
         raise BellowsError(
@@ -170,14 +205,14 @@ def _noise_warning(recordings: Sequence[AnyRecording]) -> Iterator[str]:
 
 def fitted(
     recordings: Sequence[AnyRecording], values: Values,
-    progress: Progress | None = None,
+    progress: Progress | None = None, placed: Placed | None = None,
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values.fit.method == 'least_squares':
         return least_squares.simplest_fit(
             [reduced(recording, values).statistics for recording in recordings],
             given_structure(values))
-    return by_output_error(whole_recordings(recordings), values, progress)
+    return by_output_error(recordings, values, progress, placed=placed)
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:
@@ -189,8 +224,8 @@ def _report(progress: Progress, iteration: Iteration) -> None:
 
 
 def by_output_error(
-    recordings: Sequence[Recording], values: Values, progress: Progress | None = None,
-    exactly: bool = False,
+    recordings: Sequence[AnyRecording], values: Values, progress: Progress | None = None,
+    exactly: bool = False, placed: Placed | None = None,
 ) -> Fit:
     """
     Return the fit by simulation, with all uncertain quantities estimated jointly with K and P.
@@ -199,24 +234,25 @@ def by_output_error(
     """
     structure = given_structure(values)
     start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
-    measured = [motion for number, recording in enumerate(recordings)
-                for motion in measured_segments(recording, number)]
-    reports = [recording.report for recording in recordings]
-    if all(report.package.timing.rate_hz >= LOW_RATE_HZ for report in reports):
-        statistics_of = (reduced(recording, values).statistics for recording in recordings)
-        start = start_cup(list(statistics_of), start)
+    if placed is None:
+        placed = Placed.of(here([
+            pair_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))]))
+    parts = [reduced(recording, values) for recording in recordings]
+    if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
+        start = start_cup(placed.statistics, start)
     named = tuple(dict.fromkeys([
         *values.fit.free, *['time_offset'] * values.fit.time_offset,
-        *['package_world'] * any(report.package_world for report in reports)]))
+        *['package_world'] * any(part.package_world for part in parts)]))
     return output_error(
-        measured, structure, start, progress and partial(_report, progress), weak_prior(named),
-        named, values.fit.relaxation, {} if exactly else given_std(values), given,
+        placed.segments, structure, start, progress and partial(_report, progress),
+        weak_prior(named), named, values.fit.relaxation,
+        {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,
         'off' if structure.places else _stretch(recordings, values.fit.stretch),
         MARKERS if values.recording.marker == 'shared' else ())
 
 
-def _stretch(recordings: Sequence[Recording], wanted: str) -> str:
+def _stretch(recordings: Sequence[AnyRecording], wanted: str) -> str:
     """Return fit.stretch, with 'auto' replaced by 'off' for recordings of a single mass."""
     masses = [recording.payload.mass for recording in recordings]
     return 'off' if wanted == 'auto' and max(masses) < MIN_MASS_RATIO * min(masses) else wanted
@@ -255,13 +291,13 @@ def with_freed(values: Values, freed: Sequence[Freed]) -> Values:
     return result
 
 
-def start_cup(parts: Sequence[reduction.Statistics], given: Cup) -> Cup:
+def start_cup(parts: least_squares.AllStatistics, given: Cup) -> Cup:
     """
     Return the initial cup of output error, by least squares of few parameters.
 
     Unidentifiable or negative entries are taken from the given cup.
     """
-    result = least_squares.least_squares([part._replace(noise=None) for part in parts])
+    result = least_squares.least_squares(parts)
     stiffness, damping = (
         np.where(np.isfinite(error) & (value >= 0.0), value, instead)
         for value, error, instead in (

@@ -12,7 +12,8 @@ Two clocks, two worlds and a marker anywhere on the package are also estimated, 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-import time
+from itertools import groupby
+from operator import attrgetter
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
@@ -27,12 +28,12 @@ from bellows_ros.core.identification.diagnosis.candidates import (
 )
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
+from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.problem import (
     Arrow,
     DEFAULT_RATIO,
     Problem,
     RATIO_STD,
-    WhitenedSegment,
 )
 from bellows_ros.core.identification.quantities import (
     Free,
@@ -52,17 +53,25 @@ from bellows_ros.core.identification.result import (
 from bellows_ros.core.identification.search import (
     accepted,
     approach,
+    Courses,
     Iterate,
     MAX_DAMPING,
     MAX_NOISE_CHI2,
     minimise,
     MISFIT_CHI2,
+    Parts,
     Report,
     root,
     Solution,
     system_of,
 )
-from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
+from bellows_ros.core.identification.segments import (
+    Course,
+    measured_segments,
+    MeasuredSegment,
+    Segments,
+    segments_of,
+)
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import has_coupling, require_stretch, Structure
 from bellows_ros.core.recording.alignment import Alignment
@@ -118,7 +127,7 @@ MAX_LEVERAGE = 0.999
 
 
 def output_error(
-    measured: Sequence[MeasuredSegment],
+    measured: Held | Sequence[MeasuredSegment],
     structure: Structure,
     start: Cup,
     progress: Callable[[Iteration], None] | None = None,
@@ -136,8 +145,8 @@ def output_error(
 
     Parameters
     ----------
-    measured : sequence of MeasuredSegment
-        Parts of recordings of one cup.
+    measured : Held or sequence of MeasuredSegment
+        Parts of recordings of one cup: `Segments` where they are, or in this process.
     structure : Structure
         Structure of K and P: their free entries.
     start : Cup
@@ -168,22 +177,25 @@ def output_error(
         If relaxation or stretch is 'on' and is not significant.
 
     """
-    iterations, began = list[Iteration](), time.process_time()
+    iterations = list[Iteration]()
 
     def record(cup: Cup, chi2: float) -> None:
         iterations.append(Iteration(len(iterations), chi2, cup.stiffness, cup.damping))
         if progress is not None:
             progress(iterations[-1])
 
-    if any(each.sensor for each in measured):  # the marker of a tag is free and shifts the com
-        free = {**{name: given[name] for name in ('com',) if name in given}, **free}
+    held = measured if isinstance(measured, Held) else here([
+        segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
+    clock = held.pool.clock
+    began = clock()
 
     def diagnosed() -> Report:
-        return within(max(MIN_DIAGNOSIS_S, DIAGNOSIS_TO_FIT * (time.process_time() - began)))
+        return within(max(MIN_DIAGNOSIS_S, DIAGNOSIS_TO_FIT * (clock() - began)), clock)
 
-    problem = Problem(
-        tuple(map(Segment.of, measured)), structure, start, free, common=common)
-    are_slow = any(segment.is_slow for segment in problem.segments)
+    problem = Problem.of(held, structure, start, free, common=common)
+    if any(outline.has_sensor for outline in problem.outlines) and 'com' in given:
+        problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
+    are_slow = problem.is_slow
     given = {name: std for name, std in given.items() if are_slow or name != 'exposure'}
     near = approach(problem, record, with_couplings=are_slow)
     if near.squares > LEAST_OF_SETTING * near.residual_count and (
@@ -448,11 +460,12 @@ def covariance_of(
     if noise is not None:
         shares, turn = np.linalg.eigh(directions.T @ noise.along(H) @ directions)
         directions = directions @ turn
-    blocks = list(map(H.block, range(len(H.own))))
-    scatter = np.maximum(1.0, _relative_variances(np.concatenate([
-        _gradients_without(blocks[segment.measured.recording], part)
-        @ np.vstack([directions, -H.carried[segment.measured.recording] @ directions])
-        for segment, part in zip(problem.segments, found.parts, strict=True)])))
+    pool = problem.held.pool
+    counts, squares = zip(*pool.results(
+        _influences, pool.each(list(map(H.block, range(len(pool))))),
+        pool.each([np.vstack([directions, -carried @ directions]) for carried in H.carried]),
+        found.parts.held), strict=True)
+    scatter = np.maximum(1.0, _relative_variances(sum(counts), np.sum(squares, axis=0)))
     wide = directions / (1.0 - np.clip(shares, 0.0, MAX_NOISE_SHARE))
     covariance = (wide * scatter) @ wide.T
     variances = H.variances_with(covariance, float(np.median(scatter)))
@@ -461,24 +474,30 @@ def covariance_of(
             variances * problem.units**2, np.pad(of_noise, (0, problem.own.size)))
 
 
-def _gradients_without(covariance: Array, part: WhitenedSegment) -> Array:
-    """Return the gradients (c, q) of each second of a segment at the minimum without it."""
-    leverage = MAX_LEVERAGE * part.information @ covariance
-    return np.asarray(np.linalg.solve(
-        np.eye(len(covariance)) - leverage, part.slope[..., None])[..., 0])
-
-
-def _relative_variances(influences: Array) -> Array:
+def _influences(covariance: Array, directions: Array, parts: Parts) -> tuple[int, Array]:
     """
-    Return the variances (m,) along directions relative to the noise model.
+    Return the number of a recording's seconds, and the sums (s,) of their squared influences.
 
-    Influences (c, m) are shifts of the estimates by each part of the recordings, in standard
-    deviations.
+    Influences are shifts of the estimates along directions (q, s) by each second, in standard
+    deviations, from the gradient at the minimum without this second.
     """
-    count = len(influences)
+    information, slope = (np.concatenate([getattr(part, name) for part in parts])
+                          for name in ('information', 'slope'))
+    leverage = MAX_LEVERAGE * information @ covariance
+    influences = np.linalg.solve(
+        np.eye(len(covariance)) - leverage, slope[..., None])[..., 0] @ directions
+    return len(influences), np.sum(influences**2, axis=0)
+
+
+def _relative_variances(count: int, squares: Array) -> Array:
+    """
+    Return the variances (s,) along directions relative to the noise model.
+
+    By the number of parts of the recordings and the sums (s,) of their squared influences.
+    """
     if count < 2:
-        return np.ones(influences.shape[1])
-    scatter = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), MIN_SCATTER)
+        return np.ones(len(squares))
+    scatter = np.maximum(squares * count / (count - 1), MIN_SCATTER)
     common = float(np.median(scatter))
     return np.asarray((COMMON_WEIGHT * common + count * scatter) / (COMMON_WEIGHT + count))
 
@@ -505,8 +524,7 @@ def _fit(
     scale = np.sqrt(np.diag(information))
     nuisances = {name: place for name, place in problem.places.items()
                  if name not in OF_SPRING and (KINDS[name].each or name not in named)}
-    residuals = found.residuals
-    total = sum(len(segment.measured.package) for segment in problem.segments)
+    used = found.residual_count // 6
     offsets = np.ravel(problem.places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(
         method='output_error',
@@ -514,11 +532,11 @@ def _fit(
         parameters=x[:size],
         covariance=with_unidentifiable(covariance[:size, :size], ~identifiable[:size]),
         from_given=from_given[:size, :size],
-        samples_used=len(residuals),
-        samples_rejected=total - len(residuals),
+        samples_used=used,
+        samples_rejected=sum(outline.poses for outline in problem.outlines) - used,
         condition_number=float(np.sqrt(np.linalg.cond(information / np.outer(*[scale] * 2)))),
-        weight=np.diag(found.courses[0].std ** -2),
-        residual_rms=np.sqrt(np.mean(residuals**2, axis=0)),
+        weight=np.diag(found.courses.std[0][0] ** -2),
+        residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
         misfit=NOTES['too_large_chi2'].format(chi2=found.robust_chi2) if (
             found.robust_chi2 > MAX_CHI2) else '',
@@ -619,24 +637,17 @@ def noise_information(found: Solution) -> Arrow:
     information of motion is unchanged, and the information of noise grows with the squared noise.
     """
     size, known, differences = NOISE_FACTOR, found.information, list[Arrow]()
+    pool = found.problem.held.pool
     while len(differences) < 2:
-        segments, draw = list[Segment](), np.random.default_rng(SEED)
-        for segment, course in zip(found.problem.segments, found.courses, strict=True):
-            measured = segment.measured
-            noise = BodyNoise(course.std, measured.package_noise.correlation), measured.tool_noise
-            package, tool = (
-                _with_noise(body, body_noise, size * (-1.0) ** len(differences), draw)
-                for body, body_noise in zip((measured.package, measured.tool), noise, strict=True))
-            segments.append(Segment.of(
-                replace(measured, tool=tool, package=package), segment.half_window))
-        noisy = replace(found.problem, segments=tuple(segments))
-        courses = tuple(segment.first._replace(start=course.start, std=course.std)
-                        for segment, course in zip(segments, found.courses, strict=True))
+        segments, _ = pool.hold(
+            _noisier, size * (-1.0) ** len(differences), found.problem.held, found.courses.held)
+        courses = Courses(*pool.hold(_begun, segments, found.courses.held))
+        noisy = found.problem.with_segments(segments, found.problem.outlines)
         for _ in range(2):  # about the measured path, then about the likeliest
             parts, H, g = system_of(noisy, Iterate(found.theta, courses))
             if not np.all(np.isfinite(g)):
                 break
-            courses = accepted(segments, courses, parts)
+            courses = accepted(noisy, courses, parts)
         if np.all(np.isfinite(g)):
             differences.append(H)
         elif size < MIN_NOISE_FACTOR:
@@ -646,6 +657,28 @@ def noise_information(found: Solution) -> Arrow:
     return replace(known, **{
         name: (np.mean([getattr(one, name) for one in differences], axis=0)
                - getattr(known, name)) / size**2 for name in ('shared', 'coupling', 'own')})
+
+
+def _noisier(
+    size: float, segments: Segments, courses: Sequence[Course]
+) -> tuple[Segments, None]:
+    """Return a recording with more noise, in units of its own, by a seed of its number."""
+    measured = []
+    for place, (segment, course) in enumerate(zip(segments, courses, strict=True)):
+        own = segment.measured
+        noise = BodyNoise(course.std, own.package_noise.correlation), own.tool_noise
+        draw = np.random.default_rng([SEED, own.recording, place])
+        package, tool = (_with_noise(body, body_noise, size, draw) for body, body_noise in zip(
+            (own.package, own.tool), noise, strict=True))
+        measured.append(replace(own, tool=tool, package=package))
+    return segments_of(measured, segments), None
+
+
+def _begun(segments: Segments, courses: Sequence[Course]) -> tuple[tuple[Course, ...], Array]:
+    """Return the measured courses from first states and with the noise (K, 6) of others."""
+    return (tuple(segment.first._replace(start=course.start, std=course.std)
+                  for segment, course in zip(segments, courses, strict=True)),
+            np.array([course.std for course in courses]))
 
 
 def _with_noise(
@@ -723,7 +756,7 @@ def registered(
 
     """
     measured = measured_segments(recording)
-    found = minimise(Problem(tuple(map(Segment.of, measured)), structure, start, free))
+    found = minimise(Problem.of(here([segments_of(measured)]), structure, start, free))
     middle, alignment = np.asarray(measured[0].middle)[:3], recording.alignment
     if not found.converged and list(free) == ['time_offset']:
         return Registered(None, np.zeros(6), middle, alignment, None)

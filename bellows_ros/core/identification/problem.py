@@ -7,18 +7,30 @@ logarithm of their size: of K about the start, of P about ordinary rubber. The p
 for entries that the recordings determine.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.identification import quantities, whitening
+from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
-from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, Nodes, Segment
+from bellows_ros.core.identification.segments import (
+    Course,
+    MeasuredSegment,
+    MIN_POSE_STD,
+    Nodes,
+    Outline,
+    outline_of,
+    Segment,
+    Segments,
+    segments_of,
+)
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
@@ -223,16 +235,15 @@ class WhitenedSegment(NamedTuple):
     """
     The whitened differences of a segment.
 
-    Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the segment, the indices (q,)
-    of these among all m unknowns, the variance (N, 6) of each difference, the variance (6,) of the
-    innovation of a pose's noise, the relative size (N, 6) of the noise and the share of its
-    variance due to motion, the likeliest changes of the tool's path and first state of the
-    package, and information (c, q, q) and slope (c, q) of each second.
+    Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the recording, the variance
+    (N, 6) of each difference, the variance (6,) of the innovation of a pose's noise, the relative
+    size (N, 6) of the noise and the share of its variance due to motion, the likeliest changes of
+    the tool's path and first state of the package, and information (c, q, q) and slope (c, q) of
+    each second.
     """
 
     innovations: Array
     jacobian: Array
-    places: Places
     variance: Array
     new_variance: Array
     relative_std: Array
@@ -268,8 +279,10 @@ class Problem:
 
     Parameters
     ----------
-    segments : tuple of Segment
-        Segments of the recordings.
+    segments : Held or None
+        Segments of each recording; None for one recording whose segments are given to a function.
+    outlines : tuple of Outline
+        Facts on each recording.
     structure : Structure
         Structure of K and P.
     guess : Cup
@@ -285,13 +298,54 @@ class Problem:
 
     """
 
-    segments: tuple[Segment, ...]
+    segments: Held | None
+    outlines: tuple[Outline, ...]
     structure: Structure
     guess: Cup
     free: Free
     slip_ns: int = 0
     fixing: Array | float = 0.0
     common: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, segments: Held | Sequence[Segment], structure: Structure, guess: Cup, free: Free,
+        **more: Any,
+    ) -> 'Problem':
+        """Return the problem of held recordings, or of segments that are in this process."""
+        if not isinstance(segments, Held):
+            segments = here([tuple(own) for _, own in groupby(
+                segments, lambda segment: segment.measured.recording)])
+        return cls(segments, tuple(segments.pool.results(outline_of, segments)), structure, guess,
+                   free, **more)
+
+    @property
+    def held(self) -> Held:
+        """The segments of each recording."""
+        assert self.segments is not None
+        return self.segments
+
+    def changed(self, change: Callable[[MeasuredSegment], MeasuredSegment]) -> 'Problem':
+        """Return the problem with other recordings, each segment changed."""
+        return self.with_segments(*self.held.pool.hold(_changed, change, self.held))
+
+    def with_segments(self, segments: Held, outlines: Sequence[Outline]) -> 'Problem':
+        """Return the problem with other recordings."""
+        return replace(self, segments=segments, outlines=tuple(outlines))
+
+    @cached_property
+    def local(self) -> 'Problem':
+        """The problem of each recording alone: its unknowns are the shared ones, then its own."""
+        return replace(self, segments=None, outlines=self.outlines[:1])
+
+    def index(self, number: int) -> Places:
+        """Return the places (q,) of a recording's unknowns among all."""
+        return np.concatenate([np.arange(self.shared), self.own[number]])
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether the noise of some poses is estimated together with K and P."""
+        return any(outline.is_slow for outline in self.outlines)
 
     def freed(self, theta: Array, more: Free, structure: Structure | None = None) -> 'Problem':
         """Return the problem from the cup of unknowns, with more free quantities."""
@@ -321,8 +375,7 @@ class Problem:
     @cached_property
     def places(self) -> Mapping[str, Places]:
         """Indices of free quantities among the unknowns: a row per recording, or one for all."""
-        recordings = 1 + max(segment.measured.recording for segment in self.segments)
-        shapes = {name: (recordings if self.is_own(name) else 1, KINDS[name].size)
+        shapes = {name: (len(self.outlines) if self.is_own(name) else 1, KINDS[name].size)
                   for name in sorted(self.free, key=self.is_own)}
         ends = np.cumsum([self.count, *map(math.prod, shapes.values())])
         return {name: first + np.arange(math.prod(shape)).reshape(shape)
@@ -331,8 +384,7 @@ class Problem:
     @cached_property
     def own(self) -> Places:
         """Indices (R, o) of the own unknowns of each recording."""
-        recordings = 1 + max(segment.measured.recording for segment in self.segments)
-        return np.hstack([np.empty((recordings, 0), dtype=np.int64), *(
+        return np.hstack([np.empty((len(self.outlines), 0), dtype=np.int64), *(
             place for name, place in self.places.items() if self.is_own(name))])
 
     @property
@@ -373,13 +425,6 @@ class Problem:
             lambda name: 0.0)
 
     @cached_property
-    def shortest_step(self) -> float:
-        """Shortest step of the integrator, s."""
-        return max(MIN_INTEGRATION_STEP, min(
-            largest_step(self.model(self.start, segment)[0]) for segment in self.segments
-        ) / MAX_QUICKENING)
-
-    @cached_property
     def uncoupled(self) -> Array:
         """Directions (s, d) of the shared unknowns without couplings."""
         directions = np.eye(self.shared)
@@ -418,16 +463,6 @@ class Problem:
         a, b = (self.first_cup.stretch + change * quantities.STRETCH_UNITS).tolist()
         return a, b
 
-    def places_of(self, segment: Segment) -> dict[str, Places]:
-        """Return the indices of a segment's free quantities, by name."""
-        return {name: rows[segment.measured.recording if self.is_own(name) else 0]
-                for name, rows in self.places.items()}
-
-    def index_of(self, segment: Segment) -> Places:
-        """Return the indices (q,) of a segment's unknowns, of the cup and its free quantities."""
-        return np.sort(np.concatenate([
-            np.arange(self.count), *self.places_of(segment).values()]).astype(np.int64))
-
     def transferred(self, other: 'Problem', theta: Array) -> Array:
         """Return the unknowns equal to the unknowns of another problem with the same cup."""
         moved = self.start.copy()
@@ -438,7 +473,7 @@ class Problem:
     def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
         """Return the model of a segment, and its free quantities, SI units."""
         values = self.units * theta
-        free = {name: values[places] for name, places in self.places_of(segment).items()}
+        free = {name: values[places] for name, (places, *_) in self.places.items()}
         cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
@@ -469,7 +504,7 @@ class Problem:
 
     def ordinary_damping(self, stiffness: Array) -> Array:
         """Return the damping (6, 6) with one loss factor for each mode of the package."""
-        payload = self.segments[0].measured.payload
+        payload = self.outlines[0].payload
         to_com, inertia = np.eye(6), np.zeros((6, 6))
         to_com[:3, 3:] = -lie.hat(payload.com)
         inertia[:3, :3], inertia[3:, 3:] = payload.mass * np.eye(3), payload.inertia
@@ -514,28 +549,26 @@ class Problem:
     def whitened(
         self, theta: Array, segment: Segment, course: Course, forgetting: float = 0.0
     ) -> WhitenedSegment:
-        """Return a segment's whitened differences, linearised about a course."""
+        """Return a segment's whitened differences, linearised about a course; theta is local."""
         model, free = self.model(theta, segment)
         nodes = segment.nodes(*(
             float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate')))
         lengths = np.diff(nodes.stamps) / NS_PER_S
-        step = self._integration_step(model, COARSE_FACTOR if forgetting else 1.0)
+        step = self._integration_step(model, segment, COARSE_FACTOR if forgetting else 1.0)
         path = whitening.Path(simulation.tool_rows(resample(course.path, nodes.stamps)),
                               lengths, substeps_of(lengths, step))
         expected, start = (
             adapted(model, simulation.row_state(path.rows[0]), body)
             for body in (segment.expected_start, course.start))
         start = _start_near_rest(model, path.rows[0], start, course.std)
-        index = self.index_of(segment)
-        places = {name: np.searchsorted(index, place)
-                  for name, place in self.places_of(segment).items()}
+        places = {name: place for name, (place,) in self.places.items()}
         mean = _difference(start, expected)
-        poses = _poses(segment, course, nodes, free, lengths, places, self.units[index])
+        poses = _poses(segment, course, nodes, free, lengths, places, self.units)
         marker = free.get('tool_marker', np.zeros(6))
         tool_noise = segment.tool_noise(course.deviation + marker, nodes)
         initial_std = INITIAL_STD[:len(mean)]
         unknowns = self._unknowns(
-            segment, free, places, index, *self._changes(theta, segment, nodes.stamps, index))
+            segment, free, places, *self._changes(theta, segment, nodes.stamps))
         is_correlated = segment.measured.package_noise.correlation > 0.0
         std = [initial_std, np.zeros(6), course.std][:3 if is_correlated else 2]
         result = whitening.whiten(
@@ -551,39 +584,41 @@ class Problem:
         with np.errstate(divide='ignore'):  # no weights for a diverging simulation
             variance = gains[:, :, -1] ** -2
         length = max(round(BLOCK_DURATION / segment.period), 1)
-        seconds = [(J.reshape(-1, len(index)), r.ravel()) for J, r in (
+        seconds = [(J.reshape(-1, len(theta)), r.ravel()) for J, r in (
             (slopes[first:first + length], innovations[first:first + length])
             for first in range(0, len(slopes), length))]
         return WhitenedSegment(
-            innovations.ravel(), slopes.reshape(innovations.size, -1), index, variance,
+            innovations.ravel(), slopes.reshape(innovations.size, -1), variance,
             (1.0 - segment.measured.package_noise.correlation**2) * course.std**2,
             segment.errors.std[nodes.used], segment.errors.of_motion[nodes.used],
             first_order(change, segment.measured.tool_noise.correlation) + marker,
             whitening.shifted(start, correction),
             np.array([J.T @ J for J, _ in seconds]), np.array([J.T @ r for J, r in seconds]))
 
-    def _integration_step(self, model: ModelTuple, factor: float) -> float:
+    def _integration_step(self, model: ModelTuple, segment: Segment, factor: float) -> float:
         """Return the longest step (s) of the integrator, or raise for too fast a cup."""
         longest = min(factor * largest_step(model), MAX_INTEGRATION_STEP)
-        if longest < self.shortest_step:
+        shortest = max(MIN_INTEGRATION_STEP, largest_step(
+            self.model(self.start, segment)[0]) / MAX_QUICKENING)
+        if longest < shortest:
             raise BellowsError(
                 f'With this cup the simulation needs integration steps of {longest:.2g} s; at '
-                f'least {self.shortest_step:.2g} s is expected. Check the units of package.mass, '
+                f'least {shortest:.2g} s is expected. Check the units of package.mass, '
                 'package.inertia, cup.stiffness and cup.damping.')
         return longest
 
     def _unknowns(
-        self, segment: Segment, free: Free, places: Mapping[str, Places], index: Places,
-        scales: Array, extra: Array,
+        self, segment: Segment, free: Free, places: Mapping[str, Places], scales: Array,
+        extra: Array,
     ) -> whitening.Unknowns:
         """Return the effect of a segment's unknowns on its model."""
         payload = quantities.payload_of(segment.measured.payload, free)
-        columns = np.zeros((whitening.PARAMETER_COUNT, len(index) + 1))
+        columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units) + 1))
         columns[:BY_DAMPING.stop, :self.count] = self.structure.upper
         for name, place in places.items():
             columns[:, place] = quantities.model_columns(
                 name, payload, segment.measured.gravity, free, len(columns))
-        columns[:, :-1] *= self.units[index]
+        columns[:, :-1] *= self.units
         used = np.flatnonzero(np.any(columns[:PARAMETER_COLUMNS], axis=1))[-1]
         last = BY_DAMPING.stop if used < BY_DAMPING.stop else PARAMETER_COLUMNS
         return whitening.Unknowns(
@@ -593,22 +628,28 @@ class Problem:
             int(places.get('tool_marker', (-1,))[0]), int(places.get('exposure', (-1,))[0]))
 
     def _changes(
-        self, theta: Array, segment: Segment, stamps: Stamps, index: Places
+        self, theta: Array, segment: Segment, stamps: Stamps
     ) -> tuple[Array, Array]:
         """Return factors (M, q) of columns at the nodes, and values (q,) of `CHANGING`."""
         if self.places.keys().isdisjoint(quantities.CHANGING):
             return np.empty((len(stamps), 0)), np.empty(0)
-        first, *_, last = np.concatenate([
-            other.first.path.stamps_ns[[0, -1]] for other in self.segments
-            if other.measured.recording == segment.measured.recording])
+        first, last = segment.span_ns or segment.ends_ns
         profiles = {
             'length_drift': (stamps - first) / (last - first) - 0.5,
             'slip': (stamps >= self.slip_ns) & (self.slip_ns >= first)}
         scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
-        for name, places in self.places_of(segment).items():
-            if name in profiles:
-                scales[:, places], extra[places] = profiles[name][:, None], theta[places]
-        return scales[:, index], extra[index]
+        for name, profile in profiles.items():
+            for places in self.places.get(name, ()):
+                scales[:, places], extra[places] = profile[:, None], theta[places]
+        return scales, extra
+
+
+def _changed(
+    change: Callable[[MeasuredSegment], MeasuredSegment], segments: Segments
+) -> tuple[Segments, Outline]:
+    """Return other segments of a recording, and their outline."""
+    other = segments_of([change(segment.measured) for segment in segments])
+    return other, outline_of(other)
 
 
 def _poses(

@@ -115,6 +115,10 @@ class Statistics(NamedTuple):
     lip: LipMotion | None
     noise: Array | None
 
+    def head(self) -> 'Statistics':
+        """Return the statistics without rows."""
+        return self._replace(r_factors=self.r_factors[:0], lip=None)
+
     def of(self, structure: Structure) -> 'Statistics':
         """Return the statistics in a simpler structure; otherwise unchanged."""
         if structure == self.structure or not self.structure.contains(structure):
@@ -325,8 +329,10 @@ class ReducedRecording(NamedTuple):
         Offset subtracted from the tool's stamps, None if not requested or not identifiable.
     package_world : PackageWorld or None
         Transform between two worlds, if estimated.
+    rate_hz : float
+        Rate of the package's poses.
     statistics : Statistics
-        Statistics for least squares.
+        Statistics for least squares; without rows where these are with the recording.
     movement : Movement
         Motion of the lip.
     envelope : Envelope
@@ -340,6 +346,7 @@ class ReducedRecording(NamedTuple):
     payload: Package
     time_offset: measured.TimeOffset | None
     package_world: measured.PackageWorld | None
+    rate_hz: float
     statistics: Statistics
     movement: Movement
     envelope: Envelope
@@ -398,4 +405,5 @@ def _reduced(recording: Recording, length: float, structure: Structure) -> Reduc
     return ReducedRecording(
         recording.as_json(), recording.digest, recording.files, recording.payload,
         recording.report.time_offset, recording.report.package_world,
-        statistics(samples, length, structure, noise), movement_of(samples, length, noise), seen)
+        recording.report.package.timing.rate_hz, statistics(samples, length, structure, noise),
+        movement_of(samples, length, noise), seen)

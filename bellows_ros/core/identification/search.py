@@ -9,15 +9,17 @@ A remote start approaches first, with nearly constant damping and without coupli
 would dominate: an unknown acceleration of the package makes the differences forget the past.
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
-from typing import NamedTuple
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.geometry.jit import usable_cores
+from bellows_ros.core.identification.pool import Held, in_threads
 from bellows_ros.core.identification.problem import (
     Arrow,
     MIN_STRENGTH,
@@ -25,7 +27,12 @@ from bellows_ros.core.identification.problem import (
     symmetric_roots,
     WhitenedSegment,
 )
-from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, Segment
+from bellows_ros.core.identification.segments import (
+    Course,
+    MIN_POSE_STD,
+    Segment,
+    Segments,
+)
 from bellows_ros.core.identification.whitening import HUBER_STD
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.signals.resampling import MAD_TO_STD
@@ -103,15 +110,127 @@ def no_report(cup: Cup, chi2: float) -> None:
     """Report nothing."""
 
 
+Parts = tuple[WhitenedSegment, ...]
+"""Those of the segments of one recording."""
+
+
+class Courses(NamedTuple):
+    """The courses of each recording where it is, and their noise of poses (K, 6), m and rad."""
+
+    held: Held
+    std: Sequence[Array]
+
+
 class Iterate(NamedTuple):
     """Unknowns, and the course of each segment."""
 
     theta: Array
-    courses: tuple[Course, ...]
+    courses: Courses
 
 
-System = tuple[list[WhitenedSegment], Arrow, Array]
-"""The whitened segments without Jacobians, and information (m, m) and slope (m,) of their sum."""
+class Sums(NamedTuple):
+    """
+    Sums over a recording.
+
+    Number (K,) and squares (K, 6) of the differences of each segment, the sums of the logarithms
+    of their variances and of the products of neighbours, information (q, q) and slope (q,).
+    """
+
+    counts: Array
+    squares: Array
+    logs: float
+    neighbours: float
+    information: Array
+    slope: Array
+
+    @classmethod
+    def of(cls, parts: Parts) -> 'Sums':
+        """Return the sums of whitened segments."""
+        r = [part.innovations.reshape(-1, 6) for part in parts]
+        return cls(
+            np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]),
+            sum(float(np.sum(np.log(part.variance))) for part in parts),
+            sum(float(np.sum(e[1:] * e[:-1])) for e in r),
+            sum(np.sum(part.information, axis=0) for part in parts),
+            sum(np.sum(part.slope, axis=0) for part in parts))
+
+
+class Differences(NamedTuple):
+    """The whitened segments of each recording where it is, and their sums."""
+
+    held: Held
+    sums: Sequence[Sums]
+
+    @property
+    def number(self) -> int:
+        """How many differences."""
+        return int(sum(np.sum(one.counts) for one in self.sums))
+
+    @property
+    def squares(self) -> float:
+        """The sum of squares."""
+        return float(sum(np.sum(one.squares) for one in self.sums))
+
+    @property
+    def deviance(self) -> float:
+        """-2 log likelihood at the best common scale of all variances."""
+        return self.number * math.log(self.squares / self.number) + sum(
+            one.logs for one in self.sums)
+
+    def median(self, numbers_of: Callable[[Parts], Array]) -> Array:
+        """Return the medians (k,) of sizes of numbers (N, k) of all recordings."""
+        pool = self.held.pool
+        bins = [sum(each, Counter[int]()) for each in zip(
+            *pool.results(_counted, numbers_of, self.held), strict=True)]
+        count = bins[0].total()
+        ranks = (count - 1) // 2, count // 2
+        before, chosen = zip(*(_with_ranks(one, ranks) for one in bins), strict=True)
+        values = zip(*pool.results(_values_in, numbers_of, chosen, self.held), strict=True)
+        return np.array([
+            np.mean(np.sort(np.concatenate(each))[[rank - first for rank in ranks]])
+            for first, each in zip(before, values, strict=True)])
+
+
+SHIFT = 48
+"""Bits of a number that its bin leaves out: 16 bins in a factor of two."""
+
+
+def _counted(numbers_of: Callable[[Parts], Array], parts: Parts) -> list[Counter[int]]:
+    """Return how many sizes of a recording's numbers (N, k) are in each bin, column by column."""
+    keys = np.abs(numbers_of(parts)).view(np.int64) >> SHIFT
+    return [Counter(column.tolist()) for column in keys.T]
+
+
+def _with_ranks(bins: Mapping[int, int], ranks: tuple[int, int]) -> tuple[int, tuple[int, int]]:
+    """Return the bins of the first and last rank, and the number of values before them."""
+    keys = sorted(bins)
+    ends = np.cumsum([bins[key] for key in keys])
+    first, last = np.searchsorted(ends, ranks, side='right').tolist()
+    return int(ends[first]) - bins[keys[first]], (keys[first], keys[last])
+
+
+def _values_in(
+    numbers_of: Callable[[Parts], Array], bins: Sequence[tuple[int, int]], parts: Parts
+) -> list[Array]:
+    """Return the sizes of a recording's numbers (N, k) in bins of each column."""
+    sizes = np.abs(numbers_of(parts))
+    keys = sizes.view(np.int64) >> SHIFT
+    return [column[(first <= key) & (key <= last)]
+            for column, key, (first, last) in zip(sizes.T, keys.T, bins, strict=True)]
+
+
+def innovations_of(parts: Parts) -> Array:
+    """Return the innovations (6 N, 1) of a recording."""
+    return np.concatenate([part.innovations for part in parts])[:, None]
+
+
+def squared_residuals(parts: Parts) -> Array:
+    """Return the squared differences (N, 6) of a recording, m^2 and rad^2."""
+    return np.asarray(np.square(np.concatenate([part.residuals for part in parts])))
+
+
+System = tuple[Differences, Arrow, Array]
+"""The differences, and information (m, m) and slope (m,) of their sum."""
 
 Directions = tuple[Array, Mask]
 """Directions (s, d) of shared unknowns, and the mask of used own unknowns (o,)."""
@@ -128,9 +247,9 @@ class Solution:
         Solved problem.
     theta : ndarray (m,)
         Unknowns.
-    courses : tuple of Course
+    courses : Courses
         The likeliest motion in each segment, and the noise of its poses.
-    parts : list of WhitenedSegment
+    parts : Differences
         Whitened differences.
     information : Arrow
         Information on the unknowns.
@@ -141,38 +260,43 @@ class Solution:
 
     problem: Problem
     theta: Array
-    courses: tuple[Course, ...]
-    parts: list[WhitenedSegment]
+    courses: Courses
+    parts: Differences
     information: Arrow
     converged: bool
 
     @property
     def residual_count(self) -> int:
         """Number of differences."""
-        return sum(len(part.innovations) for part in self.parts)
+        return self.parts.number
 
     @property
     def squares(self) -> float:
-        return squares(self.parts)
 
-    @property
+        return self.parts.squares
+
+    @cached_property
     def robust_chi2(self) -> float:
         """Chi^2 per difference from their median, insensitive to tails of the noise."""
-        r = np.concatenate([part.innovations for part in self.parts])
-        return float(np.median(np.abs(r)) * MAD_TO_STD) ** 2
+        return float(self.parts.median(innovations_of)[0] * MAD_TO_STD) ** 2
 
     @property
     def colour(self) -> float:
         """Factor of chi² by memory and tails of the noise, relative to white normal noise."""
-        r = [part.innovations.reshape(-1, 6) for part in self.parts]
-        kept = sum(np.sum(one[1:] * one[:-1]) for one in r) / max(self.squares, 1e-99)
-        kept = min(max(float(kept), 0.0), 0.95)
+        kept = sum(one.neighbours for one in self.parts.sums) / max(self.squares, 1e-99)
+        kept = min(max(kept, 0.0), 0.95)
         return max(self.squares / self.residual_count, 1.0) * (1.0 + kept) / (1.0 - kept)
 
     @property
-    def residuals(self) -> Array:
-        """The differences (N, 6) of all segments, m and rad."""
-        return np.concatenate([part.residuals for part in self.parts])
+    def mean_square(self) -> Array:
+        """The mean squares (6,) of the differences of all segments, m^2 and rad^2."""
+        total = np.sum(self._of_each(_residual_squares), axis=0)
+        return np.asarray(6.0 * total / self.residual_count)
+
+    def _of_each(self, function: Callable[[Segments, Any, Parts], Any]) -> list[Any]:
+        """Return a function of the segments, courses and differences of each recording."""
+        held = self.problem.held
+        return held.pool.results(function, held, self.courses.held, self.parts.held)
 
     @property
     def cup(self) -> Cup:
@@ -204,7 +328,7 @@ class Solution:
         """Whether the search ended at a plausible cup without a misfit."""
         return self.is_plausible and self.robust_chi2 * max(self.learned, 1.0) < MISFIT_CHI2
 
-    @property
+    @cached_property
     def learned(self) -> float:
         """
         Ratio of the estimated variance of slow poses to their variance at rest.
@@ -212,12 +336,7 @@ class Solution:
         Below 1 within chance. Segments with white residuals are excluded: their larger noise is
         noise in motion, while a misfit leaves correlated residuals.
         """
-        return max((
-            float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
-            for segment, course, part in zip(
-                self.problem.segments, self.courses, self.parts, strict=True)
-            for noise in [segment.measured.package_noise] if not part.is_white
-            for share in np.split((course.std / noise.std) ** 2, 2)), default=0.0)
+        return float(max(self._of_each(_learned)))
 
     @property
     def noise_in_motion(self) -> dict[int, Array]:
@@ -226,43 +345,62 @@ class Solution:
 
         With a measurement model it is the estimated noise, possibly with memory.
         """
-        return {segment.measured.recording: course.std if sensor and not sensor.are_known else (
-            np.maximum(course.std, segment.measured.package_noise.std))
-            for segment, course, part in zip(
-                self.problem.segments, self.courses, self.parts, strict=True)
-            for sensor in [segment.measured.sensor] if segment.is_slow and (
-                part.is_white or sensor)}
+        return {number: std for number, std in enumerate(self._of_each(_noise_in_motion))
+                if std is not None}
 
     @property
     def error_factors(self) -> Array | None:
         """Factors (2, 6) of a measurement model's errors at rest and in motion, if any."""
-        segments = self.problem.segments
-        if any(segment.measured.sensor is None for segment in segments):
-            return None
-        ratios = np.concatenate([
-            part.residuals / (part.relative_std * segment.measured.package_noise.std)
-            for segment, part in zip(segments, self.parts, strict=True)])
-        moves = np.concatenate([part.of_motion for part in self.parts]) > 0.5
-        return np.array([[_clipped_rms(
-            ratios[chosen[:, axis], axis] if np.count_nonzero(chosen[:, axis]) >= MIN_ERRORS
-            else ratios[:, axis]) for axis in range(6)] for chosen in (~moves, moves)])
+        factors: Array | None = self._of_each(_error_factors)[0]
+        return factors
+
+
+def _residual_squares(segments: Segments, courses: Sequence[Course], parts: Parts) -> Array:
+    """Return the sums (6,) of the squared differences of a recording."""
+    return np.asarray(np.sum(squared_residuals(parts), axis=0))
+
+
+def _learned(segments: Segments, courses: Sequence[Course], parts: Parts) -> float:
+    """Return `Solution.learned` of a recording."""
+    return max((
+        float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
+        for segment, course, part in zip(segments, courses, parts, strict=True)
+        for noise in [segment.measured.package_noise] if not part.is_white
+        for share in np.split((course.std / noise.std) ** 2, 2)), default=0.0)
+
+
+def _noise_in_motion(
+    segments: Segments, courses: Sequence[Course], parts: Parts
+) -> Array | None:
+    """Return `Solution.noise_in_motion` of a recording."""
+    found = None
+    for segment, course, part in zip(segments, courses, parts, strict=True):
+        sensor = segment.measured.sensor
+        if segment.is_slow and (part.is_white or sensor):
+            found = course.std if sensor and not sensor.are_known else np.maximum(
+                course.std, segment.measured.package_noise.std)
+    return found
+
+
+def _error_factors(
+    segments: Segments, courses: Sequence[Course], parts: Parts
+) -> Array | None:
+    """Return `Solution.error_factors` of a recording."""
+    if any(segment.measured.sensor is None for segment in segments):
+        return None
+    ratios = np.concatenate([
+        part.residuals / (part.relative_std * segment.measured.package_noise.std)
+        for segment, part in zip(segments, parts, strict=True)])
+    moves = np.concatenate([part.of_motion for part in parts]) > 0.5
+    return np.array([[_clipped_rms(
+        ratios[chosen[:, axis], axis] if np.count_nonzero(chosen[:, axis]) >= MIN_ERRORS
+        else ratios[:, axis]) for axis in range(6)] for chosen in (~moves, moves)])
 
 
 def _clipped_rms(values: Array) -> Array:
     """Return the RMS of values (N, ...) clipped at `HUBER_STD` typical sizes."""
     limit = HUBER_STD * MAD_TO_STD * np.median(np.abs(values), axis=0)
     return np.asarray(np.sqrt(np.mean(np.clip(values, -limit, limit) ** 2, axis=0)))
-
-
-def squares(parts: Sequence[WhitenedSegment]) -> float:
-    return float(sum(part.innovations @ part.innovations for part in parts))
-
-
-def deviance(parts: Sequence[WhitenedSegment]) -> float:
-    """Return -2 log likelihood at the best common scale of all variances."""
-    count = sum(len(part.innovations) for part in parts)
-    logs = sum(float(np.sum(np.log(part.variance))) for part in parts)
-    return float(count * np.log(squares(parts) / count)) + logs
 
 
 def minimise(
@@ -329,7 +467,17 @@ def approach(
 
 def as_measured(problem: Problem) -> Iterate:
     """Return the initial guess, with the motions as measured."""
-    return Iterate(problem.start, tuple(segment.first for segment in problem.segments))
+    return Iterate(problem.start, Courses(*problem.held.pool.hold(_first, problem.held)))
+
+
+def _first(segments: Segments) -> tuple[tuple[Course, ...], Array]:
+    """Return the courses as they were measured, and the noise (K, 6) of their poses."""
+    return _with_std(tuple(segment.first for segment in segments))
+
+
+def _with_std(courses: tuple[Course, ...]) -> tuple[tuple[Course, ...], Array]:
+    """Return courses, and the noise (K, 6) of their poses."""
+    return courses, np.array([course.std for course in courses])
 
 
 def _descended(
@@ -342,27 +490,24 @@ def _descended(
     The latter is returned if the search does not converge, and with an unknown acceleration of the
     package that forgets at a rate (1/s).
     """
-    (theta, courses), segments = start, problem.segments
+    theta, courses = start
     parts, H, g = system or system_of(problem, start, forgetting)
     if not np.all(np.isfinite(g)):
-        finite = [part._replace(
-            innovations=np.nan_to_num(part.innovations, nan=DIVERGED), **{
-                name: np.nan_to_num(getattr(part, name), posinf=0.0)
-                for name in ('variance', 'information', 'slope')}) for part in parts]
-        return Solution(problem, theta, accepted(segments, courses, parts), finite,
+        finite = Differences(*parts.held.pool.hold(_finite, parts.held))
+        return Solution(problem, theta, accepted(problem, courses, parts), finite,
                         H.within(np.full(len(theta), False)), False)
     min_damping, tolerance, max_steps = (
         (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
         (0.0, TOLERANCE, MAX_STEPS))
     damping, settled, is_fresh = min_damping, True, True
-    objective = squares if forgetting else deviance
+    objective = attrgetter('squares' if forgetting else 'deviance')
     history: list[tuple[Array, Array]] = []  # steps, and resulting changes
-    expected = sum(len(part.innovations) for part in parts)  # with the assumed noise
-    largest = MAX_RISE * max(squares(parts), expected)
+    expected = parts.number  # squares, with noise as it was assumed
+    largest = MAX_RISE * max(parts.squares, expected)
     best, lowest = Solution(problem, theta, courses, parts, H, False), (True, math.inf)
     best_number = 0
     for number in range(max_steps):
-        is_misfit = number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected
+        is_misfit = number >= MAX_MISFIT_STEPS and parts.squares > MISFIT_CHI2 * expected
         if is_misfit or best.converged and number > best_number + MAX_WANDERING_STEPS:
             break
         step = _damped_step(problem, theta, H, g, damping, directions)
@@ -384,32 +529,69 @@ def _descended(
                 if not np.all(np.isfinite(again[2])):
                     break
                 (parts, H, g), is_fresh = again, True
-                largest = MAX_RISE * max(squares(parts), expected)
+                largest = MAX_RISE * max(parts.squares, expected)
             continue
         history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
-        rises = squares(new[0]) > MAX_SMALL_RISE * max(squares(parts), expected)
+        rises = new[0].squares > MAX_SMALL_RISE * max(parts.squares, expected)
         theta, (parts, H, g), is_fresh, before = moved, new, False, courses
-        courses = accepted(segments, courses, parts)
-        courses, settled = (courses, True) if forgetting else _with_noise(segments, courses, parts)
+        courses, settled = _refined(problem, courses, parts, not forgetting)
         largest = MAX_RISE * max(expected, sum(
-            float(np.sum((part.innovations.reshape(-1, 6) * old.std / new_course.std) ** 2))
-            for part, old, new_course in zip(parts, before, courses, strict=True)))
+            float(np.sum(one.squares * (old / std) ** 2)) for one, old, std in zip(
+                parts.sums, before.std, courses.std, strict=True)))
         settled &= damping <= MAX_FINAL_DAMPING
         damping = max(10.0 * damping, 1e-3) if rises else (
             max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0)
-        report(problem.cup(theta), squares(parts) / expected)
+        report(problem.cup(theta), parts.squares / expected)
         if length < tolerance and settled:
             break
     is_near = not forgetting and settled and length < LOOSE_TOLERANCE
     if not is_near and lowest < (True, objective(parts)):
-        return replace(best, courses=accepted(segments, best.courses, best.parts))
-    return Solution(problem, theta, _with_noise(segments, courses, parts)[0], parts, H, is_near)
+        return replace(best, courses=accepted(problem, best.courses, best.parts))
+    courses, _ = _refined(problem, courses, parts, True, False)
+    return Solution(problem, theta, courses, parts, H, is_near)
 
 
-def accepted(
+def _finite(parts: Parts) -> tuple[Parts, Sums]:
+    """Return the differences of a simulation that diverges as large ones without information."""
+    finite = tuple(part._replace(
+        innovations=np.nan_to_num(part.innovations, nan=DIVERGED), **{
+            name: np.nan_to_num(getattr(part, name), posinf=0.0)
+            for name in ('variance', 'information', 'slope')}) for part in parts)
+    return finite, Sums.of(finite)
+
+
+def accepted(problem: Problem, courses: Courses, parts: Differences) -> Courses:
+    """Return the likeliest courses, unchanged for a diverging simulation."""
+    return _refined(problem, courses, parts, False)[0]
+
+
+def _refined(
+    problem: Problem, courses: Courses, parts: Differences, with_noise: bool,
+    with_paths: bool = True,
+) -> tuple[Courses, bool]:
+    """Return courses with paths, and noise of slow poses, and whether that hardly changes."""
+    held, outcomes = problem.held.pool.hold(
+        _of_recording, with_noise, with_paths, problem.held, courses.held, parts.held)
+    return Courses(held, [std for std, _ in outcomes]), all(settled for _, settled in outcomes)
+
+
+def _of_recording(
+    with_noise: bool, with_paths: bool, segments: Segments, courses: tuple[Course, ...],
+    parts: Parts,
+) -> tuple[tuple[Course, ...], tuple[Array, bool]]:
+    """Return the same for a recording, with the noise (K, 6) of its poses."""
+    settled = True
+    if with_paths:
+        courses = likeliest(segments, courses, parts)
+    if with_noise:
+        courses, settled = _with_noise(segments, courses, parts)
+    return courses, (_with_std(courses)[1], settled)
+
+
+def likeliest(
     segments: Sequence[Segment], courses: Sequence[Course], parts: Sequence[WhitenedSegment]
 ) -> tuple[Course, ...]:
-    """Return the likeliest courses, unchanged for a diverging simulation."""
+    """Return the likeliest courses of segments, unchanged for a diverging simulation."""
     return tuple(
         segment.course(part.tool_change, part.start, course.std)
         if all(np.isfinite(values).all() for values in (part.tool_change, *part.start)) else course
@@ -417,7 +599,7 @@ def accepted(
 
 
 def _with_noise(
-    segments: Sequence[Segment], courses: Sequence[Course], parts: Sequence[WhitenedSegment]
+    segments: Segments, courses: Sequence[Course], parts: Parts
 ) -> tuple[tuple[Course, ...], bool]:
     """Return courses with the estimated noise of slow poses, and whether the noise has settled."""
     new, settled = [], True
@@ -448,7 +630,7 @@ def _moved_below(
         moved = start._replace(theta=problem.moved(start.theta, step))
         with suppress(BellowsError):  # too short or fast a cup, or too large a clock offset
             system = system_of(problem, moved, forgetting)
-            if squares(system[0]) < largest:  # also false for nan
+            if system[0].squares < largest:  # also false for nan
                 return moved.theta, system
     return start.theta, None
 
@@ -483,24 +665,31 @@ def _squared_length(problem: Problem, step: Array, H: Arrow) -> float:
 
 def system_of(problem: Problem, at: Iterate, forgetting: float = 0.0) -> System:
     """Return the whitened segments, and information and slope of their sum."""
+    (H, g), pool = problem.prior(at.theta, forgetting), problem.held.pool
+    indices = list(map(problem.index, range(len(pool))))
+    parts = Differences(*pool.hold(
+        _whitened, problem.local, pool.each([at.theta[index] for index in indices]), forgetting,
+        problem.held, at.courses.held))
+    s = problem.shared
+    for number, (index, sums) in enumerate(zip(indices, parts.sums, strict=True)):
+        H.shared[:] += sums.information[:s, :s]
+        H.coupling[number] += sums.information[s:, :s]
+        H.own[number] += sums.information[s:, s:]
+        g[index] += sums.slope
+    return parts, H, g
+
+
+def _whitened(
+    problem: Problem, theta: Array, forgetting: float, segments: Segments,
+    courses: Sequence[Course],
+) -> tuple[Parts, Sums]:
+    """Return the whitened segments of a recording without Jacobians, and their sums."""
     def whitened(segment: Segment, course: Course) -> WhitenedSegment:
-        part = problem.whitened(at.theta, segment, course, forgetting)
+        part = problem.whitened(theta, segment, course, forgetting)
         return part._replace(jacobian=part.jacobian[:0])  # store its information only
 
-    if len(problem.segments) == 1:
-        parts = [whitened(problem.segments[0], at.courses[0])]
-    else:
-        with ThreadPoolExecutor(usable_cores()) as threads:
-            parts = list(threads.map(whitened, problem.segments, at.courses))
-    H, g = problem.prior(at.theta, forgetting)
-    s = problem.shared
-    for segment, part in zip(problem.segments, parts, strict=True):
-        number, more = segment.measured.recording, np.sum(part.information, axis=0)
-        H.shared[:] += more[:s, :s]
-        H.coupling[number] += more[s:, :s]
-        H.own[number] += more[s:, s:]
-        g[part.places] += np.sum(part.slope, axis=0)
-    return parts, H, g
+    parts = tuple(in_threads(whitened, segments, courses))
+    return parts, Sums.of(parts)
 
 
 def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]) -> Array:

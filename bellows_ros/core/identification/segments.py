@@ -5,6 +5,7 @@ Each segment has the tool's poses at a uniform rate and the package's at any sta
 the current likeliest path of the tool. Quick poses are averaged in small groups.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -204,12 +205,15 @@ class Segment:
         Poses of the tool, with gaps bridged.
     half_window : int
         Half window of the filter of the tool's path, samples.
+    span_ns : (int, int), optional
+        First and last stamp of the recording, by default of the segment.
 
     """
 
     measured: MeasuredSegment
     tool: Trajectory
     half_window: int
+    span_ns: tuple[int, int] | None = None
 
     @classmethod
     def of(cls, measured: MeasuredSegment, half_window: int = 0) -> 'Segment':
@@ -283,6 +287,12 @@ class Segment:
         return self.course(np.zeros((len(self.variance), 6)), self.expected_start,
                            self.measured.package_noise.std)
 
+    @property
+    def ends_ns(self) -> tuple[int, int]:
+        """First and last stamp of the smooth path."""
+        first, last = self.tool.stamps_ns[self.inner][[0, -1]].tolist()
+        return first, last
+
     def course(self, change: Array, start: State, std: Array) -> Course:
         """Return the motion after changes (S, 6) of the tool's samples, in body axes."""
         tool, shift = self.tool, np.zeros((len(self.tool), 6))
@@ -326,6 +336,59 @@ class Segment:
         noise.variances[nodes.samples[0]] /= 1.0 - correlation**2
         noise.correlations[nodes.samples] = correlation
         return noise
+
+
+Segments = tuple[Segment, ...]
+"""Those of one recording."""
+
+
+def segments_of(measured: Sequence[MeasuredSegment], like: Segments = ()) -> Segments:
+    """Return the prepared parts of a recording, with the half windows of other parts if any."""
+    windows = [each.half_window for each in like] or [0] * len(measured)
+    parts = list(map(Segment.of, measured, windows))
+    span = parts[0].ends_ns[0], parts[-1].ends_ns[1]
+    return tuple(replace(part, span_ns=span) for part in parts)
+
+
+class Outline(NamedTuple):
+    """
+    Facts on a recording that a fit needs beside sums over its poses.
+
+    Parameters
+    ----------
+    payload, world, moves_with_com
+        As of its segments.
+    is_slow, has_sensor : bool
+        Whether its poses come slowly, and have a measurement model.
+    poses : int
+        Number of poses of the package.
+    begin_ns : int
+        Stamp of the first pose.
+    ends_ns : tuple of (int, int)
+        First and last stamp of each segment.
+
+    """
+
+    payload: Package
+    world: str
+    moves_with_com: tuple[bool, bool, bool]
+    is_slow: bool
+    has_sensor: bool
+    poses: int
+    begin_ns: int
+    ends_ns: tuple[tuple[int, int], ...]
+
+
+def outline_of(segments: Segments) -> Outline:
+    """Return the outline of a recording."""
+    measured = segments[0].measured
+    return Outline(
+        measured.payload, measured.world, measured.moves_with_com,
+        any(segment.is_slow for segment in segments),
+        all(segment.measured.sensor is not None for segment in segments),
+        sum(len(segment.measured.package) for segment in segments),
+        int(min(segment.package.stamps_ns[0] for segment in segments)),
+        tuple(segment.ends_ns for segment in segments))
 
 
 def _half_window_of(tool: Trajectory, correlation: float) -> int:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.problem import Problem
-from bellows_ros.core.identification.search import accepted
+from bellows_ros.core.identification.search import likeliest
 from bellows_ros.core.identification.segments import measured_segments, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -198,11 +198,11 @@ class Validation(residuals.Comparison):
         middle = stamps[[edge, len(stamps) - 1 - edge]]
         segment = Segment.of(replace(longest, tool=longest.tool.between(*middle),
                                      package=longest.package.between(*middle)))
-        problem = Problem((segment,), STRUCTURES['full'], self.cup, {})
+        problem = Problem.of([segment], STRUCTURES['full'], self.cup, {})
         course = segment.first
         for _ in range(2):  # the tool's path approaches the likeliest
             part = problem.whitened(problem.start, segment, course)
-            (course,) = accepted([segment], [course], [part])
+            (course,) = likeliest([segment], [course], [part])
         white = part.innovations.reshape(-1, 6)
         scaled = white * course.std
         return OneStep(float(np.mean(white**2)), residuals.portmanteau(white),

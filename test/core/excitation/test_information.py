@@ -59,7 +59,7 @@ def estimates(mover, duration, draws):
         measured = MeasuredSegment(
             noisy(rng, tool, TRACKING.tool), noisy(rng, body, TRACKING.package), PACKAGE, 9.81,
             *(BodyNoise(np.repeat(noise, 3)) for noise in (TRACKING.tool, TRACKING.package)))
-        problem = Problem((Segment.of(measured),), STRUCTURE, cup, {})
+        problem = Problem.of([Segment.of(measured)], STRUCTURE, cup, {})
         found = minimise(problem, as_measured(problem))
         yield (problem.units * (found.theta - problem.start)) / usual
 

@@ -12,9 +12,9 @@ from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.search import (
-    accepted,
     approach,
     as_measured,
+    likeliest,
     minimise,
     system_of,
 )
@@ -68,7 +68,12 @@ def scaled(factor):
 
 def posed(own, cup=TRUTH, free=None, **more):
     """Return the problem of one recording."""
-    return Problem((Segment.of(own),), AXISYMMETRIC, cup, free or {}, **more)
+    return Problem.of([Segment.of(own)], AXISYMMETRIC, cup, free or {}, **more)
+
+
+def segment_of(problem):
+    """Return the segment of the only recording."""
+    return problem.held.pool.results(tuple, problem.held)[0][0]
 
 
 def z_of(fit):
@@ -106,13 +111,13 @@ def test_a_search_turns_back_from_a_cup_far_quicker_than_that_of_its_start():
 
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
     problem = posed(measured(3, duration=2.0))
-    start = as_measured(problem)
-    (part,), _, _ = system_of(problem, start)
+    segment = segment_of(problem)
+    first, part = segment.first, problem.whitened(problem.start, segment, segment.first)
     for wrong in (part._replace(tool_change=np.nan * part.tool_change),
                   part._replace(start=tuple(np.inf * np.array(own) for own in part.start))):
-        assert accepted(problem.segments, start.courses, [wrong]) == start.courses
-    (course,) = accepted(problem.segments, start.courses, [part])
-    assert course.path is not start.courses[0].path and course.start is part.start
+        assert likeliest([segment], [first], [wrong]) == (first,)
+    (course,) = likeliest([segment], [first], [part])
+    assert course.path is not first.path and course.start is part.start
 
 
 def test_a_simulation_that_diverges_explains_nothing():
@@ -129,7 +134,7 @@ def test_known_errors_of_a_tag_keep_their_ratios():
     found = minimise(posed(replace(own, sensor=PoseErrors(
         own.package.stamps_ns, np.tile(np.eye(3), (len(std), 1, 1)), std, np.zeros(3), 0.0 * std,
         are_known=True))))
-    ratio = found.courses[0].std / std[0]
+    ratio = found.courses.std[0][0] / std[0]
     assert found.converged and 0.5 < ratio[0] < 1.0
     assert_allclose(ratio, ratio[0])
 
@@ -154,11 +159,11 @@ def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):
 
 def settled(problem, steps=2, theta=None):
     """Return part and course after steps: about the measured path, then about the likeliest."""
-    segment, = problem.segments
+    segment = segment_of(problem)
     course = segment.first
     for _ in range(steps):
         part = problem.whitened(problem.start if theta is None else theta, segment, course)
-        (course,) = accepted([segment], [course], [part])
+        (course,) = likeliest([segment], [course], [part])
     return part, course
 
 
@@ -195,7 +200,7 @@ def test_every_derivative_is_that_of_the_differences(monkeypatch, of_smooth_pose
         size = np.abs(slopes[:, number]).max()
         step = 0.3 / size * (np.arange(len(problem.units)) == number)
         ahead, behind = (problem.whitened(
-            problem.start + side * step, problem.segments[0], course) for side in (1.0, -1.0))
+            problem.start + side * step, segment_of(problem), course) for side in (1.0, -1.0))
         slope = (behind.innovations - ahead.innovations) * size / 0.6
         if of_smooth_poses and number in problem.places['scale']:
             ratio = slope @ slopes[:, number] / np.sum(slopes[:, number] ** 2)
@@ -289,7 +294,7 @@ def test_differences_are_the_same_about_any_path_near_the_measured_one(rates, hz
     stiff = replace(TRUTH, stiffness=np.diag([8e3, 8e3, 1e4, 7.0, 7.0, 1.0]),
                     damping=np.diag([1e3, 1e3, 1e3, 0.5, 0.5, 0.5]))
     problem = posed(measured(3, CAPTURE, CAPTURE, *rates, duration=4.0, cup=stiff), stiff)
-    (segment,) = problem.segments
+    segment = segment_of(problem)
     moved = np.zeros((len(segment.variance), 6))
     moved[:, 0] = 3e-4 * np.sin(2.0 * np.pi * hz * np.arange(len(moved)) / rates[0])
     before, after = (problem.whitened(problem.start, segment, segment.course(
@@ -308,7 +313,9 @@ def test_noise_of_the_first_state_does_not_ring_in_the_derivatives(stiffness, da
         problem = posed(measured(0, package_noise=noise, silent=silent, cup=cup), cup,
                         {'package_world': np.full(6, 0.2)})
         _, course = settled(problem, 1)
-        H = system_of(problem, as_measured(problem)._replace(courses=(course,)))[1]
+        at = as_measured(problem)
+        H = system_of(problem, at._replace(
+            courses=at.courses._replace(held=problem.held.pool.put([(course,)]))))[1]
         return np.sqrt(H.variances[:8])
 
     assert_allclose(spread(False), spread(True), rtol=0.1)
@@ -318,7 +325,7 @@ def test_poses_at_the_stamps_of_the_tool_stay_there_as_the_clock_moves():
     """Have differences that go on smoothly through equal stamps, and are exact beside them."""
     own = measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 4.0)
     problem = posed(own, free={'time_offset': np.array([1e-3])})
-    (segment,), ((own_place,),) = problem.segments, problem.places['time_offset']
+    segment, ((own_place,),) = segment_of(problem), problem.places['time_offset']
     by = np.eye(len(problem.units))[own_place] / problem.units[own_place]
     late, early = (problem.whitened(problem.start + seconds * by, segment, segment.first)
                    for seconds in (2e-6, -2e-6))
@@ -337,7 +344,7 @@ def test_a_cup_far_too_stiff_for_the_rate_is_followed():
     problem = posed(measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 3.0), scaled(300.0))
     parts, H, g = system_of(problem, as_measured(problem))
     assert np.isfinite(H.shared).all() and np.isfinite(g).all()
-    assert 1.0 < np.mean(parts[0].innovations ** 2) < 1e4
+    assert 1.0 < parts.squares / parts.number < 1e4
 
 
 @pytest.mark.parametrize(['factor', 'is_known'], [(15.0, True), (30.0, False)])
@@ -399,7 +406,7 @@ def test_noise_of_slow_poses_with_a_memory_is_learned(has_tails):
         replace(own, package=seen, package_noise=BodyNoise(stated, kept)), scaled(2.0)))
     assert found.converged
     if not has_tails:  # else its median is that of a smaller one
-        assert_allclose(found.courses[0].std, np.std(noise, axis=0), rtol=0.2)
+        assert_allclose(found.courses.std[0][0], np.std(noise, axis=0), rtol=0.2)
 
 
 def test_rubber_that_relaxes_is_found_with_its_static_stiffness():

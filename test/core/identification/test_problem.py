@@ -17,18 +17,31 @@ FREE = weak_prior(['time_offset', 'package_marker', 'length'])
 
 def problem_of(seeds, cup=TRUTH):
     """Return the problem of recordings with three kinds of free quantities."""
-    return Problem(tuple(
+    return Problem.of([
         Segment.of(replace(measured(seed, package_hz=60.0, duration=4.0), recording=number))
-        for number, seed in enumerate(seeds)), AXISYMMETRIC, cup, FREE)
+        for number, seed in enumerate(seeds)], AXISYMMETRIC, cup, FREE)
+
+
+def whitened(problem, at):
+    """Return the whitened segments of recordings of one segment, with their Jacobians."""
+    pool = problem.held.pool
+    return pool.results(
+        whitened_there, problem.local, pool.each([
+            at.theta[problem.index(number)] for number in range(len(pool))]),
+        problem.held, at.courses.held)
+
+
+def whitened_there(problem, theta, segments, courses):
+    """Return the first segment of a recording whitened."""
+    return problem.whitened(theta, segments[0], courses[0])
 
 
 def dense(problem, at):
     """Return information and slope of everything, by the whole Jacobian of all recordings."""
     rows, residuals = [], []
-    for segment, course in zip(problem.segments, at.courses, strict=True):
-        part = problem.whitened(at.theta, segment, course)
+    for number, part in enumerate(whitened(problem, at)):
         J = np.zeros((len(part.innovations), len(at.theta)))
-        J[:, part.places] = part.jacobian
+        J[:, problem.index(number)] = part.jacobian
         rows.append(J)
         residuals.append(part.innovations)
     J, r = np.vstack(rows), np.concatenate(residuals)
@@ -95,9 +108,13 @@ def test_no_recording_has_columns_of_another_and_none_is_kept():
     sizes = []
     for problem in (one, many):
         start = as_measured(problem)
-        sizes.append(problem.whitened(
-            start.theta, problem.segments[0], start.courses[0]).jacobian.shape)
+        sizes.append(whitened(problem, start)[0].jacobian.shape)
         parts, information, _ = system_of(problem, start)
-        assert not any(part.jacobian.size for part in parts)
-        assert information.own.shape == (len(problem.segments), 7, 7)
+        assert not any(parts.held.pool.results(jacobian_size, parts.held))
+        assert information.own.shape == (len(problem.outlines), 7, 7)
     assert sizes[0] == sizes[1]
+
+
+def jacobian_size(parts):
+    """Return the number of derivatives that are kept of a recording."""
+    return sum(part.jacobian.size for part in parts)

@@ -7,9 +7,10 @@ with the candidate free. A candidate with a high score is freed in a new fit. Th
 settings (worlds, axes, exchanged packages) are each tested by a search.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from operator import itemgetter
 import time
 from typing import NamedTuple
@@ -22,15 +23,20 @@ from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import Free, of_fixed_frame
 from bellows_ros.core.identification.search import (
     approach,
-    deviance,
     minimise,
     no_report,
     Report,
     Solution,
+    squared_residuals,
     system_of,
 )
-from bellows_ros.core.identification.segments import MeasuredSegment, Segment
-from bellows_ros.core.model.cup_package import Cup, gravity_vector
+from bellows_ros.core.identification.segments import (
+    MeasuredSegment,
+    Outline,
+    outline_of,
+    Segments,
+)
+from bellows_ros.core.model.cup_package import Cup, gravity_vector, Package
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
@@ -76,12 +82,12 @@ class OutOfTime(Exception):
     """End of the time of a diagnosis; the arguments are candidates not yet tried."""
 
 
-def within(seconds: float) -> Report:
-    """Return a callback that ends a diagnosis after some processor time, s."""
-    end = time.process_time() + seconds
+def within(seconds: float, clock: Callable[[], float] = time.process_time) -> Report:
+    """Return a callback that ends a diagnosis after some time (s) of a clock."""
+    end = clock() + seconds
 
     def report(cup: Cup, chi2: float) -> None:
-        if time.process_time() > end:
+        if clock() > end:
             raise OutOfTime
 
     return report
@@ -150,7 +156,7 @@ class Alternative(NamedTuple):
 
     def left(self, before: Solution) -> float:
         """Return the ratio of the RMS residuals of two solutions; 1 mm counts as 10 mrad."""
-        now, then = (np.sum(np.median(found.residuals**2, axis=0) / SQUARED_UNITS)
+        now, then = (np.sum(found.parts.median(squared_residuals) / SQUARED_UNITS)
                      for found in (self.found, before))
         return float(np.sqrt(now / then))
 
@@ -173,14 +179,12 @@ def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
     alone is compared: near the beginning a slip resembles a com offset, whose prior would share
     its cost.
     """
-    is_slow = any(segment.is_slow for segment in before.problem.segments)
-
     def left(found: Solution) -> float:
         """Return chi² or the deviance, and the chi² of the given quantities."""
         given = 0.0 if of_poses else float(found.problem.weights @ found.theta**2)
-        if not is_slow:
+        if not before.problem.is_slow:
             return found.squares + given
-        return deviance(found.parts) * after.residual_count / found.residual_count + given
+        return found.parts.deviance * after.residual_count / found.residual_count + given
 
     return left(before) - left(after)
 
@@ -205,7 +209,7 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
                 scores(with_slip, ['slip'])['slip'], posinf=0.0))
         return tried[slip_ns][1]
 
-    ends = [course.path.stamps_ns[[0, -1]].tolist() for course in found.courses]
+    ends = [pair for outline in found.problem.outlines for pair in outline.ends_ns]
     period = max(round(SLIP_PERIOD * NS_PER_S),
                  sum(last - first for first, last in ends) // MAX_SLIPS)
     moments = [stamp for first, last in ends for stamp in range(first + period, last, period)]
@@ -223,7 +227,7 @@ def deviance_of_unknown_force(found: Solution) -> float:
     deviances = [np.inf]
     for rate in UNKNOWN_FORCES:
         with suppress(BellowsError):
-            deviances.append(deviance(system_of(found.problem, found.iterate, rate)[0]))
+            deviances.append(system_of(found.problem, found.iterate, rate)[0].deviance)
     return float(np.nanmin(deviances))
 
 
@@ -236,28 +240,42 @@ def moved_between(first: Solution, second: Solution) -> float:
 ROTATIONS = (90, 180, -90)
 """Rotations about z of a wrongly mounted frame, degrees."""
 
-Setting = tuple[Finding, list[MeasuredSegment]]
-"""A setting, and the recordings with it."""
+Setting = tuple[Finding, Callable[[MeasuredSegment], MeasuredSegment]]
+"""A setting, and a part of a recording with it."""
 
 
-def settings_of(measured: Sequence[MeasuredSegment]) -> Iterator[Setting]:
+def settings_of(outlines: Sequence[Outline]) -> Iterator[Setting]:
     """Yield the other settings of recordings of one cup."""
-    for value, R in _worlds(measured[0].world):
-        yield Finding('recording.world', value), [
-            replace(each, gravity=R.T @ gravity_vector(each.gravity)) for each in measured]
+    for value, R in _worlds(outlines[0].world):
+        yield Finding('recording.world', value), partial(_in_world, R)
     for degrees in ROTATIONS:
         phi = np.array([0.0, 0.0, -np.radians(degrees)])
-        yield Finding('yaw', f'tool {degrees}'), [
-            replace(each, tool=of_fixed_frame(each.tool, phi, np.zeros(3))) for each in measured]
-        yield Finding('yaw', f'package {degrees}'), [  # rotated about its lip
-            replace(each, package=of_fixed_frame(
-                each.package, phi, exp_so3(phi) @ each.payload.com - each.payload.com))
-            for each in measured]
-    packages = list({each.payload.mass: each.payload for each in measured}.values())
+        yield Finding('yaw', f'tool {degrees}'), partial(_with_tool_turned, phi)
+        yield Finding('yaw', f'package {degrees}'), partial(_with_package_turned, phi)
+    packages = list({each.payload.mass: each.payload for each in outlines}.values())
     if len(packages) == 2:
-        yield Finding('package.files', 'exchanged'), [
-            replace(each, payload=packages[int(each.payload.mass == packages[0].mass)])
-            for each in measured]
+        yield Finding('package.files', 'exchanged'), partial(_exchanged, packages)
+
+
+def _in_world(R: Array, each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with the gravity of another world."""
+    return replace(each, gravity=R.T @ gravity_vector(each.gravity))
+
+
+def _with_tool_turned(phi: Array, each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with the tool's frame turned."""
+    return replace(each, tool=of_fixed_frame(each.tool, phi, np.zeros(3)))
+
+
+def _with_package_turned(phi: Array, each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with the package's frame turned about its lip."""
+    com = each.payload.com
+    return replace(each, package=of_fixed_frame(each.package, phi, exp_so3(phi) @ com - com))
+
+
+def _exchanged(packages: Sequence[Package], each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with the other one of two packages."""
+    return replace(each, payload=packages[int(each.payload.mass == packages[0].mass)])
 
 
 def _worlds(world: str) -> Iterator[tuple[str, Array]]:
@@ -289,26 +307,36 @@ def likeliest_setting(near: Solution, cup: Cup, report: Report = no_report) -> F
     """
     problem = near.problem
     problem = problem.freed(problem.unknowns(cup), {})
-    order = np.argsort([part.innovations @ part.innovations for part in near.parts])
-    segments = [problem.segments[index].measured for index in order]
-    worst = list({each.payload.mass: each for each in segments}.values())
-
-    def problem_of(measured: Sequence[MeasuredSegment]) -> Problem:
-        return replace(problem, segments=tuple(map(Segment.of, measured)))
-
+    squares = [np.sum(sums.squares, axis=1) for sums in near.parts.sums]
+    order = sorted(range(len(squares)), key=lambda number: float(np.max(squares[number])))
+    numbers = list({problem.outlines[number].payload.mass: number for number in order}.values())
+    pool = problem.held.pool.only(numbers)
+    worst = problem.with_segments(*pool.hold(
+        _segment, pool.each([int(np.argmax(squares[number])) for number in numbers]),
+        problem.held))
     ends = list[tuple[float, Finding]]()
-    for finding, measured in [(Finding('', ''), worst), *settings_of(worst)]:
+    for finding, change in [(Finding('', ''), _unchanged), *settings_of(worst.outlines)]:
         with suppress(BellowsError, OutOfTime):  # no cup explains this setting
-            near = approach(problem_of(measured), report, with_couplings=False)
+            near = approach(worst.changed(change), report, with_couplings=False)
             ends.append((near.squares, finding))
     least, likeliest = min(ends, key=itemgetter(0), default=(0.0, Finding('', '')))
-    everything = [segment.measured for segment in problem.segments]
-    other = next((measured for finding, measured in settings_of(everything)
+    other = next((change for finding, change in settings_of(problem.outlines)
                   if finding[:2] == likeliest[:2]), None)
-    if not other or not minimise(problem_of(other)).fits:
+    if not other or not minimise(problem.changed(other)).fits:
         return None
     (before, _), *_ = ends
     instead = [finding.value for squares, finding in ends if finding is not likeliest and (
         finding.name == likeliest.name == 'yaw' and DISTINCT * squares < least)]
     return likeliest._replace(
         left=float(np.sqrt(least / before)), instead=next(iter(instead), ''))
+
+
+def _segment(place: int, segments: Segments) -> tuple[Segments, Outline]:
+    """Return one of a recording's segments, and its outline."""
+    chosen = segments[place:place + 1]
+    return chosen, outline_of(chosen)
+
+
+def _unchanged(each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording as it is."""
+    return each

@@ -9,6 +9,7 @@ axis, time span and frequency band, and the two likeliest candidates follow with
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from operator import attrgetter
 
 from bellows_ros.core.geometry.arrays import Array
@@ -26,10 +27,9 @@ from bellows_ros.core.identification.diagnosis.candidates import (
     pulls,
     SIGNIFICANT,
 )
-from bellows_ros.core.identification.problem import Problem
+from bellows_ros.core.identification.problem import Problem, WhitenedSegment
 from bellows_ros.core.identification.quantities import Free, stated
 from bellows_ros.core.identification.search import (
-    deviance,
     MAX_NOISE_CHI2,
     minimise,
     MISFIT_CHI2,
@@ -37,7 +37,7 @@ from bellows_ros.core.identification.search import (
     Report,
     Solution,
 )
-from bellows_ros.core.identification.segments import Segment
+from bellows_ros.core.identification.segments import MeasuredSegment, Segments
 from bellows_ros.core.signals.residuals import AXES, spectrum
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -179,7 +179,7 @@ def _decided(
     certain = bool(
         after.converged and after.robust_chi2 < MAX_NOISE_CHI2
         and after.squares < MISFIT_CHI2 * after.residual_count
-        and deviance(after.parts) < candidates.deviance_of_unknown_force(end)
+        and after.parts.deviance < candidates.deviance_of_unknown_force(end)
         and is_material and not is_expected
         and rivals.get(rival, 0.0) < max(
             DISTINCT * best.gain, best.gain - SIGNIFICANT**2 * after.colour))
@@ -195,25 +195,32 @@ def _decided(
 
 def unknown(end: Solution) -> Finding:
     """Return axis, time span (s) and frequency band (Hz) of the largest residual."""
-    segments = end.problem.segments
-    innovations = [part.innovations.reshape(-1, 6) for part in end.parts]
-    axis = int(np.argmax(np.mean(np.square(np.vstack(innovations)), axis=0)))
-    number = int(np.argmax([np.mean(part[:, axis] ** 2) for part in innovations]))
-    segment, values = segments[number], innovations[number][:, axis]
+    sums, pool = end.parts.sums, end.problem.held.pool
+    axis = int(np.argmax(sum(np.sum(one.squares, axis=0) for one in sums)))
+    means = [one.squares[:, axis] / one.counts for one in sums]
+    number = int(np.argmax([np.max(each) for each in means]))
+    begin_ns = end.problem.outlines[number].begin_ns
+    (span,) = pool.only([number]).results(
+        _span, axis, int(np.argmax(means[number])), begin_ns, end.problem.held, end.parts.held)
+    return Finding('unknown', AXES[axis], span, np.zeros(4), certain=False, datum=False)
+
+
+def _span(
+    axis: int, place: int, begin_ns: int, segments: Segments, parts: Sequence[WhitenedSegment]
+) -> Array:
+    """Return where the residual of a segment is largest: time span (s) and band (Hz)."""
+    segment, values = segments[place], parts[place].innovations.reshape(-1, 6)[:, axis]
     size = max(round(BLOCK_S / segment.period), 1)
     powers = np.add.reduceat(values**2, np.arange(0, len(values), size))
     order = np.argsort(powers)[::-1]
     kept = order[:1 + int(np.searchsorted(np.cumsum(powers[order]), 0.5 * powers.sum()))]
-    since = segment.package.stamps_ns[0] - min(
-        other.package.stamps_ns[0] for other in segments
-        if other.measured.recording == segment.measured.recording)
+    since = (segment.package.stamps_ns[0] - begin_ns) / NS_PER_S
     low, high = spectrum(
-        np.repeat(end.parts[number].residuals[:, axis:axis + 1], 6, axis=1),
+        np.repeat(parts[place].residuals[:, axis:axis + 1], 6, axis=1),
         1.0 / segment.period).band(BAND)
-    return Finding('unknown', AXES[axis], np.array([
-        since / NS_PER_S + kept.min() * BLOCK_S,
-        since / NS_PER_S + min((kept.max() + 1) * BLOCK_S, len(values) * segment.period),
-        low[0], high[0]]), np.zeros(4), certain=False, datum=False)
+    return np.array([
+        since + kept.min() * BLOCK_S,
+        since + min((kept.max() + 1) * BLOCK_S, len(values) * segment.period), low[0], high[0]])
 
 
 def _priced(fall: tuple[str, float]) -> float:
@@ -282,7 +289,7 @@ def _wrong_length(end: Solution, report: Report) -> Finding | None:
 
 def _is_as_far_as_com(problem: Problem, shift: Array) -> bool:
     """Return whether a shift (m) may be the vector from lip to com."""
-    com = problem.segments[0].measured.payload.com
+    com = problem.outlines[0].payload.com
     return bool(np.linalg.norm(shift) > MIN_EXCHANGE_SHIFT * np.linalg.norm(com))
 
 
@@ -326,9 +333,7 @@ def _finding(best: Alternative, theta: Array, std: Array) -> Finding:
     name, problem = best.name, best.found.problem
     if name == 'slip':
         worst = int(np.argmax(np.abs(theta) / std)) // 2 * 2  # of the affected recording
-        first_ns = next(segment.package.stamps_ns[0] for segment in problem.segments
-                        if segment.measured.recording == worst // 2)
-        since = (problem.slip_ns - first_ns) / NS_PER_S
+        since = (problem.slip_ns - problem.outlines[worst // 2].begin_ns) / NS_PER_S
         return Finding('slip', '', np.append(theta[worst:worst + 2], since),
                        np.append(std[worst:worst + 2], MIN_SLIP_PERIOD))
     if name == 'mass':  # K and P scaled with mass and inertia give equal motion
@@ -345,19 +350,14 @@ def _other_frame(end: Solution, rival: float, report: Report) -> Finding | None:
     marker's prior allows the shift.
     """
     problem = end.problem
-    measured = problem.segments[0].measured
+    measured = problem.outlines[0]
     if 'package_marker' in problem.places:
         place = problem.places['package_marker'][0, :3]
         if np.min(problem.weights[place] / problem.units[place] ** 2) < 1.0 / np.sum(
                 np.square(measured.payload.com)):
             return None
     is_lip = all(measured.moves_with_com)
-    sign = -1.0 if is_lip else 1.0
-    other = minimise(replace(problem, segments=tuple(Segment.of(replace(
-        segment.measured, moves_with_com=(not is_lip,) * 3, package=replace(
-            segment.measured.package, position=segment.measured.package.position + sign * apply(
-                segment.measured.package.rotation, segment.measured.payload.com))))
-        for segment in problem.segments)), report=report)
+    other = minimise(problem.changed(partial(_of_frame, is_lip)), report=report)
     if not other.converged:
         return None
     with_com = freed(other, 'com', report=report)
@@ -368,3 +368,10 @@ def _other_frame(end: Solution, rival: float, report: Report) -> Finding | None:
         return None
     return Finding('recording.package_frame', 'com' if is_lip else 'lip',
                    left=with_com.left(end))
+
+
+def _of_frame(is_lip: bool, measured: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with exchanged frames of the package, lip and com."""
+    poses, sign = measured.package, -1.0 if is_lip else 1.0
+    return replace(measured, moves_with_com=(not is_lip,) * 3, package=replace(
+        poses, position=poses.position + sign * apply(poses.rotation, measured.payload.com)))

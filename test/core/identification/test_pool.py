@@ -1,0 +1,68 @@
+"""Values of recordings are computed where these are, and again where they are lost."""
+
+from bellows_ros.core.identification import pool as module
+from bellows_ros.core.identification.pool import carried_out, forget, here, Pool
+from bellows_ros.errors import BellowsError
+import pytest
+
+
+class Forgetful:
+    """Carry out batches in this process, and lose all values before some of them."""
+
+    def __init__(self, *lost):
+        """Begin with the first batch."""
+        self.batches, self.lost, self.read = 0, lost, []
+
+    def __call__(self, batch):
+        """Return the replies, the last recording first."""
+        if self.batches in self.lost:
+            forget(batch.session)
+        self.batches += 1
+        return zip(batch.recordings[::-1], carried_out(batch)[::-1], strict=True)
+
+
+def counted(calls, number):
+    """Return a recording, and how often it was read."""
+    calls.append(number)
+    return [number], len(calls)
+
+
+def longer(values, more):
+    """Return a longer value, and its sum."""
+    return [*values, more], sum(values) + more
+
+
+@pytest.mark.parametrize('lost', [(), (2,), (2, 4), (3,)])
+def test_lost_values_are_computed_again_and_results_are_the_same(lost):
+    calls, run = [], Forgetful(*lost)
+    pool = Pool(run, 3)
+    values, _ = pool.hold(counted, calls, pool.each([1, 2, 3]))
+    for more in (10, 20):
+        values, sums = pool.hold(longer, values, more)
+    assert pool.results(list, values) == [[1, 10, 20], [2, 10, 20], [3, 10, 20]]
+    assert sums == [31, 32, 33]
+    assert len(calls) == 3 * (1 + len(lost))
+    assert pool.only([2]).results(sum, values) == [33]
+
+
+def test_values_that_nobody_has_are_released():
+    values = here([[1], [2]])
+    pool, kept = values.pool, module._KEPT[values.pool.session.name]
+    for more in range(5):
+        values, _ = pool.hold(longer, values, more)
+    assert [len(own) for own in kept.values()] == [2, 2]  # the last one, and that before
+    name = pool.session.name
+    del values, pool, kept
+    assert name not in module._KEPT
+
+
+def test_the_first_error_of_recordings_is_raised():
+    values = here([2, 0, 1])
+    with pytest.raises(BellowsError, match='of 0'):
+        values.pool.results(refused, values)
+
+
+def refused(number):
+    """Refuse small numbers."""
+    if number < 2:
+        raise BellowsError(f'of {number}')
