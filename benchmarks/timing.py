@@ -60,7 +60,8 @@ def figures(values: Sequence[float]) -> dict[str, float]:
 
 
 def in_process(
-    code: str, *arguments: str, environment: Mapping[str, str] | None = None
+    code: str, *arguments: str, environment: Mapping[str, str] | None = None,
+    timeout: float = TIMEOUT,
 ) -> dict[str, Any]:
     """
     Run code in an interpreter of its own and return what it prints last, a line of JSON.
@@ -74,7 +75,7 @@ def in_process(
     done = subprocess.run(
         [sys.executable, '-P', '-c', code, *arguments],
         env={**same_package(), **(environment or {})},
-        capture_output=True, text=True, timeout=TIMEOUT, check=False)
+        capture_output=True, text=True, timeout=timeout, check=False)
     if done.returncode:
         raise BellowsError(f'A measurement failed: {done.stderr.strip()[-800:]}')
     result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

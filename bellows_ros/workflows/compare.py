@@ -112,7 +112,7 @@ def _digests(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 def consistency(
     parts: Sequence[AnyRecording], fit_alone: Callable[[int, str], Fit]
 ) -> ComparedFits:
-    """Return the comparison of single fits to recordings, each by its number and name."""
+    """Return the comparison of fits to single recordings, by number and name."""
     differ = len({part.payload.mass for part in parts}) > 1
     names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
              for part in parts]

@@ -73,7 +73,7 @@ class Identification(CommandResult):
     parts : tuple of ReducedRecording
         Used recordings, reduced.
     recordings : tuple of Recording
-        The first of these recordings, as far as a later step needs them.
+        First of the used recordings, as far as a later step needs recordings.
     consistency : ComparedFits or None
         Test for one cup by each recording alone, None if not requested.
     static : StaticResult or None

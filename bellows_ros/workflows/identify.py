@@ -73,8 +73,8 @@ def identify(
     parameter_files : sequence of path, optional
         Files of the settings, for the provenance.
     jobs : int, optional
-        Processes on this machine that read recordings and keep them for the fit, -1 for one per
-        core. A recording that cannot be used is then reported and left out.
+        Number of processes on this machine that read and keep the recordings, -1 for one per core.
+        An unusable recording is then reported and omitted.
     dask : str
         Address of a Dask scheduler whose workers have the recordings at equal paths, instead of
         local processes; '' for none.

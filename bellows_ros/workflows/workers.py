@@ -30,7 +30,9 @@ ENDED = ('the process that has it was ended from outside, twice. If memory was s
          'jobs, or a shorter recording.')
 
 PROGRAM = """
-import os, pickle, sys
+import ctypes, os, pickle, sys
+if sys.platform == 'linux':
+    ctypes.CDLL(None).prctl(1, 15)
 from bellows_ros.core import configure_process
 configure_process()
 from bellows_ros.core.identification.pool import carried_out
@@ -44,7 +46,7 @@ while sys.stdin.buffer.peek(1):
     pickle.dump(replies, answers)
     answers.flush()
 """
-"""Program of a process that carries out batches until its input ends."""
+"""Program of a process that carries out batches; it ends with its client."""
 
 
 def shares(batch: Batch, places: Sequence[Any]) -> Iterator[tuple[Any, Batch]]:
