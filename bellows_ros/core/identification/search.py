@@ -686,7 +686,7 @@ def _whitened(
     """Return the whitened segments of a recording without Jacobians, and their sums."""
     def whitened(segment: Segment, course: Course) -> WhitenedSegment:
         part = problem.whitened(theta, segment, course, forgetting)
-        return part._replace(jacobian=part.jacobian[:0])  # store its information only
+        return part._replace(jacobian=part.jacobian[:0].copy())  # a view would keep all columns
 
     parts = tuple(in_threads(whitened, segments, courses))
     return parts, Sums.of(parts)
