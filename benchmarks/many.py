@@ -44,7 +44,7 @@ LIMIT_S = 7200.0
 """Longest time of one fit, s."""
 
 FIT = PEAK + """
-import json, os, signal, sys, time
+import contextlib, json, os, signal, sys, time
 from bellows_ros.core import configure_process
 configure_process()
 from bellows_ros.files.parameter_files import read_parameters
@@ -54,7 +54,7 @@ marks = {}
 
 def own():
     for process in filter(str.isdigit, os.listdir('/proc')):
-        with open(f'/proc/{process}/stat') as file:
+        with contextlib.suppress(OSError), open(f'/proc/{process}/stat') as file:
             if int(file.read().rpartition(')')[2].split()[1]) == os.getpid():
                 return int(process)
 

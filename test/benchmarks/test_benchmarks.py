@@ -9,10 +9,10 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
-from benchmarks import offline, startup, step, timing
+from benchmarks import many, offline, startup, step, timing
 from benchmarks.alarms import delays, false_alarms, least_delays, passages, THRESHOLD
 from benchmarks.sensors import CELLS, JUDGED, trial
-from benchmarks.tables import markdown, tables
+from benchmarks.tables import markdown, MEBI, tables
 from benchmarks.worlds import line
 import numpy as np
 import pytest
@@ -36,6 +36,24 @@ def test_short_form_measures_and_shows(section, root):
     for table in made.values():
         assert len({len(row) for row in table}) == 1
         assert markdown(table) in page
+
+
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
+def test_time_and_memory_of_a_recording_do_not_depend_on_the_number_of_others(tmp_path):
+    many.make(tmp_path, 6, 4.0)
+    one, six = many.scaling(tmp_path, (1, 6))
+    assert one['jacobian'] == six['jacobian'] and six['seconds'] < 2.0 * one['seconds']
+
+
+@pytest.mark.stress
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
+def test_many_recordings_give_one_cup_by_any_route_to_a_small_client():
+    pytest.importorskip('distributed', reason='extra dask')
+    found = list(many.run(6, 5.0, (1, 2))['fits'].values())
+    assert [fit['killed'] for fit in found] == [False, True, True]
+    assert len({(*fit['K'], *fit['std']) for fit in found}) == 1
+    assert max(fit['peak'] for fit in found) < 400 * MEBI
 
 
 @pytest.mark.stress

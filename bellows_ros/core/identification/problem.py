@@ -236,18 +236,16 @@ class WhitenedSegment(NamedTuple):
     The whitened differences of a segment.
 
     Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the recording, the variance
-    (N, 6) of each difference, the variance (6,) of the innovation of a pose's noise, the relative
-    size (N, 6) of the noise and the share of its variance due to motion, the likeliest changes of
-    the tool's path and first state of the package, and information (c, q, q) and slope (c, q) of
-    each second.
+    (N, 6) of each difference, the variance (6,) of the innovation of a pose's noise, the mask of
+    the used poses of the package, the likeliest changes of the tool's path and first state of the
+    package, and information (c, q, q) and slope (c, q) of each second.
     """
 
     innovations: Array
     jacobian: Array
     variance: Array
     new_variance: Array
-    relative_std: Array
-    of_motion: Array
+    used: Mask
     tool_change: Array
     start: State
     information: Array
@@ -590,7 +588,7 @@ class Problem:
         return WhitenedSegment(
             innovations.ravel(), slopes.reshape(innovations.size, -1), variance,
             (1.0 - segment.measured.package_noise.correlation**2) * course.std**2,
-            segment.errors.std[nodes.used], segment.errors.of_motion[nodes.used],
+            nodes.used,
             first_order(change, segment.measured.tool_noise.correlation) + marker,
             whitening.shifted(start, correction),
             np.array([J.T @ J for J, _ in seconds]), np.array([J.T @ r for J, r in seconds]))

@@ -389,9 +389,11 @@ def _error_factors(
     if any(segment.measured.sensor is None for segment in segments):
         return None
     ratios = np.concatenate([
-        part.residuals / (part.relative_std * segment.measured.package_noise.std)
+        part.residuals / (segment.errors.std[part.used] * segment.measured.package_noise.std)
         for segment, part in zip(segments, parts, strict=True)])
-    moves = np.concatenate([part.of_motion for part in parts]) > 0.5
+    moves = np.concatenate([
+        segment.errors.of_motion[part.used]
+        for segment, part in zip(segments, parts, strict=True)]) > 0.5
     return np.array([[_clipped_rms(
         ratios[chosen[:, axis], axis] if np.count_nonzero(chosen[:, axis]) >= MIN_ERRORS
         else ratios[:, axis]) for axis in range(6)] for chosen in (~moves, moves)])
@@ -607,7 +609,8 @@ def _with_noise(
         sensor = segment.measured.sensor
         if segment.is_slow:
             correlation = segment.measured.package_noise.correlation
-            sizes, tolerance = part.relative_std, TAG_TOLERANCE if sensor else NOISE_TOLERANCE
+            sizes = segment.errors.std[part.used]
+            tolerance = TAG_TOLERANCE if sensor else NOISE_TOLERANCE
             total = (MAD_TO_STD * np.median(np.abs(part.residuals / sizes), axis=0)) ** 2
             if sensor:
                 total = _clipped_rms(part.residuals / sizes) ** 2

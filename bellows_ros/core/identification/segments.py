@@ -263,8 +263,8 @@ class Segment:
         """Errors of the valid poses, with standard deviations relative to the typical ones."""
         stamps, sensor = self.package.stamps_ns, self.measured.sensor
         if sensor is None:
-            ones = np.ones((len(stamps), 6))
-            return PoseErrors(stamps, np.empty((0, 3, 3)), ones, np.zeros(3), 0.0 * ones)
+            one, zero = (np.broadcast_to(x, (len(stamps), 6)) for x in (1.0, 0.0))
+            return PoseErrors(stamps, np.empty((0, 3, 3)), one, np.zeros(3), zero)
         errors = sensor.at(stamps)
         return errors._replace(std=errors.std / self.measured.package_noise.std)
 
