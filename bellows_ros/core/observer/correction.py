@@ -366,7 +366,7 @@ class Correction:
         verdict, numbers, (E, statistics, distances, onsets), likeliest = alarms.filter_step(
             self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
-            (self._drive, self._walks[is_supported], self._marker[3][0]),
+            (self._drive, self._walks[is_supported], self._marker[3]),
             (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
             (*measurement[1:], self._marker, self.holding_reach, gate))

@@ -27,6 +27,7 @@ from bellows_ros.core.model.equilibrium import linearise, substeps_for
 from bellows_ros.core.model.jacobians import Square
 from bellows_ros.core.model.kernels import Blocks, LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
+from bellows_ros.core.recording.measurement_model import Sensor, sizes_of
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -83,6 +84,9 @@ MAX_CORRELATION = 0.97
 
 VIEW_LENGTH = 0.15
 """Path of a tag over which the correlation of its errors decays to 1 / e, m."""
+
+VIEW_ANGLE = 0.1
+"""Rotation of a tag over which the correlation of its errors falls to 1 / e, rad."""
 
 STILL_TIME = 5.0
 """Time over which the correlation of the errors of a tag at rest decays to 1 / e, s."""
@@ -163,7 +167,7 @@ Moving = tuple[int, State, State, Array]
 EstimateTuple = tuple[int, State, State, Array, Array, Array]
 """Beginning of an `Estimate`: `Moving`, covariance and memory."""
 
-Noise = tuple[Array, Array, bool]
+Noise = tuple[Array, Array, Sensor]
 """
 Drive of `driving`, walk of `propagated_covariance`, and whether the errors of measured poses
 decorrelate with the view.
@@ -621,6 +625,25 @@ def propagated(
             k += 1
 
 
+@kernel
+def correlations_of_tag(
+    sensor: Sensor, before: State, after: State, age: float
+) -> tuple[float, float]:
+    """
+    Return the result of `correlations` for a tag.
+
+    Errors belong to the view, apart from blur, which the errors at rest do not share.
+    """
+    of_view = math.exp(-age * (1.0 / STILL_TIME + t3.norm(before[2]) / VIEW_LENGTH
+                               + t3.norm(before[3]) / VIEW_ANGLE))
+    _, depth0, across0, _ = sizes_of(
+        sensor, before[0], t3.apply(t3.rotation_matrix(before[1]), before[2]))
+    _, depth1, across1, _ = sizes_of(
+        sensor, after[0], t3.apply(t3.rotation_matrix(after[1]), after[2]))
+    return (of_view * min(depth0, depth1) / max(depth0, depth1),
+            of_view * min(across0, across1) / max(across0, across1))
+
+
 @array_kernel
 def predicted(
     model: ModelTuple, estimate: EstimateTuple, samples: Samples, is_recorded: bool, until_ns: int,
@@ -632,20 +655,20 @@ def predicted(
     The gain of the state is by the noise of the tool and the model error.
     """
     now_ns, tool, body, theta, P, memory = estimate
-    drive, walk, ages_by_view = noise
+    drive, walk, sensor = noise
     T, Q, theta = identity_transition(), np.zeros((STATE, STATE)), theta.copy()
     model_error = memory[SHARE] * MODEL_ERROR_TIME**3
     age = (until_ns - now_ns) / NS_PER_S
     correlation = correlations(memory, age)
-    if ages_by_view:
-        of_view = math.exp(-age * (1.0 / STILL_TIME + t3.norm(body[2]) / VIEW_LENGTH))
-        correlation = of_view, of_view
+    earlier = body
     without_cup = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
     for i in range(STATE):
         without_cup[:, i, i] = 1.0
     tool, body = propagated(
         model, (now_ns, tool, body, theta), (T, Q, without_cup), samples, is_recorded, until_ns,
         max_step, drive, model_error, cups)
+    if sensor[0]:
+        correlation = correlations_of_tag(sensor, earlier, body, age)
     P = propagated_covariance(P, T, Q, walk, correlation)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], correlation)
     if len(signatures) > 0:

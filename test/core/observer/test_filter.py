@@ -16,7 +16,11 @@ from bellows_ros.core.observer.measurement import (
     updated,
     WHITE_SHARE,
 )
-from bellows_ros.core.recording.measurement_model import MeasurementModel
+from bellows_ros.core.recording.measurement_model import (
+    MeasurementModel,
+    TAG_AT_REST,
+    TAG_IN_MOTION,
+)
 import numpy as np
 import pytest
 
@@ -204,3 +208,14 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     scale = np.sqrt(np.diag(P))
     assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > 0.0
     np.testing.assert_array_equal(P, P.T)
+
+
+@pytest.mark.parametrize(('turn', 'before', 'expected'), [
+    (0.1, 0.0, (0.37, 0.37)), (0.0, 0.0, (1.0, 1.0)), (0.0, 1.0, (0.13, 0.06))])
+def test_errors_of_a_tag_change_with_the_view_and_do_not_outlast_blur(turn, before, expected):
+    """Turn a tag 1 m from the camera within 33 ms, or stop it from a speed (m/s)."""
+    sensor = True, TAG_AT_REST, TAG_IN_MOTION, (0.0, 0.0, 1.0)
+    states = [(ZERO, (0.0, 0.0, 0.0, 1.0), (speed, 0.0, 0.0), (turn / 0.033, 0.0, 0.0))
+              for speed in (before, 0.0)]
+    np.testing.assert_allclose(
+        ekf.correlations_of_tag(sensor, *states, 0.033), expected, atol=0.04)
