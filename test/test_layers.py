@@ -67,7 +67,7 @@ READ_VALUES = {
     'identification.methods', 'identification.quantities', 'identification.reduction',
     'live.flight', 'live.load', 'live.payload', 'live.predictor', 'live.uncertainty',
     'observer.calibration', 'observer.correction', 'observer.measurement', 'observer.observer',
-    'recording.measurement_model', 'toss.landing', 'toss.release'}
+    'recording.measurement_model'}
 """Modules of core outside `parameters` that still read parameters by name."""
 
 CORE_SENTENCES = {

@@ -16,6 +16,7 @@ from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
+from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.values import Values
@@ -25,7 +26,6 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows
 from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
-from bellows_ros.core.toss import landing, release
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bag_writer, File, messages
 from bellows_ros.report.sentences import flip_warning
@@ -201,11 +201,10 @@ def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedu
         always = np.ones(len(tool), dtype=bool)
         hanging = simulate(cup, package, tool, gravity=values.gravity.magnitude)
         return Truth(tool, hanging, always, always)
-    normal = generator(recipe.seed, 'release').standard_normal(
-        (len(recipe.releases), len(release.RELEASE_NAMES)))
-    return tossed(
-        model, grip_of(values), release.release_of(values), tool, recipe.releases, recipe.pickup,
-        normal @ landing.release_factor(values).T)
+    normal = generator(recipe.seed, 'release').standard_normal((len(recipe.releases), 8))
+    release, factor = conversion.release_of(values), conversion.release_factor(values)
+    return tossed(model, grip_of(values), release, tool, recipe.releases, recipe.pickup,
+                  normal @ factor.T)
 
 
 def _record(

@@ -10,6 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.grip import RELEASE_NAMES
 from bellows_ros.core.model.validity_range import outside_loads
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.conversion import cup_of, package_of
@@ -17,7 +18,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
-from bellows_ros.core.toss.release import HeldMotion, law_of, RELEASE_NAMES, release_of, Toss, toss
+from bellows_ros.core.toss.release import HeldMotion, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import bags, File, messages, results
 from bellows_ros.report.sentences import flip_warning, sentence
@@ -155,7 +156,7 @@ class TossResult(CommandResult):
                 (values.cup.valid_mass, values.cup.valid_vacuum), values.package.mass,
                 values.vacuum.holding):
             warnings.append(f'Outside the validity range of the cup: {"; ".join(outside)}.')
-        if landing.beyond_masses(values):
+        if conversion.beyond_masses(values):
             lightest, heaviest = values.release.mass_range
             warnings.append(sentence('planning', 'beyond_masses', mass=values.package.mass,
                                      lightest=lightest, heaviest=heaviest))
@@ -240,7 +241,7 @@ def toss_plan(
             raise BellowsError(f'{name} is {value}; expected {expected}')
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
-    release, gravity = release_of(source.values), source.gravity
+    release, gravity = conversion.release_of(source.values), source.gravity
     if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
         raise BellowsError(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
@@ -256,7 +257,9 @@ def toss_plan(
         switched = aim.switched
     assert switched is not None
     nominal = toss(held, release, switched)
-    case = landing.TossProblem(source.values, held, release, switched)
+    case = landing.TossProblem(
+        held, release, switched, conversion.uncertain_of(source.values),
+        conversion.release_factor(source.values))
     progress('working out how sure the landing is')
     parts = landing.contributions_to(case, nominal)
     if monte_carlo:
@@ -379,8 +382,8 @@ def identify_release(
         left_out += [f'{bag}, {text}' for text in not_used]
     progress(f'fitting the law of release to {len(drops)} drops', 0.5)
     try:
-        fit = release_fit.fit_release(drops, law_of(values), landing.as_law(np.array(
-            [values[f'{name}_std'] for name in RELEASE_NAMES])))
+        std = landing.as_law(np.array([values[f'{name}_std'] for name in RELEASE_NAMES]))
+        fit = release_fit.fit_release(drops, conversion.release_law_of(values), std)
     except UndeterminedError as error:
         raise type(error)(' '.join([str(error), *(f'Not used: {t}.' for t in left_out)])) from None
     progress('done', 1.0)

@@ -6,7 +6,7 @@ import sys
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from bellows_ros.core.parameters.checks import resolve  # noqa: E402
-from bellows_ros.core.toss.landing import release_factor  # noqa: E402
+from bellows_ros.core.parameters.conversion import release_factor  # noqa: E402
 from bellows_ros.core.toss.release_fit import fit_release, release_parameters  # noqa: E402
 import numpy as np  # noqa: E402
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
-from bellows_ros.core.toss.release import HeldMotion, landing_error, release_of, toss
+from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of, release_of
+from bellows_ros.core.toss.release import HeldMotion, landing_error, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.plan import read_plan

@@ -5,7 +5,7 @@ import json
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.identification import search
-from bellows_ros.core.toss.release import RELEASE_NAMES
+from bellows_ros.core.model.grip import RELEASE_NAMES
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest

@@ -13,15 +13,15 @@ from bellows_ros.core.live.payload import MAX_SUBSTEPS
 from bellows_ros.core.live.plan_tracker import point_at
 from bellows_ros.core.live.uncertainty import Prediction, Uncertainty, UNKNOWN_ROOT
 from bellows_ros.core.model.equilibrium import adapted, largest_step, moved_by, pose_error
-from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.grip import Grip, NO_FLIGHT
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
-from bellows_ros.core.parameters.conversion import grip_of
+from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.toss import release
 from bellows_ros.core.toss.free_flight import COARSE_ROTATION_PER_STEP, flight, upward
-from bellows_ros.core.toss.landing import aim, release_factor, release_with
+from bellows_ros.core.toss.landing import aim, release_with
 from bellows_ros.core.toss.release import HeldMotion, Toss
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -94,13 +94,13 @@ class Flight:
         grip: Callable[[], Grip | None] | None = None,
     ) -> None:
         self._values, self._future = values, future
-        of_values = grip_of(values)
+        of_values = conversion.grip_of(values)
         self._grip_now = grip or (lambda: of_values)
         self.has_size = min(values.package.size) > 0.0
-        self._release = release.release_of(values) if self.has_size else release.NO_FLIGHT
+        self._release = conversion.release_of(values) if self.has_size else NO_FLIGHT
         # additional delay without load, s
-        self._ahead = release.latest_release(release.law_of(values)) + 0.05
-        self._factor = release_factor(values)
+        self._ahead = release.latest_release(conversion.release_law_of(values)) + 0.05
+        self._factor = conversion.release_factor(values)
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
         self._by_progress = np.zeros(6)
         self.forget()
@@ -230,7 +230,7 @@ class Flight:
         if self.state or now.flies:
             return UNKNOWN_ROOT
         times = np.linspace(0.0, seconds, 1 + math.ceil(seconds / ROOT_STEP))
-        switching = model, self.grip or release.NO_GRIP, release.NO_FLIGHT, math.inf
+        switching = model, self.grip or release.NO_GRIP, NO_FLIGHT, math.inf
         body = adapted(model, now.tool, now.body)
         tools, states = np.empty((2, 2, len(times), 13))
         for deviations in (1, 0):

@@ -1,5 +1,5 @@
 """
-Safety factors of a vacuum grip against peel and slip.
+Safety factors of a vacuum grip against peel and slip; data of its release.
 
 Each cup holds by its own wrench: the safety factor of a gripper is the smallest of its cups, whose
 K_1 and P_1 are solved from the sums (see `structure`). The vacuum presses the package on a lip
@@ -27,6 +27,34 @@ for a gripper of several cups also the cups that hold, as `places_of` returns th
 
 MODES = ('peel', 'slip')
 """Failure modes of the grip; an elastic lip peels before it tips."""
+
+Box = tuple[Vector, Vector]
+"""Half the sides along x, y, z of B, and the centre in B, m."""
+
+RELEASE_NAMES = tuple(f'release.{name}' for name in (
+    'delay', 'tau', 'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking'))
+"""Parameters of the law of release, in the order of `Law`."""
+
+Law = tuple[float, float, float, float, float, float, float, float]
+"""Delay (s) from the valve to the fall of suction, its time constant tau (s), impulse of the
+blow-off (N s); blow-off b; force F0 that closes the bellows (N), stretch L at which open bellows
+pull with F0 (m), 0 for none; damping of the open bellows along z (N s/m), 0 for the cup's damping;
+and the sticking of the lip. Blow-off and sticking are relative to the holding suction."""
+NO_LAW: Law = (0.0,) * 8
+"""Law of a cup with immediate release."""
+
+
+class Release(NamedTuple):
+    """Data of valve, cup, package and floor."""
+
+    law: Law
+    box: Box
+    height: float
+    """Height of the floor, from the world's origin against gravity, m."""
+
+
+NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
+"""Release of a package without a flight."""
 
 
 @kernel

@@ -9,7 +9,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, Uncertain
-from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.grip import Grip, Law, Release, RELEASE_NAMES
 from bellows_ros.core.model.structure import matrix, Structure, UPPER
 from bellows_ros.core.model.validity_range import Envelope, RANGE_PARAMETERS
 from bellows_ros.core.parameters.values import Values
@@ -18,6 +18,10 @@ import numpy as np
 
 STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
 """Relative change of the diagonal of K per vacuum, for finite-element bellows, 1/Pa."""
+
+EXTRAPOLATION = 2.0
+"""Relative growth of the law's standard deviations per factor e of mass beyond its range, from
+real drops of lighter and heavier packages (docs/toss.md)."""
 
 
 def is_gripper(values: Values) -> bool:
@@ -215,3 +219,69 @@ def gravity_of(values: Mapping[str, Any]) -> Array:
 def uncertain_of(values: Values) -> Uncertain:
     """Return the parameters of cup and package with standard deviations and the cups' places."""
     return Uncertain(parameter_vector(values), parameter_std(values), places_of(values))
+
+
+def release_of(values: Values) -> Release:
+    """
+    Return release and landing from parameter values.
+
+    Raises
+    ------
+    BellowsError
+        Without the size of the package.
+
+    """
+    size = values.package.size
+    if not min(size) > 0.0:
+        raise BellowsError(
+            f'package.size is {list(size)}; expected three sides above 0 m, since the landing '
+            'depends on the corners. Set it, for example package.size: [0.3, 0.2, 0.15].')
+    x, y, z = (0.5 * side for side in size)
+    a, b, c = values.package.size_center
+    return Release(release_law_of(values), ((x, y, z), (a, b, c)), values.landing.height)
+
+
+def release_law_of(values: Values) -> Law:
+    """
+    Return the law of release from parameter values.
+
+    Raises
+    ------
+    BellowsError
+        If a cup opens without a closing force.
+
+    """
+    law: Any = tuple(values[name] for name in RELEASE_NAMES)
+    if law[5] > 0.0 and not law[4] > 0.0:
+        raise BellowsError(
+            f'release.closing is {law[4]:g} N, but release.opening {law[5]:g} m; expected a force '
+            'above 0 with which the suction closes a cup that opens. Take both from bellows '
+            'identify --release.')
+    return law  # type: ignore[no-any-return]
+
+
+def release_factor(values: Values) -> Array:
+    """
+    Return L (8, 8) with the covariance L L^T of the law; 0 for numbers without effect.
+
+    The covariance grows with the distance of the mass from the packages of the fitted law.
+    """
+    std = np.array([values[f'{name}_std'] for name in RELEASE_NAMES])
+    std *= 1.0 + EXTRAPOLATION * beyond_masses(values)
+    if not values.release.opening:
+        std[3:] = 0.0
+    C = np.reshape(values.release.correlation, (8, 8))
+    size, axes = np.linalg.eigh(C)  # rounded covariances may be indefinite
+    return np.asarray(std[:, None] * np.linalg.cholesky(
+        C if size[0] > 0.0 else (axes * np.maximum(size, 1e-9)) @ axes.T))
+
+
+def beyond_masses(values: Values) -> float:
+    """Return the `distance_of` the package from release.mass_range."""
+    return distance_of(values.package.mass, values.release.mass_range)
+
+
+def distance_of(mass: float, mass_range: tuple[float, ...]) -> float:
+    """Return the logarithmic distance of a mass from a range (kg); 0 inside, or without one."""
+    lightest, heaviest = mass_range
+    return max(0.0, math.log(lightest / mass), math.log(mass / heaviest)) if lightest else 0.0

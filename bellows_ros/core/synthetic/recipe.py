@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.grip import Grip, Law, Release
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import stands, trajectory_of, write_row
 from bellows_ros.core.parameters.checks import Settings
@@ -29,7 +29,7 @@ from bellows_ros.core.recording import alignment
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion, motion_from, sample_stamps
 from bellows_ros.core.toss.landing import release_with
-from bellows_ros.core.toss.release import HeldMotion, Law, MAX_RELEASE_WAIT, Release, toss
+from bellows_ros.core.toss.release import HeldMotion, MAX_RELEASE_WAIT, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import default_rng, Generator, SeedSequence

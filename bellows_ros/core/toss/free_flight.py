@@ -7,6 +7,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model import kernels
+from bellows_ros.core.model.grip import Box
 from bellows_ros.core.model.kernels import PackageTuple, State
 
 ROTATION_PER_STEP, MAX_FLIGHT_STEP = 0.01, 0.02
@@ -19,9 +20,6 @@ INSTANT_TOLERANCE = 1e-10
 
 MAX_FLIGHT_TIME = 10.0
 """Longest time from the release to the landing, s."""
-
-Box = tuple[Vector, Vector]
-"""Half the sides along x, y, z of B, and the centre in B, m."""
 
 
 Bracket = tuple[float, float, float, float, float]

@@ -13,21 +13,16 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import cup_package
+from bellows_ros.core.model.grip import Law, Release, RELEASE_NAMES
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.parameters import conversion
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.toss import release as toss_release
-from bellows_ros.core.toss.release import HeldMotion, Law, Release, RELEASE_NAMES, Toss, toss
+from bellows_ros.core.toss.release import HeldMotion, Toss, toss
 from bellows_ros.errors import NoLandingError, NoReleaseError, UnstableError
 import numpy as np
 import scipy  # whose parts are loaded as they are used
 
 MARGIN = 0.25
 """Longest delay of the release by changed parameters after the nominal instant, s."""
-
-EXTRAPOLATION = 2.0
-"""Relative growth of the law's standard deviations per factor e of mass beyond its range, from
-real drops of lighter and heavier packages (docs/toss.md)."""
 
 TOLERANCE = 1e-6
 """Accuracy of the best release time, s."""
@@ -68,11 +63,13 @@ class Contributions(NamedTuple):
 class TossProblem(NamedTuple):
     """A toss, and the parameters that determine it."""
 
-    values: Values
     held: HeldMotion
     release: Release
     switched: float
     """Time of the valve, s since the first point of the plan."""
+    uncertain: cup_package.Uncertain
+    factor: Array
+    """L (8, 8) with the covariance L L^T of the law of release."""
 
     def error(self, thrown: Toss, nominal: Toss) -> Array:
         """Return the deviation of a landing from a nominal one (6,), m and rad."""
@@ -96,34 +93,6 @@ def as_law(numbers: Array) -> Law:
     return law  # type: ignore[no-any-return]
 
 
-def release_factor(values: Values) -> Array:
-    """
-    Return L (8, 8) with the covariance L L^T of the law; 0 for numbers without effect.
-
-    The covariance grows with the distance of the mass from the packages of the fitted law.
-    """
-    std = np.array([float(values[f'{name}_std']) for name in RELEASE_NAMES])
-    std *= 1.0 + EXTRAPOLATION * beyond_masses(values)
-    if not values.release.opening:
-        std[3:] = 0.0
-    C = np.reshape(values.release.correlation, (8, 8))
-    size, axes = np.linalg.eigh(C)  # rounded covariances may be indefinite
-    return np.asarray(std[:, None] * np.linalg.cholesky(
-        C if size[0] > 0.0 else (axes * np.maximum(size, 1e-9)) @ axes.T))
-
-
-def beyond_masses(values: Values) -> float:
-    """Return the `distance_of` the package from release.mass_range."""
-    mass_range = values.release.mass_range
-    return distance_of(float(values.package.mass), mass_range) if mass_range[0] else 0.0
-
-
-def distance_of(mass: float, mass_range: tuple[float, ...]) -> float:
-    """Return the logarithmic distance of a mass from a range (kg); 0 inside, or without one."""
-    lightest, heaviest = mass_range
-    return max(0.0, math.log(lightest / mass), math.log(mass / heaviest)) if lightest else 0.0
-
-
 def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     """
     Return the contributions of cup, package and release, by differences as in `perturbed`.
@@ -131,18 +100,18 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     The law of release also acts to second order: with a normal z along each axis of its
     covariance, a z + b z^2 has the second moment a^2 + 2 b^2 about its mean, the sum of all b.
     """
-    numbers = conversion.uncertain_of(case.values)
+    held, release, switched, numbers, factor = case
     names, parts = cup_package.contributions(
-        numbers, case.held.model, lambda model: case.error_with(model, case.release, nominal))
-    std = [numbers.std[cup_package.PARAMETER_NAMES.index(name)] for name in names]
-    factor, count = release_factor(case.values), len(names)
+        numbers, held.model, lambda model: case.error_with(model, release, nominal))
+    std, count = [
+        numbers.std[cup_package.PARAMETER_NAMES.index(name)] for name in names], len(names)
     of_law = np.linalg.norm(factor, axis=1)
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
 
     def both(by: Array) -> tuple[Array, Array]:
         """Return the landings for a change of the law, and for the opposite change."""
-        up, down = (case.error(toss(case.held, release_with(case.release, step), case.switched),
-                               nominal) for step in (by, -by))
+        up, down = (case.error(toss(held, release_with(release, step), switched), nominal)
+                    for step in (by, -by))
         return up, down
 
     for k in uncertain:
@@ -183,13 +152,12 @@ class MonteCarlo(NamedTuple):
 def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
     """Return random tosses with parameters drawn from their normal distributions."""
     rng = np.random.default_rng(seed)
-    numbers, std, places = conversion.uncertain_of(case.values)
-    factor = release_factor(case.values)
+    numbers, std, places = case.uncertain
     rows = []
     for _ in range(count):
         model = cup_package.model_with(
             case.held.model, numbers + std * rng.standard_normal(len(std)), places)
-        release = release_with(case.release, factor @ rng.standard_normal(8))
+        release = release_with(case.release, case.factor @ rng.standard_normal(8))
         with suppress(NoLandingError, UnstableError):
             rows.append(case.error_with(model, release, nominal))
     return MonteCarlo(np.array(rows).reshape(-1, 6), count - len(rows))

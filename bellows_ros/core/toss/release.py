@@ -23,38 +23,25 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import equilibrium, kernels, simulation
-from bellows_ros.core.model.grip import Grip, largest_peel_load
+from bellows_ros.core.model.grip import Grip, largest_peel_load, Law, NO_LAW, Release
 from bellows_ros.core.model.kernels import ModelTuple, State, ToolSegment
 from bellows_ros.core.model.simulation import body_row, row_state, ToolRows, write_row
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss import free_flight
-from bellows_ros.errors import BellowsError, NoLandingError
+from bellows_ros.errors import NoLandingError
 import numpy as np
 
 MAX_RELEASE_WAIT = 2.0
 """Longest time from the valve to the release, s."""
 
-RELEASE_NAMES = tuple(f'release.{name}' for name in (
-    'delay', 'tau', 'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking'))
-"""Parameters of the law of release, in the order of `Law`."""
-
 LAW_STEP = 0.1
-DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(RELEASE_NAMES)
+DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * 8
 """Steps of differences by shift (m), rotation (rad), linear and angular twist (m/s, rad/s), and by
 the numbers of the law of release (standard deviations)."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
 """Grip of unknown radius or vacuum: the release is after the delay, or at the suction at which the
 lip stops sticking, under any load."""
-
-Law = tuple[float, float, float, float, float, float, float, float]
-"""Delay (s) from the valve to the fall of suction, its time constant tau (s), impulse of the
-blow-off (N s); blow-off b; force F0 that closes the bellows (N), stretch L at which open bellows
-pull with F0 (m), 0 for none; damping of the open bellows along z (N s/m), 0 for the cup's damping;
-and the sticking of the lip. Blow-off and sticking are relative to the holding suction."""
-NO_LAW: Law = (0.0,) * 8
-"""Law of a cup with immediate release."""
 
 
 @kernel
@@ -171,18 +158,6 @@ def _simulate_held(
             margins[j] = suction_margin(model, grip, NO_LAW, -1.0, tool, body)
         start += durations[k]
 
-
-class Release(NamedTuple):
-    """Data of valve, cup, package and floor."""
-
-    law: Law
-    box: free_flight.Box
-    height: float
-    """Height of the floor, from the world's origin against gravity, m."""
-
-
-NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
-"""Release of a package without a flight."""
 
 Switching = tuple[ModelTuple, Grip, Release, float]
 """Model and grip of the held package, its release, and the time of the valve (s)."""
@@ -484,46 +459,6 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
             f'The package does not land within {free_flight.MAX_FLIGHT_TIME:g} s. Check gravity, '
             'landing.height and release.impulse.')
     return Toss(released, body, landing, landed)
-
-
-def release_of(values: Values) -> Release:
-    """
-    Return release and landing from parameter values.
-
-    Raises
-    ------
-    BellowsError
-        Without the size of the package.
-
-    """
-    size = values.package.size
-    if not min(size) > 0.0:
-        raise BellowsError(
-            f'package.size is {list(size)}; expected three sides above 0 m, since the landing '
-            'depends on the corners. Set it, for '
-            'example package.size: [0.3, 0.2, 0.15].')
-    x, y, z = (0.5 * float(side) for side in size)
-    a, b, c = (float(value) for value in values.package.size_center)
-    return Release(law_of(values), ((x, y, z), (a, b, c)), float(values.landing.height))
-
-
-def law_of(values: Values) -> Law:
-    """
-    Return the law of release from parameter values.
-
-    Raises
-    ------
-    BellowsError
-        If a cup opens without a closing force.
-
-    """
-    law: Any = tuple(float(values[name]) for name in RELEASE_NAMES)
-    if law[5] > 0.0 and not law[4] > 0.0:
-        raise BellowsError(
-            f'release.closing is {law[4]:g} N, but release.opening {law[5]:g} m; expected a force '
-            'above 0 with which the suction closes a cup that opens. Take both from bellows '
-            'identify --release.')
-    return law  # type: ignore[no-any-return]
 
 
 def latest_release(law: Law) -> float:

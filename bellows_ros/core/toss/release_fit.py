@@ -20,16 +20,17 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.equilibrium import adapted, largest_step, moved_by
-from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.grip import Grip, Law, NO_FLIGHT, NO_LAW, RELEASE_NAMES
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
+from bellows_ros.core.parameters.conversion import distance_of, EXTRAPOLATION
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.toss import release as tossing
-from bellows_ros.core.toss.landing import as_law, distance_of, EXTRAPOLATION
-from bellows_ros.core.toss.release import Law, LAW_STEP, NO_GRIP, NO_LAW, RELEASE_NAMES
+from bellows_ros.core.toss.landing import as_law
+from bellows_ros.core.toss.release import LAW_STEP, NO_GRIP
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
@@ -161,7 +162,7 @@ class Drop:
         if change is not None:
             start = moved_by(start, STATE_STD * change)
         states = np.empty((len(seconds), 13))
-        switching = self.model, self.grip, tossing.NO_FLIGHT._replace(law=law), self.valve
+        switching = self.model, self.grip, NO_FLIGHT._replace(law=law), self.valve
         released = tossing.write_toss(switching, start, rows, seconds, max_step, states)
         return float(released), states
 

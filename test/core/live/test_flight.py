@@ -9,9 +9,10 @@ from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import largest_step, moved_by
 from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import release_factor, release_of
 from bellows_ros.core.toss import release as tossing
-from bellows_ros.core.toss.landing import release_factor, release_with
-from bellows_ros.core.toss.release import HeldMotion, release_of, toss
+from bellows_ros.core.toss.landing import release_with
+from bellows_ros.core.toss.release import HeldMotion, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest

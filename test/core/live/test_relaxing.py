@@ -10,9 +10,10 @@ from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import release_of
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.steering import steer
-from bellows_ros.core.toss.release import HeldMotion, release_of, toss
+from bellows_ros.core.toss.release import HeldMotion, toss
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

@@ -8,9 +8,10 @@ from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import release_factor, release_of, uncertain_of
 from bellows_ros.core.toss import landing
 from bellows_ros.core.toss.landing import TossProblem
-from bellows_ros.core.toss.release import HeldMotion, release_of, toss
+from bellows_ros.core.toss.release import HeldMotion, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
@@ -18,15 +19,16 @@ import pytest
 from .. import tosses
 
 MODEL = model_tuple(tosses.CUP, tosses.PACKAGE, 9.81)
-PACKAGE_STD = {'package.mass_std': 0.005, 'package.com_std': (5e-4, 5e-4, 5e-4)}
+VALUES = resolve({
+    **tosses.values(), 'package.mass_std': 0.005, 'package.com_std': (5e-4, 5e-4, 5e-4)})
 
 
 @pytest.fixture(scope='module')
 def case():
     """Return the throw, released in the middle."""
-    values = resolve({**tosses.values(), **PACKAGE_STD})
     held = HeldMotion(MODEL, tosses.GRIP, tosses.plan())
-    return TossProblem(values, held, release_of(values), 0.5)
+    return TossProblem(
+        held, release_of(VALUES), 0.5, uncertain_of(VALUES), release_factor(VALUES))
 
 
 @pytest.mark.parametrize(('count', 'inside', 'within'), [
@@ -56,7 +58,7 @@ def test_law_counts_in_the_node_as_in_a_plan(case):
     body = held.states[np.searchsorted(held.times, case.switched)]
     now = Prediction(1, *row_state(body), ZERO, ZERO, row_state(rows[k]))
     rest = ToolRows(stamps[k:] - stamps[k], rows[k:])
-    found = Flight(case.values, lambda now, deviations: rest).landing(
+    found = Flight(VALUES, lambda now, deviations: rest).landing(
         MODEL, now, lambda _: np.zeros((12, 12)))
     np.testing.assert_allclose(found.covariance, expected, rtol=5e-3, atol=1e-12)
 
@@ -102,7 +104,7 @@ def test_refuses_to_aim_where_nothing_lands(case):
 def test_what_cannot_be_tossed_is_counted(case):
     """A valve that may not open in time fails now and then, and the rest counts."""
     nominal = toss(case.held, case.release, case.switched)
-    loose = case._replace(values=case.values.replaced({'release.delay_std': 0.4}))
+    loose = case._replace(factor=release_factor(VALUES.replaced({'release.delay_std': 0.4})))
     drawn = landing.draw(loose, nominal, 12, seed=1)
     assert 0 < drawn.failed < 12
     assert len(drawn.errors) == 12 - drawn.failed
@@ -113,9 +115,9 @@ def test_a_mass_beyond_the_drops_makes_the_law_of_release_less_certain():
     values = resolve({**tosses.values(), 'release.opening': 0.02, 'release.closing': 20.0,
                       'release.closing_std': 0.5})
     inside, near, far = (
-        np.diag(landing.release_factor(values.replaced({'release.mass_range': (0.1, heaviest)})))
+        np.diag(release_factor(values.replaced({'release.mass_range': (0.1, heaviest)})))
         for heaviest in (2.0, 1.8 / 1.1, 1.8 / 1.21))
-    np.testing.assert_allclose(inside, np.diag(landing.release_factor(values)))
+    np.testing.assert_allclose(inside, np.diag(release_factor(values)))
     np.testing.assert_allclose(far - inside, 2.0 * (near - inside), rtol=1e-9)
     assert (near[:2] > 1.15 * inside[:2]).all() and inside[4] == 0.5
 
@@ -123,8 +125,7 @@ def test_a_mass_beyond_the_drops_makes_the_law_of_release_less_certain():
 def test_the_second_order_of_the_law_is_exact_for_a_quadratic(case, monkeypatch):
     """Compare with the moments of landings that are quadratic along the axes of the law."""
     rng = np.random.default_rng(5)
-    factor = landing.release_factor(case.values)
-    sizes, axes = np.linalg.eigh(factor @ factor.T)
+    sizes, axes = np.linalg.eigh(case.factor @ case.factor.T)
     kept = sizes > 1e-12 * sizes[-1]
     units = axes[:, kept] / np.sqrt(sizes[kept])  # z = units^T change is standard normal
     a, b = rng.standard_normal((2, 6, units.shape[1]))

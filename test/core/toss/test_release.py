@@ -4,10 +4,12 @@ import math
 
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.model.cup_package import model_tuple, Package
+from bellows_ros.core.model.grip import NO_LAW
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import release_of
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.free_flight import flight, ROTATION_PER_STEP
-from bellows_ros.core.toss.release import flight_path, HeldMotion, NO_LAW, release_of, toss
+from bellows_ros.core.toss.release import flight_path, HeldMotion, toss
 from bellows_ros.errors import NoLandingError
 import numpy as np
 import pytest

@@ -2,10 +2,10 @@
 
 
 from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.model.grip import Law
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import release_factor
 from bellows_ros.core.toss import release_fit
-from bellows_ros.core.toss.landing import release_factor
-from bellows_ros.core.toss.release import Law
 from bellows_ros.core.toss.release_fit import fit_release, release_parameters
 from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 import numpy as np
