@@ -209,12 +209,10 @@ def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
     return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{remaining}'
 
 
-NEGATIVE_ZERO = re.compile(r'(?<![\w.+-])-(?=0(?:\.0+)?(?![\d.eE]))')
-
-
 def printable(text: str, allowed: str = '') -> str:
     """Escape the control characters of a string, as names may be hostile; write -0.0 as 0.0."""
-    return shown(NEGATIVE_ZERO.sub('', text), MAX_TEXT, allowed)
+    text = re.sub(r'(?<![\w.+-])-(?=0(?:\.0+)?(?![\d.eE]))', '', text)
+    return shown(text, MAX_TEXT, allowed)
 
 
 def _is_terminal(stream: TextIO) -> bool:

@@ -13,7 +13,7 @@ from .console import Console
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     span = options.interval_settings(arguments)
-    text = arguments.out.lower().endswith(convert.TEXT_ENDINGS)
+    text = arguments.out.lower().endswith(('.tum', '.txt'))
     frames = bool(arguments.tool_frame or arguments.package_frame) and not text
     _require_possible(arguments, text, frames)
     source, topics = arguments.sources[0], arguments.topic

@@ -22,9 +22,6 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
            'cup.length')
 """Quantities that a recording does not contain: comments of the file, to fill in."""
 
-CERTAIN = ('tool_pose.offset', 'recording.package_frame', 'measured.model')
-"""Settings of the checks that are values in the file; others are comments."""
-
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     options.require_absent(arguments.write_params, arguments.force)
@@ -32,7 +29,8 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     result = info(arguments.bag, options.interval_settings(arguments))
     if arguments.write_params:
         settings = {**result.settings, **{
-            name: check.settings[name] for check in result.checks for name in CERTAIN
+            name: check.settings[name] for check in result.checks
+            for name in ('tool_pose.offset', 'recording.package_frame', 'measured.model')
             if name in check.settings}}
         if settings.get('measured.model') == 'tag' and 'fit.free' in settings:
             settings['fit.free'] = (*settings['fit.free'], 'scale')  # a tag of another size

@@ -17,12 +17,6 @@ from bellows_ros.version import __version__
 
 from .console import Binary, Console, Folder, NOT_USABLE, OK, Output, STDOUT
 
-INTERVAL = {'from': 'recording.start', 'to': 'recording.end'}
-"""Parameters set by the options for a part of a recording."""
-
-INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
-"""Parameters that name inputs."""
-
 
 class Outcome(NamedTuple):
     """
@@ -139,13 +133,16 @@ def read_settings(
 
 def inputs_of(values: Mapping[str, Any]) -> list[str]:
     """Return the input files that parameters name."""
-    return [file for name in INPUTS for file in values.get(name, ())]
+    return [file for name in (
+        'bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
+        for file in values.get(name, ())]
 
 
 def interval_settings(arguments: argparse.Namespace) -> dict[str, table.Value]:
     """Return the parameters that --from and --to set."""
     return dict(parse_override(f'{name}={text}', f'--{option}')
-                for option, name in INTERVAL.items() if (text := getattr(arguments, name, '')))
+                for option, name in (('from', 'recording.start'), ('to', 'recording.end'))
+                if (text := getattr(arguments, name, '')))
 
 
 def parse_override(text: str, option: str = '') -> tuple[str, table.Value]:

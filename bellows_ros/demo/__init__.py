@@ -15,7 +15,6 @@ from bellows_ros.errors import BellowsError
 
 # DDS on Linux: domains 1 to 101 avoid the ports that the system assigns itself.
 DOMAINS = 101
-PORTS = (7400, 7410)  # of domain 0: multicast discovery, the first participant's unicast
 
 # Sockets open until this process ends: two simultaneous searches do not choose one domain before
 # ROS occupies it.
@@ -46,8 +45,8 @@ def unused_domain() -> int:
     """
     for offset in range(DOMAINS):
         domain = 1 + (os.getpid() + offset) % DOMAINS
-        probes = [_bound(socket.AF_INET, ('', port + 250 * domain))
-                  for port in PORTS]
+        # ports of multicast discovery, and of the first participant's unicast
+        probes = [_bound(socket.AF_INET, ('', port + 250 * domain)) for port in (7400, 7410)]
         for probe in filter(None, probes):
             probe.close()
         # abstract: it vanishes with the process

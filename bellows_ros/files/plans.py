@@ -29,7 +29,7 @@ from bellows_ros.files.bag_folder import Channel
 from bellows_ros.files.plan_messages import JointPlan, MULTI_DOF, ns_of, PATH, PlanMessage
 import numpy as np
 
-TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
+TF = 'tf2_msgs/msg/TFMessage'
 
 
 class Transform(NamedTuple):
@@ -63,7 +63,7 @@ def read_transforms(path: File) -> list[Transform]:
             stamp, o, q = each.header.stamp, each.transform.translation, each.transform.rotation
             transforms.append(Transform(child, parent, PoseSample(
                 stamp.sec * NS_PER_S + stamp.nanosec, (o.x, o.y, o.z), (q.x, q.y, q.z, q.w),
-            ), topic.name == STATIC_TF))
+            ), topic.name == '/tf_static'))
     return sorted(transforms, key=lambda each: (not each.is_fixed, each.sample.stamp_ns))
 
 

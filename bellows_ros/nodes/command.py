@@ -25,9 +25,6 @@ from bellows_ros.version import __version__
 
 from ..errors import BellowsError, CRASHED, install, NotSetError, shown
 
-NO_ROS = (
-    "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
-    f'instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}')
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 HELP_WIDTH = 96
 NODES = {
@@ -179,7 +176,10 @@ def _exit_at_once() -> NoReturn:
 def require_ros() -> None:
     """Raise BellowsError if ROS is missing, before any work."""
     if importlib.util.find_spec('rclpy') is None:
-        raise BellowsError(NO_ROS)
+        raise BellowsError(
+            "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, "
+            'for instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: '
+            f'{install("ros")}')
 
 
 def _initialise(argv: Sequence[str]) -> None:

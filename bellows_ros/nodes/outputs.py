@@ -284,11 +284,6 @@ class Outputs:
 
 NAMESPACE = 'bellows_ros'
 
-CARDBOARD = (0.76, 0.6, 0.42, 0.8)
-RUBBER = (0.2, 0.3, 0.8, 0.9)
-FORCE = (0.9, 0.2, 0.1, 1.0)
-COASTING = (0.6, 0.6, 0.6, 0.5)
-
 
 class Markers:
     """Markers that are updated for each frame."""
@@ -322,8 +317,11 @@ class Markers:
             end = root if prediction.flies else add(lip, apply(R_world_package, place))
             self._cup.points += [point(root), point(end)]
         self._force.points = [point(lip), point(tip)]
-        for each, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
-            show(each, prediction.stamp_ns, frame, COASTING if prediction.coasting else colour)
+        for each, colour in (
+                (self._box, (0.76, 0.6, 0.42, 0.8)), (self._cup, (0.2, 0.3, 0.8, 0.9)),
+                (self._force, (0.9, 0.2, 0.1, 1.0))):
+            colour = (0.6, 0.6, 0.6, 0.5) if prediction.coasting else colour
+            show(each, prediction.stamp_ns, frame, colour)
         return self._array
 
 

@@ -21,7 +21,6 @@ from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_
 import numpy as np
 
 TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
-TEXT_ENDINGS = ('.tum', '.txt')
 
 
 class Body(NamedTuple):

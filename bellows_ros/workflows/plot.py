@@ -24,10 +24,6 @@ from bellows_ros.workflows.replay import Live, Margins, predicted_live
 import numpy as np
 
 SPECTRUM_SECONDS = 4.0  # of a segment: resolution 0.25 Hz
-NO_PACKAGE = {
-    'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inertia': NO_INERTIA,
-    'package.com': (0.0, 0.0, 0.0)}
-"""Parameters with B at the tracked point, for a picture of motion without a mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +171,10 @@ def recorded(
     bag: File, settings: Mapping[str, Any], needs_package: bool
 ) -> tuple[Values, Recording]:
     """Return all parameters, and a recording; without package.com, B is the tracked point."""
-    given = settings if needs_package else {**NO_PACKAGE, **settings}
-    values = resolve(given, PACKAGE_PARAMETERS)
+    given = {} if needs_package else {
+        'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inertia': NO_INERTIA,
+        'package.com': (0.0, 0.0, 0.0)}
+    values = resolve({**given, **settings}, PACKAGE_PARAMETERS)
     return values, load(bag, values)
 
 

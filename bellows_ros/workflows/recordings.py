@@ -34,9 +34,6 @@ def no_progress(what: str, part: float = 0.0) -> None:
     """Ignore the progress."""
 
 
-OTHER_TOPICS = ' If the topics of recordings differ, give each a file in package.files.'
-"""Remedy for a topic that is missing in one of several recordings."""
-
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 """Settings for reading whole recordings: plans, standstills, validations."""
 
@@ -53,10 +50,6 @@ NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 FILES_OF = {'bags': 'package.files', 'static.bags': 'static.files'}
 """Parameters that name the parameter files of recordings."""
-
-RECORDING_PREFIXES = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
-"""Prefixes of parameters, in addition to the package, in which recordings of one cup may
-differ."""
 
 
 class Failed(NamedTuple):
@@ -91,9 +84,10 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
     roles = ('tool_pose', 'package_pose', 'tool_twist')
     contents = bags.read_contents(path, {role: values[f'topics.{role}'] for role in roles})
     for problem in contents.problems.values():
-        remedy = OTHER_TOPICS if isinstance(problem, NoTopicError) and values.bags[1:] and (
-            name in map(str, values.bags)) else ''
-        raise type(problem)(f'{problem}{remedy}')
+        if isinstance(problem, NoTopicError) and values.bags[1:] and name in map(str, values.bags):
+            problem = NoTopicError(f'{problem} If the topics of recordings differ, give each a '
+                                   'file in package.files.')
+        raise problem
     recording = prepare_streams(contents.streams, settings, values, name)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(bag_folder.digests(path)) if with_digest else ()
@@ -314,7 +308,8 @@ def values_of_each(values: Values, bags_in: str = 'bags') -> list[Values]:
     each: list[Values] = [
         values.replaced({
             name: value for name, value in parameter_files.read_parameters(file).items()
-            if name in checks.PACKAGE_PARAMETERS or name.startswith(RECORDING_PREFIXES)})
+            if name in checks.PACKAGE_PARAMETERS or name.startswith(
+                ('topics.', 'recording.', 'tool_twist.', 'gravity.direction'))})
         for file in files] or [values for _ in bags]
     for bag, parameters in zip(bags, each, strict=True):
         missing = [name for name in checks.RECORDING_PARAMETERS if name not in parameters]

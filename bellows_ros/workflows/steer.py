@@ -63,12 +63,6 @@ class SteeredMotion(NamedTuple):
             **demands(self.tool)}
 
 
-EXCITE_SETTINGS = (
-    'start', 'joints', 'rotation', 'excitation', 'bending', 'torsion', 'highest_frequency',
-    'tracking')
-"""Settings in a limits file that only `bellows excite` reads."""
-
-
 @dataclass(frozen=True, eq=False)
 class SteerReport(CommandResult):
     """
@@ -216,7 +210,9 @@ def read_limits(content: object) -> Limits:
     lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
                     for name, size in (('lower', -NO_LIMIT), ('upper', NO_LIMIT)))
     acceleration = settings.number('joint_acceleration', NO_LIMIT, 'rad/s^2 or m/s^2', above=0.0)
-    settings.done(ignored=EXCITE_SETTINGS)
+    settings.done(ignored=(
+        'start', 'joints', 'rotation', 'excitation', 'bending', 'torsion', 'highest_frequency',
+        'tracking'))
     if (lower >= upper).any():
         raise settings.error(
             'workspace', f'workspace.lower is {lower.tolist()} and workspace.upper '

@@ -37,9 +37,8 @@ LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_wo
 """Quantities that recordings separate from K and P, unlike mass and inertia, which scale with K
 and P."""
 
-CLOCK_RATE, EXPOSURE = 'rate of the clocks (ppm)', 'exposure of the camera (ms)'
-"""Names of estimated quantities that are not parameters."""
 
+CLOCK_RATE = 'rate of the clocks (ppm)'
 MAX_PULL = 5.0
 """Largest change of centre of mass or length by a fit, standard deviations: a cup that deviates
 from the model appears longer."""
@@ -341,7 +340,9 @@ def _found(
         'com': ('package.com', found.com), 'length': ('cup.length', np.array([length])),
         'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
         'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1))),
-        'exposure': (EXPOSURE, 1e3 / rate_hz * np.sqrt(free.get('exposure', np.zeros(1))))}
+        'exposure': (
+            'exposure of the camera (ms)',
+            1e3 / rate_hz * np.sqrt(free.get('exposure', np.zeros(1))))}
     pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
              for name in parameters if name in free and name in std}
     if max(pulls.values(), default=0.0) <= 0.5:  # standard deviations

@@ -29,8 +29,6 @@ from numpy.typing import ArrayLike
 # rad. At this angle the series below reach double precision, and the closed forms have lost at
 # most two digits, of terms that are 1/12 and 1/60 in size.
 SERIES_BELOW = 1.0
-# The first omitted term at t = SERIES_BELOW is below 1e-19 of the sum.
-SERIES_TERMS = 10
 
 
 def _even_function(
@@ -41,7 +39,8 @@ def _even_function(
 
     Below `SERIES_BELOW` it is the sum of (-1)^k coefficient(k) t^(2 k), else the closed form.
     """
-    series = [(-1) ** k * coefficient(k) for k in range(SERIES_TERMS)]
+    # The first omitted term is below 1e-19 of the sum.
+    series = [(-1) ** k * coefficient(k) for k in range(10)]
 
     def function(t2: Array) -> Array:
         small = t2 < SERIES_BELOW**2

@@ -28,9 +28,9 @@ from bellows_ros.core.model.kernels import (
 Square = tuple[Matrix, Matrix, Matrix, Matrix]
 """A 6x6 matrix as its blocks oo, oR, Ro, RR."""
 
-BY_STIFFNESS, BY_DAMPING = slice(0, 21), slice(21, 42)
+BY_DAMPING = slice(21, 42)
 BY_LENGTH, BY_INERTIA, BY_GRAVITY = slice(42, 43), slice(43, 49), slice(49, 52)
-BY_MASS, BY_COM, BY_WRENCH = slice(52, 53), slice(53, 56), slice(56, 62)
+BY_MASS, BY_COM = slice(52, 53), slice(53, 56)
 BY_STRETCH = slice(62, 64)
 PARAMETER_COLUMNS = 64
 """

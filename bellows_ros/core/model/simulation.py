@@ -40,12 +40,8 @@ def rest(model: ModelTuple, row: Array, guess: State | None = None) -> State:
     return equilibrium.static_equilibrium(model, state_row(row[:3], row[3:7]), guess)
 
 
-MAX_INTEGRATION_STEPS = 10_000_000
-"""Largest number of integration steps of a prediction, some seconds of processor time."""
-
-
-def require_steps(steps: float, max_steps: int = MAX_INTEGRATION_STEPS) -> None:
-    """Raise BellowsError for a prediction of too many integration steps."""
+def require_steps(steps: float, max_steps: int = 10_000_000) -> None:
+    """Raise BellowsError for a prediction of too many steps, which take some seconds."""
     if not steps <= max_steps:
         raise BellowsError(
             f'The prediction takes {steps:.3g} integration steps; expected at most '

@@ -21,7 +21,7 @@ iterations."""
 MAX_JOINT_STEP, MIN_RATIO = 0.5, 1e-4
 """Longest step (rad, m), and smallest used ratio of a singular value to the largest."""
 
-TURNING, SLIDING = ('revolute', 'continuous'), ('prismatic',)
+TURNING = 'revolute', 'continuous'
 
 
 class Joint(NamedTuple):
@@ -244,7 +244,7 @@ def _attributes(joint: ElementTree.Element, tag: str) -> Mapping[str, str]:
 def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Element]) -> Joint:
     """Return a joint of the chain, with the limits of the mimicked joint, if any."""
     name, kind = element.get('name', ''), element.get('type', '')
-    if kind not in ('fixed', *TURNING, *SLIDING):
+    if kind not in ('fixed', *TURNING, 'prismatic'):
         raise BellowsError(
             f"Joint '{shown(name)}' on the way to the tool is {shown(kind) or 'of no kind'}; "
             'fixed, revolute, continuous and prismatic joints can be followed.')

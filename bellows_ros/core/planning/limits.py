@@ -25,9 +25,6 @@ RATES = {
     'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3'}
 """Limited quantities and their units."""
 
-SPACING_NS = 1_000_000
-"""Spacing of the points for accelerations and jerks, as in drives, ns."""
-
 MAX_STRETCH, MIN_STRETCH, STRETCH_RESOLUTION = 20.0, 1.02, 1.001
 """Largest factor on time, smallest relative step of the search, and its resolution."""
 STEEPNESS = 4
@@ -82,9 +79,9 @@ def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float
 
 
 def demands(tool: Trajectory) -> dict[str, float]:
-    """Return the `largest_rates` of a motion from rest to rest, at points `SPACING_NS` apart."""
+    """Return the `largest_rates` of a motion from rest to rest, at points 1 ms apart."""
     duration_ns = int(tool.stamps_ns[-1] - tool.stamps_ns[0])
-    at = np.linspace(0, duration_ns, max(3, round(duration_ns / SPACING_NS)) + 1).astype(np.int64)
+    at = np.linspace(0, duration_ns, max(3, round(duration_ns / 1e6)) + 1).astype(np.int64)
     points = resample(tool, tool.stamps_ns[0] + at)
     ends = ((2, 2), (0, 0))
     return largest_rates(

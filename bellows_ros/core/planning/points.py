@@ -358,9 +358,6 @@ or rad/s."""
 MAX_JUMP = 0.5
 """Largest step of a joint between points without a change of configuration, rad or m."""
 
-MAX_SPACING = 0.01
-"""Largest time between points of a motion of joints, s."""
-
 CHECK_RATE = 1000.0
 """Rate at which limits are checked between the points, Hz."""
 
@@ -476,8 +473,7 @@ class Joints(NamedTuple):
         """
         Return the motion of these joints that moves the tool along another motion.
 
-        Its points are points of the tool, with about the spacing of the plan, at most
-        `MAX_SPACING`.
+        Its points are points of the tool, with about the spacing of the plan, at most 10 ms.
 
         Parameters
         ----------
@@ -493,7 +489,7 @@ class Joints(NamedTuple):
             As in `joint_path`.
 
         """
-        step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, MAX_SPACING)
+        step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, 0.01)
         every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
         rows = np.arange(0, len(tool), every)
         rows[-1] = len(tool) - 1  # at rest, where the plan ends at rest

@@ -288,12 +288,10 @@ TOPICS = {
     'tool_twist': '/tool_arm/twist',
     'package_pose': '/package/pose',
     'valve': '/vacuum/valve'}
-FRAME_IDS = {'z_up': 'world', 'motive_y_up': 'motive'}
 START_NS = 1_700_000_000_000_000_000
 """First stamp of a recording of a motion or plan without a date."""
 
 _PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'package', 'release')
-_TOPIC = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 
 
 class Recipe(NamedTuple):
@@ -376,7 +374,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
         tool_twist=twist_sensor_from(tool.block('twist')),
         package=sensor_from(package, tracked + [*offset, 0.0]),
         world=world,
-        frame_id=settings.text('frame_id', FRAME_IDS[world]),
+        frame_id=settings.text('frame_id', 'world' if world == 'z_up' else 'motive'),
         topics=_topics(settings.block('topics')),
         storage=settings.choice('storage', ('mcap', 'sqlite3'), 'mcap'),
         zstd=settings.choice('compression', ('none', 'zstd'), 'none') == 'zstd',
@@ -408,7 +406,7 @@ def _topics(settings: Settings) -> dict[str, str]:
     for role, default in TOPICS.items():
         name = settings.text(role, default)
         topics[role] = name if name.startswith('/') else f'/{name}'
-        if not _TOPIC.fullmatch(topics[role]):
+        if not re.fullmatch(r'(/[A-Za-z_][A-Za-z0-9_]*)+', topics[role]):
             raise settings.refuse(role, 'a topic name such as ' + default, name)
         if list(topics.values()).count(topics[role]) > 1:
             raise settings.refuse(role, 'a topic no other stream has', name)

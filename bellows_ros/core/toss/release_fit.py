@@ -65,9 +65,6 @@ MAX_CHI2 = 2.0
 LINEAR_TAU = 0.5
 """Time constant with which the suction falls linearly during a release, s."""
 
-MIN_MASSES = 3
-"""Smallest number of masses in the fits that calibrate the model error."""
-
 MAX_COMMON_RESIDUAL = 4.0
 """Largest ratio of the common residual of drops of one mass to their scatter."""
 
@@ -480,14 +477,14 @@ def _calibrated(drops: Sequence[Drop], fit: ReleaseFit) -> ReleaseFit:
     Return a fit whose covariance explains the errors of held-out masses.
 
     The stated variance equals the mean square deviation of height and velocity at the end of the
-    drops of each mass, predicted by a fit to the others. With fewer than `MIN_MASSES` others, the
+    drops of each mass, predicted by a fit to the others. With fewer than three others, the
     common residual of drops enlarges the covariance instead.
     """
     ratios = list[Array]()
     for mass in sorted({drop.mass for drop in drops if drop.stands}):
         own, others = ([drop for drop in drops if drop.stands and (drop.mass == mass) is is_own]
                        for is_own in (True, False))
-        if len(ranges := {drop.mass for drop in others}) < MIN_MASSES:
+        if len(ranges := {drop.mass for drop in others}) < 3:
             continue
         part = _fitted(others, np.array(fit.law), fit.free)
         problem = [_DropFit(drop, fit.free) for drop in others]
