@@ -195,8 +195,10 @@ def track(
     speed2 = along(v, w, v, w)
     if wide != variance:
         rate_variance = max(rate_variance, START_STD * START_STD)
-    v0, w0 = point_at(rows, seconds, t)[2:4]
-    slower = min(speed2, along(v0, w0, v0, w0))  # the plan starts or stops in between
+    slower = speed2  # in the prior's range: the plan may start or stop there
+    for k in range(3):
+        v0, w0 = point_at(rows, seconds, t + (k - 1) * math.sqrt(wide))[2:4]
+        slower = min(slower, along(v0, w0, v0, w0))
     gain = slower / (wide * slower + POSE_STD * POSE_STD)
     rate += covariance * (at - t) / wide
     rate_variance -= covariance * covariance * gain
