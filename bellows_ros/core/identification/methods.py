@@ -56,14 +56,6 @@ MIN_REST_SHARE = 0.5
 MAX_MISFIT_TO_NOISE = 2.0
 """Largest ratio of misfit and noise for output error, in free simulations and residuals."""
 
-MIN_MASS_RATIO = 1.3
-"""
-Smallest ratio of masses for the automatic fit of stretch.
-
-From one mass, stretch extrapolates worse than K alone: for finite-element bellows identified with
-1.8 kg, the error of a swing of 1 kg is 26 % instead of 15 %; with 0.8 and 1.8 kg it is 1.4 %.
-"""
-
 LENGTH_STEP = 1e-5
 """Step of numerical derivatives by cup.length, m."""
 
@@ -248,14 +240,8 @@ def by_output_error(
         weak_prior(named), named, values.fit.relaxation,
         {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,
-        'off' if structure.places else _stretch(recordings, values.fit.stretch),
+        'off' if structure.places else values.fit.stretch,
         MARKERS if values.recording.marker == 'shared' else ())
-
-
-def _stretch(recordings: Sequence[AnyRecording], wanted: str) -> str:
-    """Return fit.stretch, with 'auto' replaced by 'off' for recordings of a single mass."""
-    masses = [recording.payload.mass for recording in recordings]
-    return 'off' if wanted == 'auto' and max(masses) < MIN_MASS_RATIO * min(masses) else wanted
 
 
 def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
