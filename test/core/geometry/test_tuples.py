@@ -65,3 +65,33 @@ def test_products_follow_the_rotations(rng):
     assert_allclose(tuples.apply(tuple(P.ravel()), tuple(v)), P @ v, atol=1e-15)
     assert_allclose(tuples.apply_transposed(tuple(P.ravel()), tuple(v)), P.T @ v, atol=1e-15)
     assert_allclose(tuples.cross(tuple(v), tuple(p[:3])), np.cross(v, p[:3]), atol=1e-15)
+
+
+def test_quaternions_are_normalised_and_compared(rng):
+    q = rng.standard_normal(4)
+    assert_allclose(tuples.normalised(tuple(q)), q / np.linalg.norm(q), rtol=1e-15)
+    p, phi = tuples.normalised(tuple(rng.standard_normal(4))), rng.standard_normal(3)
+    turned = tuples.quaternion_product(p, tuples.exp_quaternion(tuple(phi)))
+    assert_allclose(tuples.rotation_between(p, turned), phi, atol=2e-15)
+
+
+@pytest.mark.parametrize('columns', [1, 5, 6, 8, 12, 13, 18, 23, 24, 31])
+def test_products_of_arrays_are_those_of_numpy(columns, rng):
+    """In blocks of 12 and 6 columns and the remaining ones, with blocks of zeros."""
+    for zeros in (slice(0), slice(0, 12), slice(12, 18), slice(None)):
+        A, B = rng.standard_normal((4, columns)), rng.standard_normal((columns, 7))
+        A[:, zeros] = 0.0
+        out = rng.standard_normal((6, 7))
+        expected = out.copy()
+        expected[:4] += A @ B
+        assert_allclose(tuples.add_product(A, B, out), expected, atol=1e-14)
+        expected[:4], expected[4:] = A @ B, 0.0
+        assert_allclose(tuples.product(A, B, out), expected, atol=1e-14)
+    Z, B = rng.standard_normal((6, columns)), rng.standard_normal((6, 7))
+    Z[:, ::3] = 0.0
+    out = rng.standard_normal((columns + 1, 7))
+    expected = out.copy()
+    expected[:columns] -= Z.T @ B
+    tuples.subtract_product(Z, B, out)
+    assert_allclose(out, expected, atol=1e-14)
+    assert_allclose(tuples.transpose(Z), Z.T, rtol=0)
