@@ -150,7 +150,7 @@ def test_output_error_of_two_masses_predicts_others():
     assert -22e3 < fit.stretch[0] < -10e3 and -7.0 < fit.stretch[1] < -1.0
     for mass in (0.5, 1.8, 2.5):
         assert np.abs(tilt_errors(cup, mass)).max() < 0.03
-    assert swing_error(cup, 8, 1.0) < 0.03
+    assert swing_error(cup, 8, 1.0) < 0.04
     assert swing_error(cup, 7, 1.8) < 0.06
     plain, without = fitted(recordings, fit__stretch='off', fit__structure='axisymmetric')
     assert plain.stretch == (0.0, 0.0)
