@@ -16,6 +16,7 @@ import mmap
 import os
 from pathlib import Path
 import pickle
+import re
 import subprocess
 import sys
 from types import CodeType, ModuleType
@@ -198,13 +199,14 @@ def _source_digest(function: Callable[..., Any]) -> bytes:
     Return a digest of a kernel's code, constants, and the kernels it calls.
 
     numba watches only the file of the kernel itself, but the machine code also contains kernels of
-    other files: without the digest stale machine code would be loaded.
+    other files: without the digest stale machine code would be loaded. Docstrings do not matter.
     """
     digest = hashlib.sha256(repr(OPTIONS).encode())
     codes = [function.__code__]
     for code in codes:
         codes += [inner for inner in code.co_consts if isinstance(inner, CodeType)]
-        plain = [value for value in code.co_consts if not isinstance(value, CodeType)]
+        plain = [value for value in code.co_consts
+                 if not isinstance(value, CodeType) and value != function.__doc__]
         digest.update(code.co_code + repr((plain, code.co_names, code.co_varnames)).encode())
         scopes = [function.__globals__]
         scopes += [vars(module) for name in code.co_names
@@ -254,8 +256,8 @@ class _TolerantCache:
     def __init__(self, cache: Any, function: Callable[..., Any], kind: str) -> None:
         self._cache, self._function = cache, function
         files = cache._cache_file
-        cache._cache_file = type(files)(
-            cache.cache_path, cache._impl.filename_base + kind, files._source_stamp)
+        name = re.sub(r'-\d+\.', '.', cache._impl.filename_base)  # the digest knows changed lines
+        cache._cache_file = type(files)(cache.cache_path, name + kind, files._source_stamp)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._cache, name)
