@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -143,12 +143,18 @@ class Identification(CommandResult):
             'cup.relaxation': self.fit.relaxation,
             'cup.stretch': self.fit.stretch})
 
-    def parameters(self) -> dict[str, Any]:
-        """Return the parameters of the cup file: the cup with standard errors and validity."""
+    def parameters(self, with_cell: bool = False) -> dict[str, Any]:
+        """
+        Return the parameters of the cup file: the cup with standard errors and validity.
+
+        A small change of the length belongs to a centre of mass, which only a cell file has.
+        """
         values = {
             name: value for name, value in self.cup_values().items()
             if name in ('cup.stiffness', 'cup.damping', 'cup.length')
             or name in CUP_EXTRAS and value != table.PARAMETERS[name].default}
+        if not with_cell and 'cup.length' not in (self.verdict.found if self.verdict else ()):
+            values['cup.length'] = self.cup_length
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
@@ -414,7 +420,8 @@ def save(
     if json_path:
         results.write_json(json_path, result)
     for path, parameters in (
-            (parameters_path, result.parameters), (cell_path, result.cell_parameters)):
+            (parameters_path, partial(result.parameters, bool(cell_path))),
+            (cell_path, result.cell_parameters)):
         if path:
             result.require_usable(force)
             parameter_files.write_parameters(path, parameters(), result.header())
