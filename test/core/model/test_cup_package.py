@@ -2,7 +2,7 @@
 
 from contextlib import nullcontext
 
-from bellows_ros.core.model.cup_package import box_inertia, Package
+from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
 from bellows_ros.core.model.structure import check_inertia
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.errors import BellowsError
@@ -33,3 +33,11 @@ def test_packages_and_parameters_take_the_same_rounded_inertia(largest, is_taken
         Package(1.0, np.diag([1.0, 1.0, largest]), np.zeros(3))
     with nullcontext() if is_taken else pytest.raises(BellowsError):
         validate('package.inertia', [1.0, 1.0, largest, 0.0, 0.0, 0.0])
+
+
+def test_the_cup_of_the_thesis_has_its_numbers():
+    """Equations 4.78 and 4.79, and the length of chapter 3."""
+    cup = Cup.thesis()
+    assert cup.length == 0.0481
+    assert_allclose(cup.stiffness, np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123]))
+    assert_allclose(cup.damping, np.diag([66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736]))

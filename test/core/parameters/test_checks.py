@@ -84,7 +84,7 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
     ('envelop.rates', "'envelope.rates'"), ('cups.soft.stifness', "'cups.soft.stiffness'"),
     ('package.xyzzy', 'package.mass, package.inertia, package.com'),
     ('package', 'package.mass, package.inertia, package.com'), ('zzzzzzzzzz', r'topics\.\*'),
-    ('cups.soft.xyzzy', 'cups.soft.length, cups.soft.stiffness')])
+    ('cups.soft.xyzzy', 'cups.soft.length, cups.soft.stiffness'), ('cups.soft.name', '')])
 def test_an_unknown_name_is_refused_with_the_nearest_or_those_of_its_group(name, suggested):
     with pytest.raises(BellowsError, match=f"'{name}'.*{suggested}"):
         lookup(name)

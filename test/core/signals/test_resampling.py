@@ -123,6 +123,16 @@ def arrived(sampled, longest_s, seed):
     return np.maximum.accumulate(sampled + late) + np.arange(len(sampled))
 
 
+def test_jitter_is_the_standard_deviation_of_the_steps():
+    rng = np.random.default_rng(4)
+    stamps_ns = EPOCH_NS + 4_000_000 * np.arange(20_000) + np.round(
+        1e5 * rng.standard_normal(20_000)).astype(np.int64)
+    result = timing(stamps_ns)
+    assert_allclose(result.jitter_s, np.sqrt(2.0) * 1e-4, rtol=0.05)
+    assert_allclose(result.rate_hz, 250.0, rtol=1e-3)
+    assert not result.uniform
+
+
 @pytest.mark.parametrize('gaps', [False, True])
 @pytest.mark.parametrize(('longest_s', 'size'), [(3e-3, 0.1), (8e-3, 1.0)])
 def test_stamps_of_arrival_become_those_of_the_sampling(longest_s, size, gaps):
