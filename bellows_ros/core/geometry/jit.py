@@ -97,11 +97,13 @@ def _by_name(kernel: Any, arguments: Any) -> Any:
     return code.entry_point
 
 
-def load(module: str, name: str, arguments: Any) -> None:
-    """Load or compile a kernel that loaded code calls by name."""
+def load(symbol: str, module: str, name: str, arguments: Any) -> None:
+    """Load or compile a kernel that loaded code calls by a symbol."""
     kernel = getattr(importlib.import_module(module), name).called()
     kernel.compile(arguments)
     _by_name(kernel, arguments)
+    if symbol not in NAMED:  # the machine code would end the process
+        raise ValueError(f'{name} has another symbol')
 
 
 def _compiler(function: Callable[..., Any], options: dict[str, Any], called: bool = False) -> Any:
@@ -111,6 +113,9 @@ def _compiler(function: Callable[..., Any], options: dict[str, Any], called: boo
         def _compile_bytecode(self) -> Any:
             """Compile under a name that every process gives to the same code."""
             self.state.func_id.unique_id = _source_digest(function).hex()
+            if called and options['forceinline']:
+                self.state.library = _for_callers(
+                    self.state.targetctx.codegen(), function.__qualname__)
             return super()._compile_bytecode()
 
     options = {**options, 'no_cfunc_wrapper': True, 'no_cpython_wrapper': called}
@@ -120,6 +125,25 @@ def _compiler(function: Callable[..., Any], options: dict[str, Any], called: boo
     except RuntimeError:  # neither the package's folder nor the user's cache can be written
         compiled = numba.njit(pipeline_class=Named, **options)(function)
     return compiled
+
+
+def _for_callers(codegen: Any, name: str) -> Any:
+    """Return a library for an inlined kernel, whose machine code is made in its callers alone."""
+    library = codegen.create_library(name)
+
+    def finalize() -> None:
+        shared, empty = library._final_module, codegen._create_empty_module(name)
+        for each in shared.functions:
+            if not each.is_declaration and each.linkage.name == 'external':
+                each.linkage = 'linkonce_odr'
+        own = [str(each) for each in shared.global_variables if 'NumbaEnv' in each.name]
+        library._shared_module = shared
+        library._final_module = numba.core.codegen.ll.parse_assembly('\n'.join([str(empty), *own]))
+        type(library)._finalize_final_module(library)
+
+    library.enable_object_caching()
+    library._finalize_final_module = finalize
+    return library
 
 
 @contextmanager
@@ -201,7 +225,7 @@ def _source_digest(function: Callable[..., Any]) -> bytes:
     numba watches only the file of the kernel itself, but the machine code also contains kernels of
     other files: without the digest stale machine code would be loaded. Docstrings do not matter.
     """
-    digest = hashlib.sha256(repr(OPTIONS).encode())
+    digest = hashlib.sha256(repr(OPTIONS).encode() + load.__code__.co_code)
     codes = [function.__code__]
     for code in codes:
         codes += [inner for inner in code.co_consts if isinstance(inner, CodeType)]
@@ -283,7 +307,8 @@ class _TolerantCache:
 
     def save_overload(self, signature: Any, code: Any) -> None:
         """Save compiled code, with the names that it calls, if possible."""
-        called = [partial(load, *NAMED[each.name]) for each in code.library._final_module.functions
+        functions = code.library._get_module_for_linking().functions
+        called = [partial(load, each.name, *NAMED[each.name]) for each in functions
                   if each.is_declaration and each.name in NAMED]
         try:
             self._cache.save_overload(signature, code._replace(reload_init=called))

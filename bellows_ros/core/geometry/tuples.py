@@ -330,6 +330,14 @@ if COMPILED:
         return _add_from(12, A, B, out) if A.shape[1] > 12 else out
 
     @array_kernel
+    def add_array(A: Any, factor: float, out: Any) -> Any:
+        """Add factor A to the first rows, and return the sum."""
+        for i in range(A.shape[0]):
+            for j in range(A.shape[1]):
+                out[i, j] += factor * A[i, j]
+        return out
+
+    @array_kernel
     def subtract_product(Z: Any, B: Any, out: Any) -> None:
         """Subtract Z^T B, of six rows each, from the first rows; Z^T Z stays symmetric."""
         for i in range(Z.shape[1]):
@@ -350,6 +358,11 @@ else:
         """Write A B to the first rows, and return it."""
         out[:] = 0.0
         out[:len(A)] = A[:, :len(B)] @ B
+        return out
+
+    def add_array(A: Any, factor: float, out: Any) -> Any:
+        """Add factor A to the first rows, and return the sum."""
+        out[:len(A)] += factor * A
         return out
 
     def subtract_product(Z: Any, B: Any, out: Any) -> None:

@@ -494,7 +494,7 @@ def _assessed(
     n, C = H.shape[1], H.astype(np.float32)
     response = output_of(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
     t3.add_product(  # fall, as a shift in the world
-        C[:3, ekf.CAMERA:ekf.CAMERA + 3], E[n + 4:], response[:3])
+        np.ascontiguousarray(C[:3, ekf.CAMERA:ekf.CAMERA + 3]), E[n + 4:], response[:3])
     change = t3.product(
         root.astype(np.float32), response, np.empty((6, E.shape[1]), np.float32))
     counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
@@ -507,9 +507,8 @@ def _assessed(
             counts[k] += 1
     faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
     if counts[0] > SETTLING:
-        t3.add_product(z.reshape((1, 6)), change, statistics[:1])
         for number in range(faults):
-            _add_products(change, number, statistics)
+            _add_products(z, change, number, statistics)
     if used:
         t3.subtract_product(whitened.astype(np.float32), change, E)
     likeliest = _likeliest_fault(statistics, distances, onsets, from_start, faults)
@@ -567,7 +566,8 @@ def _add_onset(
         for a in range(FIRSTS[h + 1] - first):
             signature = E[:, column + a * slots + slot]
             statistics[:, column + a * slots + slot] = 0.0
-            signature[:] = steps[:, first + a]
+            for i in range(len(signature)):
+                signature[i] = steps[i, first + a]
             x, y, z = signature[ekf.CAMERA + 3:ekf.CAMERA + 6]
             shift = t3.cross(place, (x, y, z))
             for i in range(3):
@@ -575,12 +575,16 @@ def _add_onset(
 
 
 @kernel
-def _add_products(change: Array, number: int, statistics: Array) -> None:
+def _add_products(z: Array, change: Array, number: int, statistics: Array) -> None:
     """Add a measurement's information on the sizes of a fault."""
     h, column = _layout(number)
     m = SLOTS[h]
     for a in range(FIRSTS[h + 1] - FIRSTS[h]):
         i = column + a * m
+        for k in range(m):
+            statistics[0, i + k] += (
+                z[0] * change[0, i + k] + z[1] * change[1, i + k] + z[2] * change[2, i + k]
+                + z[3] * change[3, i + k] + z[4] * change[4, i + k] + z[5] * change[5, i + k])
         for b in range(a + 1):
             j, J = column + b * m, statistics[1 + b, i:]
             for k in range(m):
@@ -599,8 +603,7 @@ def _likeliest_fault(
     top, sums, best = np.full(causes, -math.inf), np.zeros(causes), np.zeros((causes, 3), np.int64)
     A, z = np.empty((MAX_COMPONENTS, MAX_COMPONENTS, ONSETS)), np.empty((MAX_COMPONENTS, ONSETS))
     explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
-    unusual = np.where(
-        onsets[0] > 0, distances - 6.0 * onsets[0] - 4.0 * np.sqrt(12.0 * onsets[0]), math.inf)
+    unusual = _unusual(distances, onsets[0])
     for number in range(0 if from_start else AT_START, faults):
         h, column = _layout(number)
         first, later = FIRSTS[h], h >= AT_START
@@ -631,6 +634,16 @@ def _likeliest_fault(
     total = top[leader] + math.log(np.exp(top - top[leader]).sum())
     return (total, top[leader] - rival, (first[0], first[1], first[2]), second,
             (other[0], other[1], other[2]), pinned, none)
+
+
+@kernel
+def _unusual(distances: Array, counts: Stamps) -> Array:
+    """Return the parts of the squared distances beyond their usual ones, infinite without any."""
+    unusual = np.full(len(distances), math.inf)
+    for k in range(len(distances)):
+        if counts[k] > 0:
+            unusual[k] = distances[k] - 6.0 * counts[k] - 4.0 * math.sqrt(12.0 * counts[k])
+    return unusual
 
 
 @kernel

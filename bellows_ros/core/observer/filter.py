@@ -359,7 +359,7 @@ def write_losses(
     nominal: ModelTuple, theta: Array, cups: Array, tool: State, body: State, out: Array
 ) -> None:
     """
-    Write M^-1 [W_i, w_i] of each cup into (n, 6, 13): accelerations by error, and without.
+    Write M^-1 [W_i, w_i] of each cup into (6 n, 13): accelerations by error, and without.
 
     Without cup i of a gripper, its wrench w_i(x) is missing. The error e of an estimate x with all
     cups has the slope A e - M^-1 (w_i(x) + W_i e), with A of all cups and W_i the derivative of
@@ -371,11 +371,11 @@ def write_losses(
         K, P = kernels.blocks_of(cups[i][:27]), kernels.blocks_of(cups[i][27:])
         one = with_theta(((cup[0], cup[1], K, P, *cup[4:]), nominal[1], nominal[2]), theta)
         by_pose, by_twist = jac.cup_accelerations(one, tool, body)
-        jac.write_square(out[i], 0, 0, by_pose)
-        jac.write_square(out[i], 0, 6, by_twist)
+        jac.write_square(out, 6 * i, 0, by_pose)
+        jac.write_square(out, 6 * i, 6, by_twist)
         f, m = kernels.lip_wrench(one, tool, body)
         dv, dw = jac.acceleration_at(one[1], one[1][1], f, m)
-        jac.write_column(out[i], 12, dv, dw)
+        jac.write_column(out[6 * i:], 12, dv, dw)
 
 
 @array_kernel
@@ -401,31 +401,25 @@ def accumulate(
         Transition and noise, updated in place.
     fall_acceleration : tuple
         Acceleration of the fall relative to the model, which holds the package (m/s^2, world).
-    losses, without_cup : ndarray (cups, 6, 13), (cups, 12, 13)
+    losses, without_cup : ndarray (6 cups, 13), (cups, 12, 13)
         Sums of results of `write_losses`, and the transitions without each cup, updated in place.
 
     """
-    X, F, n, half = np.empty((12, 12)), np.empty((12, 12)), T.shape[1], 0.5 * h
+    X, F, half = np.empty((12, 12)), np.empty((12, 12)), 0.5 * h
     G = identity_plus(0.25 * half, A, np.empty((12, 12)))
     for k in (3.0, 2.0):
         identity_plus(half / k, t3.product(A, G, X), G)
     identity_plus(half, t3.product(A, G, X), F)
-    Q += drive
+    t3.add_array(drive, 1.0, Q)
     t3.product(F, t3.transpose(t3.product(F, Q, X)), Q)
-    Q += drive
+    t3.add_array(drive, 1.0, Q)
     last, by_twist = T[STATE], np.empty((12, 6))
     for i in range(12):
         for j in range(6):
             by_twist[i, j] = half * G[i, 6 + j]
     for c in range(len(without_cup)):
-        after = without_cup[c].copy()
-        for _ in range(2):  # with the loss at the begin of the step, then with its mean
-            loss = t3.product(losses[c], 0.5 * (without_cup[c] + after), np.empty((6, 13)))
-            loss[:, 12] += losses[c, :, 12]
-            t3.product(F, without_cup[c], after)
-            t3.add_product(-by_twist, loss, after)
-        without_cup[c] = after
-    T[:STATE] = t3.add_product(by_twist, B, t3.product(F, T[:STATE], np.empty((12, n))))
+        _accumulate_loss(F, by_twist, losses[6 * c:6 * c + 6], without_cup[c])
+    t3.add_product(by_twist, B, t3.product(F, T[:STATE].copy(), T[:STATE]))
     for i in range(12):
         for k in range(6):
             T[i, LENGTHENING] += (last[SECONDS] + 0.5 * h) * by_twist[i, k] * B[k, LENGTH]
@@ -433,6 +427,22 @@ def accumulate(
         last[FALL + i] += h * (last[FALL_SPEED + i] + 0.5 * h * fall_acceleration[i])
         last[FALL_SPEED + i] += h * fall_acceleration[i]
     last[SECONDS] += h
+
+
+@array_kernel
+def _accumulate_loss(F: Any, by_twist: Any, losses: Any, without_cup: Any) -> None:
+    """Propagate a transition (12, 13) without a cup, with half the sum of losses at both ends."""
+    before, mean, loss = without_cup.copy(), without_cup.copy(), np.empty((6, 13))
+    for _ in range(2):  # with the loss at the begin of the step, then with its mean
+        t3.product(losses, mean, loss)
+        for i in range(6):
+            loss[i, 12] += losses[i, 12]
+            for j in range(13):
+                loss[i, j] = -loss[i, j]
+        t3.add_product(by_twist, loss, t3.product(F, before, without_cup))
+        for i in range(12):
+            for j in range(13):
+                mean[i, j] = 0.5 * (before[i, j] + without_cup[i, j])
 
 
 @kernel
@@ -471,8 +481,8 @@ def carry_theta(columns: Array, seconds: float, correlation: tuple[float, float]
     """Propagate theta, or derivatives of its rows (n - 12, m), in place."""
     for c in range(columns.shape[1]):
         columns[LENGTH - STATE, c] += seconds * columns[LENGTHENING - STATE, c]
-    for i in range(6):
-        columns[NOISE - STATE + i] *= correlation[i // 3]
+        for i in range(6):
+            columns[NOISE - STATE + i, c] *= correlation[i // 3]
 
 
 @kernel
@@ -511,20 +521,22 @@ def propagated_covariance(
         out[CAMERA + i, CAMERA + i] += h * walk[6 + i]
         for j in range(STATE):
             side[j, WRENCH + i] += more * T[j, WRENCH + i]
-    side[:, :STATE] = times_transition(T, t3.transpose(side), np.empty((STATE, STATE))) + Q
-    out[LENGTH] += h * out[LENGTHENING]
-    fade = np.repeat(np.array(correlation), 3)
+    square = times_transition(T, t3.transpose(side), np.empty((STATE, STATE)))
+    for i in range(STATE):
+        for j in range(STATE):
+            side[i, j] = square[i, j] + Q[i, j]
+    t3.add_array(out[LENGTHENING:LENGTHENING + 1], h, out[LENGTH:LENGTH + 1])
     for i in range(n):  # equal rounding of both halves
         out[i, LENGTH] += h * out[i, LENGTHENING]
-        a = fade[i - NOISE] if 0 <= i - NOISE < 6 else 1.0
+        a = correlation[(i - NOISE) // 3] if 0 <= i - NOISE < 6 else 1.0
         for j in range(6):
-            out[i, NOISE + j] *= a * fade[j]
+            out[i, NOISE + j] *= a * correlation[j // 3]
         for j in range(min(i, STATE)):
             out[i, j] = out[j, i]
     for i in range(6):
         for j in range(STATE, n):
             out[NOISE + i, j] = out[j, NOISE + i]
-        out[NOISE + i, NOISE + i] += 1.0 - fade[i] ** 2
+        out[NOISE + i, NOISE + i] += 1.0 - correlation[i // 3] ** 2
     return out
 
 
@@ -579,16 +591,16 @@ def propagated(
     nominal, model, max_step = model, with_theta(model, theta), stable_step(max_step, theta)
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
-    losses0, losses1 = np.zeros((len(without_cup), 6, 13)), np.zeros((len(without_cup), 6, 13))
+    losses0, losses1 = np.zeros((6 * len(without_cup), 13)), np.zeros((6 * len(without_cup), 13))
     while True:
         if follows and (is_reset or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
                 now_ns, stamps[k], max_step)):
             force = slopes(model, bias, math.exp(theta[0]), tool, body, A1, B1)
             write_losses(nominal, theta, cups[:len(without_cup)], tool, body, losses1)
             if not is_reset:
-                A0 += A1
-                B0 += B1
-                losses0 += losses1
+                t3.add_array(A1, 1.0, A0)
+                t3.add_array(B1, 1.0, B0)
+                t3.add_array(losses1, 1.0, losses0)
                 _, _, _, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
                 more = 0.5 * h * model_error
                 accumulate(A0, B0, h, 0.5 * squares * drive[0] + more * (
@@ -662,8 +674,9 @@ def predicted(
     correlation = correlations(memory, age)
     earlier = body
     without_cup = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
-    for i in range(STATE):
-        without_cup[:, i, i] = 1.0
+    for c in range(len(without_cup)):
+        for i in range(STATE):
+            without_cup[c, i, i] = 1.0
     tool, body = propagated(
         model, (now_ns, tool, body, theta), (T, Q, without_cup), samples, is_recorded, until_ns,
         max_step, drive, model_error, cups)

@@ -380,7 +380,8 @@ def updated_memory(
     out[ekf.SHARE] = min(max(out[ekf.SHARE] * math.exp(growth), least), SHARE_RANGE[1])
     if not is_used:
         return out
-    out[1:5] *= forgetting
+    for i in range(1, 5):
+        out[i] *= forgetting
     for i in range(6):
         noise = theta[NOISE - STATE + i]
         out[1 + i // 3] += noise * noise
