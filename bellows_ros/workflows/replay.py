@@ -29,8 +29,14 @@ from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
-from bellows_ros.core.recording.recording import Recording, require_one_frame, TimeOffset
+from bellows_ros.core.recording.recording import (
+    LOW_RATE_HZ,
+    Recording,
+    require_one_frame,
+    TimeOffset,
+)
 from bellows_ros.core.signals import residuals
+from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
@@ -454,7 +460,7 @@ def predicted_live(
     took = time.perf_counter() - start
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
     del messages  # tens of megabytes for a long recording
-    compared = _compared(predicted, recording.measured_tool, recording.measured_package)
+    compared = _compared(predicted, *_compared_poses(recording))
     return Live(
         **vars(compared), counts=_counts(live, recording),
         real_time_factor=recorded / took, took=took)
@@ -566,11 +572,11 @@ def observed(
         return predicted_trajectory(live, messages, measured=part, signals=signals)
 
     corrected = run(observer)
-    package = recording.measured_package
+    tool, package = _compared_poses(recording)
     camera = _last_measured(observer, measured, package, package_of(values).com)
     prediction = uncorrected.select(uncorrected.stamps_ns >= camera.stamps_ns[0])
     compared = np.isin(package.stamps_ns, prediction.stamps_ns)
-    tool, package = recording.measured_tool.select(compared), package.select(compared)
+    tool, package = tool.select(compared), package.select(compared)
     camera = camera.select(np.isin(camera.stamps_ns, package.stamps_ns))
     counts = {what: n for what, n in observer.counts.items() if n}
     if later := len(measured) - sum(counts.values()):
@@ -687,6 +693,14 @@ def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
     if not signals:
         in_model |= {'vacuum.signal': 'none', 'package.attached': True}
     return LivePredictor.from_parameters(values.replaced(in_model))
+
+
+def _compared_poses(recording: Recording) -> tuple[Trajectory, Trajectory]:
+    """Return measured tool and package at stamps of both, or of the package if that is slow."""
+    timing, package = recording.report.tool.timing, recording.sharp_package
+    if recording.report.package.timing.rate_hz >= LOW_RATE_HZ:
+        return recording.measured_tool, recording.measured_package
+    return resample(recording.aligned_tool, package.stamps_ns, timing.longest_step_ns), package
 
 
 def _compared(

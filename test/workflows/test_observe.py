@@ -62,6 +62,16 @@ def filmed(root, known, true_cup, tmp_path_factory):
     return folder, Values({**true_cup, **known})
 
 
+def test_slow_poses_are_compared_at_their_own_stamps(filmed):
+    """The live prediction errs as the free simulation does, not by interpolated poses."""
+    bag, values = filmed
+    found = replay(bag, values.replaced({'topics.package_pose': CAMERA}), observe=CAMERA)
+    free, live = found.validation.scores.rms, found.live.scores.rms
+    np.testing.assert_allclose(live, free, rtol=0.1)
+    alone = found.observed.estimates['prediction alone']
+    np.testing.assert_allclose(alone.scores.rms, live, rtol=0.01)
+
+
 def test_both_are_better_than_either(filmed):
     """Grip the package 10 mm beside its middle: the camera says so, and the model its noise."""
     bag, values = filmed
