@@ -449,16 +449,16 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     distance = float(np.linalg.norm(start))
     down = {name: -float(alignment.world_rotation(name)[2] @ start) for name in alignment.WORLDS}
     lowest = max(down, key=lambda name: down[name])
-    one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2  # else places say nothing
-    below = one_frame and distance > 0.0 and down[lowest] > distance * np.cos(np.deg2rad(40.0))
+    is_comparable = len({tool.frame_id, package.frame_id} - {''}) < 2  # one frame
+    below = is_comparable and distance > 0.0 and down[lowest] > distance * np.cos(np.deg2rad(40.0))
     world = lowest if below else 'z_up'
     low, quarter, most, high = np.percentile(distances, (1, 25, 75, 99))  # without tracking jumps
-    constant = one_frame and distance < MAX_DISTANCE and (
+    constant = is_comparable and distance < MAX_DISTANCE and (
         most - quarter < 0.25 * distance) and (  # nearly constant for a package on a cup
         distance < IMPLAUSIBLE_DISTANCE[0] or high - low < MAX_CHANGE)
     why_tool = [*_name_reason(tool.name, TOOL_WORDS)]
     why_package = [*_name_reason(package.name, PACKAGE_WORDS)]
-    if not one_frame and len(tool.stamps_ns) > len(package.stamps_ns):
+    if not is_comparable and len(tool.stamps_ns) > len(package.stamps_ns):
         why_tool.append(f"it has more poses than '{package.name}'")
     score = (3.0 if constant else 1.0) * below + 2.0 * constant + 1.5 * (
         len(why_tool) + len(why_package))

@@ -284,7 +284,7 @@ def _tangent_below(x: Array | Stamps, y: Array) -> Array:
     """Return the line (N,) below all points with the least mean distance to them."""
     middle, slope = int(np.searchsorted(x, np.mean(x))), (y[-1] - y[0]) / (x[-1] - x[0])
     ends = -1, -1
-    while True:  # Newton's method: the lowest points of both halves, relative to the slope
+    while True:  # Newton's method: tangent at the lowest point of each half
         above = y - slope * x
         new = int(np.argmin(above[:middle])), middle + int(np.argmin(above[middle:]))
         if new == ends:
