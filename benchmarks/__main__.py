@@ -31,7 +31,7 @@ _MARKED = re.compile(r'(<!-- bench: (\S+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
 def measured(sections: Sequence[str], short: bool = False) -> dict[str, Any]:
-    """Return the figures of sections, and of the machine; short ones only show that it works."""
+    """Return the figures of sections and of the machine; short sections are only a smoke test."""
     results: dict[str, Any] = {'machine': machine()}
     for name in sections:
         print(f'measuring {name}', file=sys.stderr, flush=True)
@@ -40,7 +40,7 @@ def measured(sections: Sequence[str], short: bool = False) -> dict[str, Any]:
 
 
 def machine() -> dict[str, Any]:
-    """Return what the figures were measured on and with."""
+    """Return processor, system and versions of the measurement."""
     installed = versions()
     name = re.search(r'^model name\s*: (.*)$', Path('/proc/cpuinfo').read_text(), re.MULTILINE)
     return {

@@ -1,16 +1,16 @@
 """
-Alarms of simulated cells, counted: false ones an hour, and how soon faults are named.
+Counts over simulated cells: false alarms per hour, and delays until faults are named.
 
 `--hours` counts false alarms in each ordinary condition, and prints the mean normalised squared
-error of the state (12 where the covariance is right, less with the allowance for errors of the
-model, as the cells have none); `--faults` lets so many faults of each
-kind happen in one condition, and prints how many causes are right, and after how many seconds
-half and 90 % of them are named; beside it, after how many likelihood-ratio tests find them that
-know time and size of each fault, at the threshold for one false alarm an hour: one knows its
-direction, too, one averages over all. `--drops` lets packages fall, seen at 30 and at 10 Hz
-until 0.55 m below, and counts from when the cup begins to let go. `--slips` lets so many
-packages slip by 3 to 10 mm, at once and within 0.25 s, and prints how many first alarms are
-right, and the errors in each half second since, relative to the 2 s before.
+error of the state (12 for a correct covariance, less with the allowance for model errors: the
+cells have none). `--faults` simulates this number of faults of each kind in one condition, and
+prints the number of right causes, and the delays (s) until half and 90 % of the faults are named.
+For comparison it prints the delays of two likelihood-ratio tests with known time and size of the
+fault, at the threshold for one false alarm per hour: one with known direction, one averaged over
+all directions. `--drops` simulates falling packages, measured at 30 and at 10 Hz until 0.55 m
+below, and counts from the start of the detachment. `--slips` simulates this number of slips of 3
+to 10 mm, at once and within 0.25 s, and prints the number of right first alarms, and the errors in
+each half second after the slip, relative to the 2 s before.
 """
 
 import argparse
@@ -30,23 +30,23 @@ from test.core.observer.cell import Cell, CONDITIONS, errors_around_slips, EXACT
 SECONDS = 600.0
 """Length of a run without a fault: some false alarms take minutes to build up."""
 EXACTLY = {**EXACT, 'payload__estimate': False}
-"""With white noise and exact numbers nothing else is uncertain."""
+"""Options of a cell whose only uncertainty is white noise."""
 NAMED = {'turn': 'slip', 'soften': 'leak', 'drop': 'lost', 'peel': 'lost'}
-"""The cause of an alarm by the kind of the fault, where it has another name."""
+"""Cause of the alarm by kind of fault, where the names differ."""
 FROM_START = ('wear', 'payload', 'mass')
 DIMENSIONS = {'slip': 2, 'payload': 2, 'camera': 3}
-"""Of the space in which a fault has a direction; a camera is shifted and turned."""
+"""Dimensions of the space of a fault's directions: a camera is shifted and turned."""
 DRAWS, DIRECTIONS = 25, 1000
-"""So many of noise are made for each fault, and so many of directions for an average."""
+"""Numbers of noise draws per fault, and of directions in an average."""
 THRESHOLD = math.log(3.6e12 / ONSET_NS)
-"""Of the alarms, for one false alarm in an hour."""
+"""Threshold of the log likelihood ratio for one false alarm per hour."""
 KINDS = ('slip', 'turn', 'leak', 'soften', 'camera', *FROM_START, 'cup')
 
 
 def false_alarms(
     name: str, runs: int, estimate: bool, seed: int = 0
 ) -> tuple[Counter[str], float]:
-    """Return the causes of false alarms in so many runs, and the mean normalised squared error."""
+    """Return the causes of false alarms in all runs, and the mean normalised squared error."""
     causes, errors = Counter[str](), []
     for number in range(seed, seed + runs):
         cell = Cell(number, SECONDS, CONDITIONS[name], payload__estimate=estimate)
@@ -63,7 +63,7 @@ def false_alarms(
 def fault_case(
     kind: str, name: str, seed: int, seconds: float
 ) -> tuple[float, float, dict[str, Any]]:
-    """Return when a fault begins and the run ends, s, and the options of its cell."""
+    """Return the start of a fault (s), the end of the run (s), and the options of its cell."""
     start = 0.0 if kind in FROM_START else 3.0
     lost = {'lost': seed % 4} if kind == 'cup' else {}
     return start, start + seconds, {**lost, **(EXACTLY if name == 'white' else {})}
@@ -72,7 +72,7 @@ def fault_case(
 def delays(
     kind: str, runs: int, name: str, seconds: float = 5.0, rate_hz: float = 125 / 4, first: int = 0
 ) -> tuple[float, list[float]]:
-    """Return the part of faults whose cause is right, and how long (s) each took, in order."""
+    """Return the fraction of right causes, and the delay (s) of each fault, sorted."""
     right, after = 0, []
     for seed in range(first, first + runs):
         at, end, options = fault_case(kind, name, seed, seconds)
@@ -88,7 +88,7 @@ def delays(
 
 
 def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
-    """Return stamps (ns) and innovations of a run, and what whitens them."""
+    """Return stamps (ns), innovations and whitening matrices of a run."""
     stamps, ys, whiteners = [], [], []
 
     def before(measurement: sensor.Measurement) -> None:
@@ -113,10 +113,10 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
 
 def passages(M: np.ndarray, x: np.ndarray, others: np.ndarray, seed: int) -> np.ndarray:
     """
-    Return after how many innovations a likelihood ratio passes the threshold, in draws.
+    Return the index of the innovation where a likelihood ratio passes the threshold, per draw.
 
-    Whitened, those of a fault x (c,) have the means M x, with M (k, 6, c). The ratio is the mean
-    of those of `others` (n, c), which are as likely; -1 if none is enough.
+    A fault x (c,) gives whitened innovations of mean M x, with M (k, 6, c). The likelihood ratio
+    is averaged over the equally likely faults `others` (n, c); -1 without a passage.
     """
     measurement = M @ x + np.random.default_rng(seed).normal(size=(DRAWS, *M.shape[:2]))
     scores = np.cumsum(np.einsum('kic,nki->nkc', M, measurement), axis=1) @ others.T
@@ -142,12 +142,12 @@ def least_delays(
     kind: str, runs: int, name: str, seconds: float = 5.0, rate_hz: float = 125 / 4, first: int = 0
 ) -> list[list[float]]:
     """
-    Return how long (s) the tests take that know time and size of each fault, in order.
+    Return the sorted delays (s) of tests with known time and size of the fault.
 
-    The first knows its direction, too, the second averages over all. The means of innovations are
-    the differences of runs with the same noise, by each number of the fault. Without a fault a
-    likelihood ratio ever reaches A in one of A onsets at most; here it has the threshold of the
-    alarms.
+    The first test knows the direction of the fault, too; the second averages over all directions.
+    The mean innovations per unit of the fault are differences of two runs with the same noise.
+    Without a fault a likelihood ratio reaches A in at most one of A onsets; the threshold is that
+    of the alarms.
     """
     delays: list[list[float]] = [[], []]
     for seed in range(first, first + runs):

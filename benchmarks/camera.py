@@ -1,4 +1,4 @@
-"""Cost of a camera: times of a pose and of a correction."""
+"""Processor time of a camera: per pose and per correction."""
 
 import time
 from typing import Any
@@ -32,7 +32,7 @@ def run(short: bool) -> dict[str, Any]:
 def _follow(
     stamps: list[int], states: list[State], observer: Observer | None
 ) -> tuple[list[float], list[float]]:
-    """Return how long each pose, and each measured pose, takes; what is seen is as predicted."""
+    """Return the times (s) of each pose and of each measured pose, measured as predicted."""
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
     live.expect_twists(True)
     if observer is not None:

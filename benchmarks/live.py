@@ -22,7 +22,7 @@ ROUNDS = {False: 3, True: 1}
 END_TIMEOUT = 10.0
 
 BARE, RAW = 'bare', 'bare, bytes'
-"""Nodes that send every pose back, spun as the commands of this package are."""
+"""Nodes that send every pose back, with the executor of this package's commands."""
 
 WITHOUT_TWISTS = 'predictor without twists'
 
@@ -50,7 +50,7 @@ def run(short: bool) -> dict[str, Any]:
 
 
 def measured(name: str, rate: int, seconds: float, folder: Path) -> dict[str, Any]:
-    """Return what the probe finds of one node."""
+    """Return the figures of one node, measured by the probe."""
     environment = {
         **same_package(), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder),
         'ROS_DOMAIN_ID': str(1 + os.getpid() % 100)}
@@ -87,7 +87,7 @@ def process(
 
 
 def _medians(runs: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the medians of each run's percentiles, processor time and memory; what was lost."""
+    """Return medians over runs of percentiles, processor time and memory, and lost messages."""
     percentiles = np.array([np.percentile(run['latency'], [50.0, 99.0, 99.9]) for run in runs])
     p50, p99, p999 = np.median(percentiles, axis=0).tolist()
     per_pose = [run['processor_seconds'] / max(run['answered'], 1) for run in runs]

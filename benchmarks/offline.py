@@ -14,10 +14,10 @@ from .timing import figures, in_process
 
 RATE = 360.0
 DURATION = {False: 600.0, True: 3.0}
-"""Of the recording, s: of a full run, and of a short one."""
+"""Duration of the recording in a full (False) and in a short run (True), s."""
 
 FIT_DURATION = 20.0
-"""Of the recording for the fit by output error, s."""
+"""Duration of the recording for the fit by output error, s."""
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -94,7 +94,7 @@ def make_recording(bag: Path, duration: float, seed: int = 1) -> None:
 
 
 def _in_turn(bag: str, fit_bag: str, rounds: int) -> dict[str, Any]:
-    """Return times, peaks and how fast the predictions of a replay are."""
+    """Return times, peaks of memory, and the speed of the predictions of a replay."""
     works: Mapping[str, Callable[[], dict[str, Any]]] = {
         'plain_loop': lambda: in_process(PLAIN_LOOP, bag),
         'least_squares': lambda: in_process(IDENTIFY, bag, 'least_squares'),

@@ -1,4 +1,4 @@
-"""Tools driven along paths that are given by functions of time."""
+"""Motions of tools along given functions of time."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from bellows_ros.core.synthetic.motion import smooth_step
 import numpy as np
 
 Path = Callable[[Array], Array]
-"""From times (N,), s, to position (m) and rotation vector (rad) of the tool (N, 6)."""
+"""Function from times (N,), s, to position (m) and rotation vector (rad) of the tool (N, 6)."""
 
 
 def step(t: Array, start: float, duration: float) -> Array:

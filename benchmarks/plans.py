@@ -1,4 +1,4 @@
-"""How long it takes to predict and to steer a plan."""
+"""Processor time of the prediction and of the steering of a plan."""
 
 from functools import partial
 import math

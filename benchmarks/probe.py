@@ -1,5 +1,5 @@
 """
-Send tool poses and twists at a rate and take the time until each answer is here.
+Send tool poses and twists at a rate and measure the time until each answer.
 
 `python -m benchmarks.probe RATE SECONDS PID [poses]` prints JSON: latencies in s, and the
 processor time and memory of the process that answers. With `poses` no twists are sent.
@@ -23,17 +23,17 @@ from rclpy.node import Node
 QUEUE = 10_000
 FIRST_NS = 1_000_000_000
 WARM_SECONDS = 1.0
-"""At the beginning, not counted."""
+"""Duration at the start without measurement, s."""
 DISCOVERY, TWISTS_DISCOVERY = 60.0, 1.0
 LAST_ANSWER = 2.0
 BUSY = 300e-6
-"""So long (s) before a message is due nothing else is done."""
+"""Duration of busy waiting before each message, s."""
 WAY, TURNS = 0.02, 2.0 * math.pi
 """Amplitude (m) and angular frequency (rad/s) of the tool."""
 
 
 class Probe(Node):
-    """A sender of tool poses that remembers when each was sent and answered."""
+    """Sender of tool poses, with the times of each message and its answer."""
 
     def __init__(self, rate_hz: float, seconds: float, with_twists: bool = True) -> None:
         """Make the topics and all messages."""
@@ -62,7 +62,7 @@ class Probe(Node):
         return both
 
     def _spin_until(self, true: Callable[[], bool], seconds: float) -> bool:
-        """Take answers until something is true, or not in that time."""
+        """Process answers until a condition holds; return whether it held within seconds."""
         end = time.monotonic() + seconds
         while not true():
             if time.monotonic() > end:
@@ -71,7 +71,7 @@ class Probe(Node):
         return True
 
     def play(self, after: float = 0.0) -> None:
-        """Send everything at its time, stamped from a time (s) on; wait for the last answer."""
+        """Send each message at its time, stamped from a time (s) on; wait for the last answer."""
         self.sent, self.answered = {}, {}
         for k, pair in enumerate(self._messages):
             stamp_ns = FIRST_NS + round((after + k * self._period) * 1e9)
@@ -87,7 +87,7 @@ class Probe(Node):
         self._spin_until(lambda: len(self.answered) == len(self.sent), LAST_ANSWER)
 
     def _wait_until(self, due: float) -> None:
-        """Take answers until a message is due."""
+        """Process answers until the next message is due."""
         while (remaining := due - time.perf_counter()) > 0.0:
             self.executor_.spin_once(timeout_sec=max(remaining - BUSY, 0.0))
 
@@ -125,7 +125,7 @@ def main() -> None:
 
 
 def _result(probe: Probe, before: dict[str, float], after: dict[str, float]) -> dict[str, Any]:
-    """Return what was measured."""
+    """Return the figures of a measurement."""
     counted = [stamp for stamp in probe.sent if stamp >= FIRST_NS + WARM_SECONDS * 1e9]
     return {
         'sent': len(probe.sent),

@@ -3,9 +3,9 @@ A short form of the benchmarks: ratios of processor times within one run, agains
 
     python -m benchmarks.quick [--cold]
 
-It takes less than a minute on an idle machine, and fails where something takes twice as long or
-as much memory as it should. With --cold it measures, in some minutes, commands on a machine where
-nothing is compiled, each with an empty cache, in loops of rosbags over ten minutes of recording.
+It takes less than a minute on an idle machine, and fails where a figure exceeds its bound, about
+twice the usual value. With --cold it measures, in some minutes, commands with an empty cache, in
+units of a rosbags loop over ten minutes of recording.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ from .tables import MEBI
 from .timing import in_process
 
 DURATION = 60.0
-"""Of the recording, s."""
+"""Duration of the recording, s."""
 
 TEN_MINUTES = 600.0
 """Duration of the recording whose reading is the unit of budgets, s."""
@@ -31,7 +31,7 @@ BOUNDS = {
     'predictor ready / its imports of numba, numpy and rclpy': 3.5,
     'predictor ready, nothing compiled / compiled before': 25.0,
     'memory of the predictor when ready (MiB)': 180.0}
-"""Twice what is measured, or a little above where memory is concerned."""
+"""Greatest ratios: twice the measured values, or slightly above them for memory."""
 
 
 COMMAND = """
@@ -53,7 +53,7 @@ COLD: Mapping[str, tuple[float, tuple[str, ...]]] = {
         '--observe', '/package/pose')),
     'bellows identify': (5.0, (
         'identify', 'bags/identification', '--params', 'bags/package.yaml'))}
-"""Budgets of processor time with an empty cache, in loops of rosbags over ten minutes."""
+"""Budgets of processor time with an empty cache, in rosbags loops over ten minutes."""
 
 
 def run_cold(duration: float = DURATION) -> dict[str, float]:
@@ -88,7 +88,7 @@ def run(duration: float = DURATION) -> dict[str, float]:
 
 
 def _best(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return the run of two that took the processor less; the first may compile."""
+    """Return the run of two with less processor time; the first may compile."""
     return min((measure() for _ in range(2)), key=lambda results: float(results['processor']))
 
 

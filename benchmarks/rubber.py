@@ -1,9 +1,9 @@
 """
-A cup of rubber that this package does not model, and what fits of its recordings predict.
+A rubber cup outside the model of this package, and the predictions of fits to its recordings.
 
-Rubber has a nearly constant loss factor. Here five branches, one after the other in time, have one
-over three decades, each integrated by itself. `python -m benchmarks.rubber` prints the table of
-docs/validation.md.
+Rubber has a nearly constant loss factor. Five branches with successive time constants approximate
+this over three decades, each integrated separately. `python -m benchmarks.rubber` prints the table
+of docs/validation.md.
 """
 
 from typing import Any
@@ -29,11 +29,11 @@ import numpy as np
 from .paths import driven, Path, step
 
 TIMES = np.array([0.006, 0.03, 0.15, 0.7, 3.0])
-"""Of the branches, s."""
+"""Time constants of the branches, s."""
 
 CUP = Cup(np.diag([4200.0, 4200.0, 7200.0, 3.2, 3.2, 1.05]),
           np.diag([8.0, 8.0, 8.0, 0.008, 0.008, 0.01]), 0.046)
-"""Static stiffness, and the little damping of what is not rubber."""
+"""Static stiffness, and a small damping besides the branches."""
 
 PLATE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.0, 0.0, -0.03))
 GRAVITY = 9.81
@@ -41,7 +41,7 @@ RUNS = 40
 
 
 def strengths(loss_factor: float) -> Array:
-    """Return the strengths of the branches (5,) with which the loss factor is about constant."""
+    """Return the strengths of the branches (5,) for an approximately constant loss factor."""
     per_branch = loss_factor * np.log(TIMES[1] / TIMES[0]) / (0.5 * np.pi)
     r, modulus = np.zeros(5), 1.0
     for b in range(4, -1, -1):  # the slowest first: each has its part of what is stiff below it
@@ -134,14 +134,14 @@ def multisine(seed: int, seconds: float = 20.0, hold: float = 7.0, tilt: float =
 
 
 def slow_carry(t: Array) -> Array:
-    """Return a slide of 0.5 m in 5 s at a tilt of 15 degrees."""
+    """Return a slide of 0.5 m in 5 s with a tilt of 15 degrees."""
     tilt = np.radians(15.0) * (step(t, 0.5, 1.5) - step(t, 8.0, 1.5))
     return np.outer(0.5 * step(t, 2.5, 5.0), [1.0, 0, 0, 0, 0, 0]) + np.outer(
         tilt, [0, 0, 0, 0, 1.0, 0])
 
 
 def recorded(loss_factor: float, seed: int, path: Path, seconds: float) -> Recording:
-    """Return the prepared recording of a path: 0.1 mm and 0.5 mrad on the package."""
+    """Return the prepared recording of a path; package noise of 0.1 mm and 0.5 mrad."""
     rng, tool = np.random.default_rng(seed), driven(path, seconds)
     body = rubber_moves(loss_factor, tool)
     streams = [PoseStream(
@@ -152,7 +152,7 @@ def recorded(loss_factor: float, seed: int, path: Path, seconds: float) -> Recor
 
 
 def error(fit: Fit, loss_factor: float, path: Path, seconds: float) -> float:
-    """Return the error of a bending predicted with all that was found, over its size, both RMS."""
+    """Return the RMS error of the bending predicted by a fit, relative to the RMS bending."""
     tool, free = driven(path, seconds), {name: row[0] for name, row in fit.nuisances.items()}
     cup = Cup(fit.stiffness, fit.damping, CUP.length + float(free.get('length', [0.0])[0]),
               fit.relaxation)
@@ -186,7 +186,7 @@ def identified(recording: Recording, relaxation: str) -> Fit:
 
 
 def study(loss_factor: float, seed: int = 1) -> tuple[dict[str, Fit], dict[str, list[float]]]:
-    """Return fits to a multisine with one hold, and errors (parts of the motion) of each."""
+    """Return fits to a multisine with one hold, and the relative errors of each."""
     recording = recorded(loss_factor, seed, multisine(seed), 30.0)
     fits = {name: identified(recording, name) for name in ('off', 'auto')}
     return fits, {name: [error(own, loss_factor, *motion) for own in fits.values()]
@@ -194,7 +194,7 @@ def study(loss_factor: float, seed: int = 1) -> tuple[dict[str, Fit], dict[str, 
 
 
 def main() -> None:
-    """Print the table, and in how many cups that do not relax a relaxation is found."""
+    """Print the table, and the number of cups without relaxation in which one is found."""
     for loss_factor in (0.05, 0.10):
         fits, errors = study(loss_factor)
         print(f'loss factor {loss_factor:g}')

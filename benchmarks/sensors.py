@@ -1,14 +1,14 @@
 """
-How well output error finds a cup with the sensors that people have.
+Accuracy of output error with common sensors.
 
     python -m benchmarks.sensors --runs 24
 
-Every recording is of another motion, simulated; the search starts from K and P twice too large.
-Of every cell the table says by how much the parameters are off on average (bias) and how they
-spread, over the Cramer-Rao bound (the information along the true motion, whatever the path of the
-tool), which part of the 95 % intervals holds the truth, the mean Mahalanobis distance of all
-parameters over their number, the largest error of K in standard errors, which part of the numbers
-was identifiable, and how many fits converged. Only numbers whose bound is below 20 % are judged.
+Each recording is a simulation of another motion; the search starts from twice the true K and P.
+For each cell the table lists the bias of the parameters and their spread over the Cramer-Rao bound
+(from the information along the true motion, for any path of the tool), the coverage of the 95 %
+intervals, the mean Mahalanobis distance per parameter, the largest error of K in standard errors,
+the fraction of identifiable parameters, and the number of converged fits. Only parameters with a
+bound below 20 % are counted.
 """
 
 import argparse
@@ -90,14 +90,14 @@ CELLS: dict[str, Cell] = {
 
 APART = {'time_offset': (8e-3,), 'package_world': (4e-3, -3e-3, 5e-3, 0.01, -0.015, 0.02),
          'package_marker': (0.004, 0.003, -0.005, 0.02, 0.03, -0.02)}
-"""What first guesses leave: clocks (s), world and marker (m, rad)."""
+"""Errors of the first guesses: clock (s), world and marker (m, rad)."""
 
 
 def sensed(
     poses: Trajectory, stamps: Stamps, rate: float, std: Array, cell: Cell,
     rng: np.random.Generator, noise: float = 1.0,
 ) -> tuple[Trajectory, Trajectory, BodyNoise]:
-    """Return true poses at stamps, what a sensor with noise std (6,) times a factor sees, std."""
+    """Return true poses at stamps, poses with noise std (6,) times a factor, and the std."""
     true, count = resample(poses, stamps), len(stamps)
     e = (rng.standard_t(4.0, (count, 6)) / np.sqrt(2.0) if cell.heavy_tails
          else rng.standard_normal((count, 6)))
@@ -108,7 +108,7 @@ def sensed(
 
 
 def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[MeasuredSegment]:
-    """Return a simulated recording, the noise of its poses times a factor."""
+    """Return a simulated recording; `noise` is a factor of the noise."""
     rng = np.random.default_rng(seed)
     motion = motion_from(Settings({**MOTION, 'duration': duration + 0.5}), rng)
     tool = motion.at_rate(1000.0, 0)
@@ -134,7 +134,7 @@ def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list
 
 
 def _arrivals(stamps: Stamps, jitter: float, rng: np.random.Generator) -> Stamps:
-    """Return when poses arrive: late by up to so much (s), never out of order."""
+    """Return arrival stamps (ns), delayed by up to jitter (s), in order."""
     late = np.rint(jitter * 1e9 * rng.random(len(stamps))).astype(np.int64)
     return np.asarray(np.maximum.accumulate(stamps + late) + np.arange(len(stamps)))
 
@@ -161,7 +161,7 @@ def bound_of(
 
 
 def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:
-    """Return how well a cell's recording tells the cup."""
+    """Return the fit to a simulated recording of a cell, with its errors and bounds."""
     structure, cup, began = structure_named(form), Cup.thesis(), time.process_time()
     truth = structure.parameters(cup.stiffness, cup.damping)
     sizes = structure.sizes(cup.stiffness, cup.damping)

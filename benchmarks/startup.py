@@ -1,4 +1,4 @@
-"""How long the predictor takes to start, with a warm and with a cold cache."""
+"""Startup time of the predictor with a warm and with a cold cache."""
 
 import tempfile
 import time
@@ -28,7 +28,7 @@ print(json.dumps({'done': time.monotonic(), 'processor': time.process_time()}))
 
 
 def run(short: bool) -> dict[str, Any]:
-    """Return seconds: of starts with nothing compiled, and of some after each of them."""
+    """Return durations (s) of starts with an empty cache, and of warm starts after each."""
     imports, cold, warm = [], [], []
     repeats = 1 if short else 3
     for _ in range(repeats):
@@ -45,6 +45,6 @@ def run(short: bool) -> dict[str, Any]:
 
 
 def _ready(code: str, environment: dict[str, str]) -> float:
-    """Return the time from the start of an interpreter until its code is done."""
+    """Return the time (s) from the start of an interpreter to the end of its code."""
     start = time.monotonic()
     return float(in_process(code, environment=environment)['done']) - start

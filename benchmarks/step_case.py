@@ -1,4 +1,4 @@
-"""The case that is measured: a plate let go of beside its rest."""
+"""Case of the measurement: a plate released beside its equilibrium."""
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY

@@ -1,4 +1,4 @@
-"""Measurements as tables in Markdown."""
+"""Measured figures as tables in Markdown."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,7 +14,7 @@ MEBI = 2**20
 
 
 def tables(results: Mapping[str, Any]) -> dict[str, Table]:
-    """Return the tables of what was measured, by name."""
+    """Return the tables of the figures, by name."""
     return {name: make(results[name]) for name, make in _TABLES.items() if name in results}
 
 
@@ -26,7 +26,7 @@ def markdown(table: Table) -> str:
 
 
 def _times(subject: str, statistic: str = 'median') -> Make:
-    """Return what makes a table of medians by name."""
+    """Return a function that makes a table of medians by name."""
     return lambda section: [(subject, statistic), *(
         (name, _time(figures['median'])) for name, figures in section['seconds'].items())]
 

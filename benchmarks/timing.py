@@ -1,4 +1,4 @@
-"""Repeated, interleaved measurements, so that a machine that is slow for a while is so for all."""
+"""Repeated, interleaved measurements: a slow phase of the machine affects all subjects alike."""
 
 from collections.abc import Callable, Mapping, Sequence
 import json
@@ -29,11 +29,11 @@ def interleaved(
     subjects : mapping of name to callable
         Called once before the first round, untimed.
     rounds : int
-        How often each is timed.
+        Number of measurements of each subject.
     clock : callable
-        Returns s; `time.process_time` for that of the processor.
+        Clock in s; `time.process_time` for processor time.
     units : int
-        How many each works off at once.
+        Number of units in one call.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def in_process(
     timeout: float = TIMEOUT,
 ) -> dict[str, Any]:
     """
-    Run code in an interpreter of its own and return what it prints last, a line of JSON.
+    Run code in an interpreter of its own and return its last line, parsed as JSON.
 
     Raises
     ------
@@ -84,9 +84,9 @@ def in_process(
 
 def same_package() -> dict[str, str]:
     """
-    Return an environment with this very package, and with the ROS that the shell has.
+    Return an environment with this copy of the package, and with the ROS of the shell.
 
-    Python keeps its bytecode there, as it does for users: without, a start takes 1 s longer.
+    It keeps Python's bytecode as in a user's environment: a start without takes 1 s longer.
     """
     paths = [str(Path(__file__).resolve().parents[1]), os.environ.get('PYTHONPATH', '')]
     passed = {key: value for key, value in os.environ.items() if key != 'PYTHONDONTWRITEBYTECODE'}

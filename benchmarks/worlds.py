@@ -1,5 +1,5 @@
 """
-How well a cup is found with a camera that has a world and a clock of its own.
+Accuracy of a fit with a camera in a world and with a clock of its own.
 
     python -m benchmarks.worlds --runs 40
 
@@ -38,7 +38,7 @@ from .sensors import bound_of, CAMERA, ROBOT, sensed
 RATE, GRAVITY = 1000.0, 9.81
 FREE = 'time_offset', 'package_world', 'package_marker'
 SHOWN = [0, 2, 3, 5]
-"""Entries of the diagonal of K."""
+"""Indices of the shown entries on the diagonal of K."""
 PLATE = Package(1.6, np.diag([0.006, 0.005, 0.009]), (0.0, 0.0, -0.025))
 VALUES: dict[str, Any] = {
     'bags': ('simulated',), 'fit.method': 'output_error', 'fit.time_offset': True,
@@ -69,7 +69,7 @@ def tool_motion(rng: np.random.Generator, duration: float, tilts: bool) -> Traje
 
 
 def recorded(seed: int, duration: float) -> tuple[Cup, dict[str, PoseStream], MeasuredSegment]:
-    """Return a cup, what robot and camera record of it, and the same without noise, as it is."""
+    """Return a cup, its recording by robot and camera, and the true motion as a segment."""
     rng, standard = np.random.default_rng(seed), Cup.thesis()
     scale = np.sqrt(np.exp(rng.uniform(-0.5, 0.5, (2, 4)))[:, [0, 0, 1, 2, 2, 3]])
     cup = Cup(*(s[:, None] * M * s for s, M in zip(
@@ -98,7 +98,7 @@ def line(seed: int) -> tuple[str, Array]:
     """
     Return the line of a recording, and errors (3, n) of what is identifiable.
 
-    Those of K in standard errors and in the bound, and those of 1/K in the bound.
+    Errors of K in standard errors and over the bound, and errors of 1/K over the bound.
     """
     values, began = resolve(VALUES), time.process_time()
     cup, streams, true = recorded(seed, 26.0)
