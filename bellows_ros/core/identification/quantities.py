@@ -55,9 +55,8 @@ Free = Mapping[str, Array]
 
 NOTHING: Free = MappingProxyType({})
 
-CLOCK_RATE_STD, EXPOSURE_STD = 5e-5, 0.5
-"""Standard deviations of the relative rate of two quartz clocks, and of the ratio of squared
-exposure time and squared period."""
+CLOCK_RATE_STD = 5e-5
+"""Standard deviation of the relative rate of two quartz clocks."""
 
 MIN_STD = 1e-9
 """Smallest standard deviation, SI units."""
@@ -189,7 +188,7 @@ def given_std(values: Values) -> dict[str, Array]:
     stds = {'length': np.array([values.cup.length_std]), 'package_marker': marker,
             'time_offset': np.array([values.recording.clock_std]),
             'clock_rate': np.array([CLOCK_RATE_STD if values.recording.clock_std else 0.0]),
-            'exposure': np.array([EXPOSURE_STD])}
+            'exposure': np.array([0.2**0.5])}  # RMS square of exposures from 0 to 1 period
     if values.recording.package_world:
         stds['package_world'] = marker
     if all(name in values for name in PACKAGE_PARAMETERS):

@@ -270,9 +270,8 @@ MAX_MISFIT = 0.25
 LAG_RANGE = 1e-3, 2e-2
 """Range of the corrected lag of the poses behind their twists, s."""
 
-LAG_DEVIATIONS, LAG_STEP = 5.0, 2e-4
-"""Smallest significant lag, standard deviations, and its largest change per comparison, s: 1 % of
-the time."""
+LAG_DEVIATIONS = 5.0
+"""Smallest significant lag, standard deviations."""
 
 MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
 """Largest jerk of an arm (m/s^3), and additional tolerance of a position (m)."""
@@ -430,7 +429,8 @@ class ToolMotion:
         std = math.sqrt(max(dd - found * ad, 0.0) / (3.0 * count * max(aa, 1e-12)))
         is_late = self.verdict == 'fits' and (
             max(LAG_RANGE[0], LAG_DEVIATIONS * std) < found < LAG_RANGE[1])
-        self._lag += min(max(found * is_late - self._lag, -LAG_STEP), LAG_STEP)
+        step = 0.01 * PERIOD_NS / NS_PER_S  # of the twist at most, while the lag changes
+        self._lag += min(max(found * is_late - self._lag, -step), step)
 
     def estimated(self, has_before: bool) -> tuple[State | None, State]:
         """Return E at the last two poses (the first, if any) with twists of the poses alone."""

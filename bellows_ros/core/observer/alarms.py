@@ -166,7 +166,11 @@ SIZE_ROUNDS = 20
 """Number of iterations in which the prior sizes of a large fault's components grow."""
 
 MIN_CLEAR_ODDS = 100.0
-"""Odds below which an alarm also has the sizes of the second cause."""
+CLEAR_LEAD = math.log(MIN_CLEAR_ODDS)
+"""
+Odds below which an alarm also has the sizes of the second cause, and their logarithm. A wrong
+payload has these odds against a worn cup after the cup has carried another package.
+"""
 
 ALIKE = frozenset(('wear', 'payload'))
 """Causes distinguished by damping only: an alarm has the sizes of both at any odds."""
@@ -182,9 +186,6 @@ NONE, PUSH, PAYLOAD, WEAR = -1, *(
     for name in ('disturbance', 'payload', 'wear'))
 """Indices of the cause without a signature, of an external push, of a wrong payload and of
 wear."""
-
-LOG_PROVEN = math.log(100.0)
-"""Log odds of a wrong payload against a worn cup after the cup has carried another package."""
 
 Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int, float]
 NO_FAULT = -math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, -math.inf
@@ -307,9 +308,9 @@ class Alarms:
         _, lead, best, second, runner_up, *_ = likeliest
         if not self.is_likely(likeliest):
             return None
-        if self.is_cup_proven and lead < LOG_PROVEN and second == PAYLOAD and (
+        if self.is_cup_proven and lead < CLEAR_LEAD and second == PAYLOAD and (
                 HYPOTHESES[min(best[1], CUP)].name == 'wear'):
-            best, runner_up, second, lead = runner_up, best, WEAR, LOG_PROVEN - lead
+            best, runner_up, second, lead = runner_up, best, WEAR, CLEAR_LEAD - lead
         likely = HYPOTHESES[min(best[1], CUP)]
         in_view = self._of_tag and likely.name == 'camera'
         confirmed_ns = VIEW_NS if in_view else DECIDE_NS if (
@@ -350,7 +351,7 @@ class Alarms:
         if gated < DISTURBED_COUNT or none < self._threshold or none < total + MIN_LEAD:
             return None
         cause = HYPOTHESES[min(number, CUP)].name if total > -math.inf else 'slip'
-        odds = math.exp(min(none - total, math.log(MIN_CLEAR_ODDS)))
+        odds = math.exp(min(none - total, CLEAR_LEAD))
         return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, cause, odds)
 
     def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
