@@ -146,8 +146,9 @@ Number of measurements after which the evidence of faults from the start is rese
 contain the noise of estimates, whose products add up.
 """
 
-DISTURBED_COUNT = 3
-"""Smallest number of consecutive poses outside the gate for a disturbance; outliers are rarer."""
+DISTURBED_COUNT, TAG_BURST = 3, 7
+"""Numbers of consecutive poses outside the gate from which a disturbance is named: outliers are
+rarer, and blurred poses of a tag come in bursts of 2 to 6."""
 
 VIEW_NS = 3_000_000_000
 """Shortest duration of a camera shift seen with a tag, ns: work changes the view within this
@@ -348,7 +349,8 @@ class Alarms:
     ) -> Alarm | None:
         """Return the alarm on innovations that match no signature, if any."""
         total, _, (_, number, _), *_, none = likeliest
-        if gated < DISTURBED_COUNT or none < self._threshold or none < total + MIN_LEAD:
+        least = TAG_BURST if self._of_tag else DISTURBED_COUNT
+        if gated < least or none < self._threshold or none < total + MIN_LEAD:
             return None
         cause = HYPOTHESES[min(number, CUP)].name if total > -math.inf else 'slip'
         odds = math.exp(min(none - total, CLEAR_LEAD))

@@ -189,6 +189,15 @@ def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shi
     assert 3 * frames <= wrong <= 3 * frames + 3
 
 
+@pytest.mark.parametrize(('of_tag', 'least'), [(False, 3), (True, 7)])
+def test_blurred_poses_of_a_tag_are_no_disturbance(of_tag, least):
+    """Wait longer than a burst of blur lasts, which a tracked body does not have."""
+    made = Alarms(1.0, False, SINGLE, of_tag)
+    likeliest = *alarms.NO_FAULT[:-1], 100.0
+    assert made.disturbance(1, least - 1, likeliest) is None
+    assert made.disturbance(1, least, likeliest).cause == 'disturbance'
+
+
 @pytest.mark.parametrize(('rate_hz', 'within'), [(125 / 4, 0.27), (125 / 12, 0.27)])
 @pytest.mark.parametrize('kind', ['drop', 'peel'])
 def test_drop_is_always_noticed(kind, rate_hz, within):
