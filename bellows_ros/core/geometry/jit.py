@@ -106,6 +106,17 @@ def load(symbol: str, module: str, name: str, arguments: Any) -> None:
         raise ValueError(f'{name} has another symbol')
 
 
+@contextmanager
+def seldom_collected() -> Iterator[None]:
+    """Run the garbage collector rarely: it takes a third of the time of compiling."""
+    thresholds = gc.get_threshold()
+    gc.set_threshold(10_000, 20, 20)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*thresholds)
+
+
 def _compiler(function: Callable[..., Any], options: dict[str, Any], called: bool = False) -> Any:
     """Return a decorator that compiles a kernel for Python, or for other kernels alone."""
     class Named(numba.core.compiler.Compiler):  # type: ignore[misc]
@@ -116,7 +127,8 @@ def _compiler(function: Callable[..., Any], options: dict[str, Any], called: boo
             if called and options['forceinline']:
                 self.state.library = _for_callers(
                     self.state.targetctx.codegen(), function.__qualname__)
-            return super()._compile_bytecode()
+            with seldom_collected():
+                return super()._compile_bytecode()
 
     options = {**options, 'no_cfunc_wrapper': True, 'no_cpython_wrapper': called}
     try:
@@ -144,17 +156,6 @@ def _for_callers(codegen: Any, name: str) -> Any:
     library.enable_object_caching()
     library._finalize_final_module = finalize
     return library
-
-
-@contextmanager
-def seldom_collected() -> Iterator[None]:
-    """Run the garbage collector rarely: it takes a third of the time of compiling."""
-    thresholds = gc.get_threshold()
-    gc.set_threshold(10_000, 20, 20)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*thresholds)
 
 
 ASIDE = """

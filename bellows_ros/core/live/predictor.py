@@ -16,7 +16,6 @@ from operator import mul
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED, Signal
 from bellows_ros.core.live.flight import Flight
@@ -744,7 +743,6 @@ def is_moving(tool: State) -> bool:
             or a * a + b * b + c * c > MOVING_RATE * MOVING_RATE)
 
 
-@seldom_collected()
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:
     """Compile all kernels by predictions of synthetic data in a temporary predictor."""
     live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)
