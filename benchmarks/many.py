@@ -10,11 +10,13 @@ which is killed during the search.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+import pickle
 import sys
 import tempfile
 import time
 from typing import Any
 
+from bellows_ros.core.identification.pool import Batch, Reply
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.search import as_measured, Iterate, system_of
@@ -71,7 +73,8 @@ result = identify(values, progress, dask=address) if address else identify(
     values, progress, jobs=2)
 end = time.perf_counter()
 print(json.dumps({
-    'peak': peak(), 'seconds': end - start, 'reading': marks['fitting'] - start,
+    'peak': peak(), 'seconds': end - start, 'processor': sum(os.times()[:4]),
+    'reading': marks['fitting'] - start,
     'steps': len(result.fit.iterations), 'killed': 'killed' in marks,
     'search': marks['testing'] - marks['fitting'],
     'K': [number.hex() for number in result.fit.parameters.tolist()],
@@ -104,6 +107,7 @@ def scaling(folder: Path, counts: Sequence[int]) -> list[dict[str, float]]:
         jacobian = problem.local.whitened(
             at.theta[problem.index(0)], segment, segment.first).jacobian
         rows.append({'recordings': count, 'seconds': used / count,
+                     'traffic': _traffic(problem, at) / count,
                      'unknowns': jacobian.shape[1], 'jacobian': jacobian.nbytes})
     return rows
 
@@ -113,6 +117,22 @@ def _processor(problem: Problem, at: Iterate) -> float:
     begin = time.process_time()
     system_of(problem, at)
     return time.process_time() - begin
+
+
+def _traffic(problem: Problem, at: Iterate) -> int:
+    """Return the size of the messages of a step, bytes."""
+    session, sizes = problem.held.pool.session, list[int]()
+    run = session.run
+
+    def counted(batch: Batch) -> list[tuple[int, Reply]]:
+        replies = list(run(batch))
+        sizes.append(len(pickle.dumps(batch)) + len(pickle.dumps(replies)))
+        return replies
+
+    session.run = counted
+    system_of(problem, at)
+    session.run = run
+    return sum(sizes)
 
 
 def fits(folder: Path, count: int) -> dict[str, dict[str, Any]]:
@@ -147,12 +167,13 @@ def main() -> None:
     count, seconds = int((sys.argv + [''])[1] or COUNT), float((sys.argv + ['', ''])[2] or SECONDS)
     found = run(count, seconds)
     for row in found['scaling']:
-        print(f'{row["recordings"]:3} recordings: {row["seconds"]:.3f} s and '
-              f'{row["jacobian"] / MEBI:.2f} MiB of Jacobian with {row["unknowns"]} columns each')
+        print(f'{row["recordings"]:3} recordings: {row["seconds"]:.3f} s, '
+              f'{row["jacobian"] / MEBI:.2f} MiB of Jacobian with {row["unknowns"]} columns and '
+              f'{row["traffic"] / 1024:.1f} KiB of messages each')
     for name, fit in found['fits'].items():
         print(f'{name}: {fit["seconds"]:.0f} s, {fit["reading"]:.0f} s of these for reading and '
-              f'{fit["search"]:.0f} s for {fit["steps"]} steps and the errors; client '
-              f'{fit["peak"] / MEBI:.0f} MiB')
+              f'{fit["search"]:.0f} s for {fit["steps"]} steps and the errors; processor '
+              f'{fit["processor"]:.0f} s; client {fit["peak"] / MEBI:.0f} MiB')
         print('  K, P:', *(f'{float.fromhex(number):.17g}' for number in fit['K']))
 
 

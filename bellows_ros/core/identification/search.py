@@ -132,16 +132,14 @@ class Sums(NamedTuple):
     """
     Sums over a recording.
 
-    Number (K,) and squares (K, 6) of the differences of each segment, the sums of the logarithms
-    of their variances and of the products of neighbours, information (q, q) and slope (q,).
+    Number (K,) and squares (K, 6) of the differences of each segment, and the sums of the
+    logarithms of their variances and of the products of neighbours.
     """
 
     counts: Array
     squares: Array
     logs: float
     neighbours: float
-    information: Array
-    slope: Array
 
     @classmethod
     def of(cls, parts: Parts) -> 'Sums':
@@ -150,9 +148,7 @@ class Sums(NamedTuple):
         return cls(
             np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]),
             sum(float(np.sum(np.log(part.variance))) for part in parts),
-            sum(float(np.sum(e[1:] * e[:-1])) for e in r),
-            sum(np.sum(part.information, axis=0) for part in parts),
-            sum(np.sum(part.slope, axis=0) for part in parts))
+            sum(float(np.sum(e[1:] * e[:-1])) for e in r))
 
 
 class Differences(NamedTuple):
@@ -670,29 +666,30 @@ def system_of(problem: Problem, at: Iterate, forgetting: float = 0.0) -> System:
     """Return the whitened segments, and information and slope of their sum."""
     (H, g), pool = problem.prior(at.theta, forgetting), problem.held.pool
     indices = list(map(problem.index, range(len(pool))))
-    parts = Differences(*pool.hold(
+    held, found = pool.hold(
         _whitened, problem.local, pool.each([at.theta[index] for index in indices]), forgetting,
-        problem.held, at.courses.held))
+        problem.held, at.courses.held)
     s = problem.shared
-    for number, (index, sums) in enumerate(zip(indices, parts.sums, strict=True)):
-        H.shared[:] += sums.information[:s, :s]
-        H.coupling[number] += sums.information[s:, :s]
-        H.own[number] += sums.information[s:, s:]
-        g[index] += sums.slope
-    return parts, H, g
+    for number, (index, (_, information, slope)) in enumerate(zip(indices, found, strict=True)):
+        H.shared[:] += information[:s, :s]
+        H.coupling[number] += information[s:, :s]
+        H.own[number] += information[s:, s:]
+        g[index] += slope
+    return Differences(held, [sums for sums, *_ in found]), H, g
 
 
 def _whitened(
     problem: Problem, theta: Array, forgetting: float, segments: Segments,
     courses: Sequence[Course],
-) -> tuple[Parts, Sums]:
-    """Return the whitened segments of a recording without Jacobians, and their sums."""
+) -> tuple[Parts, tuple[Sums, Array, Array]]:
+    """Return whitened segments without Jacobians, their sums, information (q, q) and slope."""
     def whitened(segment: Segment, course: Course) -> WhitenedSegment:
         part = problem.whitened(theta, segment, course, forgetting)
         return part._replace(jacobian=part.jacobian[:0].copy())  # a view would keep all columns
 
     parts = tuple(in_threads(whitened, segments, courses))
-    return parts, Sums.of(parts)
+    return parts, (Sums.of(parts), *(sum(np.sum(getattr(part, name), axis=0) for part in parts)
+                                     for name in ('information', 'slope')))
 
 
 def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]) -> Array:
