@@ -9,13 +9,18 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 import os
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.jit import usable_cores
 from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.pool import Held, here, Pool, Runner
 from bellows_ros.core.identification.quantities import as_found, payload_of
-from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
+from bellows_ros.core.identification.reduction import (
+    AnyRecording,
+    reduced,
+    ReducedRecording,
+    whole_recordings,
+)
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
@@ -97,11 +102,9 @@ def identify(
         static = read_standstills(values.replaced({**FULL_RANGE}), progress)
     effective = values.replaced({'cup.length': static.cup_length}) if static else values
     with _runner(jobs, dask, len(values.bags)) as run:
-        reads, placed, failed = read_all(effective, progress, run, poses)
-        parts = [read.part for read in reads]
+        parts, placed, failed = read_all(effective, progress, run, poses)
         if values.fit.method == 'output_error' and not force:
-            _require_no_facts(
-                parts, [fact for read in reads for fact in read.facts], effective, progress)
+            _require_no_facts(parts, effective, progress)
         return _identify(
             values, effective, parts, static, progress, placed,
             failed=tuple(failed), assumed=_assumed(settings),
@@ -122,11 +125,11 @@ def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager[R
 
 
 def _require_no_facts(
-    parts: Sequence[AnyRecording], found: Sequence[causes.Finding], values: Values,
-    progress: Progress,
+    parts: Sequence[AnyRecording], values: Values, progress: Progress
 ) -> None:
     """Raise for recordings with faults detected without a fit, with all further faults."""
     recordings = whole_recordings(parts)
+    found = [fact for part in parts if isinstance(part, ReducedRecording) for fact in part.facts]
     if found or causes.facts(recordings, values.cup.length):
         progress(CAUSE_TESTS, FIT_BEGINS)
         verdict = verdict_of(None, recordings, values.cup.length, values)
@@ -200,17 +203,10 @@ def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
         'load.',)
 
 
-class Read(NamedTuple):
-    """A recording or its statistics, and the facts about it."""
-
-    part: AnyRecording
-    facts: tuple[causes.Finding, ...] = ()
-
-
 def read_part(
     keep: Container[str], poses: Mapping[str, Poses], number: int, bag: str, path: str,
     values: Values,
-) -> tuple[methods.Pair | None, Read]:
+) -> tuple[methods.Pair | None, AnyRecording]:
     """
     Read and reduce a recording; return the pair kept for a fit by simulation, and the rest.
 
@@ -243,14 +239,14 @@ def read_part(
         verdict = verdict_of(None, [recording], values.cup.length, values)
         raise BellowsError(' '.join(verdict.cause if verdict else ()))
     part, pair = reduced(recording, values), None
-    facts: tuple[causes.Finding, ...] = ()
     if values.fit.method == 'output_error':
-        pair, (facts, _) = methods.pair_of(recording, values, number), causes.corrected(recording)
-        part = part._replace(statistics=part.statistics.head()._replace(noise=None))
-    return pair, Read(recording if bag in keep else part, facts)
+        pair = methods.pair_of(recording, values, number)
+        part = part._replace(statistics=part.statistics.head()._replace(noise=None),
+                             facts=causes.corrected(recording)[0])
+    return pair, recording if bag in keep else part
 
 
-def _attempted(*arguments: Any) -> tuple[methods.Pair | None, Read]:
+def _attempted(*arguments: Any) -> tuple[methods.Pair | None, AnyRecording]:
     """Return the result of `read_part`, any failure being a reason to leave the recording out."""
     try:
         return read_part(*arguments)
@@ -263,7 +259,7 @@ def _attempted(*arguments: Any) -> tuple[methods.Pair | None, Read]:
 def read_all(
     values: Values, progress: Progress, run: Runner | None = None,
     poses: Mapping[str, Poses] | None = None,
-) -> tuple[list[Read], methods.Placed | None, list[Failed]]:
+) -> tuple[list[AnyRecording], methods.Placed | None, list[Failed]]:
     """
     Return usable recordings, their places for a fit by simulation, and unusable recordings.
 
@@ -272,32 +268,32 @@ def read_all(
     bags = [os.fspath(bag) for bag in values.bags]
     keep = frozenset(bags if any(values[name] for name in RECORDING_USERS) else bags[:MAX_TESTED])
     each = reading.values_of_each(values)
-    pairs, reads, failed = _read_elsewhere(bags, each, keep, progress, run) if run else (
+    pairs, parts, failed = _read_elsewhere(bags, each, keep, progress, run) if run else (
         *_read_here(bags, each, keep, progress, poses or {}), [])
     is_simulated = values.fit.method == 'output_error'
-    return reads, methods.Placed.of(pairs) if is_simulated else None, failed
+    return parts, methods.Placed.of(pairs) if is_simulated else None, failed
 
 
 def _read_here(
     bags: Sequence[str], values: Sequence[Values], keep: Container[str], progress: Progress,
     poses: Mapping[str, Poses],
-) -> tuple[Held, list[Read]]:
+) -> tuple[Held, list[AnyRecording]]:
     """Return recordings read one after the other."""
-    pairs, reads = list[methods.Pair | None](), list[Read]()
+    pairs, parts = list[methods.Pair | None](), list[AnyRecording]()
     for number, (bag, own) in enumerate(zip(bags, values, strict=True)):
         progress(f'reading {bag}', FIT_BEGINS * number / len(bags))
-        pair, read = read_part(keep, poses, number, bag, bag, own)
+        pair, part = read_part(keep, poses, number, bag, bag, own)
         pairs.append(pair)
-        reads.append(read)
-        for _, sentence in reading.duplicates((one.part.name, one.part.digest) for one in reads):
+        parts.append(part)
+        for _, sentence in reading.duplicates((one.name, one.digest) for one in parts):
             raise BellowsError(sentence)
-    return here(pairs), reads
+    return here(pairs), parts
 
 
 def _read_elsewhere(
     bags: Sequence[str], values: Sequence[Values], keep: Container[str], progress: Progress,
     run: Runner,
-) -> tuple[Held, list[Read], list[Failed]]:
+) -> tuple[Held, list[AnyRecording], list[Failed]]:
     """Return recordings read by workers, and unusable recordings."""
     pool, words = Pool(run, len(bags)), f'reading {len(bags)} recordings'
     pairs = pool.begun(_attempted, keep, {}, *map(pool.each, (
@@ -308,7 +304,7 @@ def _read_elsewhere(
         outcomes[number] = Failed(bags[number], str(reply.error)) if reply.error else reply.result
         progress(words, FIT_BEGINS * len(outcomes) / len(bags))
     done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
-    digested = ((outcomes[n].part.name, outcomes[n].part.digest) for n in done)
+    digested = ((outcomes[n].name, outcomes[n].digest) for n in done)
     for place, sentence in reading.duplicates(digested):
         outcomes[done[place]] = Failed(bags[done[place]], sentence)
     failed = [outcomes[n] for n in range(len(bags)) if isinstance(outcomes[n], Failed)]
@@ -339,7 +335,7 @@ def _identify(
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
             static.standstills if static else (), length.length_std if length else 0.0, placed)
     except BellowsError:
-        _require_no_facts(parts, (), effective, progress)
+        _require_no_facts(parts, effective, progress)
         raise
     fit = result.fit
     if values.fit.structure == structure.AUTO:

@@ -130,9 +130,12 @@ def cluster(address: str) -> Iterator[Runner]:
             'and give the address that it prints.') from None
     with client:
         runner = _Cluster(distributed, client, address)
-        yield runner
-        for session in runner.sessions:
-            client.run(forget, session)
+        try:
+            yield runner
+        finally:
+            with suppress(Exception):  # of a scheduler that was lost
+                for session in runner.sessions:
+                    client.run(forget, session)
 
 
 class _Cluster:

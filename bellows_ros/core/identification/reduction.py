@@ -337,6 +337,8 @@ class ReducedRecording(NamedTuple):
         Motion of the lip.
     envelope : Envelope
         Its validity range.
+    facts : tuple of Finding
+        Faults that are seen without a fit.
 
     """
 
@@ -350,6 +352,7 @@ class ReducedRecording(NamedTuple):
     statistics: Statistics
     movement: Movement
     envelope: Envelope
+    facts: tuple[Any, ...] = ()
 
     @property
     def name(self) -> str:
