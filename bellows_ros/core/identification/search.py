@@ -9,8 +9,7 @@ A remote start approaches first, with nearly constant damping and without coupli
 would dominate: an unknown acceleration of the package makes the differences forget the past.
 """
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -174,45 +173,35 @@ class Differences(NamedTuple):
             one.logs for one in self.sums)
 
     def median(self, numbers_of: Callable[[Parts], Array]) -> Array:
-        """Return the medians (k,) of sizes of numbers (N, k) of all recordings."""
+        """
+        Return the medians (k,) of sizes of numbers (N, k) of all recordings.
+
+        They lie between the smallest and the largest median of a recording.
+        """
         pool = self.held.pool
-        bins = [sum(each, Counter[int]()) for each in zip(
-            *pool.results(_counted, numbers_of, self.held), strict=True)]
-        count = bins[0].total()
-        ranks = (count - 1) // 2, count // 2
-        before, chosen = zip(*(_with_ranks(one, ranks) for one in bins), strict=True)
-        values = zip(*pool.results(_values_in, numbers_of, chosen, self.held), strict=True)
-        return np.array([
-            np.mean(np.sort(np.concatenate(each))[[rank - first for rank in ranks]])
-            for first, each in zip(before, values, strict=True)])
+        middles = np.array(pool.results(_middle, numbers_of, self.held))
+        counts, columns = zip(*pool.results(
+            _between, numbers_of, middles[:, 0].min(axis=0), middles[:, 1].max(axis=0), self.held
+        ), strict=True)
+        ranks = np.array([(sum(counts) - 1) // 2, sum(counts) // 2])
+        return np.array([np.mean(np.sort(np.concatenate([inside for _, inside in column]))[
+            ranks - sum(below for below, _ in column)]) for column in zip(*columns, strict=True)])
 
 
-SHIFT = 48
-"""Bits of a number that its bin leaves out: 16 bins in a factor of two."""
+def _middle(numbers_of: Callable[[Parts], Array], parts: Parts) -> Array:
+    """Return the one or two middle sizes (2, k) of a recording's numbers (N, k)."""
+    sizes = np.sort(np.abs(numbers_of(parts)), axis=0)
+    return np.asarray(sizes[[(len(sizes) - 1) // 2, len(sizes) // 2]])
 
 
-def _counted(numbers_of: Callable[[Parts], Array], parts: Parts) -> list[Counter[int]]:
-    """Return how many sizes of a recording's numbers (N, k) are in each bin, column by column."""
-    keys = np.abs(numbers_of(parts)).view(np.int64) >> SHIFT
-    return [Counter(column.tolist()) for column in keys.T]
-
-
-def _with_ranks(bins: Mapping[int, int], ranks: tuple[int, int]) -> tuple[int, tuple[int, int]]:
-    """Return the bins of the first and last rank, and the number of values before them."""
-    keys = sorted(bins)
-    ends = np.cumsum([bins[key] for key in keys])
-    first, last = np.searchsorted(ends, ranks, side='right').tolist()
-    return int(ends[first]) - bins[keys[first]], (keys[first], keys[last])
-
-
-def _values_in(
-    numbers_of: Callable[[Parts], Array], bins: Sequence[tuple[int, int]], parts: Parts
-) -> list[Array]:
-    """Return the sizes of a recording's numbers (N, k) in bins of each column."""
+def _between(
+    numbers_of: Callable[[Parts], Array], low: Array, high: Array, parts: Parts
+) -> tuple[int, list[tuple[int, Array]]]:
+    """Return N, and for each column the count of sizes below a range and the sizes in it."""
     sizes = np.abs(numbers_of(parts))
-    keys = sizes.view(np.int64) >> SHIFT
-    return [column[(first <= key) & (key <= last)]
-            for column, key, (first, last) in zip(sizes.T, keys.T, bins, strict=True)]
+    return len(sizes), [
+        (int(np.count_nonzero(column < first)), column[(first <= column) & (column <= last)])
+        for column, first, last in zip(sizes.T, low, high, strict=True)]
 
 
 def innovations_of(parts: Parts) -> Array:

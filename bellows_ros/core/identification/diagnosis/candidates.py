@@ -315,9 +315,10 @@ def likeliest_setting(near: Solution, cup: Cup, report: Report = no_report) -> F
         _segment, pool.each([int(np.argmax(squares[number])) for number in numbers]),
         problem.held))
     ends = list[tuple[float, Finding]]()
-    for finding, change in [(Finding('', ''), _unchanged), *settings_of(worst.outlines)]:
+    for finding, change in [(Finding('', ''), None), *settings_of(worst.outlines)]:
         with suppress(BellowsError, OutOfTime):  # no cup explains this setting
-            near = approach(worst.changed(change), report, with_couplings=False)
+            near = approach(
+                worst.changed(change) if change else worst, report, with_couplings=False)
             ends.append((near.squares, finding))
     least, likeliest = min(ends, key=itemgetter(0), default=(0.0, Finding('', '')))
     other = next((change for finding, change in settings_of(problem.outlines)
@@ -335,8 +336,3 @@ def _segment(place: int, segments: Segments) -> tuple[Segments, Outline]:
     """Return one of a recording's segments, and its outline."""
     chosen = segments[place:place + 1]
     return chosen, outline_of(chosen)
-
-
-def _unchanged(each: MeasuredSegment) -> MeasuredSegment:
-    """Return a part of a recording as it is."""
-    return each
