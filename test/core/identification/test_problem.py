@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification.diagnosis.candidates import scores, SIGNIFICANT
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.search import as_measured, Iterate, minimise, system_of
@@ -119,3 +121,24 @@ def jacobian_size(parts):
     """Return the number of derivatives that are kept of a recording, by views, too."""
     return sum(part.jacobian.size if part.jacobian.base is None else part.jacobian.base.size
                for part in parts)
+
+
+def test_worlds_of_many_sound_recordings_are_no_cause():
+    """By chance chi² falls by six for each recording, by some 50 for all."""
+    found = minimise(replace(problem_of(range(1, 9)), free={}))
+    score = scores(found, ['package_world'])['package_world']
+    assert found.converged and score < SIGNIFICANT**2
+
+
+def test_a_wrong_world_of_all_recordings_is_seen():
+    problem = replace(problem_of(range(1, 9)), free={}).changed(in_another_world)
+    found = minimise(problem)
+    assert scores(found, ['package_world'])['package_world'] > SIGNIFICANT**2
+
+
+def in_another_world(each):
+    """Return a recording whose package is 2 mm and 0.3 degrees aside."""
+    poses = each.package
+    return replace(each, package=replace(
+        poses, position=poses.position + [2e-3, 0.0, 0.0],
+        rotation=exp_so3(np.array([0.0, 0.0, 5e-3])) @ poses.rotation))

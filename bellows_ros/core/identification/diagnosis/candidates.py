@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+import math
 from operator import itemgetter
 import time
 from typing import NamedTuple
@@ -168,7 +169,22 @@ def freed(
     wide = before.problem.freed(
         before.problem.start if from_start else before.theta, quantities.weak_prior([name]))
     found = minimise(wide, None if from_start else before.near(wide), report)
-    return Alternative(name, found, gain_of(before, found, name == 'slip'))
+    return Alternative(name, found, beyond_chance(
+        wide, name, gain_of(before, found, name == 'slip')))
+
+
+def beyond_chance(problem: Problem, name: str, fall: float) -> float:
+    """
+    Return a fall of chi² as if one recording alone had the quantity.
+
+    By chance chi² falls by the number of free numbers, with a root that varies by 0.7. A slip is
+    in one recording only.
+    """
+    places = problem.places[name]
+    others = places.size - places.shape[1]
+    if name == 'slip' or not others or not fall > 0.0:
+        return fall
+    return max(math.sqrt(fall) - math.sqrt(others), 0.0) ** 2
 
 
 def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
@@ -195,15 +211,19 @@ def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
     _, H, g = system_of(wide, found.near(wide))
     tested = {name: np.isin(np.arange(len(g)), wide.places[name]) for name in names}
     base = ~np.any(list(tested.values()), axis=0)
-    return {name: H.fall(g, base | own) - H.fall(g, base) for name, own in tested.items()}
+    return {name: beyond_chance(wide, name, H.fall(g, base | own) - H.fall(g, base))
+            for name, own in tested.items()}
 
 
-def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
+def with_likeliest_slip(
+    found: Solution, report: Report = no_report
+) -> tuple[Solution, float]:
     """Return a solution with the likeliest instant of a slip, and its fall of chi²."""
     tried = dict[int, tuple[Solution, float]]()
 
     def fall(slip_ns: int) -> float:
         if slip_ns not in tried:
+            report(found.cup, 0.0)
             with_slip = replace(found, problem=replace(found.problem, slip_ns=slip_ns))
             tried[slip_ns] = with_slip, float(np.nan_to_num(
                 scores(with_slip, ['slip'])['slip'], posinf=0.0))
