@@ -46,7 +46,7 @@ LIMIT_S = 7200.0
 """Longest time of one fit, s."""
 
 FIT = PEAK + """
-import contextlib, json, os, signal, sys, time
+import contextlib, json, os, resource, signal, sys, time
 from bellows_ros.core import configure_process
 configure_process()
 from bellows_ros.files.parameter_files import read_parameters
@@ -73,7 +73,8 @@ result = identify(values, progress, dask=address) if address else identify(
     values, progress, jobs=2)
 end = time.perf_counter()
 print(json.dumps({
-    'peak': peak(), 'seconds': end - start, 'processor': sum(os.times()[:4]),
+    'peak': peak(), 'worker': 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss,
+    'seconds': end - start, 'processor': sum(os.times()[:4]),
     'reading': marks['fitting'] - start,
     'steps': len(result.fit.iterations), 'killed': 'killed' in marks,
     'search': marks['testing'] - marks['fitting'],
@@ -173,7 +174,8 @@ def main() -> None:
     for name, fit in found['fits'].items():
         print(f'{name}: {fit["seconds"]:.0f} s, {fit["reading"]:.0f} s of these for reading and '
               f'{fit["search"]:.0f} s for {fit["steps"]} steps and the errors; processor '
-              f'{fit["processor"]:.0f} s; client {fit["peak"] / MEBI:.0f} MiB')
+              f'{fit["processor"]:.0f} s; client {fit["peak"] / MEBI:.0f} MiB, largest process '
+              f'{fit["worker"] / MEBI:.0f} MiB')
         print('  K, P:', *(f'{float.fromhex(number):.17g}' for number in fit['K']))
 
 
