@@ -29,7 +29,8 @@ def values(stiffness_std=NO_STD, damping_std=NO_STD, position=0.0, rotation=0.0)
     """Return parameters of the uncertainty."""
     return resolve({
         'cup.stiffness_std': np.ravel(stiffness_std).tolist(), 'tool_noise.rotation': rotation,
-        'cup.damping_std': np.ravel(damping_std).tolist(), 'tool_noise.position': position})
+        'cup.damping_std': np.ravel(damping_std).tolist(), 'tool_noise.position': position,
+        'package.mass': 2.17})
 
 
 def tool_poses():

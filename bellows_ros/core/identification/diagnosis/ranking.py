@@ -140,7 +140,11 @@ def _causes(end: Solution, given_std: Free, report: Report) -> tuple[Finding, ..
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in end.problem.places and (not end.converged or is_off or max(
             falls.values(), default=0.0) > SIGNIFICANT**2):  # a slip also shifts the com
-        end, falls['slip'] = candidates.with_likeliest_slip(end, report)
+        try:
+            end, falls['slip'] = candidates.with_likeliest_slip(end, report)
+        except OutOfTime:
+            untried = sorted(falls, key=falls.__getitem__, reverse=True)
+            raise OutOfTime(*untried[:MAX_SEARCHES], 'slip') from None
     if max(falls.values(), default=0.0) < SIGNIFICANT**2:
         return ()
     tried = _tried(end, dict(sorted(falls.items(), key=_priced, reverse=True)), report)
