@@ -1,12 +1,12 @@
 """The law of release from drops: against what made them, and real ones of masses left out."""
 
-
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.model.grip import Law
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import release_factor
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss import release_fit
-from bellows_ros.core.toss.release_fit import fit_release, release_parameters
+from bellows_ros.core.toss.release_fit import _tracked, fit_release, release_parameters
 from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 import numpy as np
 import pytest
@@ -150,3 +150,24 @@ def test_the_lightest_and_the_heaviest_left_out_are_where_their_uncertainty_says
     inside = drops.at_the_end(data, by_mass[left_out], np.array(found.law), release_factor(
         values.replaced({'package.mass': 0.714})))[1]
     assert (std > 1.5 * inside).all()
+
+
+@pytest.mark.parametrize(('wrong', 'begin_ms', 'end_ms'), [
+    ((), -150, 200), ((-60, -100, 80, 120), -58, 80), ((-6,), -4, 200), ((2,), -150, 2)])
+def test_a_drop_is_tracked_without_a_gap_about_the_valve(wrong, begin_ms, end_ms):
+    """From 0.15 s before the valve or the last gap before it, to the first gap after it."""
+    times_ms = np.arange(-400, 400, 2)
+    n = len(times_ms)
+    valve_ns = 10**18
+    poses = Trajectory(valve_ns + 10**6 * times_ms, np.zeros((n, 3)),
+                       np.tile(np.eye(3), (n, 1, 1)), valid=~np.isin(times_ms, wrong))
+    found = _tracked(poses, valve_ns, valve_ns + 200 * 10**6)
+    assert (found.stamps_ns[0] - valve_ns) // 10**6 == begin_ms
+    assert (found.stamps_ns[-1] - valve_ns) // 10**6 == end_ms - 2
+
+
+def test_a_drop_that_is_tracked_only_after_the_valve_is_refused():
+    stamps_ns = 10**18 + 10**6 * np.arange(12, 100)
+    poses = Trajectory(stamps_ns, np.zeros((88, 3)), np.tile(np.eye(3), (88, 1, 1)))
+    with pytest.raises(UndeterminedError, match='not tracked'):
+        _tracked(poses, 10**18, int(stamps_ns[-1]))
