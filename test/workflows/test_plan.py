@@ -389,6 +389,8 @@ def test_a_recording_that_begins_at_rest_is_predicted_from_rest():
     values = read_parameters(ROOT / 'bags' / 'tossing.yaml')
     source = plan_with_cup(ROOT / 'bags' / 'static', values)
     assert source.begins_at_rest
+    with_twists = {**values, 'topics.tool_twist': '/tool_arm/twist'}
+    assert plan_with_cup(ROOT / 'bags' / 'static', with_twists).begins_at_rest
     t = np.arange(200) / 500.0
     rng = np.random.default_rng(2)
     for speed, stands in ((0.0, True), (0.02, False)):

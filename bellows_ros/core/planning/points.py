@@ -325,8 +325,10 @@ def require_consistent(
 
     """
     def misfit(of: Array) -> float:
-        means = 0.5 * (of[1:] + of[:-1]) * durations[:, None]
-        return float(np.sqrt(np.mean((means - steps) ** 2)))
+        errors = 0.5 * (of[1:] + of[:-1]) * durations[:, None] - steps
+        # white noise of recorded poses: successive steps have opposite parts
+        noise = -2.0 * float(np.mean(errors[1:] * errors[:-1])) if len(of) >= 20 else 0.0
+        return math.sqrt(max(float(np.mean(errors**2)) - max(noise, 0.0), 0.0))
 
     size, given = float(np.sqrt(np.mean(steps**2))), misfit(rates)
     if given <= MAX_MISFIT * size + JUMP_TOLERANCE[0] * float(np.median(durations)):

@@ -1,7 +1,7 @@
 """From points to a plan: splines against known motions, and what no arm does refused."""
 
 from bellows_ros.core.geometry.lie import log_so3, rotation_to_quaternion
-from bellows_ros.core.planning.points import MAX_POINTS, plan_of
+from bellows_ros.core.planning.points import MAX_POINTS, plan_of, require_consistent
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -143,3 +143,17 @@ def test_accelerations_are_checked_against_velocities(count):
     for factor, reason in ((-1.0, 'opposite sign'), (1e3, 'too large by 1000')):
         with pytest.raises(BellowsError, match=f'accelerations.*{reason}'):
             plan_of(stamps, poses, in_world(R, v), factor * bent)
+
+
+@pytest.mark.parametrize('speed', [0.0, 0.02, 0.1])
+def test_noise_of_recorded_poses_is_no_other_motion(speed):
+    """Accept rates that are right, whatever the noise of the steps; refuse their negatives."""
+    rng = np.random.default_rng(3)
+    t = np.arange(1000) / 360.0
+    rates = speed * np.column_stack([np.sin(3.0 * t), np.cos(2.0 * t), np.sin(5.0 * t)])
+    poses = np.cumsum(rates, axis=0) / 360.0 + 2e-5 * rng.standard_normal(rates.shape)
+    durations, steps = np.diff(t), np.diff(poses, axis=0)
+    require_consistent(durations, steps, rates, 'Rates')
+    if speed:
+        with pytest.raises(BellowsError, match='Rates'):
+            require_consistent(durations, steps, -rates, 'Rates')
