@@ -276,7 +276,7 @@ def _tried(
 
 
 def _extrapolates(end: Solution, without: Solution) -> bool:
-    """Return whether stretch holds for other masses: found with two, or by most of the misfit."""
+    """Return whether two masses determine the stretch, or stretch explains most of the misfit."""
     masses = [outline.payload.mass for outline in end.problem.outlines]
     misfit, before = (each.squares / each.residual_count - 1.0 for each in (end, without))
     chance = 3.0 * (2.0 / end.residual_count) ** 0.5
@@ -297,7 +297,7 @@ def _from_quick_poses(
     near: Solution, given: Free, relaxation: str, report: Report, other_start: Cup
 ) -> Ends:
     """
-    Return the ends of a search from quick poses, which may determine given quantities better.
+    Return the ends of a search from quick poses, with given quantities free if a misfit remains.
 
     If a misfit remains, given quantities are freed: first held while the search approaches from
     another cup, as least squares takes them as exact; then free from the start, as their errors

@@ -1,9 +1,9 @@
 """
-Values of recordings where these were read, and functions of them: here, or in other processes.
+A pool of recordings, each kept by the process that read it, and maps of functions over the pool.
 
-A map calls a function with the values of each recording, there; of the result one part may stay
-beside the recording, the other is for the caller. Each value has a recipe, by which another worker
-computes it if its own is lost: results do not depend on the workers.
+A map calls a function in the process of each recording. One part of the result may stay in that
+process, the other part returns to the caller. Each kept value has a recipe, by which another
+worker computes the value if the first worker is lost: results do not depend on the workers.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -556,7 +556,7 @@ def _refined(
     problem: Problem, courses: Courses, parts: Differences, with_noise: bool,
     with_paths: bool = True,
 ) -> tuple[Courses, bool]:
-    """Return courses with paths, and noise of slow poses, and whether that hardly changes."""
+    """Return courses with paths and noise of slow poses, and whether the noise converged."""
     held, outcomes = problem.held.pool.hold(
         _of_recording, with_noise, with_paths, problem.held, courses.held, parts.held)
     return Courses(held, [std for std, _ in outcomes]), all(settled for _, settled in outcomes)
@@ -566,7 +566,7 @@ def _of_recording(
     with_noise: bool, with_paths: bool, segments: Segments, courses: tuple[Course, ...],
     parts: Parts,
 ) -> tuple[tuple[Course, ...], tuple[Array, bool]]:
-    """Return the same for a recording, with the noise (K, 6) of its poses."""
+    """Return the courses of a recording, the noise (K, 6) of its poses, and its convergence."""
     settled = True
     if with_paths:
         courses = likeliest(segments, courses, parts)

@@ -111,10 +111,10 @@ PACKAGE_ROWS = (*range(ekf.MASS, ekf.COM + 3), *range(ekf.MARKER, ekf.CAMERA),
 """Rows of the package's errors."""
 
 ANOTHER_PACKAGE = CAMERA_ROWS + CUP_ROWS
-"""Rows kept for another package."""
+"""Number of states that are kept for another package: of camera and cup."""
 
 SAME_PACKAGE = ANOTHER_PACKAGE + PACKAGE_ROWS
-"""Rows kept over a gap with the same package."""
+"""Number of states that are kept over a gap in the tool's poses, with the same package."""
 
 KNOWN_ROWS = np.sort(SAME_PACKAGE)
 """Rows that are estimated over time; the others belong to the motion."""
