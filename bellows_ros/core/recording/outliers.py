@@ -110,6 +110,7 @@ class _Jumps(NamedTuple):
     size: Array  # (2, M, 3) position in the world, rotation in body axes
     threshold: Array
     typical: Array  # (2, 3)
+    steps: Array  # (M,) duration in periods, at least 1; acceleration grows with its square
 
     @property
     def strength(self) -> Array:
@@ -198,9 +199,8 @@ def _jumps(poses: Trajectory) -> _Jumps:
     size[:, steps > max(LONG_GAP * NS_PER_S, LONG_GAP_SAMPLES * period)] = 0.0
     middle = 0.5 * (start + end)
     surroundings = np.array([_surroundings(np.linalg.norm(part, axis=1)) for part in middle])
-    longer = np.maximum(steps / period, 1.0) ** 2  # growth by acceleration over a gap
-    return _Jumps(size, longer * np.maximum(THRESHOLD_FACTOR * surroundings, MIN_JUMP[:, None]),
-                  np.median(np.abs(middle), axis=1))
+    return _Jumps(size, np.maximum(THRESHOLD_FACTOR * surroundings, MIN_JUMP[:, None]),
+                  np.median(np.abs(middle), axis=1), np.maximum(steps / period, 1.0))
 
 
 def _cancel_half_turns(rotation: Array) -> None:
@@ -238,7 +238,7 @@ def _paired(poses: Trajectory, jumps: _Jumps) -> tuple[list[slice], list[Lasting
     excursions, steps = list[slice](), list[LastingStep]()
     done = -1
     for k, i in enumerate(edges):
-        if strength[i] < 1.0 or i <= done:
+        if strength[i] < jumps.steps[i] ** 2 or i <= done:
             continue
         part = int(np.searchsorted(ends, i, side='right'))
         run = _excursion(poses, jumps, edges, k, (done, int(ends[part]))) or _to_an_end(
@@ -266,17 +266,18 @@ def _excursion(
     for direction in (1, -1):
         total = _forms(poses, jumps, i, direction > 0)
         first, sizes = total.copy(), np.linalg.norm(total[:, 0], axis=1)
-        allowed = np.where(
-            sizes >= jumps.threshold[:, i], 0.4 * sizes, 0.0
-        ) + 0.5 * jumps.threshold[:, i]
+        allowed = np.where(sizes >= jumps.threshold[:, i], 0.4 * sizes, 0.0)
         for j in edges[k + 1:] if direction > 0 else edges[:k][::-1]:
             if not within[0] < j < within[1] - 1 or abs(j - i) > MIN_EXCURSION_SAMPLES and (
                     abs(seconds[j] - seconds[i]) > MAX_EXCURSION):
                 break
             other = _forms(poses, jumps, j, direction < 0)
-            cancels = any(np.all(np.linalg.norm(each + other, axis=2).min(axis=1) < allowed)
+            least = allowed + 0.5 * jumps.steps[j] * jumps.threshold[:, i]
+            cancels = any(np.all(np.linalg.norm(each + other, axis=2).min(axis=1) < least)
                           for each in (first, total))
-            if cancels and (abs(j - i) <= SIDE_SAMPLES or (
+            is_near = abs(j - i) <= SIDE_SAMPLES and (
+                jumps.strength[j] >= 0.5 * jumps.steps[j] ** 2)
+            if cancels and (is_near or (
                     jumps.strength[j] >= 1.0 and all(_lasts(poses, jumps, k) for k in (i, j)))):
                 return slice(min(i, j) + 1, max(i, j) + 1)
             total += other
