@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification.diagnosis import candidates
 from bellows_ros.core.identification.diagnosis.candidates import scores, SIGNIFICANT
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import weak_prior
@@ -134,6 +135,17 @@ def test_a_wrong_world_of_all_recordings_is_seen():
     problem = replace(problem_of(range(1, 9)), free={}).changed(in_another_world)
     found = minimise(problem)
     assert scores(found, ['package_world'])['package_world'] > SIGNIFICANT**2
+
+
+@pytest.mark.parametrize(('count', 'is_off'), [(1, True), (8, False)])
+def test_the_largest_deviation_of_many_recordings_is_judged_by_their_number(count, is_off):
+    """A clock off by 3.6 standard deviations: one of 3,000, and one of 400 with eight clocks."""
+    given = {'time_offset': np.array([1e-3])}
+    found = minimise(replace(problem_of(range(1, 1 + count)), free=given))
+    place = found.problem.places['time_offset']
+    wrong = np.zeros(len(found.theta))
+    wrong[place[0]] = 3.6 / np.sqrt(found.problem.weights[place[0]])
+    assert candidates.is_off(replace(found, theta=wrong), given) is is_off
 
 
 def in_another_world(each):

@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 import math
 from operator import itemgetter
+from statistics import NormalDist
 import time
 from typing import NamedTuple
 
@@ -53,8 +54,8 @@ CANDIDATES = ('time_offset', 'clock_rate', 'com', 'length', 'length_drift', 'mas
 MARKERS = ('package_marker', 'tool_marker')
 """Two marker frames that one recording can hardly distinguish."""
 
-MAX_PULL = 4.0
-"""Largest deviation of a given quantity, standard deviations; false-alarm rate 1 in 16,000."""
+FALSE_ALARMS = 1e-3
+"""False-alarm rate of the largest deviation of a fit's given quantities, per fit."""
 
 MAX_RATIO_PULL = 3.0
 """Largest deviation of the ratio of inertia and mass, standard deviations."""
@@ -120,7 +121,7 @@ def is_off(found: Solution, given: Free) -> bool:
 
 def pulls(found: Solution, given: Free) -> dict[str, float]:
     """
-    Return the deviations of given quantities by name, relative to `MAX_PULL`.
+    Return the deviations of given quantities by name, relative to the largest by chance.
 
     For mass and inertia only the ratio is observable.
     """
@@ -132,20 +133,27 @@ def pulls(found: Solution, given: Free) -> dict[str, float]:
         return float(np.max(np.abs(value) / np.sqrt(
             prior * np.maximum(1.0 - variance / prior, MIN_KNOWN))))
 
-    for name in problem.places.keys() & given.keys() - {'mass', 'inertia'}:
-        place = problem.places[name].ravel()
-        sizes[name] = pull(
-            found.theta[place], 1.0 / problem.weights[place], information.variances[place])
+    places = {name: problem.places[name].ravel()
+              for name in problem.places.keys() & given.keys() - {'mass', 'inertia'}}
+    limit = largest_by_chance(sum(place.size for place in places.values()))
+    for name, place in places.items():
+        sizes[name] = pull(found.theta[place], 1.0 / problem.weights[place],
+                           information.variances[place]) / limit
     if {'mass', 'inertia'} <= problem.places.keys() & given.keys():
         ratio = np.zeros(problem.shared)
         for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
             place = problem.places[name].ravel()
             ratio[place] = part * problem.units[place]
         weights = np.where(ratio != 0.0, problem.weights[:len(ratio)], 1.0)
-        sizes['mass'] = MAX_PULL / MAX_RATIO_PULL * pull(
+        sizes['mass'] = pull(
             ratio @ found.theta[:len(ratio)], np.asarray(np.sum(ratio**2 / weights)),
-            ratio @ information.covariance @ ratio)
-    return {name: size / MAX_PULL for name, size in sizes.items()}
+            ratio @ information.covariance @ ratio) / MAX_RATIO_PULL
+    return sizes
+
+
+def largest_by_chance(count: int) -> float:
+    """Return the limit of the largest of so many deviations, standard deviations."""
+    return -NormalDist().inv_cdf(0.5 * FALSE_ALARMS / max(count, 1))
 
 
 class Alternative(NamedTuple):
