@@ -14,8 +14,10 @@ from collections import Counter
 import time
 
 from bellows_ros.core.identification.causes import facts
+from bellows_ros.core.identification.diagnosis.facts import facts_of
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.errors import BellowsError
+from bellows_ros.workflows.recordings import FAULTS as FACTS
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 
@@ -33,6 +35,10 @@ def outcome(laboratory, cause, other=''):
     try:
         recordings = laboratory.recordings()
         warned = ' '.join(own.code for one in recordings for own in one.report.remarks)
+        if wrong := [fact.code for one in recordings for fact in facts_of(
+                one.tool_pose, one.package_pose, one.settings.R_world_recorded)
+                if fact.code in FACTS]:
+            return 'right' if cause in wrong else 'wrong and certain', ' '.join(wrong)
         values = parameters(laboratory)
         length = values['cup.length']
         found = None if facts(recordings, length) else fit(recordings, values).fit
@@ -50,18 +56,28 @@ def outcome(laboratory, cause, other=''):
         return 'wrong besides', said
     if other and named:
         return of_two(named, cause, other), said
+    word, off = unnamed(laboratory, verdict, found, said)
     if cause == SOUND:
         if verdict.refusals or 'step' in warned:
             return 'refused', f'{said} {warned}'
-        return 'right', said
+        return {'silent': 'right'}.get(word, word), off
     if verdict.cause and findings:
-        return ('right' if cause in named[0] else
-                'wrong and certain' if 'certain' in named[0] else 'wrong, not certain'), said
-    word, said = unnamed(laboratory, verdict, found, said)
+        if word == 'silent and wrong':
+            return 'said, and wrong', f'{said} {off}'
+        return of_one(named, cause), said
     first = next(iter(verdict.found), '')  # with K and P, so that nothing is refused
     if cause in first:
         word = {'silent': 'right', 'silent and wrong': 'said, and wrong'}.get(word, word)
-    return word, f'{first} {said}'
+    return word, f'{first} {off}'
+
+
+def of_one(named, cause):
+    """Return whether a cause is named first, or among the two after an unknown one."""
+    if cause in named[0]:
+        return 'right'
+    if named[0].startswith('unknown') and any(cause in word for word in named[1:3]):
+        return 'unknown with the truth'
+    return 'wrong and certain' if 'certain' in named[0] else 'wrong, not certain'
 
 
 def of_two(named, cause, other):

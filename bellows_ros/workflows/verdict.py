@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes, methods
+from bellows_ros.core.identification.output_error import HELD_OUT
 from bellows_ros.core.identification.quantities import as_found, Free, given_std, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
-from bellows_ros.core.identification.validation import validate
+from bellows_ros.core.identification.validation import MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure
@@ -58,6 +59,14 @@ class Simulated(NamedTuple):
     """RMS errors (6,) explained by the standard errors of K and P."""
     all_identifiable: bool = True
     """Whether all entries of K and P are identifiable."""
+    held_out: Array | float = 0.0
+    """RMS errors (6,) in the last fifth with the cup of the other four, m and rad."""
+
+    @property
+    def unpredicted(self) -> list[str]:
+        """Axes with a held-out error beyond three times the noise and beyond `MAX_NRMSE`."""
+        largest = np.maximum(3.0 * self.noise, MAX_NRMSE * self.motion)
+        return [AXES[i] for i in np.flatnonzero(self.held_out > largest)]
 
     @property
     def largest(self) -> Array:
@@ -87,7 +96,7 @@ class Simulated(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file."""
         return {**self._asdict(), 'axes': AXES, 'units': {
-            'noise': POSE_UNITS, 'uncertainty': POSE_UNITS, 'beginning': 's'}}
+            **dict.fromkeys(('noise', 'uncertainty', 'held_out'), POSE_UNITS), 'beginning': 's'}}
 
 
 class FitVerdict(NamedTuple):
@@ -217,6 +226,12 @@ class FitVerdict(NamedTuple):
                     'noise, more than the standard errors of K and P allow, so model or data are '
                     'wrong. Check package.mass, package.com, package.inertia and the frames, or '
                     'use a richer fit.structure.')
+            elif simulated.unpredicted:
+                reasons.append(
+                    f'{simulated.bag}: with the cup of the first four fifths, the last fifth is '
+                    f'predicted worse than {100.0 * MAX_NRMSE:g} % of the motion and three times '
+                    f'the noise in {", ".join(simulated.unpredicted)}, so model or data are '
+                    'wrong, or change during the recording.')
         if self.simulated and not reasons and self.chi2 is not None and (
                 self.chi2 > methods.MAX_MISFIT_TO_NOISE**2):
             reasons.append(
@@ -316,10 +331,11 @@ def _judged(
     cup = gripper_of(Cup(
         fit.stiffness, fit.damping, length, fit.relaxation, stretch=fit.stretch), structure.places)
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, structure)
+    held = None if fit.held_out is None else _cup_of(fit, fit.held_out, cup, structure)
     return verdict._replace(
         simulated=tuple(
             _simulated(cup, as_found(recording, fit.nuisances, number), others,
-                       fit.noise_in_motion.get(number))._replace(
+                       fit.noise_in_motion.get(number), held)._replace(
                            all_identifiable=bool(np.all(np.isfinite(np.diag(fit.covariance)))))
             for number, recording in enumerate(tested) if fit.usable),
         chi2=fit.robust_chi2, log_inertia_ratio=log_inertia_ratio,
@@ -365,15 +381,22 @@ def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
         finite, 1.0, np.exp(rng.standard_normal((DRAWS, len(finite)))))
     thetas[:, finite] = rng.multivariate_normal(
         fit.parameters[finite], fit.covariance[np.ix_(finite, finite)], DRAWS, method='eigh')
-    matrices = (structure.matrices(theta) for theta in thetas)
-    return [gripper_of(
+    cups = (_cup_of(fit, theta, cup, structure) for theta in thetas)
+    return [each for each in cups if each]
+
+
+def _cup_of(fit: Fit, theta: Array, cup: Cup, structure: Structure) -> Cup | None:
+    """Return a cup with other parameters (p,), None if indefinite."""
+    K, P = structure.matrices(theta)
+    if min(np.linalg.eigvalsh(K)[0], np.linalg.eigvalsh(P)[0]) <= 0.0:
+        return None
+    return gripper_of(
         Cup(K, P, cup.length, fit.relaxation, stretch=fit.stretch), structure.places)
-            for K, P in matrices if min(np.linalg.eigvalsh(K)[0], np.linalg.eigvalsh(P)[0]) > 0.0]
 
 
 def _simulated(
     cup: Cup, recording: Recording, others: Sequence[Cup] = (),
-    noise_in_motion: Array | None = None,
+    noise_in_motion: Array | None = None, held: Cup | None = None,
 ) -> Simulated:
     """Return a free simulation of a recording; a failed simulation explains no motion."""
     if recording.pose_errors and noise_in_motion is not None:
@@ -397,4 +420,15 @@ def _simulated(
         recording.name, result.scores.rms, noise, result.scores.motion,
         tuple(AXES[i] for i in np.flatnonzero(beyond)),
         seconds if len(recording.valid) > MAX_SIMULATED else 0.0,
-        np.sqrt(np.nanmean(np.square(changes), axis=(0, 1))) if changes else 0.0)
+        np.sqrt(np.nanmean(np.square(changes), axis=(0, 1))) if changes else 0.0,
+        held_out=_held_out(held, recording) if held else 0.0)
+
+
+def _held_out(cup: Cup, recording: Recording) -> Array:
+    """Return the RMS errors (6,) of a free simulation in the last fifth, m and rad."""
+    try:
+        result = validate(cup, recording, MAX_SIMULATED)
+    except UnstableError:
+        return np.full(6, np.inf)
+    first, last = result.stamps_ns[[0, -1]]
+    return result.select(result.stamps_ns > last - (last - first) // HELD_OUT).scores.rms

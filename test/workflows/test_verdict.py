@@ -116,6 +116,18 @@ def test_what_is_not_identifiable_refuses_no_cup(std, refused):
     assert bool(found.refusals) is refused
 
 
+@pytest.mark.parametrize(('factor', 'refused'), [(1.01, False), (1.5, True)])
+def test_a_cup_that_does_not_predict_the_last_fifth_is_refused(factor, refused):
+    """With K rz and P rz of the first four fifths, though those of the whole predict it."""
+    laboratory = Laboratory(4, seconds=4.0)
+    whole, first = (made_for(laboratory, each) for each in (1.0, factor))
+    found = verdict.verdict_of(
+        replace(whole, held_out=first.parameters), laboratory.recordings(), laboratory.length,
+        parameters(laboratory))
+    assert [reason.partition('rz')[0].endswith('noise in ') for reason in found.refusals] == (
+        [True] * refused)
+
+
 def test_what_a_fit_found_comes_after_nothing_but_facts():
     """Of poses that come in bursts, and a centre of mass elsewhere."""
     laboratory = Laboratory(4, seconds=4.0)

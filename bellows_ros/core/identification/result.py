@@ -185,6 +185,8 @@ class Fit:
         Possible causes of the residual of output error, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
         Additional covariance by the given quantities' standard deviations; None for none.
+    held_out : ndarray (2 n,) or None
+        Parameters without the last fifth of each recording; None for least squares.
     nuisances : mapping
         Other quantities estimated jointly with K and P, by names of `KINDS`: changes, SI units, a
         row for each recording or one for all; without those in `freed`.
@@ -221,6 +223,7 @@ class Fit:
     stretch_std: tuple[float, float] = (0.0, 0.0)
     causes: tuple[Any, ...] = ()
     from_given: Array | None = None
+    held_out: Array | None = None
     nuisances: Mapping[str, Array] = field(default_factory=dict)
     nuisances_std: Mapping[str, Array] = field(default_factory=dict)
 

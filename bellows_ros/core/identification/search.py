@@ -205,8 +205,13 @@ def _between(
 
 
 def innovations_of(parts: Parts) -> Array:
+    """Return the innovations (N, 6) of a recording."""
+    return np.concatenate([part.innovations for part in parts]).reshape(-1, 6)
+
+
+def _all_innovations(parts: Parts) -> Array:
     """Return the innovations (6 N, 1) of a recording."""
-    return np.concatenate([part.innovations for part in parts])[:, None]
+    return innovations_of(parts).reshape(-1, 1)
 
 
 def squared_residuals(parts: Parts) -> Array:
@@ -263,7 +268,12 @@ class Solution:
     @cached_property
     def robust_chi2(self) -> float:
         """Chi^2 per difference from their median, insensitive to tails of the noise."""
-        return float(self.parts.median(innovations_of)[0] * MAD_TO_STD) ** 2
+        return float(self.parts.median(_all_innovations)[0] * MAD_TO_STD) ** 2
+
+    @cached_property
+    def worst_chi2(self) -> float:
+        """Robust chi^2 per difference of the axis with the largest."""
+        return float(np.max(self.parts.median(innovations_of)) * MAD_TO_STD) ** 2
 
     @property
     def colour(self) -> float:
@@ -311,7 +321,7 @@ class Solution:
     @property
     def fits(self) -> bool:
         """Whether the search ended at a plausible cup without a misfit."""
-        return self.is_plausible and self.robust_chi2 * max(self.learned, 1.0) < MISFIT_CHI2
+        return self.is_plausible and self.worst_chi2 * max(self.learned, 1.0) < MISFIT_CHI2
 
     @cached_property
     def learned(self) -> float:

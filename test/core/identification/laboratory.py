@@ -32,15 +32,16 @@ def radial(way):
     return size
 
 
-def moved(cup, package, tool, stiffness, friction, slipped, leak=0.0):
+def moved(cup, package, tool, stiffness, friction, slipped, leak=0.0, pull=(0.0, 0.0, 0.0)):
     """
     Return the package's motion with a stiffness (6,) of time (0 to 1) and deflection (6,).
 
     Friction is so many times a spring of that stiffness, at a slider that slips from `SLIP` on.
     The package slips (3,) on the lip, within a two hundredth of the time; the cup lengthens by a
-    leak (m) from beginning to end.
+    leak (m) from beginning to end; a cable pulls (3,) the centre of mass, N.
     """
-    model = model_tuple(cup, package, GRAVITY)
+    gravity = np.array([0.0, 0.0, -GRAVITY]) + np.divide(pull, package.mass)
+    model = model_tuple(cup, package, gravity)
     since = np.clip(np.linspace(-150.0, 90.0, len(tool)), 0.0, 1.0)
     rows, seconds = tool_rows(tool), tool.seconds
     body = static_equilibrium(model, row_state(rows[0]))
@@ -53,7 +54,7 @@ def moved(cup, package, tool, stiffness, friction, slipped, leak=0.0):
         R_E_A = tool.rotation[k].T
         com = package.com + since[k] * slipped
         if since[k] and slipped.any():
-            model = model_tuple(cup, replace(package, com=com), GRAVITY)
+            model = model_tuple(cup, replace(package, com=com), gravity)
         o = R_E_A @ (out[k, :3] - R @ com - tool.position[k]) + [0.0, 0.0, length]
         turn = R_E_A @ R
         phi = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
@@ -81,6 +82,15 @@ def dragged(row, o, turn, way):
     return np.concatenate([p, lie.rotation_to_quaternion(R @ turn @ back), row[7:]])
 
 
+def exposed(p, R, count):
+    """Return the mean of the poses (N) before and after each, within so many steps."""
+    if not count:
+        return p, R
+    each = np.clip(np.arange(len(p))[:, None] + np.arange(count + 1) - count // 2, 0, len(p) - 1)
+    turns = lie.log_so3(np.swapaxes(R, 1, 2)[:, None] @ R[each])
+    return p[each].mean(axis=1), R @ exp_so3(turns.mean(axis=1))
+
+
 class Laboratory:
     """A cup and a package, how they are recorded, and what is said of them."""
 
@@ -104,6 +114,8 @@ class Laboratory:
         self.slipped, self.level, self.low_pass_hz = np.zeros(3), np.eye(3), 0.0
         self.leak, self.clock_rate, self.magnified = 0.0, 0.0, 1.0
         self.twist_unit, self.w_first, self.occluded, self.exchanged = 0.0, (), False, False
+        self.camera_hz, self.exposure, self.blur, self.pull = rate_hz, 0.0, 0.0, np.zeros(3)
+        self.misread = lambda tool, package: (tool, package)
         self.motion = shake(duration=seconds, seed=int(rng.integers(1 << 30)))
         self.law = lambda when, deflection: self.K
         self.soften(soft)
@@ -141,10 +153,11 @@ class Laboratory:
         cup = Cup(np.diag(self.K), self.P, self.length)
         tool = _turned(self.level, tool)
         body = moved(cup, self.package, tool, self.law, self.friction, self.slipped,
-                     self.leak)
+                     self.leak, self.pull)
         tool, body = (_turned(self.level.T, own) for own in (tool, body))
         streams = [self._seen('package', body, self.noise[0]),
                    self._seen('tool', tool, self.noise[1])]
+        streams = list(self.misread(*streams[::-1]))[::-1]
         twist = TwistStream(
             'twist', 'world', streams[1].stamps_ns,
             *(apply(tool.rotation, part) for part in (
@@ -165,6 +178,9 @@ class Laboratory:
             turn, middle = exp_so3(self.apart[3:]), p.mean(axis=0)
             p, R = middle + self.apart[:3] + apply(turn, p - middle), turn @ R
             p = self.magnified * (p + body.seconds[:, None] * self.wander)
+            speed = np.linalg.norm(np.gradient(p, axis=0), axis=1)[:, None]
+            drawn *= 1.0 + self.blur * np.minimum(speed / np.quantile(speed, 0.5), 1.0)
+            p, R = exposed(p, R, round(self.exposure * self.rate_hz))
         R = R @ self.turn.get(name, np.eye(3)) @ exp_so3(noise[1] * drawn[1])
         p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
         if self.low_pass_hz:
@@ -180,6 +196,8 @@ class Laboratory:
             at = len(p) // 3
             p[at:at + 40] += [0.03, 0.0, 0.0]
             seen[at + 40:at + 55] = False
+        if name == 'package':
+            seen &= np.arange(len(p)) % round(self.rate_hz / self.camera_hz) == 0
         stamps = body.stamps_ns + late
         if name == 'tool':
             stamps = stamps + np.rint(
@@ -303,6 +321,59 @@ def _quaternions(own):
     own.w_first = (('tool',), ('package',), ('tool', 'package'))[own.rng.integers(3)]
 
 
+def _camera(own, camera_hz, blur=0.0, exposure=0.0):
+    own.camera_hz, own.blur, own.exposure = camera_hz, blur, exposure
+    own.noise = NOISES[2], own.noise[1]
+
+
+def _play(own):
+    play = np.radians(0.3) * np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    own.vary(lambda when, deflection: np.maximum(
+        1.0 - play / np.maximum(radial(deflection), 1e-9), 0.0))
+
+
+def _pull(own):
+    own.pull = _aside(own, 2.0)
+
+
+def _leak_and_friction(own):
+    own.leak, own.friction = 1.5e-3, 0.05
+
+
+def _slow_clock(own):
+    own.clock_rate = either(own.rng, 5e-5, 5e-5)
+
+
+def _misread(change):
+    def one_or_both(own):
+        chosen = [(0,), (1,), (0, 1)][own.rng.integers(3)]
+        own.misread = lambda *both: [change(body) if number in chosen else body
+                                     for number, body in enumerate(both)]
+
+    return one_or_both
+
+
+def _still(body):
+    p, phi = np.random.default_rng(0).standard_normal((2, len(body), 3)) * [[[1e-4]], [[3e-4]]]
+    return replace(body, position=body.position[0] + p, rotation=body.rotation[0] @ exp_so3(phi))
+
+
+def _of_tool(tool, package):
+    noise = _still(tool)
+    R = np.swapaxes(noise.rotation[:1], 1, 2) @ noise.rotation
+    return tool, replace(
+        tool, name='package', rotation=tool.rotation @ R, position=noise.position
+        - tool.position[0] + tool.position + tool.rotation @ [0.02, 0.0, 0.03])
+
+
+def _conjugated(body):
+    return replace(body, rotation=np.swapaxes(body.rotation, 1, 2))
+
+
+def _frozen(body):
+    return replace(body, rotation=np.tile(body.rotation[:1], (len(body), 1, 1)))
+
+
 FAULTS = {
     'time offset': (_time_offset, 'time_offset'),
     'centre of mass along z': (_com_along, 'com'),
@@ -339,5 +410,16 @@ FAULTS = {
                           'topics.tool_twist'),
     'quaternions w first': (_quaternions, 'w first'),
     'occlusion beside a dropout': (lambda own: setattr(own, 'occluded', True), 'sound'),
+    'play in torsion': (_play, 'unknown rz'),
+    'side pull': (_pull, 'gravity'),
+    'leak and friction': (_leak_and_friction, 'length_drift'),
+    'exposure': (lambda own: _camera(own, 30.0, exposure=0.03), 'exposure'),
+    'noise in motion': (lambda own: _camera(own, 60.0, blur=4.0), 'sound'),
+    'clocks 50 ppm apart': (_slow_clock, 'sound'),
+    'marker of the tool': (lambda own: setattr(own, 'misread', _of_tool), 'package_on_tool'),
+    'conjugated': (_misread(_conjugated), 'conjugated'),
+    'package on the table': (lambda own: setattr(
+        own, 'misread', lambda tool, package: (tool, _still(package))), 'package_at_rest'),
+    'frozen orientation': (_misread(_frozen), 'frozen_orientation'),
 }
 """What makes a laboratory faulty, and the name of the cause, or words of the error."""

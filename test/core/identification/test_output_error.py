@@ -81,6 +81,23 @@ def z_of(fit):
     return (fit.parameters - NUMBERS) / np.sqrt(np.diag(fit.covariance))
 
 
+def test_held_out_parameters_are_nearly_those_of_the_first_four_fifths():
+    """Of a cup that becomes softer by 3 % before the last fifth."""
+    own, softer = (measured(23, package_noise=CAPTURE, package_hz=100.0, duration=10.0, cup=cup)
+                   for cup in (TRUTH, scaled(0.97)))
+    poses = own.package
+    early = poses.stamps_ns < poses.stamps_ns[0] + 8_000_000_000
+    mixed = replace(
+        poses, position=np.where(early[:, None], poses.position, softer.package.position),
+        rotation=np.where(early[:, None, None], poses.rotation, softer.package.rotation))
+    whole, first = (output_error([replace(own, package=package)], AXISYMMETRIC, TRUTH)
+                    for package in (mixed, poses.select(early)))
+    std = np.sqrt(np.diag(first.covariance))
+    held_out, moved = (np.linalg.norm((end - first.parameters) / std)
+                       for end in (whole.held_out, whole.parameters))
+    assert moved > 10.0 and held_out < 0.3 * moved
+
+
 def test_a_step_to_a_cup_shorter_than_nothing_is_rejected():
     """Of poses 6 cm above the true ones, which a free length would explain."""
     own = measured(3, duration=6.0, package_hz=60.0)
