@@ -166,25 +166,24 @@ def faults(kind: str, seeds: range, sensor: str) -> None:
 
 def ideal_slip(cycle: Any) -> float:
     """
-    Return the probability that an ideal test finds a slip of 5 mm.
+    Return the probability that an ideal test finds a slip of 5 mm at the threshold of an alarm.
 
-    The test has the true time and noise, and averages over directions, at the threshold for one
-    false alarm an hour. The mean pose is unknown before by the camera and the marker.
+    The test has the true time of the slip and the true noise of poses and stamps, and averages
+    over directions. Marker, camera and centre of mass have their stated standard deviations.
     """
-    times = [('seen', 'fault'), ('fault', 'lower')]
-    before, after = (sum(cycle.at[first] < stamp < cycle.at[last] for stamp, *_ in cycle.seen)
-                     for first, last in times)
-    keep = np.exp(-1.0 / 30.0 / 0.05)
-    tilt = 5e-3 * cycle.stated['package.mass'] * 9.81 / STIFFNESS[3]
-    shift = 5e-3 + tilt * abs(cycle.stated['package.com'][2])
-    square = 0.0
-    stds = contact_cell.NOISE[::3]
-    for change, noise, prior in ((shift, stds[0], 2.8e-3), (tilt, stds[1], 4.2e-3)):
-        information = [(1.0 + (n - 1) * (1 - keep) / (1 + keep)) / noise**2 if n else 0.0
-                       for n in (before, after)]
-        if information[1]:
-            known = 1.0 / (information[0] + prior**-2)
-            square += change**2 / (known + 1.0 / information[1])
+    stamps = np.array([t for t, *_ in cycle.seen if t < cycle.at['lower']])
+    by_weight = cycle.stated['package.mass'] * 9.81 / STIFFNESS[3]
+    tilt = 5e-3 * by_weight
+    shift, after = 5e-3 - tilt * abs(cycle.stated['package.com'][2]), stamps > cycle.at['fault']
+    speed = np.linalg.norm(np.gradient(cycle.truth[:, :2], cycle.times, axis=0), axis=1)
+    late = 5e-3 / np.sqrt(2.0) * np.interp(stamps, cycle.times, speed)
+    offset, turn = np.hypot(WRONG['camera'], WRONG['marker'])
+    com, memory = WRONG['com'], np.exp(-np.abs(stamps[:, None] - stamps) / 0.05)
+    covariances = (noise**2 * memory + prior**2 + np.diag(jitter**2) for noise, prior, jitter in (
+        (contact_cell.NOISE[0], np.hypot(offset, com), late),
+        (contact_cell.NOISE[3], np.hypot(turn, com * by_weight), 0.0 * late)))
+    square = sum(change**2 * after @ np.linalg.solve(C, after)
+                 for change, C in zip((shift, tilt), covariances, strict=True))
     return float(ncx2.sf(2.0 * np.log(3600e9 / ONSET_NS), 2, square))
 
 

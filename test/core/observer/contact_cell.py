@@ -51,8 +51,9 @@ def _fly(tool, state, cup, box, push, grip, floor):
     mass, J, com, size = box
     n = (len(tool) - 1) // EVERY + 1
     out = np.zeros((n, 30))
-    o, R, v, w = state[:3].copy(), state[3:12].copy().reshape(3, 3), np.zeros(3), np.zeros(3)
-    z = np.zeros((2, 6))
+    o, R, v, w = state[:3].copy(), state[3:12].copy().reshape(3, 3), state[12:15].copy(), (
+        state[15:18].copy())
+    z = state[18:].copy().reshape(2, 6)
     corners = np.zeros((8, 3))
     for i in range(8):
         for j in range(3):
@@ -62,7 +63,7 @@ def _fly(tool, state, cup, box, push, grip, floor):
     for k in range(len(tool)):
         if k % EVERY == 0:
             row = out[k // EVERY]
-            row[:3], row[3:12], row[12:15], row[15:18] = o, R.ravel(), v, w
+            row[:3], row[3:12], row[12:15], row[15:18], row[18:] = o, R.ravel(), v, w, z.ravel()
         is_low = o[2] < floor + radius
         if is_low and grip[k] == 0.0 and (v * v).sum() < 1e-8 and (w * w).sum() < 1e-6:
             continue
@@ -224,7 +225,7 @@ class ContactCell:
         if fault == 'drop':
             grip *= np.clip(1.0 - (times - when) / max(gradual, STEP), 0.0, 1.0)
             at['release'] = when + gradual + 0.05  # of the vacuum switch
-        start = np.r_[0.0, 0.0, 0.0, np.eye(3).ravel()]
+        start = np.r_[0.0, 0.0, 0.0, np.eye(3).ravel(), np.zeros(18)]
         start[:3] = np.r_[points[1][1][:2], TABLE + dims[2]] + com
         box = mass, inertia, com, dims
         if fault == 'slip':  # the lip slips at once: the rest of the motion from there
