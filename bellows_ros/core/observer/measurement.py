@@ -353,7 +353,7 @@ def updated_memory(
     """
     out, forgetting, z, W = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT, innovation[0], innovation[2]
     count, growth = min(max(out[1] / 3.0, 1.0), MEMORY_COUNT), 0.0
-    out[0] += (seconds - out[0]) / count
+    out[0] += (min(seconds, 2.0 * out[0]) - out[0]) / count
     WG = t3.product(W, np.ascontiguousarray(gain[:6, :6]), np.empty((6, 6)))
     unweighted = max(innovation[3] / OUTLIER_DISTANCE, 1.0)
     for i in range(2):

@@ -95,6 +95,17 @@ def test_fast_leak_is_no_moved_camera():
         assert cell.made.alarms[0].size == pytest.approx(25e-3, rel=0.4)
 
 
+def test_an_onset_follows_each_pose_as_close_as_jittering_stamps_at_30_hz():
+    """Test a fault from the pose on that it precedes, and keep the period over a gap of 1 s."""
+    cell = Cell(1, 4.0, {}, rate_hz=125 / 3, **EXACTLY)
+    cell.seen = {k: seen for k, seen in cell.seen.items() if not 125 <= k < 250}
+    cell.run()
+    estimate = cell.made._estimates[-1]
+    onsets = sorted(estimate.evidence.onsets[1])
+    assert np.diff(onsets[-8:]).tolist() == [24_000_000] * 7
+    assert estimate.memory[0] == pytest.approx(0.024, rel=0.1)
+
+
 @pytest.mark.parametrize('motion', [tool_motion, pick_and_place])
 def test_late_stamps_are_named_once(motion):
     """Name what ten standard deviations of the latency explain, and go on with it."""
