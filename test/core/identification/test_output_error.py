@@ -126,6 +126,18 @@ def test_a_search_turns_back_from_a_cup_far_quicker_than_that_of_its_start():
         system_of(problem, hundred)
 
 
+def test_the_steps_of_a_fit_shift_its_poses_by_less_than_a_hundredth_of_their_noise(monkeypatch):
+    problem = posed(measured(
+        3, duration=4.0, tool_hz=100.0, package_hz=50.0, package_noise=(1e-4, 5e-4)))
+    parts = {}
+    for factor in (0.25, module_of_problem.COARSE_FACTOR, 2.0 * module_of_problem.COARSE_FACTOR):
+        monkeypatch.setattr(module_of_problem, 'COARSE_FACTOR', factor)
+        segment = segment_of(problem)
+        parts[factor] = problem.whitened(problem.start, segment, segment.first).innovations
+    fine, used, coarser = parts.values()
+    assert np.abs(used - fine).max() < 0.01 < np.abs(coarser - fine).max()
+
+
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
     problem = posed(measured(3, duration=2.0))
     segment = segment_of(problem)
