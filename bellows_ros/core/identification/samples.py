@@ -67,7 +67,12 @@ class LipMotion:
 
     def displacement(self, cup_length: float) -> Array:
         """Return the displacement of the lip from nominal (N, 6): E_o_S + l0 z (m), rotation."""
-        return np.hstack([self.position + [0.0, 0.0, cup_length], log_so3(self.rotation)])
+        moved = np.empty((len(self.position), 6))
+        moved[:, :3] = self.position + [0.0, 0.0, cup_length]
+        for start in range(0, len(moved), BLOCK):
+            block = slice(start, start + BLOCK)
+            moved[block, 3:] = log_so3(self.rotation[block])
+        return moved
 
     def equations(self, cup_length: float, structure: Structure) -> Iterator[Equations]:
         """
@@ -135,11 +140,15 @@ class Samples:
     def lip(self) -> LipMotion:
         """The motion of the lip, the basis of the equations."""
         index = np.flatnonzero(self.valid)
-        used = slice(None) if len(index) == len(self.tool) else index  # copies nothing
-        tool, package = self.tool.select(used), self.package.select(used)
-        return LipMotion(
-            index, tool.stamps_ns, self.window, *lip_relative(tool, package, self.payload.com),
-            needed_wrench(self.payload, package, self.gravity))
+        position, rotation, twist, wrench = (
+            np.empty((len(index), *shape)) for shape in ((3,), (3, 3), (6,), (6,)))
+        for number, block in enumerate(self.blocks()):
+            part = slice(number * BLOCK, (number + 1) * BLOCK)
+            position[part], rotation[part], twist[part] = lip_relative(
+                block.tool, block.package, self.payload.com)
+            wrench[part] = needed_wrench(self.payload, block.package, self.gravity)
+        return LipMotion(index, self.tool.stamps_ns[index], self.window,
+                         position, rotation, twist, wrench)
 
     @cached_property
     def twist_spectrum(self) -> Spectrum:

@@ -230,12 +230,12 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
     length = min(len(values), round(segment_s * rate_hz))
     window = np.sin(np.pi * np.arange(length) / length) ** 2
     scale = 2.0 * len(values) / np.count_nonzero(present) / (rate_hz * np.sum(window**2))
-    filled = np.where(present[:, None], values - values[present].mean(axis=0), 0.0)
     # SciPy's function takes 1 s and 50 MB to load, and more memory than this loop over channels.
     density = scale * np.column_stack([
         np.mean(np.abs(np.fft.rfft(window * segments)) ** 2, axis=0)
-        for segments in (sliding_window_view(channel, length)[::length - length // 2]
-                         for channel in filled.T)])
+        for segments in (sliding_window_view(
+            np.where(present, channel - channel[present].mean(), 0.0), length
+        )[::length - length // 2] for channel in values.T)])
     density[[0] if length % 2 else [0, -1]] *= 0.5  # one-sided
     return Spectrum(np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64), density)
 
