@@ -81,7 +81,7 @@ more with ten times ordinary damping."""
 
 COARSE_FACTOR = 4.0
 """
-Factor of the integrator's steps relative to those of a prediction.
+Ratio of the integrator's steps in a fit to the steps in a prediction.
 
 K and P of `bags/identification` change by less than 1e-4, 0.01 standard errors.
 """

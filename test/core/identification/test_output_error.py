@@ -129,12 +129,13 @@ def test_a_search_turns_back_from_a_cup_far_quicker_than_that_of_its_start():
 def test_the_steps_of_a_fit_shift_its_poses_by_less_than_a_hundredth_of_their_noise(monkeypatch):
     problem = posed(measured(
         3, duration=4.0, tool_hz=100.0, package_hz=50.0, package_noise=(1e-4, 5e-4)))
-    parts = {}
-    for factor in (0.25, module_of_problem.COARSE_FACTOR, 2.0 * module_of_problem.COARSE_FACTOR):
-        monkeypatch.setattr(module_of_problem, 'COARSE_FACTOR', factor)
+    parts, steps = [], (module_of_problem.COARSE_FACTOR, module_of_problem.MAX_INTEGRATION_STEP)
+    for ratio in (0.1, 1.0, 2.0):
+        for name, value in zip(('COARSE_FACTOR', 'MAX_INTEGRATION_STEP'), steps, strict=True):
+            monkeypatch.setattr(module_of_problem, name, ratio * value)
         segment = segment_of(problem)
-        parts[factor] = problem.whitened(problem.start, segment, segment.first).innovations
-    fine, used, coarser = parts.values()
+        parts.append(problem.whitened(problem.start, segment, segment.first).innovations)
+    fine, used, coarser = parts
     assert np.abs(used - fine).max() < 0.01 < np.abs(coarser - fine).max()
 
 
