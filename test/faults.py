@@ -122,6 +122,7 @@ def main():
     parser.add_argument('--seconds', type=float, default=12.0, help='length of recordings')
     parser.add_argument('--coloured', action='store_true',
                         help='noise with a memory of 26 ms in all, not in every second sound one')
+    parser.add_argument('--camera', type=float, default=0.0, help='rate of the package, Hz')
     parser.add_argument('--kinds', nargs='*', choices=FAULTS, default=list(FAULTS))
     arguments = parser.parse_args()
     work = []
@@ -138,6 +139,7 @@ def main():
         laboratory = Laboratory(
             seed, coloured=arguments.coloured or (group == SOUND and seed % 2 == 1),
             seconds=arguments.seconds)
+        laboratory.camera_hz = arguments.camera or laboratory.camera_hz
         for name in names:
             FAULTS[name][0](laboratory)
         began = time.process_time()

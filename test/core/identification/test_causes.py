@@ -103,6 +103,16 @@ def test_a_cup_unlike_the_model_is_an_unknown_cause(fault, seed):
     assert 0.0 <= start < end <= 10.1 and 0.0 <= low <= high
 
 
+@pytest.mark.parametrize(('fault', 'other'), [('friction', []), ('structure', ['inertia'])])
+def test_a_misfit_is_no_noise_of_a_slow_camera(fault, other):
+    """Nor does a negative exposure, or an inertia far off, explain it."""
+    laboratory = faulty(fault, 206, rate_hz=480.0, seconds=12.0)
+    laboratory.camera_hz = 60.0
+    found = diagnosed(laboratory)
+    assert [finding.name for finding in found] == ['unknown', *other]
+    assert not any(finding.certain for finding in found)
+
+
 def test_a_misfit_of_one_axis_is_not_averaged_with_the_others():
     """As of play of 0.3 degrees in torsion, which changes K rz by 8 %."""
     found = diagnosed(faulty('play in torsion', 200))

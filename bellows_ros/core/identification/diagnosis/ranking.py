@@ -124,7 +124,7 @@ def rank(
             if any(finding.certain for finding in findings):
                 return findings
             likely = likely or findings
-        if end.fits:
+        if end.fits and not candidates.is_off(end, given_std):
             break
         unexplained = unexplained or (unknown(end),)
     return likely or unexplained
@@ -181,7 +181,7 @@ def _decided(
     is_material = best.name in EVENTS or moved > MIN_SHIFT or left < DISTINCT or (
         is_off and not candidates.is_off(after, given_std))
     certain = bool(
-        after.converged and after.robust_chi2 < MAX_NOISE_CHI2
+        after.fits and after.robust_chi2 < MAX_NOISE_CHI2
         and after.squares < MISFIT_CHI2 * after.residual_count
         and after.parts.deviance < candidates.deviance_of_unknown_force(end)
         and is_material and not is_expected
@@ -304,12 +304,13 @@ def deviating(
     Return the given quantity with the largest deviation, if larger than allowed.
 
     With all given quantities free, a fit may explain the poses with wrong values. Nothing is
-    returned if chi² falls by less than `least` with this quantity free.
+    returned if chi² falls by less than `least` with this quantity free. An exposure beyond its
+    standard deviation is negative or longer than the period, and no cause.
     """
     explains = end.converged and end.robust_chi2 < MISFIT_CHI2
     sizes = pulls(end, given_std)
     off = [name for name in sorted(sizes, key=sizes.__getitem__, reverse=True)[:MAX_TRIED]
-           if sizes[name] > 1.0]
+           if sizes[name] > 1.0 and name != 'exposure']
     if not explains or not off:
         return ()
     tried = dict.fromkeys([*off, *(ALIKE.get(name, '') for name in off)])
@@ -325,11 +326,12 @@ def deviating(
     theta, std = best.found.estimate(name)
     is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # along the cup's axis, like a length
     moved = moved_between(end, best.found)
-    return (_finding(best, theta, std)._replace(
-        moved=moved, datum=name not in EVENTS[1:] or moved > MATERIAL,
-        instead=ALIKE.get(name, '') if is_along and name in OF_LIP[:2] else '',
-        certain=end.squares < MAX_NOISE_CHI2 * end.residual_count and not (
-            best.found is not end and candidates.is_off(best.found, given_std))),)
+    certain = end.fits and end.squares < MAX_NOISE_CHI2 * end.residual_count and not (
+        best.found is not end and candidates.is_off(best.found, given_std))
+    finding = _finding(best, theta, std)._replace(
+        moved=moved, datum=name not in EVENTS[1:] or moved > MATERIAL, certain=certain,
+        instead=ALIKE.get(name, '') if is_along and name in OF_LIP[:2] else '')
+    return (finding,) if certain or end.fits else (unknown(end), finding)
 
 
 def _finding(best: Alternative, theta: Array, std: Array) -> Finding:
