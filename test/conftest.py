@@ -1,5 +1,5 @@
 """
-Shared fixtures, and the settings that keep the tests' ROS on this machine and to itself.
+Shared fixtures, and settings that confine the tests' ROS to this machine and to one test run.
 
 The settings are made when this file is read, before any test can call `rclpy.init`.
 The ROS wheels re-execute the interpreter at its very start, to set library paths
@@ -69,7 +69,7 @@ def missing_library_paths():
 
 
 def _library_folders():
-    """Return where the ROS wheels of this environment keep their shared libraries."""
+    """Return the folders of shared libraries of this environment's ROS wheels."""
     packages = Path(sys.prefix, 'lib', f'python{sys.version_info[0]}.{sys.version_info[1]}')
     return [path.resolve() for path in (packages / 'site-packages').glob('ros_*.libs')]
 
@@ -86,7 +86,7 @@ hypothesis.settings.load_profile('suite')
 
 
 def pytest_configure(config):
-    """Refuse to run where every import of rclpy would fail for a reason nobody would guess."""
+    """Refuse to run if every import of rclpy would fail with a misleading error."""
     if missing_library_paths():
         raise pytest.UsageError(
             f'{BOOTSTRAPPED} is set, but not by this Python ({sys.executable}): the ROS libraries '
@@ -144,25 +144,25 @@ def pytest_unconfigure():
 
 @pytest.fixture(scope='session')
 def predictor_kernels():
-    """Compile what predicts, outside the limit of a test."""
+    """Compile the kernels of a prediction, outside the time limit of a test."""
     kernels.compile_model()
 
 
 @pytest.fixture(scope='session')
 def rubber_kernels():
-    """Compile what predicts with a cup that relaxes, outside the limit of a test."""
+    """Compile the kernels for a cup that relaxes, outside the time limit of a test."""
     kernels.compile_plans(kernels.RUBBER)
 
 
 @pytest.fixture(scope='session')
 def plan_kernels():
-    """Compile what predicts and steers plans, outside the limit of a test."""
+    """Compile the kernels of plans, outside the time limit of a test."""
     kernels.compile_plans()
 
 
 @pytest.fixture(scope='session')
 def observer_kernels():
-    """Compile what observes, outside the limit of a test."""
+    """Compile the kernels of the observer, outside the time limit of a test."""
     kernels.compile_observer()
 
 
@@ -183,7 +183,7 @@ def rig():
 
 @pytest.fixture(scope='session')
 def true_cup(root):
-    """Return the cup of the shipped recordings, with what they were simulated with."""
+    """Return the cup with which the shipped recordings were simulated."""
     from bellows_ros.files.parameter_files import read_parameters
 
     return read_parameters(root / 'bags/cup.yaml')
@@ -250,7 +250,7 @@ class Ros:
 
     def spin_until(self, condition, timeout=60.0):
         """
-        Spin until the condition holds, and tell whether it did before the timeout (s).
+        Spin until a condition holds; return whether it held before the timeout (s).
 
         Waits for events, not for time: it returns as soon as the condition holds, and the timeout
         is long, as it costs only where something fails. It counts processor time, as the limit

@@ -28,9 +28,9 @@ SOUND = 'sound'
 
 def outcome(laboratory, cause, other=''):
     """
-    Return what is said first of a laboratory in a word, and all that is said.
+    Return the judgement of the first finding on a laboratory's recordings, and all findings.
 
-    Of two causes both are named, or neither is certain.
+    Of two simultaneous faults both are named, or neither finding is certain.
     """
     try:
         recordings = laboratory.recordings()
@@ -91,7 +91,7 @@ def of_two(named, cause, other):
 
 
 def unnamed(laboratory, verdict, found, said):
-    """Return what it is worth where no cause is named."""
+    """Return the judgement of a result without a named cause."""
     if verdict.refusals or found is None:
         return 'refused without a cause' if verdict.refusals else 'not named before the fit', said
     std = np.diag(found.stiffness_std)

@@ -1,4 +1,4 @@
-"""Compiled code for the tests; what it needs is imported late, as it loads NumPy."""
+"""Compilation of kernels for the tests; imports are late, as NumPy takes long to load."""
 
 import multiprocessing
 
@@ -32,7 +32,7 @@ def _cup(relaxation):
 
 
 def compile_model(relaxation=(0.0, 0.0)):
-    """Compile what predicts from poses, and return the model."""
+    """Compile the kernels of a prediction from poses; return the model."""
     from bellows_ros.core.live import warm_up
     from bellows_ros.core.model.cup_package import model_tuple, Package
     import numpy as np
@@ -43,7 +43,7 @@ def compile_model(relaxation=(0.0, 0.0)):
 
 
 def compile_plans(relaxation=(0.0, 0.0)):
-    """Compile what predicts, steers, tosses, and says how sure it is."""
+    """Compile the kernels of plans, steering, tosses and covariances."""
     from bellows_ros.core.live.flight import Flight
     from bellows_ros.core.live.uncertainty import warm_up_uncertainty
     from bellows_ros.core.parameters.checks import resolve
@@ -58,7 +58,7 @@ def compile_plans(relaxation=(0.0, 0.0)):
 
 
 def _compile_search(relaxation=(0.0, 0.0)):
-    """Compile what output error needs."""
+    """Compile the kernels of the output-error fit."""
     from bellows_ros.core.identification.problem import Problem
     from bellows_ros.core.identification.segments import Segment
     from bellows_ros.core.model.structure import STRUCTURES
@@ -71,7 +71,7 @@ def _compile_search(relaxation=(0.0, 0.0)):
 
 
 def compile_observer(relaxation=(0.0, 0.0)):
-    """Compile what observes."""
+    """Compile the kernels of the observer."""
     from bellows_ros.core.observer.observer import warm_up_observer
     from bellows_ros.core.parameters.checks import resolve
 
@@ -81,7 +81,7 @@ def compile_observer(relaxation=(0.0, 0.0)):
 
 
 def _compile_rubber():
-    """Compile all of it for a cup that relaxes."""
+    """Compile the kernels above for a cup that relaxes."""
     compile_plans(RUBBER)
     _compile_search(RUBBER)
     compile_observer(RUBBER)

@@ -90,9 +90,9 @@ def quietly(succeed):
 @pytest.fixture(scope='session')
 def workshop(tmp_path_factory, succeed):
     """
-    Give a folder with what a user has, which tests only read.
+    Return a folder with the files of a user, which tests only read.
 
-    It holds cup.yaml (the truth), package.yaml (what is known beforehand, and the quick fit),
+    It contains cup.yaml (the truth), package.yaml (given quantities, and the quick method),
     motion.yaml, and the recording `recording`.
     """
     folder = tmp_path_factory.mktemp('workshop')

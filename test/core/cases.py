@@ -35,7 +35,7 @@ T_WORLD_TOOL = np.array([  # (3.49)
 
 
 def orthonormal(T):
-    """Return a pose printed with four digits with the nearest rotation in it."""
+    """Return a pose printed with four digits, with its rotation orthonormalised."""
     return transform(nearest_rotation(T[:3, :3]), T[:3, 3])
 
 

@@ -41,7 +41,7 @@ class Numbers:
     """The model's 64 parameters, in the order of `jacobians.PARAMETER_COLUMNS`."""
 
     def __init__(self, p):
-        """Take them."""
+        """Store the numbers."""
         self.K, self.P, self.length = symmetric(p[:21]), symmetric(p[21:42]), p[42]
         xx, yy, zz, xy, xz, yz = p[43:49]
         self.inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -50,7 +50,7 @@ class Numbers:
 
     @staticmethod
     def of(cup, package, gravity):
-        """Return the numbers (64,) of a model, the wrench zero."""
+        """Return the numbers (64,) of a model without an additional wrench."""
         upper = np.triu_indices(6)
         inertia = package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         return np.concatenate([

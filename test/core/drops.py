@@ -53,7 +53,7 @@ def simulated(mass, stiffness, length, law, seconds, valve):
 
 
 def real_drops(most=99):
-    """Return real drops by mass, with what static loads say of the cup, and their arrays."""
+    """Return real drops by mass, the cup by static loads, and the arrays of the drops."""
     data = dict(np.load(SHARED))
     all_masses = np.unique(data['mass_kg'])
     hang = data['tool_z_m'] - data['package_z_m']

@@ -1,5 +1,5 @@
 """
-A bellows that does not know the spring law: an energy fitted to finite elements.
+A bellows independent of the spring law: an energy fitted to finite elements.
 
 The energy is a polynomial of 20 numbers in the lip's shift from nominal and rotation vector, both
 in tool axes. It was fitted to the wrenches of a hyperelastic silicone bellows (1.5 folds, outer

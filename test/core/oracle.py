@@ -34,7 +34,7 @@ def strain(H):
 
 
 def potential(cup, H):
-    """Return the energy (3.17) with that of stretch, J."""
+    """Return the elastic energy (3.17) including the energy of stretch, J."""
     h, (a, b) = strain(H), cup.stretch
     return h @ cup.stiffness @ h / 8.0 + a * h[2] ** 3 + b * h[2] * (h[3] ** 2 + h[4] ** 2)
 

@@ -44,13 +44,13 @@ def values():
 
 
 def corners():
-    """Give the eight of the box, in B, one in each row."""
+    """Return the eight corners of the box in B, one per row."""
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     return CENTRE + signs * HALF
 
 
 def opened(T_E_S, law, late):
-    """Return the cup whose axial force is that of suction, folds in contact and open bellows."""
+    """Return a cup whose axial force consists of suction, folds in contact and an open bellows."""
     delay, tau, _, blow_off, closing, opening, damping, _ = law
     if late < delay or not opening:
         return CUP

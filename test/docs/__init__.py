@@ -1,1 +1,1 @@
-"""Tests of the pages: commands, links, and what is generated."""
+"""Tests of the pages: commands, links and generated parts."""

@@ -1,4 +1,4 @@
-"""What the tests of the pages share."""
+"""Shared functions of the tests of the pages."""
 
 import importlib.util
 from pathlib import Path

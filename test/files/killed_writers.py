@@ -1,5 +1,5 @@
 """
-Kill processes while they write, and say what they leave.
+Kill processes during their writing, and classify the remaining files.
 
     python -m test.files.killed_writers FOLDER SEED KILLS
 
@@ -48,7 +48,7 @@ def picture(path, number):
 
 
 def recording(storage, zstd):
-    """Return what writes a recording."""
+    """Return a function that writes a recording."""
     def write(path, number):
         recorded = as_messages('/pose', POSE, STAMPS, VALUES + number)
         write_bag(path, [recorded], storage, zstd, replace=True)
@@ -57,7 +57,7 @@ def recording(storage, zstd):
 
 
 def carelessly(path, number):
-    """Write as this package does not, and for some milliseconds: what the kills are to find."""
+    """Write carelessly for some milliseconds: a control whose partial files kills must find."""
     with path.open('wb', buffering=0) as file:
         for _ in range(5000):
             file.write(bytes([number]) * 100)
@@ -76,7 +76,7 @@ def content(path):
 
 
 def whole(folder, name):
-    """Return both contents, and how long (s) writing takes."""
+    """Return both contents, and the duration (s) of their writing."""
     contents = []
     seconds = 1.0
     for number in (0, 1, 0, 1):
@@ -111,7 +111,7 @@ def kill_one(path, write, after):
 
 def kill_many(folder, name, rng, kills):
     """
-    Kill writers of one kind of output, and count what they leave.
+    Kill writers of one kind of output, and count the remaining contents by kind.
 
     The kills are spread evenly over the writing, each at random within its share of it: with few
     of them, too, some come before the first output is whole and some after it.
@@ -135,7 +135,7 @@ def kill_many(folder, name, rng, kills):
 
 
 def judged(now, contents, old):
-    """Return what a kill has left."""
+    """Return the kind of the content after a kill."""
     if now is None:
         return 'lost' if old else 'nothing'
     return ('old', 'new')[contents.index(now)] if now in contents else 'torn'

@@ -20,7 +20,7 @@ def cartesian(times_ns, poses, twists):
 
 
 def plan_messages(count=4):
-    """Return a plan of each type that lasts 0.1 s per point."""
+    """Return a plan of each message type, with 0.1 s per point."""
     rows = [(0.01 * k, -0.0, 1e-05, 0.0, 0.0, 0.0, 1.0) for k in range(count)]
     multi = cartesian(
         [k * 10**8 for k in range(count)], rows, [(0.1, 0.0, 0.0, 0.0, 0.0, 0.0)] * count)

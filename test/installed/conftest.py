@@ -14,7 +14,7 @@ PYTHON = f'python{sys.version_info[0]}.{sys.version_info[1]}'
 
 @dataclass(frozen=True)
 class Installed:
-    """Hold where colcon installed the package, and the variables that a shell needs to use it."""
+    """The folder of an installation by colcon, and the environment variables of a shell for it."""
 
     prefix: Path
     environment: dict[str, str]

@@ -1,4 +1,4 @@
-"""A predictor and nodes beside it that send, listen and call, over DDS."""
+"""A predictor, and nodes of the tests that publish, subscribe and call services over DDS."""
 
 import importlib.util
 from pathlib import Path
@@ -50,7 +50,7 @@ def set_on(node, name, value):
 
 
 def break_once(thing, name):
-    """Let a method raise when it is called the next time, and work again then."""
+    """Let the next call of a method raise; later calls work."""
     sound = getattr(thing, name)
 
     def fail(*arguments):
@@ -116,12 +116,12 @@ class Peer:
         return got
 
     def writes(self, kind, topic, qos=QUEUE):
-        """Return what publishes on a topic."""
+        """Return a publisher on a topic."""
         self.ends.append(self.node.create_publisher(kind, topic, qos))
         return self.ends[-1]
 
     def is_connected(self, other=None):
-        """Tell whether each topic has found its other end, as the other node sees it too."""
+        """Return whether every topic is matched, in the view of both nodes."""
         names = {end.topic_name for end in self.ends}
         others = [] if other is None else [*other.subscriptions, *other.publishers]
         # A best-effort reader gets nothing from a writer it does not know yet.
@@ -130,11 +130,11 @@ class Peer:
             for end in (*self.ends, *(end for end in others if end.topic_name in names)))
 
     def connect(self, other=None):
-        """Wait until each topic has found its other end."""
+        """Wait until every topic is matched."""
         self.wait(lambda: self.is_connected(other))
 
     def wait(self, condition):
-        """Spin until something is so."""
+        """Spin until a condition holds."""
         assert self.ros.spin_until(condition)
 
     def call(self, service, kind, request=None):
@@ -158,7 +158,7 @@ class Partner(Peer):
     """
 
     def __init__(self, ros, predictor, with_twists=True):
-        """Make the topics, and wait until each has found its other end."""
+        """Create the topics, and wait until every topic is matched."""
         super().__init__(ros, 'partner')
         self.predictor = predictor
         self.poses, self.twists, self.wrenches = map(
@@ -181,7 +181,7 @@ class Partner(Peer):
         self.twist_writer.publish(message)
 
     def send(self, stamp_ns, position=ORIGIN, linear=ORIGIN):
-        """Send both, of a tool that does not turn."""
+        """Send a pose and a twist of a tool without rotation."""
         self.send_pose(stamp_ns, position)
         self.send_twist(stamp_ns, linear)
 
@@ -197,17 +197,17 @@ class Partner(Peer):
             f'{len(self.poses)} of {count} predictions')
 
     def is_lost(self):
-        """Tell whether the pause since the last pose is longer than is bridged."""
+        """Return whether the time since the last pose exceeds the limit of the extrapolation."""
         return bool(self.predictor.pipeline.live.phase(time.monotonic_ns()) == 'lost')
 
     def wait_for_inputs(self, poses):
-        """Spin until the predictor has taken so many poses, refused ones too."""
+        """Spin until the predictor has received a number of poses, rejected ones included."""
         live = self.predictor.pipeline.live
         assert self.ros.spin_until(lambda: live.poses_in >= poses), f'{live.poses_in} of {poses}'
 
 
 def topics_of(predictor):
-    """Return what knows whether somebody listens, of each topic about the package."""
+    """Return the `Topic` of each output on the package."""
     from bellows_ros.nodes.outputs import Topic
 
     return [part for name, part in vars(predictor.pipeline.outputs).items()
@@ -215,7 +215,7 @@ def topics_of(predictor):
 
 
 class Listener(Peer):
-    """Knows the newest diagnostics."""
+    """A subscriber that keeps the newest diagnostics."""
 
     def __init__(self, ros):
         """Subscribe."""
@@ -228,7 +228,7 @@ class Listener(Peer):
         return next((line for line in lines if line.name == f'predictor: {name}'), None)
 
     def sees(self, name, level, words):
-        """Wait until a line has this level and words."""
+        """Wait until a line has a level, and a message that contains some words."""
         def there():
             line = self.line(name)
             return line is not None and line.level == level and words in line.message
@@ -248,7 +248,7 @@ def peer(ros):
 
 @pytest.fixture
 def listener(ros, monkeypatch):
-    """Give a monitor, of nodes that report five times a second."""
+    """Return a subscriber to diagnostics, which nodes then publish five times per second."""
     from bellows_ros.nodes import predictor_node
 
     monkeypatch.setattr(predictor_node, 'REPORT_PERIOD', 0.2)

@@ -36,7 +36,7 @@ for library in {libraries}:
 
 
 def missing():
-    """Return what is not here of what the build needs, or nothing."""
+    """Return the first missing prerequisite of the build, or ''."""
     if not (shutil.which('gcc') and shutil.which('g++')):
         return 'no compiler'
     headers = (PREFIX / 'include' / 'geometry_msgs', PYTHON_HEADERS / 'Python.h')
@@ -81,7 +81,7 @@ def _generate(package, definition, into):
 
 
 def _compile(sources):
-    """Return the objects of each kind."""
+    """Return the object files of each kind."""
     include = PREFIX / 'include'
     headers = [*sources.iterdir(), include, *include.iterdir(), PYTHON_HEADERS, np.get_include()]
     options = ['-c', '-w', '-O0', '-fPIC', *(f'-I{folder}' for folder in headers)]
@@ -97,7 +97,7 @@ def _compile(sources):
 
 
 def _link(target, objects, needed):
-    """Make a library of objects, which finds the others beside itself."""
+    """Link object files to a library that finds other libraries in its own folder."""
     kinds = (*KINDS, 'generator_py')
     used = [f'{package}__rosidl_{kind}' for package in USED for kind in kinds]
     folders = (PREFIX / 'lib', target.parent)

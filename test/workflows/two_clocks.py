@@ -1,4 +1,4 @@
-"""Recordings that another laboratory would have made: of two clocks, or of two worlds."""
+"""Recordings whose two bodies have different clocks or different worlds."""
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.files.bag_writer import as_messages, write_bag

@@ -1,4 +1,4 @@
-"""Recordings of a laboratory in which one thing is not as said, or the cup is no ideal one."""
+"""Recordings of a laboratory with one wrong statement, or with a cup beyond the model."""
 
 from dataclasses import replace
 
@@ -76,7 +76,7 @@ def moved(cup, package, tool, stiffness, friction, slipped, leak=0.0, pull=(0.0,
 
 
 def dragged(row, o, turn, way):
-    """Return a row of the tool moved so that the lip, at o and turn in it, is displaced."""
+    """Return a tool row that displaces the lip, which has position o and rotation in the tool."""
     R, back = quaternion_to_rotation(row[3:7]), turn.T @ exp_so3(-way[3:])
     p = row[:3] + R @ (o - turn @ back @ (o + way[:3]))
     return np.concatenate([p, lie.rotation_to_quaternion(R @ turn @ back), row[7:]])
@@ -92,7 +92,7 @@ def exposed(p, R, count):
 
 
 class Laboratory:
-    """A cup and a package, how they are recorded, and what is said of them."""
+    """A cup and a package, their recording, and the stated parameters."""
 
     def __init__(self, seed, soft=0.0, coloured=False, seconds=10.0, rate_hz=480.0):
         rng = self.rng = np.random.default_rng((11, seed))
@@ -121,7 +121,7 @@ class Laboratory:
         self.soften(soft)
 
     def soften(self, part):
-        """Take a spring whose stiffness falls by a part up to the largest deflection."""
+        """Use a spring whose stiffness falls by a fraction up to the largest deflection."""
         self.vary(lambda when, deflection: np.maximum(
             1.0 - part * (radial(deflection) / LARGEST) ** 2, 0.4))
 
@@ -131,12 +131,12 @@ class Laboratory:
         self.law = lambda *now: law(*now) * factor(*now)
 
     def say(self, mass=1.0, inertia=1.0, com=0.0):
-        """Say another package than was said before."""
+        """Change the stated package."""
         own = self.said
         self.said = Package(mass * own.mass, inertia * own.inertia, own.com + com)
 
     def recordings(self):
-        """Return the recording, or two of them whose packages are exchanged."""
+        """Return the recording, or two recordings with exchanged packages."""
         if not self.exchanged:
             return [self.recording()]
         heavy = Package(1.6 * self.package.mass, 1.6 * self.package.inertia, self.package.com)
@@ -148,7 +148,7 @@ class Laboratory:
         return both
 
     def recording(self):
-        """Return the recording, prepared by what is said."""
+        """Return the recording, prepared with the stated parameters."""
         tool = self.motion.at_rate(self.rate_hz, 0)
         cup = Cup(np.diag(self.K), self.P, self.length)
         tool = _turned(self.level, tool)
@@ -206,7 +206,7 @@ class Laboratory:
 
 
 def parameters(laboratory):
-    """Return the parameters that are said of a laboratory."""
+    """Return the stated parameters of a laboratory."""
     said = laboratory.said
     return resolve({
         'cup.length': laboratory.said_length, 'fit.method': 'output_error',
@@ -222,7 +222,7 @@ def _turned(R, body):
 
 
 def either(rng, low, high):
-    """Return a number of this size, of either sign."""
+    """Return a size with a random sign."""
     return float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
 
 

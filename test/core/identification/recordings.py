@@ -1,4 +1,4 @@
-"""Simulated recordings for the tests of identification, with the truth they hold."""
+"""Simulated motions for the tests of identification."""
 
 from bellows_ros.core.geometry.lie import dexp, exp_so3
 from bellows_ros.core.model.cup_package import Package

@@ -1,4 +1,4 @@
-"""Simulated recordings for the tests of identification, prepared as a user's would be."""
+"""Simulated recordings for the tests of identification, prepared by the usual workflow."""
 
 from dataclasses import replace
 import functools
@@ -69,7 +69,7 @@ def record(
     """
     Return the prepared recording of a motion, with noise (m, rad per axis), tool late.
 
-    The noise is white, or keeps a part of itself from pose to pose.
+    The noise is white, or first-order autoregressive.
     """
     truth, moved = truth_of(motion, cup, payload, rate_hz)
     draw = np.random.default_rng((seed, 2))
@@ -90,7 +90,7 @@ def record(
 
 
 def least_squares(recordings, cup_length, structure, noises=()):
-    """Return the fit of samples, with their noises where they are known."""
+    """Return the fit of samples, weighted by their noise if known."""
     known = noises or [None] * len(recordings)
     return fit_statistics([statistics(samples, cup_length, structure, noise)
                            for samples, noise in zip(recordings, known, strict=True)])
@@ -103,7 +103,7 @@ def without(fit, labels):
 
 
 def excitation(recordings, cup_length, structure, noises, method='least_squares'):
-    """Return what samples with their noises can tell."""
+    """Return the identifiability of the parameters by samples with noise."""
     return excitation_of([SimpleNamespace(
         statistics=statistics(samples, cup_length, structure, noise),
         movement=movement_of(samples, cup_length, noise))
@@ -111,7 +111,7 @@ def excitation(recordings, cup_length, structure, noises, method='least_squares'
 
 
 def wrench_covariance(samples, structure):
-    """Return the covariance of the wrenches that samples need."""
+    """Return the covariance of the required wrenches of samples."""
     return Moments.of(samples.lip.wrench).covariance(structure)
 
 

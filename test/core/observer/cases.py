@@ -1,4 +1,4 @@
-"""A package whose true motion is known, under a tool seen with noise, and a camera."""
+"""A package with known true motion, a tool with noisy poses, and a camera."""
 
 from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -32,7 +32,7 @@ SETTINGS = {
 
 
 def values(**more):
-    """Give all parameters; a payload that is estimated is not stated."""
+    """Return all parameters; an estimated payload has no stated mass."""
     if more.get('payload__estimate'):
         more = {'package__mass_std': -1.0, 'package__com_std': [-1.0] * 3, **more}
     return resolve({**SETTINGS, **{k.replace('__', '.'): v for k, v in more.items()}}, ())
@@ -64,7 +64,7 @@ def tool_motion(rng, seconds, size=0.05, period_ns=PERIOD_NS):
 
 
 def pick_and_place(rng, seconds, period_ns=PERIOD_NS):
-    """Give the tool's states in work: moves of up to 0.6 m, some turns, and rests between them."""
+    """Return the tool's states in pick-and-place: moves up to 0.6 m, rotations, standstills."""
     t, n = np.arange(0.0, seconds, period_ns * 1e-9), 1 + round(seconds)
     targets = np.r_[np.zeros((1, 4)), rng.uniform(-1.0, 1.0, (n, 4)) * (0.25, 0.25, 0.1, 0.5)]
     lasts, rests = rng.uniform(0.8, 1.4, n), rng.uniform(0.3, 1.0, n)
@@ -107,7 +107,7 @@ def truth(tool, package=PACKAGE, cup=CUP, start=None, change=None, period_ns=PER
 
 
 def later(state, theta, start, end, seconds):
-    """Give a state later: model and package of their own, the wrench as many small kicks."""
+    """Return a later state for given model parameters, with the wrench as many small impulses."""
     t = np.zeros(46)
     t[:len(theta)] = theta
     K, P = (np.diag(np.exp(0.5 * s)) @ M @ np.diag(np.exp(0.5 * s)) for M, s in (
@@ -136,7 +136,7 @@ def with_noise(rng, body, std):
 
 
 def error_of(known, body):
-    """Give the change (12,) that leads from one state, as of an observer, to another."""
+    """Return the change (12,) from one state, such as an observer's, to another."""
     return np.concatenate([
         *pose_error(known, body[0], body[1]),
         np.subtract(body[2], known[2]), np.subtract(body[3], known[3])])
@@ -149,7 +149,7 @@ def measured(made, stamp_ns, body):
 
 def follow(made, stamps, tool, start, came, before=None, after=None):
     """
-    Follow the tool; what came (k: [(stamp, pose), ...]) is seen when its sample k is there.
+    Follow the tool; arrived poses (k: [(stamp, pose), ...]) are used at its sample k.
 
     Starts with a body at the first sample, unless it has started.
     """
@@ -166,5 +166,5 @@ def follow(made, stamps, tool, start, came, before=None, after=None):
 
 
 def at_once(stamps, poses):
-    """Give what came at the very sample where it was measured."""
+    """Return measured poses that arrive at the sample of their measurement."""
     return {k: [(stamps[k], pose)] for k, pose in poses.items()}

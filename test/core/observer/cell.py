@@ -1,5 +1,5 @@
 """
-An ordinary cell: a camera and numbers that are a little wrong, and faults.
+An ordinary cell: a camera, parameters with errors, and faults.
 
 The package is simulated with the model; nothing else is taken from the observer. Its noise has a
 memory, stamps are late, K, P, mass, centre of mass, inertia and the camera's pose are off.
@@ -105,11 +105,11 @@ class Cell:
     fault : str
         Cause of an alarm, of `faults`, or none.
     at : float
-        When it sets in, s.
+        Onset of the fault, s.
     rate_hz : float
         Of the camera.
     size : float
-        Of the fault, relative to what is usual.
+        Size of the fault relative to the usual one.
     lost : int
         The cup of `LAYOUT` that is lost in a fault 'cup'; a gripper holds the package if not None.
     lasts : float
@@ -156,13 +156,13 @@ class Cell:
         return length * direction / np.linalg.norm(direction)
 
     def _sized(self, kind, drawn):
-        """Give the numbers of a fault: as drawn, if it is not this one with numbers given."""
+        """Return the numbers of a fault: the given ones, otherwise as drawn."""
         if kind == self.fault:
             self.numbers = drawn = drawn if self.numbers is None else self.numbers
         return self.size * drawn
 
     def _true(self):
-        """Give package and cup as they are."""
+        """Return the true package and cup."""
         off = {name: self.rng.choice([-1.0, 1.0]) * self.wrong.get(name, 0.0)
                for name in ('mass', 'inertia', 'stiffness', 'damping')}
         com = self._direction(self.wrong.get('com', 0.0))
@@ -274,7 +274,7 @@ class Cell:
 
 def errors_around_slips(seeds, wrong, lasts=0.0, **more):
     """
-    Let packages slip after 4 s by 3 to 10 mm, within a time (s).
+    Simulate slips of packages by 3 to 10 mm within a time (s), after 4 s.
 
     Gives how many first alarms are right, and the RMS errors of position (m) and rotation (rad)
     in each half second, (14, 2).
@@ -295,7 +295,7 @@ def errors_around_slips(seeds, wrong, lasts=0.0, **more):
 
 
 def _from_elsewhere(pose, shift, turn, pivot):
-    """Give a pose as a camera sees it that is shifted, and turned about a pivot."""
+    """Return a pose measured by a camera that is shifted, and rotated about a pivot."""
     R = exp_so3(np.array(turn))
     q = tuple(rotation_to_quaternion(R).tolist())
     return tuple((R @ (np.array(pose[0]) - pivot) + pivot + shift).tolist()), quaternion_product(

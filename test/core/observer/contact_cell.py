@@ -29,7 +29,7 @@ NOISE = np.repeat([2e-3, 1e-2], 3)
 
 
 class Cycle(NamedTuple):
-    """One cycle: sampled motion, what the sensors tell, and what is true."""
+    """One cycle: sampled motion, sensor messages, and the truth."""
 
     times: np.ndarray
     tool: np.ndarray

@@ -1,4 +1,4 @@
-"""Motions as a motion capture system records them, with the faults that it has."""
+"""Motions recorded by a motion capture system with its typical faults."""
 
 from typing import NamedTuple
 
@@ -62,7 +62,7 @@ def held(seed, rate_hz=360.0, seconds=20.0, com=(0.0, 0.0, -0.03), origin=(0.0, 
 
 
 def displaced(poses, samples, offset, turn, on_body):
-    """Give poses of which some are off, by a constant in world axes or in those of the body."""
+    """Return poses with constant errors of some samples, in axes of the world or of the body."""
     position, rotation = poses.position.copy(), poses.rotation.copy()
     if on_body:
         position[samples] += rotation[samples] @ offset
@@ -81,7 +81,7 @@ def vector(rng, length):
 
 def with_excursions(rng, poses, count, metres, radians, samples):
     """
-    Give poses with excursions, and which samples are off.
+    Return poses with excursions, and the mask of wrong samples.
 
     Sizes and lengths are drawn evenly in their logarithms between two ends each; excursions keep
     eight samples between each other.
