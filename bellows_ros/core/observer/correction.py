@@ -498,12 +498,14 @@ class Correction:
             evidence=self._evidence(estimate.stamp_ns, estimate.body, estimate.lost_cups,
                                     estimate.evidence.from_start))
 
-    def rolled_back(self, estimate: Estimate, known: Known) -> Estimate:
-        """Return an estimate with previously kept estimates of camera, cup and package."""
-        theta, P = estimate.theta.copy(), estimate.covariance.copy()
-        theta[KNOWN_ROWS - STATE] = known.theta[KNOWN_ROWS - STATE]
-        P[KNOWN_ROWS], P[:, KNOWN_ROWS] = 0.0, 0.0
-        P[KNOWN] = known.covariance[KNOWN]
+    def rolled_back(
+        self, estimate: Estimate, known: Known, rows: Any = KNOWN_ROWS
+    ) -> Estimate:
+        """Return an estimate with some rows as kept before: all of camera, cup and package."""
+        theta, P, block = estimate.theta.copy(), estimate.covariance.copy(), np.ix_(rows, rows)
+        theta[rows - STATE] = known.theta[rows - STATE]
+        P[rows], P[:, rows] = 0.0, 0.0
+        P[block] = known.covariance[block]
         return estimate._replace(theta=theta, covariance=P)
 
     def _restarted(

@@ -188,6 +188,8 @@ class Observer:
             each.clear()
         self._newest = None
         self._since_ns = self._gated = 0
+        if ekf.MASS not in kept:
+            self._first_of_package = len(self.alarms)
         self._predict_with(known.theta, self._lost_cups)
 
     def _predict_with(self, theta: Array, lost_cups: tuple[int, ...]) -> None:
@@ -394,11 +396,19 @@ class Observer:
             self._candidate, self._gated = estimate, 0
 
     def _commit(self, estimate: Estimate) -> None:
-        """Keep estimates of camera, cup and package; report a deviation of the cup."""
+        """
+        Keep estimates of camera, cup and package; report a deviation of the cup.
+
+        The cup, whose wear resembles a wrong payload, stays as before an alarm on the payload.
+        """
         correction = self._correction
+        is_wrong = any(
+            alarm.cause == 'payload' for alarm in self.alarms[self._first_of_package:])
+        if is_wrong:
+            estimate = correction.rolled_back(estimate, self._known, np.array(CUP_ROWS))
         self._known = Known(estimate.theta, estimate.covariance, estimate.memory)
         self._is_proven = True
-        if correction.alarms is None or any(
+        if is_wrong or correction.alarms is None or any(
                 alarm.cause in OF_CUP for alarm in self.alarms[self._first_alarm:]):
             return
         rows = np.arange(ekf.STIFFNESS, ekf.STIFFNESS + 6)

@@ -150,3 +150,14 @@ def test_errors_that_a_tag_has_in_a_view_are_no_fault():
     run = cycles.followed([cell.cycle() for _ in range(4)], {
         **cycles.CUP, **cycles.CUP_STD, **cycles.CAMERAS['view']}, package_std=True)
     assert run.alarms == [] and np.nanmean(run.nees) < 9.0
+
+
+def test_packages_that_are_too_heavy_are_no_wear_of_the_cup():
+    """Name the payload for each of three packages of 1.3 times the mass."""
+    for seed in (7300, 7302):
+        cell = ContactCell(seed)
+        kinds = ('', '', 'swap', 'swap', 'swap')
+        run = cycles.followed([cell.cycle(kind, size=1.3) for kind in kinds], {
+            **cycles.CUP, **cycles.CUP_STD}, package_std=True)
+        assert {alarm.cause for _, _, alarm in run.alarms} == {'payload'}
+        assert {number for number, *_ in run.alarms} == {2, 3, 4}
