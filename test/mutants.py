@@ -4,7 +4,8 @@ Mutations of core: 40 one-line changes at random, and those that no mirrored tes
 `python -m test.mutants --seed 7 --count 40 geometry toss`, or `make mutants`: lines of all rooms,
 or of the named ones. A mutation changes a sign, halves
 or doubles a number, or moves an index, in a copy of the package; the tests of the module's room
-run until one fails. Survivors are printed with their line; the exit code is 1 if there are any.
+run until one fails. Mutations without a failure, or without an end in time, are printed with
+their lines; the exit code is then 1.
 """
 
 import argparse
@@ -21,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 CORE = Path('bellows_ros/core')
 
 SECONDS = 900.0
-"""Longest run of the tests of a mutation, which then counts as noticed, s."""
+"""Longest run of the tests of a mutation, s."""
 
 
 def mutations(tree):
@@ -79,8 +80,8 @@ def tests_of(path):
     return [str(each) for each in ([own] if (ROOT / own).exists() else []) + [room]]
 
 
-def survives(copy, path, number, changed, environment):
-    """Return whether the tests pass with a line of the copy changed; restore the line."""
+def outcome(copy, path, number, changed, environment):
+    """Return the outcome of the tests with a line of the copy changed; restore the line."""
     file = copy / path
     source = file.read_text()
     lines = source.splitlines(keepends=True)
@@ -91,9 +92,9 @@ def survives(copy, path, number, changed, environment):
             [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider',
              *tests_of(path)], cwd=copy, env=environment, capture_output=True, timeout=SECONDS,
             check=False)
-        return done.returncode == 0
+        return 'noticed' if done.returncode else 'SURVIVED'
     except subprocess.TimeoutExpired:
-        return False
+        return 'TIMEOUT'
     finally:
         file.write_text(source)
 
@@ -113,11 +114,11 @@ def main(arguments=None):
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns('.git', '.venv', '.mypy_cache'))
         mutants = drawn(asked.count, asked.seed, asked.rooms)
         for number, (path, line, before, after) in enumerate(mutants, 1):
-            survived = survives(copy, path, line, after, environment)
-            print(f'{number:3} {"SURVIVED" if survived else "noticed "} {path}:{line}', flush=True)
-            if survived:
-                left.append(f'{path}:{line}\n  - {before.strip()}\n  + {after.strip()}')
-    print(f'{len(left)} of {asked.count} survive', *left, sep='\n')
+            word = outcome(copy, path, line, after, environment)
+            print(f'{number:3} {word:8} {path}:{line}', flush=True)
+            if word != 'noticed':
+                left.append(f'{word} {path}:{line}\n  - {before.strip()}\n  + {after.strip()}')
+    print(f'{len(left)} of {asked.count} unnoticed', *left, sep='\n')
     return bool(left)
 
 
