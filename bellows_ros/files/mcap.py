@@ -114,23 +114,25 @@ class _Scan:
     def messages(self, file: BinaryIO) -> Iterator[Stored]:
         """Yield the wanted messages, and count all."""
         for block in self._blocks(file):
-            at = 0
-            while at < len(block):
-                kind, size = _RECORD_HEAD.unpack_from(block, at)
-                at += _RECORD_HEAD.size + size
-                record = block[at - size:at]
-                if len(record) != size or not kind:
+            end, last = 0, len(block)
+            while end < last:
+                kind, size = _RECORD_HEAD.unpack_from(block, end)
+                at = end + _RECORD_HEAD.size
+                end = at + size
+                if end > last or not kind:
                     raise DamagedError(_TRUNCATED if kind else 'a record has no kind')
                 if kind != _MESSAGE:
-                    self._read_other(kind, record)
+                    self._read_other(kind, block[at:end])
                     continue
-                number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(record)
+                if size < _MESSAGE_HEAD.size:
+                    raise DamagedError('a message has no head')
+                number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(block, at)
                 if number not in self.met:
                     raise DamagedError(
                         f'a message belongs to channel {number}, which is not defined')
                 self.met[number] += 1
                 if number in self._wanted_channels:
-                    yield self.channels[number], log_time, record[_MESSAGE_HEAD.size:]
+                    yield self.channels[number], log_time, block[at + _MESSAGE_HEAD.size:end]
 
     def _blocks(self, file: BinaryIO) -> Iterator[bytes]:
         """

@@ -233,6 +233,14 @@ def same_layout(
     indices of its messages; messages with damaged strings are omitted.
     """
     groups: dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]] = {}
+    if messages and len(set(map(len, messages))) == 1:
+        one = messages[0]
+        names, end = _strings(one, strings)
+        rows = np.frombuffer(b''.join(messages), np.uint8).reshape(len(messages), -1)
+        if end and np.all(rows[:, _STRINGS_AT:end] == rows[0, _STRINGS_AT:end]) and np.all(
+                rows[:, :_STAMP_AT] == rows[0, :_STAMP_AT]):
+            return {(len(one), one[:_STAMP_AT], one[_STRINGS_AT:end]): (
+                names, list(range(len(messages))))}
     end = 0  # end of the previous message's strings, usually equal
     for i, message in enumerate(messages):
         key = len(message), message[:_STAMP_AT], message[_STRINGS_AT:end]
