@@ -1,0 +1,44 @@
+"""Measured poses: the speed of the measured point, and the jitter of stamps."""
+
+from bellows_ros.core.model.equilibrium import moved_by
+from bellows_ros.core.observer.filter import JITTER
+from bellows_ros.core.observer.measurement import _velocity_at
+import numpy as np
+import pytest
+
+from .cases import follow, observer, tool_motion, truth, with_noise
+
+
+def test_a_point_of_a_body_has_the_velocity_of_its_position():
+    rng, seconds = np.random.default_rng(1), 1e-6
+    _, tool = tool_motion(rng, 1.0)
+    body = (*tool[200][:2], (0.3, -0.2, 0.1), (1.0, -2.0, 0.5))
+    of_point = moved_by((*body[:2], *tool[0][2:]), np.r_[rng.normal(size=3), np.zeros(9)])
+    after = moved_by(body, np.r_[seconds * np.r_[body[2], body[3]], np.zeros(6)])
+    lever = np.subtract(of_point[0], body[0])
+
+    def matrix(q):
+        x, y, z, w = q
+        u = np.array([x, y, z])
+        return (w * w - u @ u) * np.eye(3) + 2.0 * np.outer(u, u) + 2.0 * w * np.cross(
+            u, np.eye(3), axisb=0, axisc=0)
+
+    in_body = matrix(body[1]).T @ lever
+    moved = np.array(after[0]) + matrix(after[1]) @ in_body - of_point[0]
+    np.testing.assert_allclose(_velocity_at(body, of_point[0]), moved / seconds, atol=1e-5)
+
+
+@pytest.mark.parametrize('jitter', [1e-4, 5e-3, 1e-2])
+def test_the_jitter_of_stamps_is_estimated(jitter):
+    """From 2 ms, assumed at first: within half and twice the true one, or below 0.5 ms."""
+    rng = np.random.default_rng(3)
+    stamps, tool = tool_motion(rng, 12.0, size=0.15)
+    body, std = truth(tool), np.repeat([3e-4, 2e-3], 3)
+    made = observer(measured__noise=std[[0, 0, 3, 3]].tolist())
+    came = {}
+    for k in range(20, len(tool) - 20, 8):
+        late = np.r_[jitter * rng.normal() * np.r_[body[k][2], body[k][3]], np.zeros(6)]
+        came[k] = [(stamps[k], with_noise(rng, moved_by(body[k], late), std))]
+    follow(made, stamps, tool, body[0], came)
+    found = np.sqrt(made.estimate.memory[JITTER])
+    assert 0.5 * jitter < found < max(2.0 * jitter, 5e-4)
