@@ -23,7 +23,14 @@ from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, conventions, preparation, recording
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
+from bellows_ros.core.signals.trajectory import (
+    any_within,
+    NS_PER_S,
+    PoseStream,
+    Trajectory,
+    TwistStream,
+)
 from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
@@ -55,6 +62,7 @@ SAMPLES = 2000  # number of compared samples of two streams
 TWIST_WINDOW = 0.05  # s, for the comparison of a twist with poses
 MIN_SHIFT, MIN_ROTATION = 2e-3, 5e-3  # m and rad within the window; smaller motion is not compared
 TWIST_TOLERANCE = 0.3  # largest relative difference of matching streams
+VACUUM = '/vacuum/held'  # end of the topic of a vacuum switch
 
 
 class TopicInfo(NamedTuple):
@@ -188,7 +196,8 @@ class Info(NamedTuple):
     @property
     def valve(self) -> str:
         """The only possible topic of the valve; otherwise ''."""
-        able = [topic.name for topic in self.topics if topic.type_name == messages.BOOL]
+        able = [topic.name for topic in self.topics
+                if topic.type_name == messages.BOOL and not topic.name.endswith(VACUUM)]
         return able[0] if len(able) == 1 else ''
 
     def as_json(self) -> dict[str, Any]:
@@ -300,7 +309,10 @@ def _with_roles(
         **{f'topics.{role}': guess.topic for role, guess in
            (('tool_pose', tool), ('package_pose', package)) if guess},
         **({'topics.tool_twist': ''} if twist is None or in_degrees else
-           {'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame})}
+           {'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}),
+        **({'vacuum.signal': 'bool'} if any(
+            topic.type_name == messages.BOOL and topic.name.endswith(VACUUM)
+            for topic in described) else {})}
     used = {guess.topic for guess in (tool, package, twist) if guess}
     notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
               if topic.problem]
@@ -514,13 +526,18 @@ def _twist_match(tool: PoseStream, twist: TwistStream) -> tuple[float, str, bool
         return np.asarray(sums[window:] - sums[:-window])
 
     linear, angular = twist.linear[inside], np.radians(twist.angular[inside])
-    shift = body.position[window:] - body.position[:-window]
-    angle = _rms(log_so3(np.swapaxes(body.rotation[:-window], 1, 2) @ body.rotation[window:]))
-    in_degrees = (
-        angle > MIN_ROTATION and abs(_rms(integrated(angular)) / angle - 1.0) < TWIST_TOLERANCE)
+    distances = np.linalg.norm(np.diff(body.position, axis=0), axis=1)
+    whole = ~any_within(distances > MAX_TOOL_SPEED * steps[:, 0], window)
+    shift = (body.position[window:] - body.position[:-window])[whole]
+    if not len(shift):
+        return np.nan, '', False
+    angle = _rms(log_so3(
+        np.swapaxes(body.rotation[:-window], 1, 2) @ body.rotation[window:])[whole])
+    in_degrees = angle > MIN_ROTATION and (
+        abs(_rms(integrated(angular)[whole]) / angle - 1.0) < TWIST_TOLERANCE)
     if _rms(shift) <= MIN_SHIFT:
         return np.nan, '', in_degrees
-    in_world, in_tool = (_rms(integrated(rates) - shift) / _rms(shift)
+    in_world, in_tool = (_rms(integrated(rates)[whole] - shift) / _rms(shift)
                          for rates in (linear, apply(body.rotation, linear)))
     # Without rotation of the tool both agree, and the usual one is selected.
     error, frame = (in_world, 'world') if in_world <= 1.2 * in_tool else (in_tool, 'tool')

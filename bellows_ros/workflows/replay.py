@@ -140,7 +140,7 @@ class Observed(NamedTuple):
     @property
     def sentence(self) -> str:
         """Counts of the measured poses, and the estimated payload."""
-        words = {'gate': 'outside the gate', 'not_held': "earlier than the tool's",
+        words = {'gate': 'outside the gate', 'not_held': 'while nothing was predicted',
                  'future_stamp': "later than the tool's", 'recovered': 'from which it restarted',
                  'out_of_reach': 'where the cup cannot hold it'}
         counted = ', '.join(

@@ -3,7 +3,8 @@
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.files.bag_writer import as_messages, write_bag
+from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
+from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.workflows.info import info, longest_hold
 import numpy as np
 import pytest
@@ -76,14 +77,15 @@ def test_places_of_two_clocks_say_nothing_on_roles(m, tmp_path):
     assert (found.tool.topic, found.package.topic) == ('/gripper/pose', '/box/pose')
 
 
+@pytest.mark.parametrize('jump', [0.0, 1.0])
 @pytest.mark.parametrize('frame', ['world', 'tool'])
-def test_axes_of_the_twist_are_found(m, frame, tmp_path):
-    """Tell world from tool axes by integrating the twist."""
+def test_axes_of_the_twist_are_found(m, frame, jump, tmp_path):
+    """Tell world from tool axes by integrating the twist, even if the tool's poses jump (m)."""
     inside = apply(np.swapaxes(m['R'], 1, 2), m['v'])
-    linear = m['v'] if frame == 'world' else inside
+    linear, moved = m['v'] if frame == 'world' else inside, jump * (m['t'] > 3.0)[:, None]
     found = described(
-        tmp_path, poses('/tcp/pose', m['t'], m['o'], m['R']),
-        poses('/box/pose', m['t'], m['o_p'], m['R_p']),
+        tmp_path, poses('/tcp/pose', m['t'], m['o'] + moved, m['R']),
+        poses('/box/pose', m['t'], m['o_p'] + moved, m['R_p']),
         twists('/other', m['t'], -linear[::-1]), twists('/tcp/twist', m['t'], linear))
     assert found.twist is not None
     assert (found.twist.topic, found.twist.frame) == ('/tcp/twist', frame)
@@ -236,3 +238,13 @@ def test_faults_of_the_poses_are_said_first(m, tmp_path):
         poses('/tool', m['t'], m['o'], m['R']))
     assert 'orientation is frozen' in found.notes[0]
     assert found.checks == ()
+
+
+def test_a_vacuum_switch_is_no_valve(m, tmp_path):
+    """Propose the signal of the node for it, and leave the valve open."""
+    stamps = START_NS + np.rint(m['t'][::100] * 1e9).astype(np.int64)
+    switch = Encoded('/cell/vacuum/held', BOOL, stamps, [encode_bool(True)] * len(stamps))
+    found = described(
+        tmp_path, poses('/tcp/pose', m['t'], m['o'], m['R']),
+        poses('/box/pose', m['t'], m['o_p'], m['R_p']), switch)
+    assert found.valve == '' and found.settings['vacuum.signal'] == 'bool'
