@@ -40,11 +40,18 @@ class Step(NamedTuple):
     number: int
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
+    """A kept value is the step that computes it; in a batch, its number."""
 
     @property
     def needs(self) -> set[int]:
         """Numbers of the values that it takes."""
         return {each.number for each in self.arguments if isinstance(each, KeptValue)}
+
+    @property
+    def sent(self) -> 'Step':
+        """The step in a batch."""
+        return self._replace(arguments=tuple(
+            KeptValue(each.number) if isinstance(each, Step) else each for each in self.arguments))
 
 
 class Reply(NamedTuple):
@@ -136,17 +143,10 @@ def _resolved(argument: Any, recording: int, values: Mapping[int, Any]) -> Any:
     return values[argument.number] if isinstance(argument, KeptValue) else argument
 
 
-class Lineage(NamedTuple):
-    """A step, and the recipes of the values that it takes."""
-
-    step: Step
-    needs: tuple['Lineage', ...]
-
-
 class Held:
     """A value of each recording of a pool, kept as long as this object."""
 
-    def __init__(self, pool: 'Pool', recipe: Lineage) -> None:
+    def __init__(self, pool: 'Pool', recipe: Step) -> None:
         """Count as in use."""
         self.pool, self.recipe = pool, recipe
         pool.session.used.add(self)
@@ -215,10 +215,10 @@ class Pool:
         """Return what stays of a function's pairs of results, to be computed."""
         return Held(self, _recipe(next(self.session.numbers), function, arguments))
 
-    def replies(self, recipe: Lineage) -> Iterator[tuple[int, Reply]]:
+    def replies(self, recipe: Step) -> Iterator[tuple[int, Reply]]:
         """Yield the replies as they come, by the number of the recording."""
-        batch = Batch(self.session.name, self.recordings, (recipe.step,), frozenset(
-            held.recipe.step.number for held in self.session.used))
+        batch = Batch(self.session.name, self.recordings, (recipe.sent,), frozenset(
+            held.recipe.number for held in self.session.used))
         while batch.recordings:
             missing = []
             for number, reply in self.session.run(batch.of(batch.recordings)):
@@ -228,7 +228,7 @@ class Pool:
                     yield number, reply
             batch = batch._replace(recordings=tuple(missing), steps=tuple(_steps(recipe)))
 
-    def _all(self, recipe: Lineage) -> list[Any]:
+    def _all(self, recipe: Step) -> list[Any]:
         """Return the results of a recipe's step, raising the first error of it."""
         replies = dict(self.replies(recipe))
         ordered = [replies[number] for number in self.recordings]
@@ -238,23 +238,21 @@ class Pool:
         return [reply.result for reply in ordered]
 
 
-def _recipe(number: int, function: Callable[..., Any], arguments: Sequence[Any]) -> Lineage:
+def _recipe(number: int, function: Callable[..., Any], arguments: Sequence[Any]) -> Step:
     """Return the recipe of a call."""
-    return Lineage(Step(number, function, tuple(
-        KeptValue(each.recipe.step.number) if isinstance(each, Held) else each
-        for each in arguments)), tuple(
-            each.recipe for each in arguments if isinstance(each, Held)))
+    return Step(number, function, tuple(
+        each.recipe if isinstance(each, Held) else each for each in arguments))
 
 
-def _steps(recipe: Lineage) -> Iterator[Step]:
+def _steps(recipe: Step) -> Iterator[Step]:
     """Yield the steps of a recipe in an order in which they can be carried out."""
     found, pending = dict[int, Step](), [recipe]
     while pending:
         one = pending.pop()
-        if one.step.number not in found:
-            found[one.step.number] = one.step
-            pending += one.needs
-    own = found.pop(recipe.step.number)
+        if one.number not in found:
+            found[one.number] = one.sent
+            pending += [each for each in one.arguments if isinstance(each, Step)]
+    own = found.pop(recipe.number)
     yield from (found[number] for number in sorted(found))
     yield own
 
