@@ -50,9 +50,9 @@ REST_PART, MIN_SAMPLES_AT_REST = 0.9, 10
 """Fraction of a standstill whose poses count as at rest, and smallest number of poses for their
 noise."""
 
-MIN_STRIDE_HZ, MIN_STILL, MIN_CORRELATION = 200.0, 100, 0.2
-"""Rate of poses from which a stride exceeds one sample, Hz; smallest number of poses of a body at
-rest, and smallest correlation of neighbours that counts as memory of the noise."""
+MIN_STILL, MIN_CORRELATION = 100, 0.2
+"""Smallest number of poses of a body at rest, and smallest correlation of neighbours that counts
+as memory of the noise."""
 
 
 class Noise(NamedTuple):
@@ -182,12 +182,12 @@ def ar1_noise_of(
     """
     Return the noise of positions (m) and of rotations (rad) of poses at a uniform rate.
 
-    The noise is white, or has the correlation time that explains the ratio of the noise of poses a
-    stride apart to the given noise of neighbours. For slow poses the correlation is estimated
-    while the body is still, unless the body swings.
+    The correlation is estimated while the body is still, unless the body swings or the rate is
+    low. Otherwise the noise is white, or has the correlation time that explains the ratio of the
+    noise of poses a stride apart to the given noise of neighbours; a long time is uncertain.
     """
     rate_hz = trajectory.NS_PER_S / float(np.median(np.diff(poses.stamps_ns)))
-    if LOW_RATE_HZ < rate_hz < MIN_STRIDE_HZ and len(still) > MIN_STILL:
+    if LOW_RATE_HZ < rate_hz and len(still) > MIN_STILL:
         moved = _at_rest(still)
         kept, later = _correlation(moved, 1), _correlation(moved, 2)
         if kept > MIN_CORRELATION and later < 0.5 * kept * (1.0 + kept):
