@@ -225,7 +225,8 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
     free = {name: rows[number % len(rows)] for name, rows in found.items()}
     moves, tracked = np.array(recording.settings.moves_with_com, float), recording.tracked_package
     middle = middle_of(tracked)
-    delay = round(float(free['time_offset'][0]) * NS_PER_S) if 'time_offset' in free else 0
+    offset, rate = (float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate'))
+    delays = offset * NS_PER_S + rate * (tracked.stamps_ns - middle[3] * NS_PER_S)
 
     def moved(poses: Trajectory) -> Trajectory:
         return poses_of(poses, free, moves, middle)
@@ -235,4 +236,5 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
     return replace(
         recording, settings=replace(recording.settings, payload=payload),
         filters=(of_tool, replace(of_package, poses=moved(of_package.poses))),
-        tracked_package=replace(moved(tracked), stamps_ns=tracked.stamps_ns + delay))
+        tracked_package=replace(moved(tracked), stamps_ns=tracked.stamps_ns
+                                + np.rint(delays).astype(np.int64)))

@@ -15,6 +15,7 @@ from bellows_ros.core.identification.causes import (
 )
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.problem import Problem
+from bellows_ros.core.identification.quantities import as_found
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
@@ -25,7 +26,7 @@ import numpy as np
 import pytest
 
 from . import laboratory
-from .laboratory import FAULTS, parameters
+from .laboratory import COLOUR, FAULTS, parameters
 from .simulated import record, shake
 
 pytestmark = pytest.mark.skipif(
@@ -312,6 +313,22 @@ def test_noise_with_memory_is_no_low_pass(coloured, seen):
     laboratory = Laboratory(100, coloured=coloured)
     laboratory.low_pass_hz = 10.0 * len(seen)
     assert [own.name for own in implausible_inputs(laboratory.recording())] == seen
+
+
+def test_the_memory_of_noise_follows_from_a_standstill():
+    """From neighbours in motion noise would seem to last for 200 ms, at 2.8 times its size."""
+    laboratory = Laboratory(216, coloured=True, seconds=4.0, rate_hz=480.0)
+    noise = laboratory.recording().body_noise[1]
+    np.testing.assert_allclose(noise.std, np.repeat(laboratory.noise[0], 3), rtol=0.3)
+    assert noise.correlation == pytest.approx(np.exp(-1.0 / (480.0 * COLOUR)), abs=0.05)
+
+
+def test_clocks_apart_in_rate_are_corrected_before_a_free_simulation():
+    recording, names = Laboratory(4, seconds=4.0).recording(), ('time_offset', 'clock_rate')
+    tracked, moved = (each.tracked_package.stamps_ns for each in (recording, as_found(
+        recording, dict(zip(names, np.array([[[2e-3]], [[1e-3]]]), strict=True)), 0)))
+    elapsed = tracked - tracked[0]
+    np.testing.assert_allclose(moved - tracked, 2e6 + 1e-3 * elapsed, atol=1.0)
 
 
 @pytest.mark.stress

@@ -119,8 +119,8 @@ def rank(
             try:
                 findings = test(end, given_std, report=report)
             except OutOfTime as error:
-                first, *others = unexplained or (unknown(end),)
-                return (first._replace(untried=error.args), *others, *likely)
+                first, *others = likely or unexplained or (unknown(end),)
+                return (first._replace(untried=error.args), *others)
             if any(finding.certain for finding in findings):
                 return findings
             likely = likely or findings
