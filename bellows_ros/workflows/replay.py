@@ -578,6 +578,7 @@ def observed(
     compared = np.isin(package.stamps_ns, prediction.stamps_ns)
     tool, package = tool.select(compared), package.select(compared)
     camera = camera.select(np.isin(camera.stamps_ns, package.stamps_ns))
+    seen = np.isin(package.stamps_ns, camera.stamps_ns)
     counts = {what: n for what, n in observer.counts.items() if n}
     if later := len(measured) - sum(counts.values()):
         counts['future_stamp'] = counts.get('future_stamp', 0) + later
@@ -586,7 +587,8 @@ def observed(
         run, values, float(np.ptp(stream.stamps_ns)) / NS_PER_S) if calibrate else None
     return Observed(
         topic, {'prediction alone': prediction,
-                'camera alone': residuals.compare(camera, tool, package),
+                'camera alone': residuals.compare(
+                    camera, tool.select(seen), package.select(seen)),
                 'both': _compared(corrected, tool, package)}, counts,
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
@@ -717,13 +719,16 @@ def _compared(
 def _last_measured(
     observer: Observer, poses: Sequence[Any], at: Trajectory, com: Array
 ) -> Trajectory:
-    """Return the last measured poses of B before each stamp."""
-    newest = np.searchsorted([stamp_ns for stamp_ns, *_ in poses], at.stamps_ns) - 1
+    """Return the last measured poses of B before each stamp, if possible of the last 0.5 s."""
+    stamps_ns = np.array([stamp_ns for stamp_ns, *_ in poses])
+    newest = np.searchsorted(stamps_ns, at.stamps_ns) - 1
     inside = newest >= 0
     if inside.sum() < 2:
         raise BellowsError(
             'All measured poses are later than the recorded ones. Check that one clock stamps '
             'both.')
+    recent = inside & (at.stamps_ns - stamps_ns[newest] <= LONGEST_GAP_NS)
+    inside = recent if recent.sum() > 1 else inside
     rows = []
     for _, position, q, _ in poses:
         measured = observer.sensor.measurement(1, position, q)

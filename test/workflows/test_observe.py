@@ -93,6 +93,24 @@ def test_both_are_better_than_either(filmed):
     assert found.counts['out_of_reach'] + found.counts.get('gate', 0) >= 15
 
 
+def test_a_camera_is_not_judged_while_it_sees_nothing(filmed, tmp_path):
+    """Of 6 s without a view only the first 0.5 s are compared, as the newest pose is then old."""
+    bag, values = filmed
+    streams = read_streams(bag, {**SEEN, 'twist': ROLES['twist']})
+    camera, twist = streams['camera'], streams['twist']
+    since = (camera.stamps_ns - camera.stamps_ns[0]) * 1e-9
+    inside = (since < 3.0) | (since > 9.0)
+    write_bag(tmp_path / 'gap', [
+        *of(streams, 'tool', 'package'),
+        as_messages('/' + ROLES['twist'], TWIST, twist.stamps_ns,
+                    np.hstack([twist.linear, twist.angular])),
+        poses('camera', *(own[inside] for own in (
+            camera.stamps_ns, camera.position, camera.rotation)))])
+    found = replay(tmp_path / 'gap', values, observe=CAMERA).observed.estimates
+    gaps = [np.diff(found[name].stamps_ns).max() * 1e-9 for name in ('camera alone', 'both')]
+    np.testing.assert_allclose(gaps, [5.5, 0.0], atol=0.1)
+
+
 def test_motion_capture_is_as_good_as_the_prediction(root):
     """Take the marker that is confused for four frames of 360 Hz for what it is: no slip."""
     settings = read_parameters(root / 'bags' / 'tossing.yaml')
