@@ -490,9 +490,7 @@ def _descended(
     theta, courses = start
     parts, H, g = system or system_of(problem, start, forgetting)
     if not np.all(np.isfinite(g)):
-        finite = Differences(*parts.held.pool.hold(_finite, parts.held))
-        return Solution(problem, theta, accepted(problem, courses, parts), finite,
-                        H.within(np.full(len(theta), False)), False)
+        return _diverged(problem, start, parts, H)
     min_damping, tolerance, max_steps = (
         (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
         (0.0, TOLERANCE, MAX_STEPS))
@@ -532,9 +530,7 @@ def _descended(
         rises = new[0].squares > MAX_SMALL_RISE * max(parts.squares, expected)
         theta, (parts, H, g), is_fresh, before = moved, new, False, courses
         courses, settled = _refined(problem, courses, parts, not forgetting)
-        largest = MAX_RISE * max(expected, sum(
-            float(np.sum(one.squares * (old / std) ** 2)) for one, old, std in zip(
-                parts.sums, before.std, courses.std, strict=True)))
+        largest = MAX_RISE * max(expected, _squares_with(parts, before, courses))
         settled &= damping <= MAX_FINAL_DAMPING
         damping = max(10.0 * damping, 1e-3) if rises else (
             max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0)
@@ -546,6 +542,20 @@ def _descended(
         return replace(best, courses=accepted(problem, best.courses, best.parts))
     courses, _ = _refined(problem, courses, parts, True, False)
     return Solution(problem, theta, courses, parts, H, is_near)
+
+
+def _diverged(problem: Problem, at: Iterate, parts: Differences, H: Arrow) -> Solution:
+    """Return a diverging simulation as the end of a search, without information."""
+    return Solution(
+        problem, at.theta, accepted(problem, at.courses, parts),
+        Differences(*parts.held.pool.hold(_finite, parts.held)),
+        H.within(np.full(len(at.theta), False)), False)
+
+
+def _squares_with(parts: Differences, before: Courses, after: Courses) -> float:
+    """Return the sum of squared differences with the noise of other courses."""
+    return sum(float(np.sum(one.squares * (old / new) ** 2)) for one, old, new in zip(
+        parts.sums, before.std, after.std, strict=True))
 
 
 def _finite(parts: Parts) -> tuple[Parts, Sums]:
