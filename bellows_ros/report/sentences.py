@@ -247,5 +247,8 @@ FINDING_FIELDS: Mapping[str, Callable[[Finding, Mapping[str, Any]], dict[str, An
         'down': _down(given, lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN)}),
     'axis of gravity': lambda finding, given: {
         'down': _down(given, np.array(json.loads(finding.value.removeprefix('gravity '))))},
+    'unknown': lambda finding, given: {
+        'band': ', at {:.1f} to {:.1f} Hz'.format(*finding.theta[2:4])
+        if np.all(np.isfinite(finding.theta[2:4])) else ''},
     'yaw': _yaw_fields}
 """Further fields of the texts of causes."""

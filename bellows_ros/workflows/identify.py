@@ -234,7 +234,7 @@ def read_part(
         recording = replace(
             reading.prepare_streams(poses[bag], settings, values), name=bag, digest=bag)
     else:
-        recording = reading.load(path, values, name=bag, with_digest=True)
+        recording = reading.load(path, values, name=bag, with_digest=True, held=True)
     if causes.misread(recording):
         verdict = verdict_of(None, [recording], values.cup.length, values)
         raise BellowsError(' '.join(verdict.cause if verdict else ()))

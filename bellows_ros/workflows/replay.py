@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
-from operator import itemgetter
 import os
 import time
 from typing import Any, NamedTuple
@@ -16,8 +15,7 @@ from bellows_ros.core.identification.causes import corrected
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
-from bellows_ros.core.live.cycle import holds, Signal
-from bellows_ros.core.live.load import ALL, Vacuum
+from bellows_ros.core.live.cycle import Signal
 from bellows_ros.core.live.predictor import Messages, predicted_trajectory
 from bellows_ros.core.model import simulation, validity_range
 from bellows_ros.core.model.grip import factors_along, Margin, margin
@@ -40,10 +38,10 @@ from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
-from bellows_ros.files import bags, File, messages, results
+from bellows_ros.files import bags, File, results
 from bellows_ros.report.sentences import alarm_sentence, finding_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
-from bellows_ros.workflows.recordings import load, no_progress, Progress
+from bellows_ros.workflows.recordings import load, no_progress, Progress, signals_of, spans_held
 import numpy as np
 
 MAX_LISTED = 3
@@ -629,54 +627,11 @@ def _calibrated(
         'measured.latency_std': math.hypot(latency, latency_std)}
 
 
-def signals_of(bag: File, values: Values) -> list[Signal]:
-    """
-    Return the recorded vacuum and valve, in order; empty with vacuum.signal: none.
-
-    They are on the topics of the node, in any namespace.
-
-    Raises
-    ------
-    BellowsError
-        If vacuum.signal is set and not recorded.
-
-    """
-    vacuum, signals, signal = Vacuum(), list[Signal](), values.vacuum.signal
-    if signal == 'none':
-        return []
-    pressure = 'sensor_msgs/msg/FluidPressure'
-    kind, name = (messages.BOOL, 'vacuum/held') if signal == 'bool' else (
-        pressure, 'vacuum/pressure')
-    for topic, log_ns, data in bags.messages_of(bag, {kind, messages.BOOL}):
-        if topic.name.endswith('/vacuum/valve'):
-            is_on = messages.decode_bool(data)
-            signals += [] if is_on is None else [(log_ns, 'valve', is_on, ALL)]
-        if not topic.name.endswith('/' + name):
-            continue
-        if signal == 'bool':
-            held = messages.decode_bool(data)
-            signals += [] if held is None else [(log_ns, 'vacuum', held, ALL)]
-            continue
-        message = bags.decoded(data, kind)
-        stamp = message.header.stamp
-        states = vacuum.update(values, message.fluid_pressure, message.header.frame_id)
-        signals += [] if isinstance(states, str) else [
-            (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, 'vacuum', *state)
-            for state in states]
-    if not any(each[1] == 'vacuum' for each in signals):
-        raise BellowsError(
-            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name}. "
-            'Record it, or set vacuum.signal: none.')
-    return sorted(signals, key=itemgetter(0))
-
-
 def _held_part(
     bag: File, recording: Recording, values: Values, signals: Sequence[Signal]
 ) -> tuple[Recording, str]:
     """Return the longest hold of a recording, if there are signals, with a note on it."""
-    tool = recording.tool_pose.trajectory()
-    up = world_rotation(values.recording.world, values.gravity.direction)[2]
-    spans = [*holds(tool.stamps_ns, tool.position @ up, signals)]
+    tool, spans = recording.tool_pose, spans_held(recording.tool_pose, signals, values)
     if not spans:
         return recording, ''
     first, last = max(spans, key=lambda span: span[1] - span[0])

@@ -13,14 +13,19 @@ import sys
 
 import bellows_ros
 from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError, UnexplainedError
+from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
+from bellows_ros.files.bags import read_streams
+from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json, read_result
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
 from bellows_ros.workflows.identify import identify, resolved
+from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
@@ -29,6 +34,7 @@ import pytest
 import yaml
 
 from .two_clocks import rewritten
+from ..files.recordings import POSE, TWIST
 
 CLEAN = {
     'topics.tool_pose': '/tool_arm/pose', 'topics.tool_twist': '/tool_arm/twist',
@@ -381,3 +387,41 @@ def test_clocks_and_worlds_are_the_parameters_that_there_are(settings):
     values = resolved({**settings, 'fit.free': ['time_offset', 'package_world'],
                        'fit.method': 'least_squares'})
     assert values['fit.time_offset'] and values['recording.package_world'] == 'estimate'
+
+
+@pytest.mark.parametrize('method', ['least_squares', 'output_error'])
+def test_only_the_holds_of_a_recording_of_work_are_fitted(root, tmp_path, method):
+    """The package lies on a table before, between and after its two holds."""
+    streams = read_streams(root / 'bags' / 'identification', {
+        role: CLEAN[f'topics.{role}'] for role in ('tool_pose', 'tool_twist', 'package_pose')})
+    tool, twist, package = (streams[role] for role in ('tool_pose', 'tool_twist', 'package_pose'))
+    first = package.stamps_ns[0]
+
+    def held(stamps_ns):
+        seconds = (stamps_ns - first) * 1e-9
+        return ((seconds > 2.0) & (seconds < 10.0)) | ((seconds > 12.0) & (seconds < 22.0))
+
+    last = np.maximum.accumulate(np.where(
+        held(package.stamps_ns), np.arange(len(package.stamps_ns)), 0))  # lies where it was left
+    stamps_ns = np.arange(first, package.stamps_ns[-1], 50_000_000)
+    write_bag(tmp_path / 'work', [
+        *(as_messages(CLEAN[f'topics.{role}'], POSE, stamps, np.hstack([
+            place, rotation_to_quaternion(turn)])) for role, stamps, place, turn in (
+                ('tool_pose', tool.stamps_ns, tool.position, tool.rotation),
+                ('package_pose', package.stamps_ns, package.position[last],
+                 package.rotation[last]))),
+        as_messages(CLEAN['topics.tool_twist'], TWIST, twist.stamps_ns,
+                    np.hstack([twist.linear, twist.angular])),
+        Encoded('/vacuum/held', BOOL, stamps_ns, [
+            encode_bool(each) for each in held(stamps_ns).tolist()])])
+    given = {**read_parameters(root / 'bags' / 'package.yaml'), 'fit.method': method,
+             'bags': [str(tmp_path / 'work')], 'vacuum.signal': 'bool'}
+    fit = identify(given).fit
+    parts = load(tmp_path / 'work', resolve(given), held=True).segments
+    assert len(parts) == 2 and all(
+        held(np.array([part.first_ns, part.last_ns])).all() for part in parts)
+    truth = read_parameters(root / 'bags' / 'cup.yaml')
+    found, expected = (np.diag(np.reshape(K, (6, 6))) for K in (
+        fit.stiffness, truth['cup.stiffness']))
+    assert fit.usable
+    assert_allclose(found, expected, rtol=0.05)

@@ -99,8 +99,9 @@ TAIL_SHARE = 0.25
 MAX_SLIP_ANGLE = 1.2
 """Largest rotation of a package on the lip between two poses, rad."""
 
-MIN_DENSITY = 1e-18
-"""Smallest density of noise from which a filter is detected, m^2/Hz."""
+MIN_DENSITY, MAX_DENSITY_RATIO = 1e-18, 10.0
+"""Smallest density of noise from which a filter is detected, m^2/Hz, and largest ratio of the
+densities in two seconds of stationary noise, 90 % and 10 % quantiles."""
 
 
 class Finding(NamedTuple):
@@ -490,18 +491,27 @@ def _smoothed(recording: Recording) -> Finding | None:
 
 
 def _noise_order(poses: Trajectory) -> float:
-    """Return the exponent of the decay of position noise with frequency, 0 without noise."""
+    """
+    Return the exponent of the decay of position noise with frequency, 0 without noise.
+
+    Noise has similar densities in most seconds; otherwise quick modes of the package prevail.
+    """
     rate_hz = uniform_rate_hz(poses.stamps_ns)
     changes = np.diff(np.where(poses.valid[:, None], poses.position, np.nan), DIFFERENCES, axis=0)
-    if rate_hz < MIN_RATE_HZ or not np.isfinite(changes).any():
+    size = round(SPECTRUM_SECONDS * rate_hz)
+    seconds = [part for part in (changes[start:start + size] for start in range(
+        0, len(changes) - size + 1, size)) if np.isfinite(part).all()]
+    if rate_hz < MIN_RATE_HZ or not seconds:
         return 0.0
-    hz, densities = vars(spectrum(changes, rate_hz, SPECTRUM_SECONDS)).values()
+    spectra = [spectrum(part, rate_hz, SPECTRUM_SECONDS) for part in seconds]
+    hz = spectra[0].frequency
     inside = (hz > NOISE_HZ) & (hz < 0.5 * NYQUIST_PART * rate_hz)
-    density = np.sum(densities[inside], axis=1) / (
+    densities = np.array([one.density[inside].sum(axis=1) for one in spectra]) / (
         2.0 * np.sin(np.pi * hz[inside] / rate_hz)) ** (2 * DIFFERENCES)
-    if np.median(density) < MIN_DENSITY:
+    low, high = np.quantile(np.median(densities, axis=1), (0.1, 0.9))
+    if low < MIN_DENSITY or high > MAX_DENSITY_RATIO * low:
         return 0.0
-    return -float(np.polyfit(np.log(hz[inside]), np.log(density), 1)[0])
+    return -float(np.polyfit(np.log(hz[inside]), np.log(densities.mean(axis=0)), 1)[0])
 
 
 CORRECTIONS: Mapping[str, Callable[[Recording, Finding], Recording]] = {

@@ -144,9 +144,10 @@ class Sums(NamedTuple):
     def of(cls, parts: Parts) -> 'Sums':
         """Return the sums of whitened segments."""
         r = [part.innovations.reshape(-1, 6) for part in parts]
+        with np.errstate(divide='ignore'):  # a diverging simulation has no variance
+            logs = sum(float(np.sum(np.log(part.variance))) for part in parts)
         return cls(
-            np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]),
-            sum(float(np.sum(np.log(part.variance))) for part in parts),
+            np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]), logs,
             sum(float(np.sum(e[1:] * e[:-1])) for e in r))
 
 

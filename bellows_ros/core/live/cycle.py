@@ -9,6 +9,7 @@ motion decides, and at rest the camera, if the package is visible.
 from collections.abc import Iterator, Sequence
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
+import numpy as np
 
 NONE, GRIPPED, HELD, RELEASED, LOST = 'none', 'gripped', 'held', 'released', 'lost'
 
@@ -126,7 +127,9 @@ Signal = tuple[int, str, bool, int]
 def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Iterator[
         tuple[int, int]]:
     """
-    Yield the first and last stamp (ns) of each hold in a recording.
+    Yield the first and last stamp (ns) of each hold in a recording, without contact.
+
+    A hold begins `LIFT` above the grip, and ends `LIFT` above a lower release.
 
     Parameters
     ----------
@@ -138,8 +141,8 @@ def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Itera
         Signals in the order of time.
 
     """
-    cycle, waiting, since_ns = Cycle(False), list(signals[::-1]), 0
-    for stamp_ns, height in zip(stamps_ns.tolist(), heights.tolist(), strict=True):
+    cycle, waiting, begun = Cycle(False), list(signals[::-1]), -1
+    for k, (stamp_ns, height) in enumerate(zip(stamps_ns.tolist(), heights.tolist(), strict=True)):
         while waiting and waiting[-1][0] <= stamp_ns:
             signal_ns, name, is_on, cup = waiting.pop()
             if name == 'valve':
@@ -147,10 +150,10 @@ def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Itera
             elif cup < 0:
                 cycle.on_vacuum(is_on, signal_ns, False, 0)
         cycle.on_height(height)
-        if cycle.state == HELD:
-            since_ns = since_ns or stamp_ns
-        elif since_ns:
-            yield since_ns, stamp_ns
-            since_ns = 0
-    if since_ns:
-        yield since_ns, int(stamps_ns[-1])
+        is_held = cycle.state == HELD
+        begun = k if is_held and begun < 0 else begun
+        if begun >= 0 and (not is_held or k == len(heights) - 1):
+            above = np.flatnonzero(heights[begun:k] > height + LIFT)
+            last = k if is_held or not len(above) else begun + above[-1]
+            yield int(stamps_ns[begun]), int(stamps_ns[last])
+            begun = -1

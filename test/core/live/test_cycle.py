@@ -1,7 +1,7 @@
 """States of a package in a cycle, by valve, vacuum, camera and the tool's motion together."""
 
 from bellows_ros import LivePredictor
-from bellows_ros.core.live.cycle import Cycle, FALL_NS
+from bellows_ros.core.live.cycle import Cycle, FALL_NS, holds
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
@@ -170,3 +170,19 @@ def test_support_is_known_to_a_camera_that_sees_the_package_after_the_grip():
     cell.go(0.5)
     cell.go(0.4, -0.2)
     assert cell.live.package.observer._support.is_near
+
+
+@pytest.mark.parametrize(('until', 'release', 'last'), [
+    (6.0, 0.5, 5.0), (6.0, 0.3, 5.0), (10.0, 0.5, 5.0), (3.0, 0.5, 3.0)])
+def test_a_hold_is_free_of_contact(until, release, last):
+    """It begins and ends 1 cm above the supports, or with the vacuum or the recording."""
+    seconds = np.arange(0.0, 8.0, 0.01)
+    heights = np.interp(
+        seconds, [0.0, 1.0, 2.0, 4.0, 5.0, 5.02, 5.1], [0.5, 0.5, 0.6, 0.6, release + 0.01] + [
+            release] * 2)
+    stamps = np.rint(seconds * 1e9).astype(np.int64)
+    signals = [(500_000_000, 'vacuum', True, -1), (round(until * 1e9), 'vacuum', False, -1)]
+    (begun, ended), = holds(stamps, heights, signals)
+    if until > seconds[-1]:
+        last = seconds[-1]
+    np.testing.assert_allclose([begun * 1e-9, ended * 1e-9], [1.1, last], atol=0.03)
