@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import math
-from operator import itemgetter
 import os
 from typing import Any, NamedTuple
 
@@ -11,8 +10,6 @@ from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.geometry.lie import exp_so3, inverse_transform, transform
 from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
-from bellows_ros.core.live.cycle import holds, Signal
-from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
@@ -25,7 +22,7 @@ from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
-from bellows_ros.files import bag_folder, bags, File, messages, parameter_files
+from bellows_ros.files import bag_folder, bags, File, parameter_files
 from bellows_ros.report.sentences import finding_sentence, sentence
 import numpy as np
 
@@ -95,85 +92,17 @@ def load(
             problem = NoTopicError(f'{problem} If the topics of recordings differ, give each a '
                                    'file in package.files.')
         raise problem
-    streams = _within_holds(path, contents.streams, values) if held else contents.streams
+    streams = contents.streams
+    if held and values.vacuum.signal != 'none':
+        from bellows_ros.workflows.holds import masks_held  # with the live predictor
+
+        streams = _selected(streams, masks_held(path, streams, values))
     recording = prepare_streams(streams, settings, values, name)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(bag_folder.digests(path)) if with_digest else ()
     return replace(
         recording, name=name, report=report, files=files,
         digest=bag_folder.recording_digest(path, files) if with_digest else '')
-
-
-def signals_of(bag: File, values: Values) -> list[Signal]:
-    """
-    Return the recorded vacuum and valve, in order; empty with vacuum.signal: none.
-
-    They are on the topics of the node, in any namespace.
-
-    Raises
-    ------
-    BellowsError
-        If vacuum.signal is set and not recorded.
-
-    """
-    vacuum, signals, signal = Vacuum(), list[Signal](), values.vacuum.signal
-    if signal == 'none':
-        return []
-    pressure = 'sensor_msgs/msg/FluidPressure'
-    kind, name = (messages.BOOL, 'vacuum/held') if signal == 'bool' else (
-        pressure, 'vacuum/pressure')
-    for topic, log_ns, data in bags.messages_of(bag, {kind, messages.BOOL}):
-        if topic.name.endswith('/vacuum/valve'):
-            is_on = messages.decode_bool(data)
-            signals += [] if is_on is None else [(log_ns, 'valve', is_on, ALL)]
-        if not topic.name.endswith('/' + name):
-            continue
-        if signal == 'bool':
-            held = messages.decode_bool(data)
-            signals += [] if held is None else [(log_ns, 'vacuum', held, ALL)]
-            continue
-        message = bags.decoded(data, kind)
-        stamp = message.header.stamp
-        states = vacuum.update(values, message.fluid_pressure, message.header.frame_id)
-        signals += [] if isinstance(states, str) else [
-            (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, 'vacuum', *state)
-            for state in states]
-    if not any(each[1] == 'vacuum' for each in signals):
-        raise BellowsError(
-            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name}. "
-            'Record it, or set vacuum.signal: none.')
-    return sorted(signals, key=itemgetter(0))
-
-
-def spans_held(
-    tool: PoseStream, signals: Sequence[Signal], values: Values
-) -> list[tuple[int, int]]:
-    """Return the first and last stamp (ns) of each hold of a package, lifted from any support."""
-    up = frames.world_rotation(values.recording.world, values.gravity.direction)[2]
-    return [*holds(tool.stamps_ns, tool.position @ up, signals)]
-
-
-def _within_holds(path: File, streams: Mapping[str, Any], values: Values) -> Mapping[str, Any]:
-    """
-    Return streams by role without the times at which no lifted package is held.
-
-    Raises
-    ------
-    BellowsError
-        If vacuum.signal is set and there is no such hold.
-
-    """
-    if not (signals := signals_of(path, values)):
-        return streams
-    spans = spans_held(streams['tool_pose'], signals, values)
-    if not spans:
-        raise BellowsError(
-            f"Recording '{path}' has no lifted package while the vacuum holds: the tool never "
-            'rises by 1 cm. Check recording.world and the vacuum signal, or set vacuum.signal: '
-            'none.')
-    return _selected(streams, [
-        np.any([(stream.stamps_ns >= first) & (stream.stamps_ns <= last)
-                for first, last in spans], axis=0) for stream in streams.values()])
 
 
 def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:

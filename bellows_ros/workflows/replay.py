@@ -41,7 +41,8 @@ from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import bags, File, results
 from bellows_ros.report.sentences import alarm_sentence, finding_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
-from bellows_ros.workflows.recordings import load, no_progress, Progress, signals_of, spans_held
+from bellows_ros.workflows.holds import signals_of, spans_held
+from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
 
 MAX_LISTED = 3

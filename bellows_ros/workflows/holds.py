@@ -1,0 +1,84 @@
+"""Holds of a package in a recording of pick-and-place, by the recorded vacuum and valve."""
+
+from collections.abc import Mapping, Sequence
+from operator import itemgetter
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Mask
+from bellows_ros.core.live.cycle import holds, Signal
+from bellows_ros.core.live.load import ALL, Vacuum
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.alignment import world_rotation
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import bags, File, messages
+import numpy as np
+
+
+def signals_of(bag: File, values: Values) -> list[Signal]:
+    """
+    Return the recorded vacuum and valve, in order; empty with vacuum.signal: none.
+
+    They are on the topics of the node, in any namespace.
+
+    Raises
+    ------
+    BellowsError
+        If vacuum.signal is set and not recorded.
+
+    """
+    vacuum, signals, signal = Vacuum(), list[Signal](), values.vacuum.signal
+    if signal == 'none':
+        return []
+    pressure = 'sensor_msgs/msg/FluidPressure'
+    kind, name = (messages.BOOL, 'vacuum/held') if signal == 'bool' else (
+        pressure, 'vacuum/pressure')
+    for topic, log_ns, data in bags.messages_of(bag, {kind, messages.BOOL}):
+        if topic.name.endswith('/vacuum/valve'):
+            is_on = messages.decode_bool(data)
+            signals += [] if is_on is None else [(log_ns, 'valve', is_on, ALL)]
+        if not topic.name.endswith('/' + name):
+            continue
+        if signal == 'bool':
+            held = messages.decode_bool(data)
+            signals += [] if held is None else [(log_ns, 'vacuum', held, ALL)]
+            continue
+        message = bags.decoded(data, kind)
+        stamp = message.header.stamp
+        states = vacuum.update(values, message.fluid_pressure, message.header.frame_id)
+        signals += [] if isinstance(states, str) else [
+            (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, 'vacuum', *state)
+            for state in states]
+    if not any(each[1] == 'vacuum' for each in signals):
+        raise BellowsError(
+            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name}. "
+            'Record it, or set vacuum.signal: none.')
+    return sorted(signals, key=itemgetter(0))
+
+
+def spans_held(
+    tool: PoseStream, signals: Sequence[Signal], values: Values
+) -> list[tuple[int, int]]:
+    """Return the first and last stamp (ns) of each hold of a package, lifted from any support."""
+    up = world_rotation(values.recording.world, values.gravity.direction)[2]
+    return [*holds(tool.stamps_ns, tool.position @ up, signals)]
+
+
+def masks_held(path: File, streams: Mapping[str, Any], values: Values) -> list[Mask]:
+    """
+    Return masks of the messages of streams, by role, during the holds of a lifted package.
+
+    Raises
+    ------
+    BellowsError
+        If vacuum.signal is not recorded, or there is no such hold.
+
+    """
+    spans = spans_held(streams['tool_pose'], signals_of(path, values), values)
+    if not spans:
+        raise BellowsError(
+            f"Recording '{path}' has no lifted package while the vacuum holds: the tool never "
+            'rises by 1 cm. Check recording.world and the vacuum signal, or set vacuum.signal: '
+            'none.')
+    return [np.any([(stream.stamps_ns >= first) & (stream.stamps_ns <= last)
+                    for first, last in spans], axis=0) for stream in streams.values()]
