@@ -168,12 +168,14 @@ class Identification(CommandResult):
             and name not in ('package.files', 'recording.start', 'recording.end')}
         found = {name: each for name, each in self.found.items() if name != 'cup.length'}
         errors = {
-            f'{name}_std': std.tolist() for name, (_, std, _) in found.items()
+            f'{name}_std': std for name, (_, std, _) in found.items()
             if f'{name}_std' in table.PARAMETERS}
         for name, whole in (('measured.offset', 'measured.marker_std'),
                             ('recording.package_world', 'measured.camera_std')):
             if name in found:
-                errors[whole] = [float(max(part)) for part in np.split(found[name][1], 2)]
+                errors[whole] = np.max(np.split(found[name][1], 2), axis=1)
+        errors = {name: np.minimum(std, table.PARAMETERS[name].maximum or np.inf).tolist()
+                  for name, std in errors.items()}  # unidentifiable quantities have infinite ones
         if 'measured.offset' in found:  # the pose of the tag is relative to the com
             given |= {'recording.package_frame': 'com', 'recording.align_at_rest': False}
         return {**given, **{name: value for name, (value, *_) in found.items()}, **errors}

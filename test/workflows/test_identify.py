@@ -247,6 +247,9 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, true_cup, tmp_
     values = resolve(result.parameters() | {'cup.stiffness': shipped[1]['cup.stiffness'],
                                             'cup.damping': shipped[1]['cup.damping']})
     assert values['cup.stiffness_std'][35] == UNKNOWN_STD
+    vague = replace(result, fit=replace(fit, nuisances={'com': np.zeros((1, 3))}, nuisances_std={
+        'com': np.full((1, 3), np.inf)}))
+    assert resolve(vague.cell_parameters(), ())['package.com_std'] == (10.0,) * 3  # its largest
     write_page(result, tmp_path / 'page.html')
     assert 'not identifiable' in (tmp_path / 'page.html').read_text()
     save(result, None, tmp_path / 'a.json')

@@ -633,6 +633,7 @@ def _identifiable(
     ordinary = _ordinary_damping(found)
     is_noise = (shares > MAX_ERROR_SHARE) & (errors > MAX_NOISY_ERROR)
     is_overdamped = (found.theta > MAX_DAMPING * ordinary) & (errors > MAX_NOISY_ERROR)
+    is_overdamped[:size // 2] |= is_overdamped[size // 2:size]  # creep of noise fits any stiffness
     identifiable = (std <= largest) & ~is_noise & ~is_overdamped & found.converged
     if found.converged:
         is_low = ~identifiable & (found.theta < ordinary) & np.isfinite(ordinary)
@@ -755,7 +756,8 @@ def _unidentifiable(
         if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
             words = 'noise_moves_it'
         yield NOTES[words].format(
-            label=label, share=share, how=remedy_for(label.split()[1], problem.structure),
+            label=label, axis=(axis := label.split()[1]), share=share,
+            how=remedy_for(axis, problem.structure),
             error=100.0 * error, noise=100.0 * less, times=less**-2, factor=MAX_DAMPING,
             one_cup=', or one of one cup alone' if problem.structure.places else '')
 

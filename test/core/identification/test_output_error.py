@@ -8,7 +8,12 @@ from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.diagnosis import ranking
 from bellows_ros.core.identification.diagnosis.candidates import within
 from bellows_ros.core.identification.diagnosis.ranking import rank
-from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.identification.output_error import (
+    _identifiable,
+    _ordinary_damping,
+    output_error,
+    unmoved,
+)
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.search import (
@@ -137,6 +142,20 @@ def test_the_steps_of_a_fit_shift_its_poses_by_less_than_a_hundredth_of_their_no
         parts.append(problem.whitened(problem.start, segment, segment.first).innovations)
     fine, used, coarser = parts
     assert np.abs(used - fine).max() < 0.01 < np.abs(coarser - fine).max()
+
+
+def test_no_stiffness_is_identified_beside_a_damping_that_is_none():
+    """P z of 20 times ordinary damping leaves K z a standard error of 8 %, which says nothing."""
+    found = minimise(posed(measured(3, duration=4.0)))
+    theta = found.theta.copy()
+    theta[5] = 20.0 * _ordinary_damping(found)[5]
+    parts, information, _ = system_of(found.problem, found.iterate._replace(theta=theta))
+    damped = replace(found, theta=theta, parts=parts, information=information)
+    _, std, identifiable, notes = _identifiable(
+        damped, unmoved(damped), np.zeros((found.problem.shared,) * 2), ())
+    assert std[1] < 0.1 * found.problem.units[1] * theta[1]
+    assert identifiable[:4].tolist() == [True, False, True, True]
+    assert notes[0].startswith('K z is not identifiable: P z comes out above 10 times ordinary')
 
 
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
