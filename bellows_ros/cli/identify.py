@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
     if not COMPILED and settings.get('fit.method', 'output_error') == 'output_error':
         console.warn(
-            'numba is not installed, and without it the fit takes about half a minute for each '
+            'numba is not installed, and without it the fit takes about 15 s for each '
             f'second recorded. Install it ({install("fast")}), or set fit.method: least_squares.')
     result = identify(settings, console.progress, arguments.params, arguments.jobs,
                       arguments.dask, arguments.force)
