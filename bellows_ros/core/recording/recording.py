@@ -675,9 +675,10 @@ class Recording:
                 of_package = noise_at_rest(still)
         reports = self.report.tool, self.report.package
         tool, package = (
-            noise._replace(std=np.maximum(noise.std, report.stamp_std * rms_twist(body)))
+            noise._replace(std=np.maximum(
+                noise.std, report.stamp_std * rms_twist(getattr(self, body))))
             if report.stamp_std else noise for noise, report, body in zip(
-                (of_tool, of_package), reports, (self.tool, self.package), strict=True))
+                (of_tool, of_package), reports, ('tool', 'package'), strict=True))
         return tool, package
 
     @cached_property
