@@ -135,7 +135,7 @@ In the tests' recordings wrong settings leave 14 and more, even with a symmetric
 """
 
 HELD_OUT = 5
-"""Fraction of the seconds of a recording per held-out second."""
+"""Number of seconds of a recording per held-out second."""
 
 MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""

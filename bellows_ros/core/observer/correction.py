@@ -501,7 +501,7 @@ class Correction:
     def rolled_back(
         self, estimate: Estimate, known: Known, rows: Any = KNOWN_ROWS
     ) -> Estimate:
-        """Return an estimate with some rows as kept before: all of camera, cup and package."""
+        """Return an estimate with the kept rows of camera, cup and package, or some of them."""
         theta, P, block = estimate.theta.copy(), estimate.covariance.copy(), np.ix_(rows, rows)
         theta[rows - STATE] = known.theta[rows - STATE]
         P[rows], P[:, rows] = 0.0, 0.0

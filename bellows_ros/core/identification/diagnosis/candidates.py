@@ -152,7 +152,7 @@ def pulls(found: Solution, given: Free) -> dict[str, float]:
 
 
 def largest_by_chance(count: int) -> float:
-    """Return the limit of the largest of so many deviations, standard deviations."""
+    """Return the largest of a number of deviations by chance, standard deviations."""
     return -NormalDist().inv_cdf(0.5 * FALSE_ALARMS / max(count, 1))
 
 
