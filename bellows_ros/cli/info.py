@@ -60,10 +60,9 @@ def print_result(result: Info, console: Console) -> None:
     if result.valve:
         console.paragraph(
             f'Valve    probably {result.valve}: the only std_msgs/Bool (topics.valve).')
-    if 'vacuum.signal' in result.settings:
+    if signal := result.settings.get('vacuum.signal'):
         console.paragraph(
-            'Vacuum   recorded: with vacuum.signal: bool, bellows replay treats each hold by '
-            'itself.')
+            f'Vacuum   recorded: with vacuum.signal: {signal} only the holds are used.')
     if world := result.settings.get('recording.world'):
         axes = 'z up' if world == 'z_up' else "Motive's, y up"
         console.line(f'World    probably {axes} (recording.world: {world}).')

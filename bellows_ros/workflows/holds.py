@@ -14,30 +14,26 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, File, messages
 import numpy as np
 
+SIGNALS = {'bool': (messages.BOOL, '/vacuum/held'),
+           'pressure': ('sensor_msgs/msg/FluidPressure', '/vacuum/pressure')}
+"""Message types and ends of the topics of the vacuum, by values of vacuum.signal."""
+
 
 def signals_of(bag: File, values: Values) -> list[Signal]:
     """
-    Return the recorded vacuum and valve, in order; empty with vacuum.signal: none.
+    Return the recorded vacuum and valve, in order; empty if vacuum.signal is none or not recorded.
 
     They are on the topics of the node, in any namespace.
-
-    Raises
-    ------
-    BellowsError
-        If vacuum.signal is set and not recorded.
-
     """
     vacuum, signals, signal = Vacuum(), list[Signal](), values.vacuum.signal
     if signal == 'none':
         return []
-    pressure = 'sensor_msgs/msg/FluidPressure'
-    kind, name = (messages.BOOL, 'vacuum/held') if signal == 'bool' else (
-        pressure, 'vacuum/pressure')
+    kind, name = SIGNALS[signal]
     for topic, log_ns, data in bags.messages_of(bag, {kind, messages.BOOL}):
         if topic.name.endswith('/vacuum/valve'):
             is_on = messages.decode_bool(data)
             signals += [] if is_on is None else [(log_ns, 'valve', is_on, ALL)]
-        if not topic.name.endswith('/' + name):
+        if not topic.name.endswith(name):
             continue
         if signal == 'bool':
             held = messages.decode_bool(data)
@@ -50,9 +46,7 @@ def signals_of(bag: File, values: Values) -> list[Signal]:
             (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, 'vacuum', *state)
             for state in states]
     if not any(each[1] == 'vacuum' for each in signals):
-        raise BellowsError(
-            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name}. "
-            'Record it, or set vacuum.signal: none.')
+        return []
     return sorted(signals, key=itemgetter(0))
 
 
@@ -68,13 +62,17 @@ def masks_held(path: File, streams: Mapping[str, Any], values: Values) -> list[M
     """
     Return masks of the messages of streams, by role, during the holds of a lifted package.
 
+    Without a recorded vacuum the package is held from start to end.
+
     Raises
     ------
     BellowsError
-        If vacuum.signal is not recorded, or there is no such hold.
+        If there is no such hold.
 
     """
-    spans = spans_held(streams['tool_pose'], signals_of(path, values), values)
+    if not (signals := signals_of(path, values)):
+        return [np.ones(len(stream), bool) for stream in streams.values()]
+    spans = spans_held(streams['tool_pose'], signals, values)
     if not spans:
         raise BellowsError(
             f"Recording '{path}' has no lifted package while the vacuum holds: the tool never "

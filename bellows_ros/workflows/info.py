@@ -35,6 +35,7 @@ from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.report.sentences import finding_sentence
+from bellows_ros.workflows.holds import SIGNALS
 from bellows_ros.workflows.recordings import fact_sentence, remark_sentences, within_interval
 import numpy as np
 
@@ -62,7 +63,6 @@ SAMPLES = 2000  # number of compared samples of two streams
 TWIST_WINDOW = 0.05  # s, for the comparison of a twist with poses
 MIN_SHIFT, MIN_ROTATION = 2e-3, 5e-3  # m and rad within the window; smaller motion is not compared
 TWIST_TOLERANCE = 0.3  # largest relative difference of matching streams
-VACUUM = '/vacuum/held'  # end of the topic of a vacuum switch
 
 
 class TopicInfo(NamedTuple):
@@ -196,8 +196,8 @@ class Info(NamedTuple):
     @property
     def valve(self) -> str:
         """The only possible topic of the valve; otherwise ''."""
-        able = [topic.name for topic in self.topics
-                if topic.type_name == messages.BOOL and not topic.name.endswith(VACUUM)]
+        able = [topic.name for topic in self.topics if topic.type_name == messages.BOOL
+                and not topic.name.endswith(SIGNALS['bool'][1])]
         return able[0] if len(able) == 1 else ''
 
     def as_json(self) -> dict[str, Any]:
@@ -310,9 +310,9 @@ def _with_roles(
            (('tool_pose', tool), ('package_pose', package)) if guess},
         **({'topics.tool_twist': ''} if twist is None or in_degrees else
            {'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}),
-        **({'vacuum.signal': 'bool'} if any(
-            topic.type_name == messages.BOOL and topic.name.endswith(VACUUM)
-            for topic in described) else {})}
+        **next(({'vacuum.signal': signal} for signal, (kind, name) in SIGNALS.items()
+                for topic in described if topic.type_name == kind and topic.name.endswith(name)),
+               {})}
     used = {guess.topic for guess in (tool, package, twist) if guess}
     notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
               if topic.problem]

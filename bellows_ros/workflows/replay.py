@@ -41,7 +41,7 @@ from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import bags, File, results
 from bellows_ros.report.sentences import alarm_sentence, finding_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
-from bellows_ros.workflows.holds import signals_of, spans_held
+from bellows_ros.workflows.holds import SIGNALS, signals_of, spans_held
 from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
 
@@ -352,7 +352,12 @@ def replay(
     require_types(recording=(bag, str, os.PathLike))
     values = checks.resolve(settings, checks.RECORDING_PARAMETERS)
     progress(f'reading {os.fspath(bag)}', 0.0)
-    recording, signals = load(bag, values), signals_of(bag, values) if observe else []
+    recording, signals = load(bag, values), signals_of(bag, values)
+    if observe and not signals and (signal := values.vacuum.signal) != 'none':
+        kind, name = SIGNALS[signal]
+        raise BellowsError(
+            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name[1:]}. "
+            'Record it, or set vacuum.signal: none.')
     rated, note = _held_part(bag, recording, values, signals) if signals else (recording, '')
     causes = corrected(rated)[0]
     if any(cause.sentence for cause in causes):  # the package is not below the tool

@@ -247,9 +247,13 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, true_cup, tmp_
     values = resolve(result.parameters() | {'cup.stiffness': shipped[1]['cup.stiffness'],
                                             'cup.damping': shipped[1]['cup.damping']})
     assert values['cup.stiffness_std'][35] == UNKNOWN_STD
-    vague = replace(result, fit=replace(fit, nuisances={'com': np.zeros((1, 3))}, nuisances_std={
-        'com': np.full((1, 3), np.inf)}))
-    assert resolve(vague.cell_parameters(), ())['package.com_std'] == (10.0,) * 3  # its largest
+    sizes = {'com': 3, 'mass': 1, 'inertia': 3, 'package_marker': 6, 'time_offset': 1, 'scale': 1}
+    free = result.values.replaced({'fit.free': ('package_marker', 'scale')})
+    vague = replace(result, values=free, fit=replace(fit, **{
+        name: {own: np.full((1, size), value) for own, size in sizes.items()}
+        for name, value in (('nuisances', 0.0), ('nuisances_std', np.inf))}))
+    cell = resolve(vague.cell_parameters(), ())
+    assert cell['package.com_std'] == (10.0,) * 3 and cell['measured.marker_std'] == (1.0,) * 2
     write_page(result, tmp_path / 'page.html')
     assert 'not identifiable' in (tmp_path / 'page.html').read_text()
     save(result, None, tmp_path / 'a.json')
@@ -423,6 +427,8 @@ def test_only_the_holds_of_a_recording_of_work_are_fitted(root, tmp_path, method
     parts = load(tmp_path / 'work', resolve(given), held=True).segments
     assert len(parts) == 2 and all(
         held(np.array([part.first_ns, part.last_ns])).all() for part in parts)
+    without = resolve({**given, 'bags': [str(root / 'bags' / 'identification')]})
+    assert len(load(without.bags[0], without, held=True).segments) == 1  # no vacuum is recorded
     truth = read_parameters(root / 'bags' / 'cup.yaml')
     found, expected = (np.diag(np.reshape(K, (6, 6))) for K in (
         fit.stiffness, truth['cup.stiffness']))

@@ -240,11 +240,14 @@ def test_faults_of_the_poses_are_said_first(m, tmp_path):
     assert found.checks == ()
 
 
-def test_a_vacuum_switch_is_no_valve(m, tmp_path):
+@pytest.mark.parametrize(('signal', 'topic', 'kind'), [
+    ('bool', '/cell/vacuum/held', BOOL),
+    ('pressure', '/cell/vacuum/pressure', 'sensor_msgs/msg/FluidPressure')])
+def test_a_vacuum_is_no_valve(m, tmp_path, signal, topic, kind):
     """Propose the signal of the node for it, and leave the valve open."""
     stamps = START_NS + np.rint(m['t'][::100] * 1e9).astype(np.int64)
-    switch = Encoded('/cell/vacuum/held', BOOL, stamps, [encode_bool(True)] * len(stamps))
+    switch = Encoded(topic, kind, stamps, [encode_bool(True)] * len(stamps))
     found = described(
         tmp_path, poses('/tcp/pose', m['t'], m['o'], m['R']),
         poses('/box/pose', m['t'], m['o_p'], m['R_p']), switch)
-    assert found.valve == '' and found.settings['vacuum.signal'] == 'bool'
+    assert found.valve == '' and found.settings['vacuum.signal'] == signal
