@@ -40,7 +40,7 @@ class Step(NamedTuple):
     number: int
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    """A kept value is the step that computes it; in a batch, its number."""
+    """Arguments; a kept value stands as the step that computes it, in a batch as `KeptValue`."""
 
     @property
     def needs(self) -> set[int]:
@@ -80,7 +80,7 @@ class Batch(NamedTuple):
 
 
 Runner = Callable[[Batch], Iterable[tuple[int, Reply]]]
-"""Carries out a batch where its recordings are, with a reply for each, in any order."""
+"""Function that carries out a batch, with a reply for each recording in any order."""
 
 
 def carried_out(batch: Batch, threads: int = 1) -> list[Reply]:
@@ -164,14 +164,14 @@ class Session:
 
 class Pool:
     """
-    Recordings whose values are somewhere.
+    Recordings with values kept in one or several processes.
 
     Parameters
     ----------
     run : Runner
         Carries out batches.
     count : int
-        How many recordings.
+        Number of recordings.
 
     """
 
@@ -203,16 +203,16 @@ class Pool:
         return self.hold(_given, self.each(values))[0]
 
     def results(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
-        """Return a function's result for each recording; none stays there."""
+        """Return a function's result for each recording; no value is kept."""
         return self._all(_recipe(0, function, arguments))
 
     def hold(self, function: Callable[..., Any], *arguments: Any) -> tuple[Held, list[Any]]:
-        """Return what stays of a function's pairs of results, and the rest for each recording."""
+        """Return the kept first results of a function, and the second ones of each recording."""
         held = self.begun(function, *arguments)
         return held, self._all(held.recipe)
 
     def begun(self, function: Callable[..., Any], *arguments: Any) -> Held:
-        """Return what stays of a function's pairs of results, to be computed."""
+        """Return the kept first results of a function, which are not computed yet."""
         return Held(self, _recipe(next(self.session.numbers), function, arguments))
 
     def replies(self, recipe: Step) -> Iterator[tuple[int, Reply]]:
@@ -258,7 +258,7 @@ def _steps(recipe: Step) -> Iterator[Step]:
 
 
 def here(values: Sequence[Any]) -> Held:
-    """Return values of recordings that are in this process, and functions of which run here."""
+    """Return values of recordings, kept in this process, where functions of the values run."""
     return Pool(_in_this_process, len(values)).put(values)
 
 

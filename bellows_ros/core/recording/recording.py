@@ -184,7 +184,7 @@ def ar1_noise_of(
 
     The correlation is estimated while the body is still, unless the body swings or the rate is
     low. Otherwise the noise is white, or has the correlation time that explains the ratio of the
-    noise of poses a stride apart to the given noise of neighbours; a long time is uncertain.
+    noise of poses a stride apart to the given noise of neighbours; long times are uncertain.
     """
     rate_hz = trajectory.NS_PER_S / float(np.median(np.diff(poses.stamps_ns)))
     if LOW_RATE_HZ < rate_hz and len(still) > MIN_STILL:

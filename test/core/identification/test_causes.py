@@ -8,15 +8,18 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
 from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.causes import (
+    _noise_order,
     facts,
     Finding,
     implausible_inputs,
+    MAX_NOISE_ORDER,
     misread,
 )
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import as_found
 from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
 from bellows_ros.report.sentences import finding_sentence
@@ -24,6 +27,7 @@ from bellows_ros.workflows.replay import validated
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from . import laboratory
 from .laboratory import COLOUR, FAULTS, parameters
@@ -313,6 +317,19 @@ def test_noise_with_memory_is_no_low_pass(coloured, seen):
     laboratory = Laboratory(100, coloured=coloured)
     laboratory.low_pass_hz = 10.0 * len(seen)
     assert [own.name for own in implausible_inputs(laboratory.recording())] == seen
+
+
+def test_quick_swings_in_exact_poses_are_no_filtered_noise():
+    """Their density falls steeply, too, but only while the package swings."""
+    stamps_ns = np.arange(2000) * 10_000_000
+    since = stamps_ns % 2_000_000_000 * 1e-9
+    swing = 3e-3 * (since / 0.05) ** 3 * np.exp(-since / 0.05) * np.sin(100.0 * since)
+    poses = Trajectory(
+        stamps_ns, np.outer(swing, [0.0, 0.0, 1.0]), np.tile(np.eye(3), (2000, 1, 1)))
+    assert _noise_order(poses) == 0.0
+    noise = np.random.default_rng(1).normal(size=(2000, 3))
+    filtered = lfilter(*butter(2, 0.2), 1e-4 * noise, axis=0)
+    assert _noise_order(replace(poses, position=filtered)) > MAX_NOISE_ORDER
 
 
 def test_the_memory_of_noise_follows_from_a_standstill():
