@@ -501,7 +501,7 @@ def _noise_order(poses: Trajectory) -> float:
     size = round(SPECTRUM_SECONDS * rate_hz)
     seconds = [part for part in (changes[start:start + size] for start in range(
         0, len(changes) - size + 1, size)) if np.isfinite(part).all()]
-    if rate_hz < MIN_RATE_HZ or not seconds:
+    if rate_hz < MIN_RATE_HZ or len(seconds) < 5:  # too few to tell noise from swings
         return 0.0
     spectra = [spectrum(part, rate_hz, SPECTRUM_SECONDS) for part in seconds]
     hz = spectra[0].frequency
