@@ -16,10 +16,10 @@ import tempfile
 import time
 from typing import Any
 
-from bellows_ros.core.identification.pool import Batch, Reply
+from bellows_ros.core.identification.pool import Batch, Held, Reply
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import given_std
-from bellows_ros.core.identification.search import as_measured, Iterate, system_of
+from bellows_ros.core.identification.search import evaluated, measured_courses
 from bellows_ros.core.identification.segments import measured_segments, segments_of
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import resolve
@@ -102,25 +102,25 @@ def scaling(folder: Path, counts: Sequence[int]) -> list[dict[str, float]]:
         problem = Problem.of(
             [segment for own in parts[:count] for segment in own],
             structure_named('axisymmetric'), one_cup_of(values), given_std(values))
-        at = as_measured(problem)
-        used = min(_processor(problem, at) for _ in range(2))
+        courses = measured_courses(problem)
+        used = min(_processor(problem, courses) for _ in range(2))
         segment = parts[0][0]
         jacobian = problem.local.whitened(
-            at.theta[problem.index(0)], segment, segment.first).jacobian
+            problem.start[problem.index(0)], segment, segment.first).jacobian
         rows.append({'recordings': count, 'seconds': used / count,
-                     'traffic': _traffic(problem, at) / count,
+                     'traffic': _traffic(problem, courses) / count,
                      'unknowns': jacobian.shape[1], 'jacobian': jacobian.nbytes})
     return rows
 
 
-def _processor(problem: Problem, at: Iterate) -> float:
+def _processor(problem: Problem, courses: Held) -> float:
     """Return the processor time of a step, s."""
     begin = time.process_time()
-    system_of(problem, at)
+    evaluated(problem, problem.start, courses)
     return time.process_time() - begin
 
 
-def _traffic(problem: Problem, at: Iterate) -> int:
+def _traffic(problem: Problem, courses: Held) -> int:
     """Return the size of the messages of a step, bytes."""
     session, sizes = problem.held.pool.session, list[int]()
     run = session.run
@@ -131,7 +131,7 @@ def _traffic(problem: Problem, at: Iterate) -> int:
         return replies
 
     session.run = counted
-    system_of(problem, at)
+    evaluated(problem, problem.start, courses)
     session.run = run
     return sum(sizes)
 

@@ -51,10 +51,8 @@ from bellows_ros.core.identification.result import (
     with_unidentifiable,
 )
 from bellows_ros.core.identification.search import (
-    accepted,
     approach,
-    Courses,
-    Iterate,
+    evaluated,
     MAX_DAMPING,
     MAX_NOISE_CHI2,
     minimise,
@@ -63,7 +61,6 @@ from bellows_ros.core.identification.search import (
     Report,
     root,
     Solution,
-    system_of,
 )
 from bellows_ros.core.identification.segments import (
     Course,
@@ -262,7 +259,8 @@ def _tried(
 
     uncertain = {name: std for name, std in given.items() if name not in problem.places}
     wide = problem.freed(found.theta, {**more, **uncertain}, structure)
-    _, H, g = system_of(wide, found.near(wide))
+    near = found.near(wide)
+    H, g = near.information, near.slope
     rest = ~np.isin(np.arange(len(g)), place(wide))
     if H.fall(g, rest | True) - H.fall(g, rest) <= MIN_SQUARED_DISTANCE:
         return found
@@ -383,13 +381,13 @@ def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Soluti
     if not found.is_plausible:
         return found, unmoved(found)
     start = found.near(wide)
-    parts, H, g = system_of(wide, start)
-    if not np.all(np.isfinite(g)):  # derivatives diverge for very wrong given quantities
+    H, g = start.information, start.slope
+    if not start.is_finite:  # derivatives diverge for very wrong given quantities
         return replace(found, converged=False), unmoved(found)
     tested = np.concatenate([np.empty(0, dtype=np.int64), *(
         wide.places[name].ravel() for name in more if not wide.is_own(name))])
     rest, std = np.setdiff1d(np.arange(wide.shared), tested), wide.weights[tested] ** -0.5
-    known = H.plus(-wide.prior(start.theta, 0.0)[0].shared).reduced
+    known = H.plus(-wide.prior(start.theta)[0].shared).reduced
     S = known[np.ix_(tested, tested)] - known[np.ix_(tested, rest)] @ np.linalg.lstsq(
         known[np.ix_(rest, rest)], known[np.ix_(rest, tested)], rcond=None)[0]
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # given information is 1
@@ -398,9 +396,10 @@ def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Soluti
     fixing[np.ix_(tested, tested)] = FIXED_INFORMATION * fixed @ fixed.T
     slope = g.copy()
     slope[:wide.shared] += fixing @ (wide.start - start.theta)[:wide.shared]
-    again = minimise(
-        replace(wide, fixing=fixing), start, report, (parts, H.plus(fixing), slope))
-    along, own = np.eye(len(g))[:wide.shared], np.full(wide.own.shape[1], True)
+    fixed_problem = replace(wide, fixing=fixing)
+    again = minimise(fixed_problem, replace(
+        start, problem=fixed_problem, information=H.plus(fixing), slope=slope), report)
+    along, used = np.eye(len(g))[:wide.shared], np.full(len(g), True)
     if again.converged:
         along[np.ix_(tested, tested)] = std[:, None] * vectors
         held = along[:, tested[values <= 1.0]]
@@ -411,10 +410,11 @@ def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Soluti
             return found, unmoved(found)
         by_given = np.concatenate([wide.places[name].ravel() for name in more])
         held = np.eye(len(g))[:, by_given] * wide.weights[by_given] ** -0.5
-        free, own = along[:, rest], ~np.isin(wide.own[0], by_given)
+        free = along[:, rest]
+        used[by_given] = False
     held = np.vstack([held, np.zeros((len(g) - len(held), held.shape[1]))])
     moved = held - np.transpose([
-        H.step_by(H.times(column), free, own) for column in held.T]).reshape(held.shape)
+        H.step_by(H.times(column), free, used) for column in held.T]).reshape(held.shape)
     moved *= wide.units[:, None]
     if found.problem is problem:
         moved = np.pad(moved[:count], ((0, len(problem.units) - count), (0, 0)))
@@ -489,7 +489,7 @@ def covariance_of(
     counts, squares = zip(*pool.results(
         _influences, pool.each(list(map(H.block, range(len(pool))))),
         pool.each([np.vstack([directions, -carried @ directions]) for carried in H.carried]),
-        found.parts.held), strict=True)
+        found.parts), strict=True)
     scatter = np.maximum(1.0, _relative_variances(sum(counts), np.sum(squares, axis=0)))
     wide = directions / (1.0 - np.clip(shares, 0.0, MAX_NOISE_SHARE))
     covariance = (wide * scatter) @ wide.T
@@ -521,7 +521,7 @@ def _without_last_fifth(found: Solution) -> Array:
     Other quantities keep their estimates.
     """
     problem, step = found.problem, np.zeros(len(found.theta))
-    last = problem.held.pool.results(_last_fifth, problem.count, found.parts.held)
+    last = problem.held.pool.results(_last_fifth, problem.count, found.parts)
     information, slope = (sum(numbers) for numbers in zip(*last, strict=True))
     size = slice(problem.count)
     step[size] = np.linalg.solve(found.information.shared[size, size] - information, -slope)
@@ -583,7 +583,7 @@ def _fit(
         samples_used=used,
         samples_rejected=sum(outline.poses for outline in problem.outlines) - used,
         condition_number=float(np.sqrt(np.linalg.cond(information / np.outer(*[scale] * 2)))),
-        weight=np.diag(found.courses.std[0][0] ** -2),
+        weight=np.diag(found.pose_std[0][0] ** -2),
         residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
         misfit=NOTES['too_large_chi2'].format(chi2=found.robust_chi2) if (
@@ -673,9 +673,7 @@ def _damped_std(found: Solution, ordinary: Array, is_low: Mask) -> Array:
     if not is_low.any():
         return np.zeros(len(is_low))
     theta = np.where(is_low, ordinary, found.theta)
-    parts, information, _ = system_of(found.problem, found.iterate._replace(theta=theta))
-    damped = replace(found, theta=theta, parts=parts, information=information)
-    return np.sqrt(covariance_of(damped)[1])
+    return np.sqrt(covariance_of(evaluated(found.problem, theta, found.courses))[1])
 
 
 def noise_information(found: Solution) -> Arrow:
@@ -689,16 +687,16 @@ def noise_information(found: Solution) -> Arrow:
     pool = found.problem.held.pool
     while len(differences) < 2:
         segments, _ = pool.hold(
-            _noisier, size * (-1.0) ** len(differences), found.problem.held, found.courses.held)
-        courses = Courses(*pool.hold(_begun, segments, found.courses.held))
+            _noisier, size * (-1.0) ** len(differences), found.problem.held, found.courses)
+        courses, _ = pool.hold(_begun, segments, found.courses)
         noisy = found.problem.with_segments(segments, found.problem.outlines)
         for _ in range(2):  # about the measured path, then about the likeliest
-            parts, H, g = system_of(noisy, Iterate(found.theta, courses))
-            if not np.all(np.isfinite(g)):
+            at = evaluated(noisy, found.theta, courses)
+            if not at.is_finite:
                 break
-            courses = accepted(noisy, courses, parts)
-        if np.all(np.isfinite(g)):
-            differences.append(H)
+            courses = at.refined(False)[0].courses
+        if at.is_finite:
+            differences.append(at.information)
         elif size < MIN_NOISE_FACTOR:
             return known
         else:  # large noise may turn the package over
@@ -723,11 +721,10 @@ def _noisier(
     return segments_of(measured, segments), None
 
 
-def _begun(segments: Segments, courses: Sequence[Course]) -> tuple[tuple[Course, ...], Array]:
-    """Return the measured courses from first states and with the noise (K, 6) of others."""
-    return (tuple(segment.first._replace(start=course.start, std=course.std)
-                  for segment, course in zip(segments, courses, strict=True)),
-            np.array([course.std for course in courses]))
+def _begun(segments: Segments, courses: Sequence[Course]) -> tuple[tuple[Course, ...], None]:
+    """Return the measured courses from first states and with the noise of others."""
+    return tuple(segment.first._replace(start=course.start, std=course.std)
+                 for segment, course in zip(segments, courses, strict=True)), None
 
 
 def _with_noise(

@@ -222,17 +222,14 @@ class Arrow:
             return math.nan
 
     def step_by(self, g: Array, along: Array, used: Mask) -> Array:
-        """Return the step (m,) by a slope along directions (s, d) and used own unknowns (o,)."""
+        """Return the step (m,) by a slope along directions (s, d) and own unknowns in use (m,)."""
         size, count = along.shape
+        used = np.append(np.full(count, True), used[size:])
         part = replace(
-            self, shared=along.T @ self.shared @ along,
-            coupling=np.where(used[:, None], self.coupling @ along, 0.0),
-            own=np.where(np.outer(used, used), self.own, np.eye(len(used))),
-            places=self.places - size + count)
-        slope = np.concatenate([along.T @ g[:size], g[size:]])
-        slope[part.places] *= used
-        step = part.solve(slope)
-        return np.concatenate([along @ step[:count], step[count:]])
+            self, shared=along.T @ self.shared @ along, coupling=self.coupling @ along,
+            places=self.places - size + count).within(used)
+        step = part.solve(np.where(used, np.append(along.T @ g[:size], g[size:]), 0.0))
+        return np.append(along @ step[:count], step[count:])
 
 
 class WhitenedSegment(NamedTuple):
@@ -297,6 +294,8 @@ class Problem:
         Additional information about the start of the shared unknowns.
     common : tuple of str
         Names of quantities that all recordings share instead of having their own.
+    forgetting : float
+        Rate (1/s) at which an unknown acceleration of the package makes the model forget.
 
     """
 
@@ -308,6 +307,7 @@ class Problem:
     slip_ns: int = 0
     fixing: Array | float = 0.0
     common: tuple[str, ...] = ()
+    forgetting: float = 0.0
 
     @classmethod
     def of(
@@ -520,7 +520,7 @@ class Problem:
         inverse = symmetric_roots(self.ordinary_damping(K))[1]
         return float(np.linalg.eigvalsh(inverse @ P @ inverse)[-1])
 
-    def prior(self, theta: Array, forgetting: float) -> tuple[Arrow, Array]:
+    def prior(self, theta: Array) -> tuple[Arrow, Array]:
         """Return information (m, m) and slope (m,) of the prior."""
         weights, own = self.weights[:self.shared], self.weights[self.own]
         H, (recordings, count) = np.diag(weights) + self.fixing, self.own.shape
@@ -529,7 +529,7 @@ class Problem:
         size = self.count // 2
         K, P = self._matrices(theta)
         means = self._matrices(self.start)[0], self.ordinary_damping(K)
-        stds = PRIOR_LOG_STD[0], APPROACH_LOG_STD if forgetting else PRIOR_LOG_STD[1]
+        stds = PRIOR_LOG_STD[0], APPROACH_LOG_STD if self.forgetting else PRIOR_LOG_STD[1]
         for first, M, mean, std in zip((0, size), (K, P), means, stds, strict=True):
             index = slice(first, first + size)
             unit = np.array(self.structure.basis) * self.units[index, None, None]
@@ -548,9 +548,7 @@ class Problem:
         return Arrow(H, np.zeros((recordings, count, len(H))), own[:, :, None] * np.eye(count),
                      self.own), g
 
-    def whitened(
-        self, theta: Array, segment: Segment, course: Course, forgetting: float = 0.0
-    ) -> WhitenedSegment:
+    def whitened(self, theta: Array, segment: Segment, course: Course) -> WhitenedSegment:
         """Return a segment's whitened differences, linearised about a course; theta is local."""
         model, free = self.model(theta, segment)
         nodes = segment.nodes(*(
@@ -576,7 +574,7 @@ class Problem:
         result = whitening.whiten(
             whitening.relaxing(model), whitening.with_inner(start), mean, np.concatenate(std),
             path, tool_noise, poses, unknowns,
-            forgetting**4 * segment.period * course.std**2)
+            self.forgetting**4 * segment.period * course.std**2)
         innovations, slopes, _, _, gains, _ = result
         smoothed, slope = whitening.smooth(
             result, nodes.place, tool_noise.variances, len(mean) + 6)

@@ -113,20 +113,6 @@ Parts = tuple[WhitenedSegment, ...]
 """Those of the segments of one recording."""
 
 
-class Courses(NamedTuple):
-    """The courses of each recording where it is, and their noise of poses (K, 6), m and rad."""
-
-    held: Held
-    std: Sequence[Array]
-
-
-class Iterate(NamedTuple):
-    """Unknowns, and the course of each segment."""
-
-    theta: Array
-    courses: Courses
-
-
 class Sums(NamedTuple):
     """
     Sums over a recording.
@@ -151,42 +137,19 @@ class Sums(NamedTuple):
             sum(float(np.sum(e[1:] * e[:-1])) for e in r))
 
 
-class Differences(NamedTuple):
-    """The whitened segments of each recording where it is, and their sums."""
+def median(numbers_of: Callable[[Parts], Array], parts: Held) -> Array:
+    """
+    Return the medians (k,) of sizes of numbers (N, k) of all recordings.
 
-    held: Held
-    sums: Sequence[Sums]
-
-    @property
-    def number(self) -> int:
-        """How many differences."""
-        return int(sum(np.sum(one.counts) for one in self.sums))
-
-    @property
-    def squares(self) -> float:
-        """The sum of squares."""
-        return float(sum(np.sum(one.squares) for one in self.sums))
-
-    @property
-    def deviance(self) -> float:
-        """-2 log likelihood at the best common scale of all variances."""
-        return self.number * math.log(self.squares / self.number) + sum(
-            one.logs for one in self.sums)
-
-    def median(self, numbers_of: Callable[[Parts], Array]) -> Array:
-        """
-        Return the medians (k,) of sizes of numbers (N, k) of all recordings.
-
-        They lie between the smallest and the largest median of a recording.
-        """
-        pool = self.held.pool
-        middles = np.array(pool.results(_middle, numbers_of, self.held))
-        counts, columns = zip(*pool.results(
-            _between, numbers_of, middles[:, 0].min(axis=0), middles[:, 1].max(axis=0), self.held
-        ), strict=True)
-        ranks = np.array([(sum(counts) - 1) // 2, sum(counts) // 2])
-        return np.array([np.mean(np.sort(np.concatenate([inside for _, inside in column]))[
-            ranks - sum(below for below, _ in column)]) for column in zip(*columns, strict=True)])
+    They lie between the smallest and the largest median of a recording.
+    """
+    middles = np.array(parts.pool.results(_middle, numbers_of, parts))
+    counts, columns = zip(*parts.pool.results(
+        _between, numbers_of, middles[:, 0].min(axis=0), middles[:, 1].max(axis=0), parts
+    ), strict=True)
+    ranks = np.array([(sum(counts) - 1) // 2, sum(counts) // 2])
+    return np.array([np.mean(np.sort(np.concatenate([inside for _, inside in column]))[
+        ranks - sum(below for below, _ in column)]) for column in zip(*columns, strict=True)])
 
 
 def _middle(numbers_of: Callable[[Parts], Array], parts: Parts) -> Array:
@@ -220,30 +183,29 @@ def squared_residuals(parts: Parts) -> Array:
     return np.asarray(np.square(np.concatenate([part.residuals for part in parts])))
 
 
-System = tuple[Differences, Arrow, Array]
-"""The differences, and information (m, m) and slope (m,) of their sum."""
-
 Directions = tuple[Array, Mask]
-"""Directions (s, d) of shared unknowns, and the mask of used own unknowns (o,)."""
+"""Directions (s, d) of shared unknowns, and the mask (m,) of the own unknowns in use."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """
-    The end of a search.
+    Unknowns of a problem, with the differences of a simulation about courses.
 
     Parameters
     ----------
     problem : Problem
-        Solved problem.
+        Recordings and unknowns.
     theta : ndarray (m,)
         Unknowns.
-    courses : Courses
-        The likeliest motion in each segment, and the noise of its poses.
-    parts : Differences
-        Whitened differences.
-    information : Arrow
-        Information on the unknowns.
+    courses : Held
+        Motion of the tool in each segment, and the noise of the package's poses.
+    parts : Held
+        Whitened segments of each recording.
+    sums : sequence of Sums
+        Sums over each recording.
+    information, slope : Arrow, ndarray (m,)
+        Information on the unknowns, and slope.
     converged : bool
         Whether it is a minimum.
 
@@ -251,35 +213,48 @@ class Solution:
 
     problem: Problem
     theta: Array
-    courses: Courses
-    parts: Differences
+    courses: Held
+    parts: Held
+    sums: Sequence[Sums]
     information: Arrow
-    converged: bool
+    slope: Array
+    converged: bool = False
 
     @property
+    def is_finite(self) -> bool:
+        """Whether the simulation does not diverge."""
+        return bool(np.all(np.isfinite(self.slope)))
+
+    @cached_property
     def residual_count(self) -> int:
         """Number of differences."""
-        return self.parts.number
+        return int(sum(np.sum(one.counts) for one in self.sums))
+
+    @cached_property
+    def squares(self) -> float:
+        """Sum of squared differences."""
+        return float(sum(np.sum(one.squares) for one in self.sums))
 
     @property
-    def squares(self) -> float:
-
-        return self.parts.squares
+    def deviance(self) -> float:
+        """-2 log likelihood at the best common scale of all variances."""
+        return self.residual_count * math.log(self.squares / self.residual_count) + sum(
+            one.logs for one in self.sums)
 
     @cached_property
     def robust_chi2(self) -> float:
         """Chi^2 per difference from their median, insensitive to tails of the noise."""
-        return float(self.parts.median(_all_innovations)[0] * MAD_TO_STD) ** 2
+        return float(median(_all_innovations, self.parts)[0] * MAD_TO_STD) ** 2
 
     @cached_property
     def worst_chi2(self) -> float:
         """Robust chi^2 per difference of the axis with the largest."""
-        return float(np.max(self.parts.median(innovations_of)) * MAD_TO_STD) ** 2
+        return float(np.max(median(innovations_of, self.parts)) * MAD_TO_STD) ** 2
 
     @property
     def colour(self) -> float:
         """Factor of chi² by memory and tails of the noise, relative to white normal noise."""
-        kept = sum(one.neighbours for one in self.parts.sums) / max(self.squares, 1e-99)
+        kept = sum(one.neighbours for one in self.sums) / max(self.squares, 1e-99)
         kept = min(max(kept, 0.0), 0.95)
         return max(self.squares / self.residual_count, 1.0) * (1.0 + kept) / (1.0 - kept)
 
@@ -292,19 +267,29 @@ class Solution:
     def _of_each(self, function: Callable[[Segments, Any, Parts], Any]) -> list[Any]:
         """Return a function of the segments, courses and differences of each recording."""
         held = self.problem.held
-        return held.pool.results(function, held, self.courses.held, self.parts.held)
+        return held.pool.results(function, held, self.courses, self.parts)
 
     @property
     def cup(self) -> Cup:
         return self.problem.cup(self.theta)
 
-    @property
-    def iterate(self) -> Iterate:
-        return Iterate(self.theta, self.courses)
+    def near(self, problem: Problem) -> 'Solution':
+        """Return the start of another problem of these recordings with equal cup and courses."""
+        return evaluated(problem, problem.transferred(self.problem, self.theta), self.courses)
 
-    def near(self, problem: Problem) -> Iterate:
-        """Return the iterate of another problem of these recordings with equal cup and courses."""
-        return Iterate(problem.transferred(self.problem, self.theta), self.courses)
+    def refined(
+        self, with_noise: bool, with_paths: bool = True
+    ) -> tuple['Solution', float, bool]:
+        """
+        Return the solution with its likeliest paths, and the estimated noise of slow poses.
+
+        Further results are the sum of squares with this noise, and whether the noise has settled.
+        """
+        held = self.problem.held
+        courses, outcomes = held.pool.hold(
+            _refined, with_noise, with_paths, held, self.courses, self.parts)
+        squares, settled = zip(*outcomes, strict=True)
+        return replace(self, courses=courses), sum(squares), all(settled)
 
     def estimate(self, name: str) -> tuple[Array, Array]:
         """Return the estimate of a free quantity, SI units, with its standard errors."""
@@ -335,6 +320,11 @@ class Solution:
         return float(max(self._of_each(_learned)))
 
     @property
+    def pose_std(self) -> list[Array]:
+        """Noise (K, 6) of the poses in the K segments of each recording, m and rad."""
+        return self._of_each(_pose_std)
+
+    @property
     def noise_in_motion(self) -> dict[int, Array]:
         """
         Standard deviations (6,) of white noise in motion by recording, m and rad.
@@ -354,6 +344,11 @@ class Solution:
 def _residual_squares(segments: Segments, courses: Sequence[Course], parts: Parts) -> Array:
     """Return the sums (6,) of the squared differences of a recording."""
     return np.asarray(np.sum(squared_residuals(parts), axis=0))
+
+
+def _pose_std(segments: Segments, courses: Sequence[Course], parts: Parts) -> Array:
+    """Return `Solution.pose_std` of a recording."""
+    return np.array([course.std for course in courses])
 
 
 def _learned(segments: Segments, courses: Sequence[Course], parts: Parts) -> float:
@@ -402,8 +397,7 @@ def _clipped_rms(values: Array) -> Array:
 
 
 def minimise(
-    problem: Problem, start: Iterate | None = None, report: Report = no_report,
-    system: System | None = None,
+    problem: Problem, start: Solution | None = None, report: Report = no_report
 ) -> Solution:
     """
     Return the root of a problem, from the initial guess, or near a start.
@@ -412,24 +406,23 @@ def minimise(
     ----------
     problem : Problem
         Recordings and unknowns.
-    start : Iterate, optional
-        Iterate near the root; without it the search approaches from the initial guess.
+    start : Solution, optional
+        Start near the root; without it the search approaches from the initial guess.
     report : callable
         Callback after each step.
-    system : System, optional
-        System at the start, if known.
 
     """
-    if start is not None:
-        everything = np.eye(problem.shared), np.full(problem.own.shape[1], True)
-        return _descended(problem, start, 0.0, everything, report, system)
-    return root(approach(problem, report), report)
+    if start is None:
+        return root(approach(problem, report), report)
+    return _descended(
+        start, (np.eye(problem.shared), np.full(len(problem.start), True)), report)
 
 
 def root(near: Solution, report: Report = no_report) -> Solution:
     """Return the root, searched from the end of an approach."""
     with suppress(BellowsError):  # the approach may end at too fast a cup
-        return minimise(near.problem, near.iterate, report)
+        return minimise(
+            near.problem, evaluated(near.problem, near.theta, near.courses), report)
     return near
 
 
@@ -445,118 +438,90 @@ def approach(
     clocks or frames, a rigid cup would fit best. Held quantities keep their values, as differences
     with forgetting do not determine them.
     """
-    stays = np.isin(np.arange(len(problem.start)), [
+    forgetful = replace(problem, forgetting=FORGETTING_RATE)
+    used = ~np.isin(np.arange(len(problem.start)), [
         row for name in held for row in problem.places[name].ravel()])
-    own = ~stays[problem.own[0]]
     everything, diagonal = (
-        matrix[:, ~np.any(matrix[stays[:problem.shared]], axis=0)]
+        matrix[:, ~np.any(matrix[~used[:problem.shared]], axis=0)]
         for matrix in (np.eye(problem.shared), problem.uncoupled))
-    start = first = as_measured(problem)
-    if own.any():
-        start = _descended(
-            problem, start, FORGETTING_RATE, (everything[:, :0], own), report).iterate
-    near = _descended(problem, start, FORGETTING_RATE, (diagonal, own), report)
+    theta, measured = problem.start, measured_courses(problem)
+    courses = measured
+    if used[problem.own].any():
+        near = _descended(
+            evaluated(forgetful, theta, measured), (everything[:, :0], used), report)
+        theta, courses = near.theta, near.courses
+    near = _descended(evaluated(forgetful, theta, courses), (diagonal, used), report)
     if with_couplings and diagonal.shape != everything.shape and not (
             near.squares < MISFIT_CHI2 * near.residual_count):
-        near = _descended(problem, start._replace(courses=first.courses), FORGETTING_RATE,
-                          (everything, own), report)
-    return replace(near, converged=False)
+        near = _descended(evaluated(forgetful, theta, measured), (everything, used), report)
+    return replace(near, problem=problem, converged=False)
 
 
-def as_measured(problem: Problem) -> Iterate:
-    """Return the initial guess, with the motions as measured."""
-    return Iterate(problem.start, Courses(*problem.held.pool.hold(_first, problem.held)))
+def measured_courses(problem: Problem) -> Held:
+    """Return the motions as measured."""
+    return problem.held.pool.hold(_first, problem.held)[0]
 
 
-def _first(segments: Segments) -> tuple[tuple[Course, ...], Array]:
-    """Return the courses as they were measured, and the noise (K, 6) of their poses."""
-    return _with_std(tuple(segment.first for segment in segments))
+def _first(segments: Segments) -> tuple[tuple[Course, ...], None]:
+    """Return the courses as measured, to be kept."""
+    return tuple(segment.first for segment in segments), None
 
 
-def _with_std(courses: tuple[Course, ...]) -> tuple[tuple[Course, ...], Array]:
-    """Return courses, and the noise (K, 6) of their poses."""
-    return courses, np.array([course.std for course in courses])
-
-
-def _descended(
-    problem: Problem, start: Iterate, forgetting: float, directions: Directions, report: Report,
-    system: System | None = None,
-) -> Solution:
-    """
-    Return the root along some directions, or the likeliest iterate.
-
-    The latter is returned if the search does not converge, and with an unknown acceleration of the
-    package that forgets at a rate (1/s).
-    """
-    theta, courses = start
-    parts, H, g = system or system_of(problem, start, forgetting)
-    if not np.all(np.isfinite(g)):
-        return _diverged(problem, start, parts, H)
+def _descended(at: Solution, directions: Directions, report: Report) -> Solution:
+    """Return the root along some directions; without convergence the likeliest solution."""
+    if not at.is_finite:
+        return _diverged(at)
+    problem, expected = at.problem, at.residual_count  # squares, with noise as it was assumed
+    is_approach = problem.forgetting > 0.0
     min_damping, tolerance, max_steps = (
-        (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
+        (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if is_approach else
         (0.0, TOLERANCE, MAX_STEPS))
-    damping, settled, is_fresh = min_damping, True, True
-    objective = attrgetter('squares' if forgetting else 'deviance')
+    objective = attrgetter('squares' if is_approach else 'deviance')
     history: list[tuple[Array, Array]] = []  # steps, and resulting changes
-    expected = parts.number  # squares, with noise as it was assumed
-    largest = MAX_RISE * max(parts.squares, expected)
-    best, lowest = Solution(problem, theta, courses, parts, H, False), (True, math.inf)
-    best_number = 0
+    damping, settled, is_fresh, squares = min_damping, True, True, at.squares
+    best, lowest, best_number = at, (True, math.inf), 0
     for number in range(max_steps):
-        is_misfit = number >= MAX_MISFIT_STEPS and parts.squares > MISFIT_CHI2 * expected
+        is_misfit = number >= MAX_MISFIT_STEPS and at.squares > MISFIT_CHI2 * expected
         if is_misfit or best.converged and number > best_number + MAX_WANDERING_STEPS:
             break
-        step = _damped_step(problem, theta, H, g, damping, directions)
-        length = _squared_length(problem, step, H)
-        is_near = not forgetting and settled and (
+        step = _damped_step(at, damping, directions)
+        length = _squared_length(at, step)
+        is_near = not is_approach and settled and (
             length < LOOSE_TOLERANCE and damping <= MAX_FINAL_DAMPING)
-        cost = not is_near, length if is_near else objective(parts)
+        cost = not is_near, length if is_near else objective(at)
         if cost < lowest:
-            best, lowest, best_number = (
-                Solution(problem, theta, courses, parts, H, is_near), cost, number)
-        steps = _anderson_step(step, H, history), SHORTER * step
-        moved, new = _moved_below(problem, Iterate(theta, courses), steps, forgetting, largest)
-        if new is None:
-            history = []
-            if is_fresh:
-                damping = max(10.0 * damping, 1e-2)
-            else:  # compare chi² along one path and with one noise
-                again = system_of(problem, Iterate(theta, courses), forgetting)
-                if not np.all(np.isfinite(again[2])):
-                    break
-                (parts, H, g), is_fresh = again, True
-                largest = MAX_RISE * max(parts.squares, expected)
-            continue
-        history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
-        rises = new[0].squares > MAX_SMALL_RISE * max(parts.squares, expected)
-        theta, (parts, H, g), is_fresh, before = moved, new, False, courses
-        courses, settled = _refined(problem, courses, parts, not forgetting)
-        largest = MAX_RISE * max(expected, _squares_with(parts, before, courses))
-        settled &= damping <= MAX_FINAL_DAMPING
-        damping = max(10.0 * damping, 1e-3) if rises else (
-            max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0)
-        report(problem.cup(theta), parts.squares / expected)
-        if length < tolerance and settled:
-            break
-    is_near = not forgetting and settled and length < LOOSE_TOLERANCE
-    if not is_near and lowest < (True, objective(parts)):
-        return replace(best, courses=accepted(problem, best.courses, best.parts))
-    courses, _ = _refined(problem, courses, parts, True, False)
-    return Solution(problem, theta, courses, parts, H, is_near)
+            best, lowest, best_number = replace(at, converged=is_near), cost, number
+        new = _moved_below(at, (_anderson_step(step, at.information, history), SHORTER * step),
+                           MAX_RISE * max(squares, expected))
+        if new is not None:
+            history = [*history, (step, new.theta - at.theta)][-ANDERSON_DEPTH:]
+            before = max(at.squares, expected)
+            at, squares, settled = new.refined(not is_approach)
+            is_fresh, settled = False, settled and damping <= MAX_FINAL_DAMPING
+            damping = max(10.0 * damping, 1e-3) if (
+                at.squares > MAX_SMALL_RISE * before) else (
+                max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0)
+            report(at.cup, at.squares / expected)
+            if length < tolerance and settled:
+                break
+        elif is_fresh:
+            history, damping = [], max(10.0 * damping, 1e-2)
+        else:  # compare chi² along one path and with one noise
+            again = evaluated(problem, at.theta, at.courses)
+            if not again.is_finite:
+                break
+            history, at, is_fresh, squares = [], again, True, again.squares
+    is_near = not is_approach and settled and length < LOOSE_TOLERANCE
+    if not is_near and lowest < (True, objective(at)):
+        return best.refined(False)[0]
+    return replace(at.refined(True, False)[0], converged=is_near)
 
 
-def _diverged(problem: Problem, at: Iterate, parts: Differences, H: Arrow) -> Solution:
+def _diverged(at: Solution) -> Solution:
     """Return a diverging simulation as the end of a search, without information."""
-    return Solution(
-        problem, at.theta, accepted(problem, at.courses, parts),
-        Differences(*parts.held.pool.hold(_finite, parts.held)),
-        H.within(np.full(len(at.theta), False)), False)
-
-
-def _squares_with(parts: Differences, before: Courses, after: Courses) -> float:
-    """Return the sum of squared differences with the noise of other courses."""
-    return sum(float(np.sum(one.squares * (old / new) ** 2)) for one, old, new in zip(
-        parts.sums, before.std, after.std, strict=True))
+    parts, sums = at.parts.pool.hold(_finite, at.parts)
+    return replace(at.refined(False)[0], parts=parts, sums=sums,
+                   information=at.information.within(np.full(len(at.theta), False)))
 
 
 def _finite(parts: Parts) -> tuple[Parts, Sums]:
@@ -568,32 +533,18 @@ def _finite(parts: Parts) -> tuple[Parts, Sums]:
     return finite, Sums.of(finite)
 
 
-def accepted(problem: Problem, courses: Courses, parts: Differences) -> Courses:
-    """Return the likeliest courses, unchanged for a diverging simulation."""
-    return _refined(problem, courses, parts, False)[0]
-
-
 def _refined(
-    problem: Problem, courses: Courses, parts: Differences, with_noise: bool,
-    with_paths: bool = True,
-) -> tuple[Courses, bool]:
-    """Return courses with paths and noise of slow poses, and whether the noise converged."""
-    held, outcomes = problem.held.pool.hold(
-        _of_recording, with_noise, with_paths, problem.held, courses.held, parts.held)
-    return Courses(held, [std for std, _ in outcomes]), all(settled for _, settled in outcomes)
-
-
-def _of_recording(
     with_noise: bool, with_paths: bool, segments: Segments, courses: tuple[Course, ...],
     parts: Parts,
-) -> tuple[tuple[Course, ...], tuple[Array, bool]]:
-    """Return the courses of a recording, the noise (K, 6) of its poses, and its convergence."""
-    settled = True
+) -> tuple[tuple[Course, ...], tuple[float, bool]]:
+    """Return `Solution.refined` of a recording: courses, squares, and convergence of the noise."""
+    settled, before = True, _pose_std(segments, courses, parts)
     if with_paths:
         courses = likeliest(segments, courses, parts)
     if with_noise:
         courses, settled = _with_noise(segments, courses, parts)
-    return courses, (_with_std(courses)[1], settled)
+    ratio = before / _pose_std(segments, courses, parts)
+    return courses, (float(np.sum(Sums.of(parts).squares * ratio**2)), settled)
 
 
 def likeliest(
@@ -631,70 +582,65 @@ def _with_noise(
     return tuple(new), settled
 
 
-def _moved_below(
-    problem: Problem, start: Iterate, steps: Iterable[Array], forgetting: float, largest: float
-) -> tuple[Array, System | None]:
-    """Return the first iterate with chi² below the largest, and its system, if any."""
+def _moved_below(at: Solution, steps: Iterable[Array], largest: float) -> Solution | None:
+    """Return the first solution after a step with chi² below the largest, if any."""
     for step in steps:
-        moved = start._replace(theta=problem.moved(start.theta, step))
         with suppress(BellowsError):  # too short or fast a cup, or too large a clock offset
-            system = system_of(problem, moved, forgetting)
-            if system[0].squares < largest:  # also false for nan
-                return moved.theta, system
-    return start.theta, None
+            new = evaluated(at.problem, at.problem.moved(at.theta, step), at.courses)
+            if new.squares < largest:  # also false for nan
+                return new
+    return None
 
 
-def _damped_step(
-    problem: Problem, theta: Array, H: Arrow, g: Array, damping: float, directions: Directions
-) -> Array:
+def _damped_step(at: Solution, damping: float, directions: Directions) -> Array:
     """Return the step along some directions, with nonnegative strengths of relaxation."""
-    step, (shared, own) = g, directions
+    problem, step, (shared, own) = at.problem, at.slope, directions
     for _ in range(3):  # each strength may be stopped by the step as well
         along = shared
         for place in problem.places.get('relaxation', ()):
-            stopped = place[(problem.strengths(theta) <= MIN_STRENGTH) & ~(step[place] > 0.0)]
+            stopped = place[
+                (problem.strengths(at.theta) <= MIN_STRENGTH) & ~(step[place] > 0.0)]
             along = shared[:, ~np.any(shared[stopped], axis=0)]
-        step = H.damped(damping).step_by(g, along, own)
+        step = at.information.damped(damping).step_by(at.slope, along, own)
         if 'relaxation' not in problem.places:
             break
     return step
 
 
-def _squared_length(problem: Problem, step: Array, H: Arrow) -> float:
+def _squared_length(at: Solution, step: Array) -> float:
     """
-    Return the squared length of a step in standard errors, by an information.
+    Return the squared length of a step in standard errors.
 
     Unidentifiable unknowns may drift, and do not affect convergence.
     """
-    identifiable = np.sqrt(H.variances) < problem.max_std
+    H = at.information
+    identifiable = np.sqrt(H.variances) < at.problem.max_std
     part = np.where(identifiable | ~identifiable.any(), step, 0.0)
     slope = H.times(part)
     return float(part @ slope) - H.fall(slope, ~identifiable & identifiable.any())
 
 
-def system_of(problem: Problem, at: Iterate, forgetting: float = 0.0) -> System:
-    """Return the whitened segments, and information and slope of their sum."""
-    (H, g), pool = problem.prior(at.theta, forgetting), problem.held.pool
+def evaluated(problem: Problem, theta: Array, courses: Held) -> Solution:
+    """Return unknowns with the whitened segments about courses, and information and slope."""
+    (H, g), pool, s = problem.prior(theta), problem.held.pool, problem.shared
     indices = list(map(problem.index, range(len(pool))))
-    held, found = pool.hold(
-        _whitened, problem.local, pool.each([at.theta[index] for index in indices]), forgetting,
-        problem.held, at.courses.held)
-    s = problem.shared
+    parts, found = pool.hold(
+        _whitened, problem.local, pool.each([theta[index] for index in indices]), problem.held,
+        courses)
     for number, (index, (_, information, slope)) in enumerate(zip(indices, found, strict=True)):
         H.shared[:] += information[:s, :s]
         H.coupling[number] += information[s:, :s]
         H.own[number] += information[s:, s:]
         g[index] += slope
-    return Differences(held, [sums for sums, *_ in found]), H, g
+    return Solution(problem, theta, courses, parts, [sums for sums, *_ in found], H, g)
 
 
 def _whitened(
-    problem: Problem, theta: Array, forgetting: float, segments: Segments,
-    courses: Sequence[Course],
+    problem: Problem, theta: Array, segments: Segments, courses: Sequence[Course]
 ) -> tuple[Parts, tuple[Sums, Array, Array]]:
     """Return whitened segments without Jacobians, their sums, information (q, q) and slope."""
     def whitened(segment: Segment, course: Course) -> WhitenedSegment:
-        part = problem.whitened(theta, segment, course, forgetting)
+        part = problem.whitened(theta, segment, course)
         return part._replace(jacobian=part.jacobian[:0].copy())  # a view would keep all columns
 
     parts = tuple(in_threads(whitened, segments, courses))

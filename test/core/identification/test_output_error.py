@@ -18,10 +18,10 @@ from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.search import (
     approach,
-    as_measured,
+    evaluated,
     likeliest,
+    measured_courses,
     minimise,
-    system_of,
 )
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
@@ -123,12 +123,11 @@ def test_a_cup_with_which_a_package_would_need_endless_steps_is_no_cup(damping):
 def test_a_search_turns_back_from_a_cup_far_quicker_than_that_of_its_start():
     """As a misfit leads to, with ten times as many integration steps."""
     problem = posed(measured(3, duration=2.0))
-    ten, hundred = (as_measured(problem)._replace(
-        theta=problem.unknowns(replace(TRUTH, damping=factor * TRUTH.damping)))
-        for factor in (10.0, 100.0))
-    assert np.isfinite(system_of(problem, ten)[2]).all()
+    ten, hundred = (problem.unknowns(replace(TRUTH, damping=factor * TRUTH.damping))
+                    for factor in (10.0, 100.0))
+    assert evaluated(problem, ten, measured_courses(problem)).is_finite
     with pytest.raises(BellowsError, match='integration steps'):
-        system_of(problem, hundred)
+        evaluated(problem, hundred, measured_courses(problem))
 
 
 def test_the_steps_of_a_fit_shift_its_poses_by_less_than_a_hundredth_of_their_noise(monkeypatch):
@@ -149,8 +148,7 @@ def test_no_stiffness_is_identified_beside_a_damping_that_is_none():
     found = minimise(posed(measured(3, duration=4.0)))
     theta = found.theta.copy()
     theta[5] = 20.0 * _ordinary_damping(found)[5]
-    parts, information, _ = system_of(found.problem, found.iterate._replace(theta=theta))
-    damped = replace(found, theta=theta, parts=parts, information=information)
+    damped = replace(evaluated(found.problem, theta, found.courses), converged=True)
     _, std, identifiable, notes = _identifiable(
         damped, unmoved(damped), np.zeros((found.problem.shared,) * 2), ())
     assert std[1] < 0.1 * found.problem.units[1] * theta[1]
@@ -183,7 +181,7 @@ def test_known_errors_of_a_tag_keep_their_ratios():
     found = minimise(posed(replace(own, sensor=PoseErrors(
         own.package.stamps_ns, np.tile(np.eye(3), (len(std), 1, 1)), std, np.zeros(3), 0.0 * std,
         are_known=True))))
-    ratio = found.courses.std[0][0] / std[0]
+    ratio = found.pose_std[0][0] / std[0]
     assert found.converged and 0.5 < ratio[0] < 1.0
     assert_allclose(ratio, ratio[0])
 
@@ -362,10 +360,8 @@ def test_noise_of_the_first_state_does_not_ring_in_the_derivatives(stiffness, da
         problem = posed(measured(0, package_noise=noise, silent=silent, cup=cup), cup,
                         {'package_world': np.full(6, 0.2)})
         _, course = settled(problem, 1)
-        at = as_measured(problem)
-        H = system_of(problem, at._replace(
-            courses=at.courses._replace(held=problem.held.pool.put([(course,)]))))[1]
-        return np.sqrt(H.variances[:8])
+        at = evaluated(problem, problem.start, problem.held.pool.put([(course,)]))
+        return np.sqrt(at.information.variances[:8])
 
     assert_allclose(spread(False), spread(True), rtol=0.1)
 
@@ -391,9 +387,9 @@ def test_poses_at_the_stamps_of_the_tool_stay_there_as_the_clock_moves():
 def test_a_cup_far_too_stiff_for_the_rate_is_followed():
     """Take modes of ten radians a sample as they are: they made the covariance infinite."""
     problem = posed(measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 3.0), scaled(300.0))
-    parts, H, g = system_of(problem, as_measured(problem))
-    assert np.isfinite(H.shared).all() and np.isfinite(g).all()
-    assert 1.0 < parts.squares / parts.number < 1e4
+    at = evaluated(problem, problem.start, measured_courses(problem))
+    assert np.isfinite(at.information.shared).all() and at.is_finite
+    assert 1.0 < at.squares / at.residual_count < 1e4
 
 
 @pytest.mark.parametrize(['factor', 'is_known'], [(15.0, True), (30.0, False)])
@@ -455,7 +451,7 @@ def test_noise_of_slow_poses_with_a_memory_is_learned(has_tails):
         replace(own, package=seen, package_noise=BodyNoise(stated, kept)), scaled(2.0)))
     assert found.converged
     if not has_tails:  # else its median is that of a smaller one
-        assert_allclose(found.courses.std[0][0], np.std(noise, axis=0), rtol=0.2)
+        assert_allclose(found.pose_std[0][0], np.std(noise, axis=0), rtol=0.2)
 
 
 def test_rubber_that_relaxes_is_found_with_its_static_stiffness():

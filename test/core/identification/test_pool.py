@@ -2,7 +2,7 @@
 
 from bellows_ros.core.identification import pool as module
 from bellows_ros.core.identification.pool import carried_out, forget, here, Pool
-from bellows_ros.core.identification.search import Differences
+from bellows_ros.core.identification.search import median
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -69,7 +69,7 @@ def test_the_first_error_of_recordings_is_raised():
 def test_medians_of_recordings_are_those_of_all_numbers(sizes):
     rng = np.random.default_rng(sum(sizes))
     parts = [rng.standard_normal((size, 3)) * (1.0 + size) for size in sizes]
-    found = Differences(here(parts), ()).median(np.asarray)
+    found = median(np.asarray, here(parts))
     assert_allclose(found, np.median(np.abs(np.concatenate(parts)), axis=0), rtol=1e-15)
 
 

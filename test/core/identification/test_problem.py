@@ -7,7 +7,7 @@ from bellows_ros.core.identification.diagnosis import candidates
 from bellows_ros.core.identification.diagnosis.candidates import scores, SIGNIFICANT
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import weak_prior
-from bellows_ros.core.identification.search import as_measured, Iterate, minimise, system_of
+from bellows_ros.core.identification.search import evaluated, measured_courses, minimise
 from bellows_ros.core.identification.segments import Segment
 import numpy as np
 from numpy.testing import assert_allclose
@@ -31,7 +31,7 @@ def whitened(problem, at):
     return pool.results(
         whitened_there, problem.local, pool.each([
             at.theta[problem.index(number)] for number in range(len(pool))]),
-        problem.held, at.courses.held)
+        problem.held, at.courses)
 
 
 def whitened_there(problem, theta, segments, courses):
@@ -48,7 +48,7 @@ def dense(problem, at):
         rows.append(J)
         residuals.append(part.innovations)
     J, r = np.vstack(rows), np.concatenate(residuals)
-    prior, slope = problem.prior(at.theta, 0.0)
+    prior, slope = problem.prior(at.theta)
     H = np.diag(problem.weights)
     H[:problem.shared, :problem.shared] = prior.shared
     return J.T @ J + H, J.T @ r + slope
@@ -56,19 +56,17 @@ def dense(problem, at):
 
 @pytest.fixture(scope='module')
 def three():
-    """Return a problem of three recordings, and an iterate."""
+    """Return a problem of three recordings, and unknowns near its start."""
     problem = problem_of([1, 2, 3])
-    rng = np.random.default_rng(5)
-    start = as_measured(problem)
-    return problem, start._replace(theta=start.theta + 0.02 * rng.standard_normal(
-        len(start.theta)))
+    shift = 0.02 * np.random.default_rng(5).standard_normal(len(problem.start))
+    return problem, evaluated(problem, problem.start + shift, measured_courses(problem))
 
 
 def test_steps_and_variances_are_those_of_the_whole(three):
     problem, at = three
     H, g = dense(problem, at)
-    _, information, slope = system_of(problem, at)
-    assert_allclose(slope, g, rtol=1e-9, atol=1e-9 * np.abs(g).max())
+    information = at.information
+    assert_allclose(at.slope, g, rtol=1e-9, atol=1e-9 * np.abs(g).max())
     assert_allclose(information.solve(g), np.linalg.solve(H, g), rtol=1e-7, atol=1e-9)
     C = np.linalg.inv(H)
     assert_allclose(information.variances, np.diag(C), rtol=1e-7)
@@ -82,12 +80,14 @@ def test_steps_and_variances_are_those_of_the_whole(three):
 def test_steps_along_some_directions_are_those_of_the_whole(three):
     problem, at = three
     H, g = dense(problem, at)
-    _, information, _ = system_of(problem, at)
+    information = at.information
     along = np.random.default_rng(1).standard_normal((problem.shared, 3))
-    used = np.arange(problem.own.shape[1]) != 2
-    D = np.zeros((len(g), 3 + problem.own[:, used].size))
+    used = np.ones(len(g), dtype=bool)
+    used[problem.own[:, 2]] = False
+    own = np.flatnonzero(used[problem.shared:]) + problem.shared
+    D = np.zeros((len(g), 3 + len(own)))
     D[:problem.shared, :3] = along
-    D[problem.own[:, used].ravel(), np.arange(3, D.shape[1])] = 1.0
+    D[own, np.arange(3, D.shape[1])] = 1.0
     expected = D @ np.linalg.solve(D.T @ H @ D, D.T @ g)
     assert_allclose(information.step_by(g, along, used), expected, rtol=1e-6, atol=1e-9)
     without = np.ones(len(g), dtype=bool)
@@ -101,7 +101,7 @@ def test_the_minimum_is_that_of_the_whole():
     problem = problem_of([1, 2, 3], scaled(1.3))
     found = minimise(problem)
     assert found.converged
-    H, g = dense(problem, Iterate(found.theta, found.courses))
+    H, g = dense(problem, found)
     rest = np.linalg.solve(H, g) / np.sqrt(np.diag(np.linalg.inv(H)))
     assert np.abs(rest).max() < 0.1
 
@@ -110,11 +110,10 @@ def test_no_recording_has_columns_of_another_and_none_is_kept():
     one, many = problem_of([1]), problem_of([1, *range(2, 8)])
     sizes = []
     for problem in (one, many):
-        start = as_measured(problem)
+        start = evaluated(problem, problem.start, measured_courses(problem))
         sizes.append(whitened(problem, start)[0].jacobian.shape)
-        parts, information, _ = system_of(problem, start)
-        assert not any(parts.held.pool.results(jacobian_size, parts.held))
-        assert information.own.shape == (len(problem.outlines), 7, 7)
+        assert not any(start.parts.pool.results(jacobian_size, start.parts))
+        assert start.information.own.shape == (len(problem.outlines), 7, 7)
     assert sizes[0] == sizes[1]
 
 

@@ -25,12 +25,13 @@ from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import Free, of_fixed_frame
 from bellows_ros.core.identification.search import (
     approach,
+    evaluated,
+    median,
     minimise,
     no_report,
     Report,
     Solution,
     squared_residuals,
-    system_of,
 )
 from bellows_ros.core.identification.segments import (
     MeasuredSegment,
@@ -165,7 +166,7 @@ class Alternative(NamedTuple):
 
     def left(self, before: Solution) -> float:
         """Return the ratio of the RMS residuals of two solutions; 1 mm counts as 10 mrad."""
-        now, then = (np.sum(found.parts.median(squared_residuals) / SQUARED_UNITS)
+        now, then = (np.sum(median(squared_residuals, found.parts) / SQUARED_UNITS)
                      for found in (self.found, before))
         return float(np.sqrt(now / then))
 
@@ -208,7 +209,7 @@ def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
         given = 0.0 if of_poses else float(found.problem.weights @ found.theta**2)
         if not before.problem.is_slow:
             return found.squares + given
-        return found.parts.deviance * after.residual_count / found.residual_count + given
+        return found.deviance * after.residual_count / found.residual_count + given
 
     return left(before) - left(after)
 
@@ -216,7 +217,8 @@ def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
 def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
     """Return the fall of chi² with each quantity free, to first order."""
     wide = found.problem.freed(found.theta, quantities.weak_prior(names))
-    _, H, g = system_of(wide, found.near(wide))
+    near = found.near(wide)
+    H, g = near.information, near.slope
     tested = {name: np.isin(np.arange(len(g)), wide.places[name]) for name in names}
     base = ~np.any(list(tested.values()), axis=0)
     return {name: beyond_chance(wide, name, H.fall(g, base | own) - H.fall(g, base))
@@ -255,7 +257,8 @@ def deviance_of_unknown_force(found: Solution) -> float:
     deviances = [np.inf]
     for rate in UNKNOWN_FORCES:
         with suppress(BellowsError):
-            deviances.append(system_of(found.problem, found.iterate, rate)[0].deviance)
+            deviances.append(evaluated(
+                replace(found.problem, forgetting=rate), found.theta, found.courses).deviance)
     return float(np.nanmin(deviances))
 
 
@@ -335,7 +338,7 @@ def likeliest_setting(near: Solution, cup: Cup, report: Report = no_report) -> F
     """
     problem = near.problem
     problem = problem.freed(problem.unknowns(cup), {})
-    squares = [np.sum(sums.squares, axis=1) for sums in near.parts.sums]
+    squares = [np.sum(sums.squares, axis=1) for sums in near.sums]
     order = sorted(range(len(squares)), key=lambda number: float(np.max(squares[number])))
     numbers = list({problem.outlines[number].payload.mass: number for number in order}.values())
     pool = problem.held.pool.only(numbers)

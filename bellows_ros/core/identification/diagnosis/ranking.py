@@ -183,7 +183,7 @@ def _decided(
     certain = bool(
         after.fits and after.robust_chi2 < MAX_NOISE_CHI2
         and after.squares < MISFIT_CHI2 * after.residual_count
-        and after.parts.deviance < candidates.deviance_of_unknown_force(end)
+        and after.deviance < candidates.deviance_of_unknown_force(end)
         and is_material and not is_expected
         and rivals.get(rival, 0.0) < max(
             DISTINCT * best.gain, best.gain - SIGNIFICANT**2 * after.colour))
@@ -199,13 +199,13 @@ def _decided(
 
 def unknown(end: Solution) -> Finding:
     """Return axis, time span (s) and frequency band (Hz) of the largest residual."""
-    sums, pool = end.parts.sums, end.problem.held.pool
+    sums, pool = end.sums, end.problem.held.pool
     axis = int(np.argmax(sum(np.sum(one.squares, axis=0) for one in sums)))
     means = [one.squares[:, axis] / one.counts for one in sums]
     number = int(np.argmax([np.max(each) for each in means]))
     begin_ns = end.problem.outlines[number].begin_ns
     (span,) = pool.only([number]).results(
-        _span, axis, int(np.argmax(means[number])), begin_ns, end.problem.held, end.parts.held)
+        _span, axis, int(np.argmax(means[number])), begin_ns, end.problem.held, end.parts)
     return Finding('unknown', AXES[axis], span, np.zeros(4), certain=False, datum=False)
 
 
