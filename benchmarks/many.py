@@ -16,7 +16,7 @@ import tempfile
 import time
 from typing import Any
 
-from bellows_ros.core.identification.pool import Batch, Held, Reply
+from bellows_ros.core.identification.pool import Held, Reply, Task
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.search import evaluated, measured_courses
@@ -122,17 +122,17 @@ def _processor(problem: Problem, courses: Held) -> float:
 
 def _traffic(problem: Problem, courses: Held) -> int:
     """Return the size of the messages of a step, bytes."""
-    session, sizes = problem.held.pool.session, list[int]()
-    run = session.run
+    pool, sizes = problem.held.pool, list[int]()
+    run = pool.run
 
-    def counted(batch: Batch) -> list[tuple[int, Reply]]:
-        replies = list(run(batch))
-        sizes.append(len(pickle.dumps(batch)) + len(pickle.dumps(replies)))
+    def counted(tasks: Sequence[Task]) -> list[tuple[int, Reply]]:
+        replies = list(run(tasks))
+        sizes.append(len(pickle.dumps(tasks)) + len(pickle.dumps(replies)))
         return replies
 
-    session.run = counted
+    pool.run = counted
     evaluated(problem, problem.start, courses)
-    session.run = run
+    pool.run = run
     return sum(sizes)
 
 

@@ -102,11 +102,11 @@ def identify(
         static = read_standstills(values.replaced({**FULL_RANGE}), progress)
     effective = values.replaced({'cup.length': static.cup_length}) if static else values
     with _runner(jobs, dask, len(values.bags)) as run:
-        parts, placed, failed = read_all(effective, progress, run, poses)
+        parts, pairs, failed = read_all(effective, progress, run, poses)
         if values.fit.method == 'output_error' and not force:
             _require_no_facts(parts, effective, progress)
         return _identify(
-            values, effective, parts, static, progress, placed,
+            values, effective, parts, static, progress, pairs,
             failed=tuple(failed), assumed=_assumed(settings),
             parameter_files=tuple(
                 {'path': os.fspath(file), 'files': bag_folder.digests(file)}
@@ -259,9 +259,9 @@ def _attempted(*arguments: Any) -> tuple[methods.Pair | None, AnyRecording]:
 def read_all(
     values: Values, progress: Progress, run: Runner | None = None,
     poses: Mapping[str, Poses] | None = None,
-) -> tuple[list[AnyRecording], methods.Placed | None, list[Failed]]:
+) -> tuple[list[AnyRecording], Held | None, list[Failed]]:
     """
-    Return usable recordings, their places for a fit by simulation, and unusable recordings.
+    Return usable recordings, their pairs for a fit by simulation, and unusable recordings.
 
     They are read by processes or a cluster, or sequentially, in which case all must be usable.
     """
@@ -271,7 +271,7 @@ def read_all(
     pairs, parts, failed = _read_elsewhere(bags, each, keep, progress, run) if run else (
         *_read_here(bags, each, keep, progress, poses or {}), [])
     is_simulated = values.fit.method == 'output_error'
-    return parts, methods.Placed.of(pairs) if is_simulated else None, failed
+    return parts, pairs if is_simulated else None, failed
 
 
 def _read_here(
@@ -300,7 +300,7 @@ def _read_elsewhere(
         range(len(bags)), bags, list(map(os.path.abspath, bags)), values)))
     progress(words, 0.0)
     outcomes = dict[int, Any]()
-    for number, reply in pool.replies(pairs.recipe):
+    for number, reply in pool.replies(pairs.calls):
         outcomes[number] = Failed(bags[number], str(reply.error)) if reply.error else reply.result
         progress(words, FIT_BEGINS * len(outcomes) / len(bags))
     done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
@@ -313,12 +313,12 @@ def _read_elsewhere(
         raise BellowsError(
             f'None of {len(failed)} recordings can be used. The first, '
             f"'{failed[0].bag}': {failed[0].reason}")
-    return Held(pool.only(usable), pairs.recipe), [outcomes[n] for n in usable], failed
+    return pairs.only(usable), [outcomes[n] for n in usable], failed
 
 
 def _identify(
     values: Values, effective: Values, parts: Sequence[AnyRecording],
-    static: StaticResult | None, progress: Progress, placed: methods.Placed | None,
+    static: StaticResult | None, progress: Progress, pairs: Held | None,
     assumed: tuple[str, ...], **more: Any,
 ) -> identification.Identification:
     """
@@ -333,7 +333,7 @@ def _identify(
         result = methods.fit(
             parts, effective,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-            static.standstills if static else (), length.length_std if length else 0.0, placed)
+            static.standstills if static else (), length.length_std if length else 0.0, pairs)
     except BellowsError:
         _require_no_facts(parts, effective, progress)
         raise
@@ -365,7 +365,7 @@ def _identify(
             if is_gripper(effective) else None)
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
-        tuple(recordings), _consistency(parts, effective, progress, placed), verdict=verdict,
+        tuple(recordings), _consistency(parts, effective, progress, pairs), verdict=verdict,
         selection=selected, assumed=assumed, **more)
     if static:
         identified = replace(identified, static=with_spring(
@@ -378,7 +378,7 @@ def _identify(
 
 def _consistency(
     parts: Sequence[AnyRecording], values: Values, progress: Progress,
-    placed: methods.Placed | None,
+    pairs: Held | None,
 ) -> 'ComparedFits | None':
     """Return the test for one cup by each recording alone, with fit.compare_recordings."""
     if not values.fit.compare_recordings or len(parts) < 2:
@@ -388,7 +388,7 @@ def _consistency(
         return methods.fitted(
             [parts[number]], values,
             lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS),
-            placed and placed.only([number]))
+            pairs and pairs.only([number]))
 
     from bellows_ros.workflows.compare import consistency
 

@@ -14,7 +14,7 @@ import subprocess
 import sys
 from typing import Any
 
-from bellows_ros.core.identification.pool import Batch, carried_out, forget, Reply, Runner
+from bellows_ros.core.identification.pool import carried_out, forget, Reply, Runner, Task
 from bellows_ros.errors import BellowsError, install
 
 ANSWER_TIMEOUT = 10.0
@@ -24,7 +24,7 @@ LOOKS = 2.0
 """Time between two looks at the workers of a Dask cluster, s."""
 
 MAX_TRIES = 2
-"""Number of workers that a batch may end."""
+"""Number of workers that a task may end."""
 
 ENDED = ('the process that has it was ended from outside, twice. If memory was short, take fewer '
          'jobs, or a shorter recording.')
@@ -46,17 +46,24 @@ while sys.stdin.buffer.peek(1):
     pickle.dump(replies, answers)
     answers.flush()
 """
-"""Program of a process that carries out batches; it ends with its client."""
+"""Program of a process that carries out tasks; it ends with its client."""
 
 
-def shares(batch: Batch, places: Sequence[Any]) -> Iterator[tuple[Any, Batch]]:
-    """Yield the parts of a batch: each recording alone where it is read, else by their places."""
-    alone = not batch.steps[0].needs
-    of: dict[Any, list[int]] = {}
-    for number, place in zip(batch.recordings, places, strict=True):
-        of.setdefault((place, number * alone), []).append(number)
-    for (place, _), numbers in of.items():
-        yield place, batch.of(numbers)
+def shares(
+    tasks: Sequence[Task], places: Sequence[Any]
+) -> Iterator[tuple[Any, list[Task]]]:
+    """Yield parts of tasks: each recording alone where it is read, else by their places."""
+    of: dict[Any, list[Task]] = {}
+    for task, place in zip(tasks, places, strict=True):
+        alone = not task.calls[0].needs
+        of.setdefault((place, task.recording * alone), []).append(task)
+    for (place, _), part in of.items():
+        yield place, part
+
+
+def numbers_of(tasks: Sequence[Task]) -> list[int]:
+    """Return the numbers of the recordings of tasks."""
+    return [task.recording for task in tasks]
 
 
 class Process:
@@ -71,19 +78,19 @@ class Process:
             [sys.executable, '-P', '-c', PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
 
-    def answer(self, batch: Batch) -> list[Reply]:
-        """Return the replies to a batch."""
+    def answer(self, tasks: Sequence[Task]) -> list[Reply]:
+        """Return the replies to tasks."""
         for _ in range(MAX_TRIES):
             assert self.process.stdin and self.process.stdout
             with suppress(OSError, EOFError, pickle.UnpicklingError):
-                pickle.dump(batch, self.process.stdin)
+                pickle.dump(tasks, self.process.stdin)
                 self.process.stdin.flush()
                 replies: list[Reply] | Exception = pickle.load(self.process.stdout)
                 break
             self.end()
             self.process = self._started()
         else:
-            return [Reply(error=BellowsError(ENDED))] * len(batch.recordings)
+            return [Reply(error=BellowsError(ENDED))] * len(tasks)
         if isinstance(replies, Exception):
             raise replies
         return replies
@@ -100,10 +107,10 @@ def processes(count: int) -> Iterator[Runner]:
     """Yield the runner of a number of processes of this machine."""
     workers = [Process() for _ in range(count)]
 
-    def run(batch: Batch) -> Iterator[tuple[int, Reply]]:
+    def run(tasks: Sequence[Task]) -> Iterator[tuple[int, Reply]]:
         futures = {
-            worker.messages.submit(worker.answer, part): part.recordings
-            for worker, part in shares(batch, [workers[n % count] for n in batch.recordings])}
+            worker.messages.submit(worker.answer, part): numbers_of(part)
+            for worker, part in shares(tasks, [workers[n % count] for n in numbers_of(tasks)])}
         for future in as_completed(futures):
             yield from zip(futures[future], future.result(), strict=True)
 
@@ -145,11 +152,11 @@ class _Cluster:
         self._distributed, self._client, self._address = distributed, client, address
         self._places, self.sessions = dict[int, str](), set[str]()
 
-    def __call__(self, batch: Batch) -> Iterator[tuple[int, Reply]]:
-        """Yield the replies to a batch; other workers replace a lost one."""
-        self.sessions.add(batch.session)
-        queues, threads = self._queues([batch])
-        tries, waiting = Counter[int](), dict[Any, tuple[str, Batch]]()
+    def __call__(self, tasks: Sequence[Task]) -> Iterator[tuple[int, Reply]]:
+        """Yield the replies to tasks; other workers replace a lost one."""
+        self.sessions.add(tasks[0].session)
+        queues, threads = self._queues([tasks])
+        tries, waiting = Counter[int](), dict[Any, tuple[str, list[Task]]]()
         while queues or waiting:
             busy = Counter(place for place, _ in waiting.values())
             for place, parts in list(queues.items()):  # what waits is not blamed for a loss
@@ -161,30 +168,32 @@ class _Cluster:
                     )] = place, part
                 if not parts:
                     del queues[place]
-            lost = list[Batch]()
+            lost = list[list[Task]]()
             for future in self._ended(waiting):
                 _, part = waiting.pop(future)
-                replies = self._replies(future, part)
-                tries.update(part.recordings)
-                if not replies and max(map(tries.__getitem__, part.recordings)) < MAX_TRIES:
+                replies, numbers = self._replies(future, part), numbers_of(part)
+                tries.update(numbers)
+                if not replies and max(map(tries.__getitem__, numbers)) < MAX_TRIES:
                     lost.append(part)
                     continue
-                yield from zip(part.recordings, replies or [
-                    Reply(error=BellowsError(ENDED))] * len(part.recordings), strict=True)
+                yield from zip(numbers, replies or [
+                    Reply(error=BellowsError(ENDED))] * len(part), strict=True)
             if lost:
                 queues, threads = self._queues([*lost, *chain.from_iterable(queues.values())])
 
-    def _queues(self, parts: Sequence[Batch]) -> tuple[dict[str, list[Batch]], dict[str, int]]:
+    def _queues(
+        self, parts: Sequence[Sequence[Task]]
+    ) -> tuple[dict[str, list[list[Task]]], dict[str, int]]:
         """Return parts of work by the workers that have their recordings, and their threads."""
-        threads, queues = self._workers(), defaultdict[str, list[Batch]](list)
+        threads, queues = self._workers(), defaultdict[str, list[list[Task]]](list)
         load = dict.fromkeys(threads, 0) | Counter(
             place for place in self._places.values() if place in threads)
         for part in parts:
-            for number in part.recordings:
+            for number in numbers_of(part):
                 if self._places.get(number) not in threads:
                     self._places[number] = min(load, key=load.__getitem__)
                     load[self._places[number]] += 1
-            for place, own in shares(part, [self._places[n] for n in part.recordings]):
+            for place, own in shares(part, [self._places[n] for n in numbers_of(part)]):
                 queues[place].append(own)
         return dict(queues), threads
 
@@ -200,7 +209,7 @@ class _Cluster:
             f"The Dask scheduler at '{self._address}' has no workers. Start some with 'dask "
             f"worker {self._address}', and repeat the command.")
 
-    def _ended(self, waiting: Mapping[Any, tuple[str, Batch]]) -> list[Any]:
+    def _ended(self, waiting: Mapping[Any, tuple[str, list[Task]]]) -> list[Any]:
         """Return the ended futures, or else the cancelled futures of lost workers."""
         with suppress(TimeoutError), self._client.as_current():
             return list(self._distributed.wait(
@@ -211,7 +220,7 @@ class _Cluster:
         self._client.cancel(lost)
         return lost
 
-    def _replies(self, future: Any, part: Batch) -> list[Reply]:
+    def _replies(self, future: Any, part: Sequence[Task]) -> list[Reply]:
         """Return the replies of a future that has ended, none if its worker was lost."""
         try:
             replies: list[Reply] = future.result()
@@ -223,7 +232,7 @@ class _Cluster:
             if future.status != 'error':
                 raise self._lost() from None
             return [Reply(error=BellowsError(
-                f'{type(error).__name__}: {error}'))] * len(part.recordings)
+                f'{type(error).__name__}: {error}'))] * len(part)
         return replies
 
     def _lost(self) -> BellowsError:

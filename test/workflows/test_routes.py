@@ -200,7 +200,7 @@ def deadly_replies(run):
     """Return the replies of readers of four recordings, one of which ends its process."""
     pool = Pool(run, 4)
     values = [Values({}), Deadly({}), Values({}), Values({})]
-    return dict(pool.replies(pool.begun(package_mass, pool.each(values)).recipe))
+    return dict(pool.replies(pool.begun(package_mass, pool.each(values)).calls))
 
 
 def package_mass(values):

@@ -1,5 +1,5 @@
 """
-Identifiability of a cup's parameters from recordings, before a fit.
+Identifiability of a cup's parameters from recordings.
 
 Information on a parameter grows with the motion's sensitivity to it. Sensor noise resembles motion
 and biases least squares towards zero (errors in variables); the bias is compensated if the noise
@@ -9,23 +9,15 @@ is given.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.least_squares import LinearSolution, noise_bias, weighted
-from bellows_ros.core.identification.pool import Held
-from bellows_ros.core.identification.reduction import (
-    Movement,
-    PassBand,
-    ReducedRecording,
-    Statistics,
-)
-from bellows_ros.core.identification.result import NOTE_TEXTS, NOTES, with_unidentifiable
+from bellows_ros.core.identification.reduction import Movement, PassBand
+from bellows_ros.core.identification.result import Fit, NOTE_TEXTS, NOTES, with_unidentifiable
 from bellows_ros.core.identification.samples import joined
-from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.signals.residuals import AXES
 import numpy as np
 
-MAX_SHARE, WEAK_SHARE = 0.5, 0.05
-"""Noise share in a parameter's equations above which it is not, or only weakly, identifiable."""
+WEAK_SHARE = 0.05
+"""Noise share in a parameter's equations above which it is only weakly identifiable."""
 
 MAX_LISTED = 3
 """Largest number of pairs or couplings named in a warning."""
@@ -192,7 +184,7 @@ class Excitation(NamedTuple):
     Parameters
     ----------
     structure : str
-        Requested structure of K and P.
+        Structure of K and P.
     axes : tuple of Axis
         The six directions.
     parameters : tuple of Identifiability
@@ -218,82 +210,34 @@ class Excitation(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def excitation_of(
-    parts: Sequence[ReducedRecording], method: str = 'least_squares',
-    fit: tuple[Array, Array] | None = None, rows: Held | None = None,
-) -> Excitation:
+def excitation_of(movements: Sequence[Movement], fit: Fit) -> Excitation:
     """
-    Return the identifiability of K and P from recordings.
+    Return the identifiability of K and P from the motions of recordings and their fit.
 
-    With a fit, its standard errors decide; without, the shares of noise in the information.
-
-    Parameters
-    ----------
-    parts : sequence of ReducedRecording
-        Recordings, reduced.
-    method : str
-        Method of the fit: the bias of least squares by noise and fast motion is not judged for
-        another method.
-    fit : (ndarray (2 n,), ndarray (2 n, 2 n)), optional
-        Parameters and their covariance, if estimated already.
-    rows : Held, optional
-        Statistics of the recordings, if they are elsewhere.
-
-    Raises
-    ------
-    BellowsError
-        If there is no valid sample.
-
+    The bias by noise and by fast motion is of least squares alone.
     """
-    statistics, movements = [part.statistics for part in parts], [part.movement for part in parts]
-    structure = statistics[0].structure
-    whitening, solved, noise = weighted(statistics if rows is None else rows.pool.begun(
-        _in_structure, structure, rows))
-    axes, is_filtered = _axes(movements), method == 'least_squares'
-    shares = bias = np.full(len(solved.x), np.nan)
-    if is_filtered and noise is not None:
-        shares, bias = _noise_effects(noise, whitening, solved)
-    values, covariance = fit or (solved.x, solved.inverse @ solved.inverse.T)
-    identifiable = (np.isfinite(np.diag(covariance)) if fit else
-                    solved.identifiable & ~(shares > MAX_SHARE))
-    std = np.where(identifiable, np.sqrt(np.diag(covariance)), 1.0)
+    structure, axes, covariance = structure_named(fit.structure), _axes(movements), fit.covariance
+    identifiable = np.isfinite(np.diag(covariance))
+    shares = bias = np.full(len(covariance), np.nan)
+    if fit.noise_share is not None and fit.bias is not None:
+        shares = fit.noise_share
+        with np.errstate(divide='ignore', invalid='ignore'):
+            bias = np.where(shares < 1.0, np.clip(fit.bias / fit.parameters, -1.0, 1.0), np.nan)
     parameters = tuple(map(
-        Identifiability, structure.labels, np.where(identifiable, values, np.nan).tolist(),
-        (np.where(solved.identifiable, shares, 1.0) if is_filtered else shares).tolist(),
-        bias.tolist()))
+        Identifiability, fit.labels, np.where(identifiable, fit.parameters, np.nan).tolist(),
+        shares.tolist(), bias.tolist()))
+    std = np.where(identifiable, np.sqrt(np.diag(covariance)), 1.0)
     correlation = with_unidentifiable(covariance, ~identifiable) / np.outer(std, std)
     correlated = np.argwhere(np.triu(np.abs(correlation), 1) > MAX_CORRELATION).tolist()
-    pairs = tuple((structure.labels[i], structure.labels[j], float(correlation[i, j]))
+    pairs = tuple((fit.labels[i], fit.labels[j], float(correlation[i, j]))
                   for i, j in sorted(correlated, key=lambda pair: -abs(correlation[*pair])))
-    source = 'this recording' if len(parts) == 1 else 'these recordings'
-    fast = too_fast(axes, [movement.passed for movement in movements]) if is_filtered else ()
-    rank = int(np.count_nonzero(identifiable)) if fit else solved.rank
+    source = 'this recording' if len(movements) == 1 else 'these recordings'
+    warnings = () if fit.method == 'output_error' else (
+        *advice(parameters, structure, pairs, source),
+        *too_fast(axes, [movement.passed for movement in movements]))
     return Excitation(
-        structure.name, axes, parameters, rank, len(values), solved.condition_number, pairs,
-        (*(advice(parameters, structure, pairs, source) if method != 'output_error' else ()),
-         *fast))
-
-
-def _in_structure(structure: Structure, part: Statistics) -> tuple[Statistics, None]:
-    """Return the statistics of a recording in a structure, to be kept."""
-    return part.of(structure), None
-
-
-def _noise_effects(
-    noise: Array, whitening: Array, solution: LinearSolution
-) -> tuple[Array, Array]:
-    """
-    Return the share of noise (6, q, 6, q) in the information on each parameter, and its bias.
-
-    The share is the noise's energy in a parameter's column, over the energy of the part of this
-    column that is orthogonal to all others. The bias is at most the parameter's size.
-    """
-    energy = np.einsum('ij,ipjp->p', whitening.T @ whitening, noise)[:-1]
-    bias, *_ = noise_bias(noise, whitening, solution.x, solution.inverse)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        relative = np.clip(bias / (solution.x - bias), -1.0, 1.0)
-    return (np.minimum(energy * np.sum(solution.inverse**2, axis=1), 1.0),
-            np.where(solution.identifiable, relative, np.nan))
+        fit.structure, axes, parameters, int(np.count_nonzero(identifiable)), len(parameters),
+        fit.condition_number, pairs, warnings)
 
 
 def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:

@@ -6,25 +6,20 @@ normal equations of the raw data. Noise in the equations adds M to A^T A and m t
 if the noise is given, both are subtracted (compensated least squares).
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification import result
 from bellows_ros.core.identification import samples as sampling
-from bellows_ros.core.identification.pool import Held
+from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import Fit, IN_NULL_SPACE, MAX_RELATIVE_ERROR, NOTES
 from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import has_coupling, Structure
 from bellows_ros.errors import UndeterminedError
 import numpy as np
-
-AllStatistics = Sequence[Statistics] | Held
-"""Statistics of all recordings, here or with the recordings."""
-
-T = TypeVar('T')
 
 MAX_LISTED = 4
 """Largest number of parameters named in a sentence."""
@@ -87,13 +82,12 @@ class LinearSolution(NamedTuple):
     The least-squares solution of p parameters.
 
     x (p,), the smallest of equally good solutions; the inverse (p, p) of R; the mask of
-    identifiable parameters; the rank; and the condition number with columns of unit length.
+    identifiable parameters; and the condition number with columns of unit length.
     """
 
     x: Array
     inverse: Array
     identifiable: Mask
-    rank: int
     condition_number: float
 
 
@@ -115,24 +109,16 @@ def solution(R: Array, structure: Structure) -> LinearSolution:
         inverse @ R[:-1, -1],
         inverse,
         ~np.any(np.abs(Vt[~determined]) > IN_NULL_SPACE, axis=0),
-        int(np.count_nonzero(determined)),
         float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf)
 
 
-def mapped(function: Callable[..., T], parts: AllStatistics, *arguments: Any) -> list[T]:
-    """Return a function of arguments and the statistics of each recording, where these are."""
-    if isinstance(parts, Held):
-        return parts.pool.results(function, *arguments, parts)
-    return [function(*arguments, part) for part in parts]
-
-
-def least_squares(parts: AllStatistics) -> Fit:
+def least_squares(parts: Held) -> Fit:
     """
     Fit K and P so that the cup's wrench is the wrench required by the motion (4.66, 4.74).
 
     Parameters
     ----------
-    parts : sequence of Statistics, or Held
+    parts : Held
         Statistics of recordings of one cup, all with one structure and cup length.
 
     Returns
@@ -148,22 +134,25 @@ def least_squares(parts: AllStatistics) -> Fit:
         If there are too few samples, or no parameter is identifiable.
 
     """
-    heads = mapped(Statistics.head, parts)
+    heads = parts.pool.results(Statistics.head, parts)
     structure = heads[0].structure
     used, rejected = sum(head.used for head in heads), sum(head.rejected for head in heads)
     if 6 * used <= 2 * structure.size:
         raise UndeterminedError(
             f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
             'longer, or check in the report why samples were rejected.')
-    whitening, (x, inverse, identifiable, _, condition), noise = weighted(parts)
+    whitening, (x, inverse, identifiable, condition), noise = weighted(parts)
     if not identifiable.any():
         raise UndeterminedError(
             f'{", ".join(structure.labels[:MAX_LISTED])} and all others are not identifiable from '
             'these recordings: nothing moves. Excite all six directions.')
-    bias = noise_rms = None
+    bias = noise_rms = noise_share = None
     gain = inverse
     if noise is not None:
         bias, gain, separable = noise_bias(noise, whitening, x, inverse)
+        energy = np.einsum('ij,ipjp->p', whitening.T @ whitening, noise)[:-1]
+        noise_share = np.where(
+            identifiable, np.minimum(energy * np.sum(inverse**2, axis=1), 1.0), 1.0)
         x, identifiable = x - bias, identifiable & separable
         combination = np.append(x, -1.0)
         noise_rms = np.sqrt(np.einsum('p,ipiq,q->i', combination, noise, combination) / used)
@@ -184,6 +173,7 @@ def least_squares(parts: AllStatistics) -> Fit:
         residual_rms=residual_rms,
         noise_rms=noise_rms,
         bias=bias,
+        noise_share=noise_share,
         notes=() if significant.any() else (NOTES['too_short'],),
         misfit=_misfit(residual_rms, noise_rms, whitening))
 
@@ -198,27 +188,27 @@ def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
     couplings = parts[0].structure.couplings
     if parts[0].structure != simpler:
         with suppress(UndeterminedError):
-            fit = least_squares(parts)
+            fit = least_squares(here(parts))
             x, C = fit.parameters[couplings], fit.covariance[np.ix_(couplings, couplings)]
             if fit.usable and np.isfinite(C).all() and has_coupling(fit.stiffness) and (
                     float(x @ np.linalg.solve(C, x)) > MIN_CLUSTER_DISTANCE):
                 return fit
-    return least_squares([part.of(simpler) for part in parts])
+    return least_squares(here([part.of(simpler) for part in parts]))
 
 
-def weighted(parts: AllStatistics) -> tuple[Array, LinearSolution, Array | None]:
+def weighted(parts: Held) -> tuple[Array, LinearSolution, Array | None]:
     """
     Return the whitening (6, 6), the solution with noise, and the noise in its products.
 
     The products (6, q, 6, q) are summed over all parts (see `noise_products`), None if one lacks
     them.
     """
-    heads = mapped(Statistics.head, parts)
+    heads = parts.pool.results(Statistics.head, parts)
     structure = heads[0].structure
     whitening = whitening_of(joined(head.moments for head in heads).covariance(structure))
     noises = [head.noise for head in heads if head.noise is not None]
     size = 2 * structure.size + 1
-    R = r_factor(mapped(_r_factor, parts, whitening), size)
+    R = r_factor(parts.pool.results(_r_factor, whitening, parts), size)
     return (whitening, solution(R, structure),
             np.sum(noises, axis=0) if len(noises) == len(heads) else None)
 
@@ -266,7 +256,7 @@ def _scores(whitening: Array, x: Array, inverse: Array, part: Statistics) -> Clu
 
 
 def _uncertainty(
-    parts: AllStatistics, whitening: Array, x: Array, inverse: Array, gain: Array
+    parts: Held, whitening: Array, x: Array, inverse: Array, gain: Array
 ) -> tuple[Array, Array]:
     """
     Return the covariance (p, p) of x, and the squares (6,) of wrench residuals.
@@ -284,7 +274,7 @@ def _uncertainty(
     """
     squares, whitened, products, count, total, outer = (
         sum(each[1:], each[0]) for each in zip(
-            *mapped(_scores, parts, whitening, x, inverse), strict=True))
+            *parts.pool.results(_scores, whitening, x, inverse, parts), strict=True))
     size, mean = len(x), total / max(count, 1)
     centred = outer if gain is inverse else outer - count * np.outer(mean, mean)
     covariance = gain @ centred @ gain.T

@@ -5,7 +5,8 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import math
-from typing import Any, NamedTuple
+from operator import getitem
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares, reduction
@@ -60,35 +61,14 @@ LENGTH_STEP = 1e-5
 """Step of numerical derivatives by cup.length, m."""
 
 
-class Placed(NamedTuple):
-    """Recordings where they are: the `Segments` of each, and its statistics."""
-
-    segments: Held
-    statistics: Held
-
-    @classmethod
-    def of(cls, pairs: Held) -> 'Placed':
-        """Return the parts of held pairs of `pair_of`."""
-        pool = pairs.pool
-        return cls(*(pool.hold(_part_of_pair, place, pairs)[0] for place in range(2)))
-
-    def only(self, places: Sequence[int]) -> 'Placed':
-        """Return some of the recordings."""
-        return Placed(*(Held(held.pool.only(places), held.recipe) for held in self))
-
-
 Pair = tuple[Segments, reduction.Statistics]
+"""The parts of a recording for a fit by simulation: its segments, and statistics for the start."""
 
 
 def pair_of(recording: Recording, values: Values, number: int = 0) -> Pair:
     """Return the segments and the statistics of a recording, for a fit by simulation."""
     return (segments_of(measured_segments(recording, number)),
             reduced(recording, values).statistics._replace(noise=None))
-
-
-def _part_of_pair(place: int, pair: Pair) -> tuple[Any, None]:
-    """Return one of a pair to be kept."""
-    return pair[place], None
 
 
 class Result(NamedTuple):
@@ -104,7 +84,7 @@ def fit(
     progress: Progress | None = None,
     standstills: Sequence[Standstill] = (),
     length_std: float = 0.0,
-    placed: Placed | None = None,
+    pairs: Held | None = None,
 ) -> Result:
     """
     Fit a cup to recordings, as the parameters specify.
@@ -123,8 +103,8 @@ def fit(
         Standstills of the cup, whose balance is included.
     length_std : float
         Standard error of cup.length, m.
-    placed : Placed, optional
-        The recordings for a fit by simulation, if they are elsewhere.
+    pairs : Held, optional
+        Pairs of `pair_of` for a fit by simulation, if they are elsewhere.
 
     Raises
     ------
@@ -132,12 +112,11 @@ def fit(
         If the recordings do not determine the cup.
 
     """
-    result = fitted(recordings, values, progress, placed)
+    result = fitted(recordings, values, progress, pairs)
     if values.fit.structure == AUTO:
         values = values.replaced({'fit.structure': result.structure})
     parts = [reduced(recording, values) for recording in recordings]
-    excitation = excitation_of(
-        parts, result.method, (result.parameters, result.covariance), placed and placed.statistics)
+    excitation = excitation_of([part.movement for part in parts], result)
     unknown = [freed.name for freed in result.freed if not np.all(np.isfinite(freed.std))]
     if result.converged and unknown:
         raise BellowsError(
@@ -197,14 +176,14 @@ def _noise_warning(recordings: Sequence[AnyRecording]) -> Iterator[str]:
 
 def fitted(
     recordings: Sequence[AnyRecording], values: Values,
-    progress: Progress | None = None, placed: Placed | None = None,
+    progress: Progress | None = None, pairs: Held | None = None,
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values.fit.method == 'least_squares':
         return least_squares.simplest_fit(
             [reduced(recording, values).statistics for recording in recordings],
             given_structure(values))
-    return by_output_error(recordings, values, progress, placed=placed)
+    return by_output_error(recordings, values, progress, pairs=pairs)
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:
@@ -217,7 +196,7 @@ def _report(progress: Progress, iteration: Iteration) -> None:
 
 def by_output_error(
     recordings: Sequence[AnyRecording], values: Values, progress: Progress | None = None,
-    exactly: bool = False, placed: Placed | None = None,
+    exactly: bool = False, pairs: Held | None = None,
 ) -> Fit:
     """
     Return the fit by simulation, with all uncertain quantities estimated jointly with K and P.
@@ -226,17 +205,18 @@ def by_output_error(
     """
     structure = given_structure(values)
     start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
-    if placed is None:
-        placed = Placed.of(here([
-            pair_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))]))
+    if pairs is None:
+        pairs = here([
+            pair_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))])
     parts = [reduced(recording, values) for recording in recordings]
     if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
-        start = start_cup(placed.statistics, start)
+        start = start_cup(pairs.pool.keep(getitem, pairs, 1), start)
     named = tuple(dict.fromkeys([
         *values.fit.free, *['time_offset'] * values.fit.time_offset,
         *['package_world'] * any(part.package_world for part in parts)]))
     return output_error(
-        placed.segments, structure, start, progress and partial(_report, progress),
+        pairs.pool.keep(getitem, pairs, 0), structure, start,
+        progress and partial(_report, progress),
         weak_prior(named), named, values.fit.relaxation,
         {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,
@@ -258,9 +238,9 @@ def _length_jacobian(recordings: Sequence[Recording], values: Values) -> Array:
     """Return the derivatives (2 n,) of the parameters of least squares by cup.length."""
     structure = given_structure(values)
     ends = [
-        least_squares.least_squares([
+        least_squares.least_squares(here([
             reduction.statistics(samples_of(recording), values.cup.length + step, structure)
-            for recording in recordings]).parameters for step in (LENGTH_STEP, -LENGTH_STEP)]
+            for recording in recordings])).parameters for step in (LENGTH_STEP, -LENGTH_STEP)]
     return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
 
@@ -277,7 +257,7 @@ def with_freed(values: Values, freed: Sequence[Freed]) -> Values:
     return result
 
 
-def start_cup(parts: least_squares.AllStatistics, given: Cup) -> Cup:
+def start_cup(parts: Held, given: Cup) -> Cup:
     """
     Return the initial cup of output error, by least squares of few parameters.
 

@@ -686,9 +686,9 @@ def noise_information(found: Solution) -> Arrow:
     size, known, differences = NOISE_FACTOR, found.information, list[Arrow]()
     pool = found.problem.held.pool
     while len(differences) < 2:
-        segments, _ = pool.hold(
+        segments = pool.keep(
             _noisier, size * (-1.0) ** len(differences), found.problem.held, found.courses)
-        courses, _ = pool.hold(_begun, segments, found.courses)
+        courses = pool.keep(_begun, segments, found.courses)
         noisy = found.problem.with_segments(segments, found.problem.outlines)
         for _ in range(2):  # about the measured path, then about the likeliest
             at = evaluated(noisy, found.theta, courses)
@@ -706,9 +706,7 @@ def noise_information(found: Solution) -> Arrow:
                - getattr(known, name)) / size**2 for name in ('shared', 'coupling', 'own')})
 
 
-def _noisier(
-    size: float, segments: Segments, courses: Sequence[Course]
-) -> tuple[Segments, None]:
+def _noisier(size: float, segments: Segments, courses: Sequence[Course]) -> Segments:
     """Return a recording with more noise, in units of its own, by a seed of its number."""
     measured = []
     for place, (segment, course) in enumerate(zip(segments, courses, strict=True)):
@@ -718,13 +716,13 @@ def _noisier(
         package, tool = (_with_noise(body, body_noise, size, draw) for body, body_noise in zip(
             (own.package, own.tool), noise, strict=True))
         measured.append(replace(own, tool=tool, package=package))
-    return segments_of(measured, segments), None
+    return segments_of(measured, segments)
 
 
-def _begun(segments: Segments, courses: Sequence[Course]) -> tuple[tuple[Course, ...], None]:
+def _begun(segments: Segments, courses: Sequence[Course]) -> tuple[Course, ...]:
     """Return the measured courses from first states and with the noise of others."""
     return tuple(segment.first._replace(start=course.start, std=course.std)
-                 for segment, course in zip(segments, courses, strict=True)), None
+                 for segment, course in zip(segments, courses, strict=True))
 
 
 def _with_noise(

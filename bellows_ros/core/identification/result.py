@@ -181,6 +181,10 @@ class Fit:
     bias : ndarray (2 n,) or None
         Bias of the parameters by noise in the motions, subtracted by least squares; None if the
         noise is not given.
+    noise_share : ndarray (2 n,) or None
+        Share of noise in the information of least squares on each parameter: the energy of noise
+        in its column, over the energy of the part orthogonal to all other columns; 1 for
+        unidentifiable parameters. None like `bias`.
     causes : tuple of Finding
         Possible causes of the residual of output error, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
@@ -216,6 +220,7 @@ class Fit:
     standstills: StandstillPart | None = None
     noise_rms: Array | None = None
     bias: Array | None = None
+    noise_share: Array | None = None
     relaxation: tuple[float, float] = (0.0, 0.0)
     relaxation_std: tuple[float, float] = (0.0, 0.0)
     noise_in_motion: Mapping[int, Array] = field(default_factory=dict)

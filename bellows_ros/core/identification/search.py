@@ -459,12 +459,11 @@ def approach(
 
 def measured_courses(problem: Problem) -> Held:
     """Return the motions as measured."""
-    return problem.held.pool.hold(_first, problem.held)[0]
+    return problem.held.pool.keep(_first, problem.held)
 
 
-def _first(segments: Segments) -> tuple[tuple[Course, ...], None]:
-    """Return the courses as measured, to be kept."""
-    return tuple(segment.first for segment in segments), None
+def _first(segments: Segments) -> tuple[Course, ...]:
+    return tuple(segment.first for segment in segments)
 
 
 def _descended(at: Solution, directions: Directions, report: Report) -> Solution:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import least_squares
+from bellows_ros.core.identification.pool import here
 from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
 from bellows_ros.core.identification.result import NOTES
 from bellows_ros.core.identification.samples import NOISE_SEED, Samples
@@ -155,8 +156,8 @@ def _candidate(
             part.append(reduced._replace(noise=reduced.used * noise))
     size = 2 * structure.size
     try:
-        usable = least_squares(sum(parts, [])).usable
-        fits = [least_squares(sum(parts[:k] + parts[k + 1:], [])) for k in range(FOLDS)]
+        usable = least_squares(here(sum(parts, []))).usable
+        fits = [least_squares(here(sum(parts[:k] + parts[k + 1:], []))) for k in range(FOLDS)]
     except UndeterminedError as error:
         return Candidate(structure.name, size, False, str(error), np.full(FOLDS, np.inf))
     cups = [gripper_of(Cup(fit.stiffness, fit.damping, cup_length), structure.places)

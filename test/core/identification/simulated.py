@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 import functools
-from types import SimpleNamespace
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import result
 from bellows_ros.core.identification.identifiability import excitation_of
 from bellows_ros.core.identification.least_squares import least_squares as fit_statistics
+from bellows_ros.core.identification.pool import here
 from bellows_ros.core.identification.reduction import movement_of, statistics
 from bellows_ros.core.identification.samples import Moments
 from bellows_ros.core.model.cup_package import Cup, Package
@@ -92,8 +92,8 @@ def record(
 def least_squares(recordings, cup_length, structure, noises=()):
     """Return the fit of samples, weighted by their noise if known."""
     known = noises or [None] * len(recordings)
-    return fit_statistics([statistics(samples, cup_length, structure, noise)
-                           for samples, noise in zip(recordings, known, strict=True)])
+    return fit_statistics(here([statistics(samples, cup_length, structure, noise)
+                                for samples, noise in zip(recordings, known, strict=True)]))
 
 
 def without(fit, labels):
@@ -102,12 +102,11 @@ def without(fit, labels):
     return replace(fit, covariance=result.with_unidentifiable(fit.covariance, unknown))
 
 
-def excitation(recordings, cup_length, structure, noises, method='least_squares'):
-    """Return the identifiability of the parameters by samples with noise."""
-    return excitation_of([SimpleNamespace(
-        statistics=statistics(samples, cup_length, structure, noise),
-        movement=movement_of(samples, cup_length, noise))
-        for samples, noise in zip(recordings, noises, strict=True)], method)
+def excitation(recordings, cup_length, structure, noises, **changes):
+    """Return the identifiability of the parameters by samples with noise, and their fit."""
+    fit = replace(least_squares(recordings, cup_length, structure, noises), **changes)
+    return excitation_of([movement_of(samples, cup_length, noise) for samples, noise in zip(
+        recordings, noises, strict=True)], fit), fit
 
 
 def wrench_covariance(samples, structure):

@@ -6,6 +6,7 @@ from dataclasses import replace
 from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.methods import fit, start_cup
+from bellows_ros.core.identification.pool import here
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
@@ -28,7 +29,7 @@ def test_the_output_error_starts_from_a_known_damping_where_least_squares_finds_
     samples = [samples_of(recording)]
     found = np.diag(simulated.least_squares(samples, simulated.CUP.length, ROUND).damping)
     parts = [statistics(own, simulated.CUP.length, ROUND) for own in samples]
-    start = start_cup(parts, simulated.CUP)
+    start = start_cup(here(parts), simulated.CUP)
     assert np.any(found < 0.0)
     assert_allclose(
         np.diag(start.damping), np.where(found < 0.0, np.diag(simulated.CUP.damping), found))

@@ -55,7 +55,7 @@ def recorded(frequency, half_window=0):
 
 def warnings_of(samples, noise, method='least_squares'):
     """Return the warnings about what is too fast."""
-    found = simulated.excitation([samples], L0, ROUND, [noise], method)
+    found, _ = simulated.excitation([samples], L0, ROUND, [noise], method=method)
     return [warning for warning in found.warnings if 'too fast' in warning]
 
 

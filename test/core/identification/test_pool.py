@@ -10,18 +10,19 @@ import pytest
 
 
 class Forgetful:
-    """Carry out batches in this process, and lose all values before some of them."""
+    """Carry out tasks in this process, and lose all values before some of the rounds."""
 
     def __init__(self, *lost):
-        """Begin with the first batch."""
-        self.batches, self.lost, self.read = 0, lost, []
+        """Begin with the first round."""
+        self.rounds, self.lost = 0, lost
 
-    def __call__(self, batch):
+    def __call__(self, tasks):
         """Return the replies, the last recording first."""
-        if self.batches in self.lost:
-            forget(batch.session)
-        self.batches += 1
-        return zip(batch.recordings[::-1], carried_out(batch)[::-1], strict=True)
+        if self.rounds in self.lost:
+            forget(tasks[0].session)
+        self.rounds += 1
+        return [(task.recording, reply) for task, reply in zip(
+            tasks, carried_out(tasks), strict=True)][::-1]
 
 
 def counted(calls, number):
@@ -50,11 +51,11 @@ def test_lost_values_are_computed_again_and_results_are_the_same(lost):
 
 def test_values_that_nobody_has_are_released():
     values = here([[1], [2]])
-    pool, kept = values.pool, module._KEPT[values.pool.session.name]
+    pool, kept = values.pool, module._KEPT[values.pool.session]
     for more in range(5):
         values, _ = pool.hold(longer, values, more)
     assert [len(own) for own in kept.values()] == [2, 2]  # the last one, and that before
-    name = pool.session.name
+    name = pool.session
     del values, pool, kept
     assert name not in module._KEPT
 
