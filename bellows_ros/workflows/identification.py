@@ -116,7 +116,7 @@ class Identification(CommandResult):
     def cup_length(self) -> float:
         """Cup length of the fit, m: given or estimated."""
         standstills = self.fit.standstills
-        return standstills.length if standstills else self.parts[0].statistics.cup_length
+        return standstills.length if standstills else self.parts[0].cup_length
 
     @cached_property
     def envelope(self) -> validity_range.Envelope:

@@ -206,9 +206,9 @@ def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
 def read_part(
     keep: Container[str], poses: Mapping[str, Poses], number: int, bag: str, path: str,
     values: Values,
-) -> tuple[methods.Pair | None, AnyRecording]:
+) -> tuple[methods.Pair, AnyRecording]:
     """
-    Read and reduce a recording; return the pair kept for a fit by simulation, and the rest.
+    Read and reduce a recording; return the pair kept for a fit, and the rest.
 
     Parameters
     ----------
@@ -238,15 +238,13 @@ def read_part(
     if causes.misread(recording):
         verdict = verdict_of(None, [recording], values.cup.length, values)
         raise BellowsError(' '.join(verdict.cause if verdict else ()))
-    part, pair = reduced(recording, values), None
+    part, pair = reduced(recording, values.cup.length), methods.pair_of(recording, values, number)
     if values.fit.method == 'output_error':
-        pair = methods.pair_of(recording, values, number)
-        part = part._replace(statistics=part.statistics.head()._replace(noise=None),
-                             facts=causes.corrected(recording)[0])
+        part = part._replace(facts=causes.corrected(recording)[0])
     return pair, recording if bag in keep else part
 
 
-def _attempted(*arguments: Any) -> tuple[methods.Pair | None, AnyRecording]:
+def _attempted(*arguments: Any) -> tuple[methods.Pair, AnyRecording]:
     """Return the result of `read_part`, any failure being a reason to leave the recording out."""
     try:
         return read_part(*arguments)
@@ -259,9 +257,9 @@ def _attempted(*arguments: Any) -> tuple[methods.Pair | None, AnyRecording]:
 def read_all(
     values: Values, progress: Progress, run: Runner | None = None,
     poses: Mapping[str, Poses] | None = None,
-) -> tuple[list[AnyRecording], Held | None, list[Failed]]:
+) -> tuple[list[AnyRecording], Held, list[Failed]]:
     """
-    Return usable recordings, their pairs for a fit by simulation, and unusable recordings.
+    Return usable recordings, their pairs for a fit, and unusable recordings.
 
     They are read by processes or a cluster, or sequentially, in which case all must be usable.
     """
@@ -270,8 +268,7 @@ def read_all(
     each = reading.values_of_each(values)
     pairs, parts, failed = _read_elsewhere(bags, each, keep, progress, run) if run else (
         *_read_here(bags, each, keep, progress, poses or {}), [])
-    is_simulated = values.fit.method == 'output_error'
-    return parts, pairs if is_simulated else None, failed
+    return parts, pairs, failed
 
 
 def _read_here(
@@ -279,7 +276,7 @@ def _read_here(
     poses: Mapping[str, Poses],
 ) -> tuple[Held, list[AnyRecording]]:
     """Return recordings read one after the other."""
-    pairs, parts = list[methods.Pair | None](), list[AnyRecording]()
+    pairs, parts = list[methods.Pair](), list[AnyRecording]()
     for number, (bag, own) in enumerate(zip(bags, values, strict=True)):
         progress(f'reading {bag}', FIT_BEGINS * number / len(bags))
         pair, part = read_part(keep, poses, number, bag, bag, own)
@@ -318,7 +315,7 @@ def _read_elsewhere(
 
 def _identify(
     values: Values, effective: Values, parts: Sequence[AnyRecording],
-    static: StaticResult | None, progress: Progress, pairs: Held | None,
+    static: StaticResult | None, progress: Progress, pairs: Held,
     assumed: tuple[str, ...], **more: Any,
 ) -> identification.Identification:
     """
@@ -364,7 +361,8 @@ def _identify(
             conversion.given_structure(effective.replaced({'fit.structure': 'layout'}))
             if is_gripper(effective) else None)
     identified = identification.Identification(
-        fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
+        fit, result.excitation, values,
+        tuple(reduced(part, effective.cup.length) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress, pairs), verdict=verdict,
         selection=selected, assumed=assumed, **more)
     if static:
@@ -378,7 +376,7 @@ def _identify(
 
 def _consistency(
     parts: Sequence[AnyRecording], values: Values, progress: Progress,
-    pairs: Held | None,
+    pairs: Held,
 ) -> 'ComparedFits | None':
     """Return the test for one cup by each recording alone, with fit.compare_recordings."""
     if not values.fit.compare_recordings or len(parts) < 2:
@@ -388,7 +386,7 @@ def _consistency(
         return methods.fitted(
             [parts[number]], values,
             lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS),
-            pairs and pairs.only([number]))
+            pairs.only([number]))
 
     from bellows_ros.workflows.compare import consistency
 

@@ -298,7 +298,7 @@ def verdict_of(
     given = values.replaced({
         'package.mass': package.mass, 'package.com': package.com,
         'package.inertia': np.diag(package.inertia)})
-    simulated = values.replaced({'cup.length': length})
+    simulated = values.replaced({'cup.length': length, 'fit.method': 'output_error'})
     verdict = FitVerdict((), causes.Diagnosis(0.0, ()), given)
     if fit is not None:
         verdict = _judged(verdict, fit, tested, length, values)
@@ -306,14 +306,14 @@ def verdict_of(
         besides: tuple[causes.Finding, ...] = ()
         right = [causes.corrected(each)[1] for each in tested]
         with suppress(BellowsError):  # the fault cannot be corrected
-            besides = methods.by_output_error(right, simulated).causes
+            besides = methods.fitted(right, simulated).causes
         return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts, tuple(
             cause for cause in besides if cause.likely and all(
                 cause.name not in (fact.name, fact.instead) for fact in facts))))
     if fit is None or fit.method != 'output_error':
         if verdict.is_at_noise:
             return verdict
-        fit = methods.by_output_error(tested, simulated, exactly=True)
+        fit = methods.fitted(tested, simulated, exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
     return verdict._replace(
         diagnosis=causes.Diagnosis(excess, fit.causes[:1], fit.causes[1:]))

@@ -6,14 +6,14 @@ normal equations of the raw data. Noise in the equations adds M to A^T A and m t
 if the noise is given, both are subtracted (compensated least squares).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification import result
 from bellows_ros.core.identification import samples as sampling
-from bellows_ros.core.identification.pool import Held, here
+from bellows_ros.core.identification.pool import Held
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import Fit, IN_NULL_SPACE, MAX_RELATIVE_ERROR, NOTES
 from bellows_ros.core.identification.samples import joined
@@ -178,22 +178,23 @@ def least_squares(parts: Held) -> Fit:
         misfit=_misfit(residual_rms, noise_rms, whitening))
 
 
-def simplest_fit(parts: Sequence[Statistics], simpler: Structure) -> Fit:
+def simplest_fit(parts: Held, simpler: Structure) -> Fit:
     """
     Return the fit of least squares, in the simpler structure unless couplings are significant.
 
     The covariance is robust against correlated residuals in clusters: a significant coupling is
     confirmed by held-out clusters.
     """
-    couplings = parts[0].structure.couplings
-    if parts[0].structure != simpler:
+    structure = parts.pool.results(Statistics.head, parts)[0].structure
+    if structure != simpler:
+        couplings = structure.couplings
         with suppress(UndeterminedError):
-            fit = least_squares(here(parts))
+            fit = least_squares(parts)
             x, C = fit.parameters[couplings], fit.covariance[np.ix_(couplings, couplings)]
             if fit.usable and np.isfinite(C).all() and has_coupling(fit.stiffness) and (
                     float(x @ np.linalg.solve(C, x)) > MIN_CLUSTER_DISTANCE):
                 return fit
-    return least_squares(here([part.of(simpler) for part in parts]))
+    return least_squares(parts.pool.keep(Statistics.of, parts, simpler))
 
 
 def weighted(parts: Held) -> tuple[Array, LinearSolution, Array | None]:

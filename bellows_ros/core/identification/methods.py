@@ -62,13 +62,16 @@ LENGTH_STEP = 1e-5
 
 
 Pair = tuple[Segments, reduction.Statistics]
-"""The parts of a recording for a fit by simulation: its segments, and statistics for the start."""
+"""The segments of a recording, empty for least squares, and its statistics."""
 
 
 def pair_of(recording: Recording, values: Values, number: int = 0) -> Pair:
-    """Return the segments and the statistics of a recording, for a fit by simulation."""
-    return (segments_of(measured_segments(recording, number)),
-            reduced(recording, values).statistics._replace(noise=None))
+    """Return the parts of a recording for a fit."""
+    is_simulated = values.fit.method == 'output_error'
+    return (
+        segments_of(measured_segments(recording, number)) if is_simulated else (),
+        reduction.statistics_of(
+            recording, values.cup.length, richest_structure(values), not is_simulated))
 
 
 class Result(NamedTuple):
@@ -94,7 +97,7 @@ def fit(
     Parameters
     ----------
     recordings : sequence of Recording or ReducedRecording
-        Recordings of one cup. For least squares with exact length, reduced recordings suffice.
+        Recordings of one cup.
     values : mapping
         Parameters by name: fit.*, cup.*, gravity.
     progress : callable, optional
@@ -104,7 +107,7 @@ def fit(
     length_std : float
         Standard error of cup.length, m.
     pairs : Held, optional
-        Pairs of `pair_of` for a fit by simulation, if they are elsewhere.
+        Pairs of `pair_of`, necessary for reduced recordings.
 
     Raises
     ------
@@ -115,7 +118,7 @@ def fit(
     result = fitted(recordings, values, progress, pairs)
     if values.fit.structure == AUTO:
         values = values.replaced({'fit.structure': result.structure})
-    parts = [reduced(recording, values) for recording in recordings]
+    parts = [reduced(recording, values.cup.length) for recording in recordings]
     excitation = excitation_of([part.movement for part in parts], result)
     unknown = [freed.name for freed in result.freed if not np.all(np.isfinite(freed.std))]
     if result.converged and unknown:
@@ -174,18 +177,6 @@ def _noise_warning(recordings: Sequence[AnyRecording]) -> Iterator[str]:
         yield NOTES['correlated'].format(names=', '.join(names))
 
 
-def fitted(
-    recordings: Sequence[AnyRecording], values: Values,
-    progress: Progress | None = None, pairs: Held | None = None,
-) -> Fit:
-    """Return the fit to recordings alone, without standstills and prior knowledge."""
-    if values.fit.method == 'least_squares':
-        return least_squares.simplest_fit(
-            [reduced(recording, values).statistics for recording in recordings],
-            given_structure(values))
-    return by_output_error(recordings, values, progress, pairs=pairs)
-
-
 def _report(progress: Progress, iteration: Iteration) -> None:
     step = iteration.number + 1
     K, P = (' '.join(f'{x:.3g}' for x in np.diag(matrix))
@@ -194,30 +185,32 @@ def _report(progress: Progress, iteration: Iteration) -> None:
              step / (step + TYPICAL_STEPS))
 
 
-def by_output_error(
+def fitted(
     recordings: Sequence[AnyRecording], values: Values, progress: Progress | None = None,
-    exactly: bool = False, pairs: Held | None = None,
+    pairs: Held | None = None, exactly: bool = False,
 ) -> Fit:
     """
-    Return the fit by simulation, with all uncertain quantities estimated jointly with K and P.
+    Return the fit to recordings alone, without standstills and prior knowledge.
 
-    Alternatively with given quantities exact, as in least squares, so that causes are found.
+    By simulation all uncertain quantities are estimated jointly with K and P; or given quantities
+    are exact, as in least squares, so that causes are found.
     """
-    structure = given_structure(values)
-    start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
     if pairs is None:
         pairs = here([
             pair_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))])
-    parts = [reduced(recording, values) for recording in recordings]
+    structure, statistics = given_structure(values), pairs.pool.keep(getitem, pairs, 1)
+    if values.fit.method == 'least_squares':
+        return least_squares.simplest_fit(statistics, structure)
+    start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
+    parts = [reduced(recording, values.cup.length) for recording in recordings]
     if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
-        start = start_cup(pairs.pool.keep(getitem, pairs, 1), start)
+        start = start_cup(statistics, start)
     named = tuple(dict.fromkeys([
         *values.fit.free, *['time_offset'] * values.fit.time_offset,
         *['package_world'] * any(part.package_world for part in parts)]))
     return output_error(
         pairs.pool.keep(getitem, pairs, 0), structure, start,
-        progress and partial(_report, progress),
-        weak_prior(named), named, values.fit.relaxation,
+        progress and partial(_report, progress), weak_prior(named), named, values.fit.relaxation,
         {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,
         'off' if structure.places else values.fit.stretch,

@@ -1,5 +1,5 @@
 """
-The sufficient statistics of a recording for fits and findings.
+The sufficient statistics of a recording for least squares, and its motion for findings.
 
 The weight W of (4.66) depends on the wrenches of all recordings, and is unknown when one recording
 is reduced; stored statistics can be weighted later. For a fit the sufficient statistics are, by
@@ -12,7 +12,6 @@ for fast motion beyond their standard errors. All statistics are additive over r
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -21,8 +20,6 @@ from bellows_ros.core.identification.samples import Equations, LipMotion, Moment
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.model.validity_range import Envelope
-from bellows_ros.core.parameters.conversion import richest_structure
-from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import recording as measured
 from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Recording
 from bellows_ros.core.signals.residuals import Spectrum
@@ -30,9 +27,6 @@ from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import block_diag
-
-MAX_STORED = 50_000
-"""Largest number of samples of a recording whose lip motion is stored for reuse."""
 
 MAX_ATTENUATION = 0.013
 """Largest fraction of a velocity that a suitable filter removes; automatic filters reach 6 Hz."""
@@ -313,7 +307,7 @@ def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Move
 
 class ReducedRecording(NamedTuple):
     """
-    The sufficient statistics of a recording.
+    Facts on a recording, without its rows and poses.
 
     Parameters
     ----------
@@ -331,8 +325,8 @@ class ReducedRecording(NamedTuple):
         Transform between two worlds, if estimated.
     rate_hz : float
         Rate of the package's poses.
-    statistics : Statistics
-        Statistics for least squares; without rows where these are with the recording.
+    cup_length : float
+        Cup length l0 of motion and validity range, m.
     movement : Movement
         Motion of the lip.
     envelope : Envelope
@@ -349,7 +343,7 @@ class ReducedRecording(NamedTuple):
     time_offset: measured.TimeOffset | None
     package_world: measured.PackageWorld | None
     rate_hz: float
-    statistics: Statistics
+    cup_length: float
     movement: Movement
     envelope: Envelope
     facts: tuple[Any, ...] = ()
@@ -368,11 +362,9 @@ def whole_recordings(recordings: Sequence[AnyRecording]) -> list[Recording]:
     return [recording for recording in recordings if isinstance(recording, Recording)]
 
 
-def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
+def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
     """
-    Return a recording reduced with the structure and the cup length of the parameters.
-
-    A reduced recording is converted to this structure if its own structure contains it.
+    Return a recording reduced, if it is not.
 
     Raises
     ------
@@ -380,16 +372,20 @@ def reduced(recording: AnyRecording, values: Values) -> ReducedRecording:
         If it has no valid samples, or the package is not below the tool.
 
     """
-    structure = richest_structure(values)
     if isinstance(recording, ReducedRecording):
-        return recording._replace(statistics=recording.statistics.of(structure))
-    length = values.cup.length
-    made: dict[Structure, ReducedRecording] = recording.cached(('reduced', length), dict)
-    for richer, known in made.items():
-        if richer.contains(structure):
-            return known._replace(statistics=known.statistics.of(structure))
-    made[structure] = _reduced(recording, length, structure)
-    return made[structure]
+        return recording
+    whole = recording
+    return whole.cached(('reduced', cup_length), lambda: _reduced(whole, cup_length))
+
+
+def statistics_of(
+    recording: Recording, cup_length: float, structure: Structure, with_noise: bool
+) -> Statistics:
+    """Return the statistics of a recording, if requested with the bias by its noise."""
+    return recording.cached(
+        ('statistics', cup_length, structure, with_noise), lambda: statistics(
+            sampling.samples_of(recording), cup_length, structure,
+            recording.noise if with_noise else None))
 
 
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
@@ -398,15 +394,13 @@ def envelope_of(recording: Recording, cup_length: float) -> Envelope:
         sampling.samples_of(recording), cup_length))
 
 
-def _reduced(recording: Recording, length: float, structure: Structure) -> ReducedRecording:
+def _reduced(recording: Recording, length: float) -> ReducedRecording:
     """Return a recording reduced."""
-    samples, noise = sampling.samples_of(recording), recording.noise
-    if len(samples.tool) > MAX_STORED:  # as a copy, without the cached motion of the lip
-        samples = replace(samples)
+    samples = sampling.samples_of(recording)
     seen = recording.cached(  # raises without valid samples
         ('envelope', length), lambda: envelope(samples, length))
     return ReducedRecording(
         recording.as_json(), recording.digest, recording.files, recording.payload,
         recording.report.time_offset, recording.report.package_world,
-        recording.report.package.timing.rate_hz, statistics(samples, length, structure, noise),
-        movement_of(samples, length, noise), seen)
+        recording.report.package.timing.rate_hz, length,
+        movement_of(samples, length, recording.noise), seen)

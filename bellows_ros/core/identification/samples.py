@@ -23,6 +23,9 @@ from numpy.typing import ArrayLike
 CLUSTER_WINDOWS = 4
 """Distance of independent residuals for standard errors, in filter windows."""
 
+MAX_STORED = 50_000
+"""Largest number of samples of a recording whose lip motion is stored for reuse."""
+
 NOISE_SEED = 20210801
 """Seed of the added noise, fixed for reproducible results."""
 
@@ -184,9 +187,10 @@ class Samples:
 
 def samples_of(recording: Recording) -> Samples:
     """Return the filtered motions of a recording."""
-    return recording.cached('filtered samples', lambda: Samples(
+    samples = recording.cached('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.filters[1].weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
+    return samples if len(samples.tool) <= MAX_STORED else replace(samples)
 
 
 def lip_relative(

@@ -5,7 +5,7 @@ from dataclasses import replace
 from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.least_squares import simplest_fit
-from bellows_ros.core.identification.reduction import reduced
+from bellows_ros.core.identification.pool import here
 from bellows_ros.core.model.cup_package import Cup, model_tuple, regressor
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import simulate, state_row
@@ -25,6 +25,7 @@ from .. import fem
 VALUES = {
     'cup.length': fem.LENGTH, 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
     'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0], 'fit.relaxation': 'off'}
+LINEAR = {**VALUES, 'fit.method': 'least_squares'}
 TILTS = np.radians([[10, 0, 0], [0, 20, 0], [-20, 0, 0], [0, -10, 0], [14, -14, 17]])
 
 
@@ -56,7 +57,7 @@ def recorded(motion, mass, seed):
 def fitted(recordings, **settings):
     """Return the fit of output error and its cup."""
     values = resolve({**VALUES, **{k.replace('__', '.'): v for k, v in settings.items()}})
-    fit = methods.by_output_error(recordings, values, exactly=True)
+    fit = methods.fitted(recordings, values, exactly=True)
     return fit, Cup(fit.stiffness, fit.damping, fem.LENGTH, stretch=fit.stretch)
 
 
@@ -109,10 +110,10 @@ def test_least_squares_seldom_couples_an_axisymmetric_cup():
     chosen, errors = [], []
     for seed in range(40):
         recording = record(shake(), tool=(1e-4, 5e-4), package=(1e-4, 5e-4), seed=seed)
-        values = resolve({**VALUES, 'cup.length': CUP.length})
-        part = reduced(recording, values).statistics
-        simple = part.of(AUTO_STRUCTURES[0])
-        fits = simplest_fit([part], AUTO_STRUCTURES[0]), simplest_fit([simple], AUTO_STRUCTURES[0])
+        values = resolve({**LINEAR, 'cup.length': CUP.length})
+        part = methods.pair_of(recording, values)[1]
+        fits = [simplest_fit(here([each]), AUTO_STRUCTURES[0]) for each in (
+            part, part.of(AUTO_STRUCTURES[0]))]
         chosen.append(fits[0].structure == 'axisymmetric_coupled')
         errors.append([np.diag(fit.stiffness) / np.diag(CUP.stiffness) - 1.0 for fit in fits])
     assert np.mean(chosen) <= 0.05
@@ -122,20 +123,20 @@ def test_least_squares_seldom_couples_an_axisymmetric_cup():
 
 
 def test_least_squares_finds_the_coupling_of_a_bellows():
-    values = resolve(VALUES)
-    part = reduced(recorded(standstills(TILTS, 1.2), 1.8, 1), values).statistics
-    shaken = reduced(recorded(small_shake(3, 12.0), 1.8, 2), values).statistics
-    fit = simplest_fit([part, shaken], AUTO_STRUCTURES[0])
+    values = resolve(LINEAR)
+    part = methods.pair_of(recorded(standstills(TILTS, 1.2), 1.8, 1), values)[1]
+    shaken = methods.pair_of(recorded(small_shake(3, 12.0), 1.8, 2), values)[1]
+    fit = simplest_fit(here([part, shaken]), AUTO_STRUCTURES[0])
     assert fit.structure == 'axisymmetric_coupled'
     assert 5.0 < fit.stiffness[0, 4] < 12.0
 
 
 def test_statistics_in_a_simpler_structure_are_those_of_that_structure():
     recording = record(shake(), package=(1e-4, 5e-4))
-    values = resolve({**VALUES, 'cup.length': CUP.length})
-    rich = reduced(recording, values).statistics
-    simple = reduced(recording, values.replaced({'fit.structure': 'axisymmetric'})).statistics
-    fits = [simplest_fit([each], AUTO_STRUCTURES[0]) for each in (
+    values = resolve({**LINEAR, 'cup.length': CUP.length})
+    rich = methods.pair_of(recording, values)[1]
+    simple = methods.pair_of(recording, values.replaced({'fit.structure': 'axisymmetric'}))[1]
+    fits = [simplest_fit(here([each]), AUTO_STRUCTURES[0]) for each in (
         rich.of(AUTO_STRUCTURES[0]), simple)]
     assert_allclose(fits[0].parameters, fits[1].parameters, rtol=2e-2)
     assert rich.of(STRUCTURES['full']) is rich
