@@ -79,9 +79,8 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
-Ends = tuple[tuple[Solution, Array], list[Solution]]
-"""Solution of a search with the covariance by given quantities, as `with_given` returns it, and
-the solutions that are searched for causes."""
+Ends = tuple[Solution, list[Solution]]
+"""Solution of a search, and the solutions that are searched for causes."""
 
 MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
 """Largest share of noise in the information for which errors are corrected; largest share of noise
@@ -212,9 +211,9 @@ def output_error(
     near = approach(problem, record, with_couplings=are_slow)
     if near.squares > LEAST_OF_SETTING * near.residual_count and (
             setting := likeliest_setting(near, other_start or start, diagnosed())):
-        return _fit(near, unmoved(near), iterations, named, given, (setting,))
+        return _fit(near, iterations, named, given, (setting,))
     near = _extended(near, given, richer, stretch, record)
-    (found, from_given), ends = _from_slow_poses(
+    found, ends = _from_slow_poses(
         near, given, relaxation, record) if are_slow else _from_quick_poses(
         near, given, relaxation, record, other_start or start)
     reasons: tuple[Finding, ...] = ()
@@ -222,7 +221,7 @@ def output_error(
         from bellows_ros.core.identification.diagnosis.ranking import rank  # rarely needed
 
         reasons = rank(ends, given, diagnosed())
-    return _fit(found, from_given, iterations, named, given, reasons)
+    return _fit(found, iterations, named, given, reasons)
 
 
 def _extended(
@@ -318,107 +317,102 @@ def _from_quick_poses(
     # a search without convergence may have diverged
     found = _with_relaxation(found, relaxation, report) if found.converged else near
     end = near_with_given(found, more, report)
-    ends = _open_ends(found, end[0])
-    if problem is not base and not _explains(end[0]):  # free given quantities hide the cause
+    ends = _open_ends(found, end)
+    if problem is not base and not _explains(end):  # free given quantities hide the cause
         ends = [minimise(base)]
     return end, ends
 
 
 def _from_slow_poses(near: Solution, given: Free, relaxation: str, report: Report) -> Ends:
     """Return the ends of a search from slow poses, whose noise is estimated as well."""
-    stiff = found = root(near, report)
-    end, is_open = (found, unmoved(found)), True
+    stiff = found = end = root(near, report)
+    is_open = True
     if given and relaxation != 'on' and not found.is_plausible:
         end = with_given(found, given, report)
-        is_open = not end[0].converged or (
-            end[0].squares > MAX_NOISE_CHI2 * end[0].residual_count)
+        is_open = not end.converged or end.squares > MAX_NOISE_CHI2 * end.residual_count
     if is_open:  # possibly relaxation
         found = _with_relaxation(found, relaxation, report)
-        if end[0] is stiff or found is not stiff:
+        if end is stiff or found is not stiff:
             end = with_given(found, given, report)
-    return end, _open_ends(found, end[0])
+    return end, _open_ends(found, end)
 
 
-def with_given(found: Solution, given: Free, report: Report) -> tuple[Solution, Array]:
+def with_given(found: Solution, given: Free, report: Report) -> Solution:
     """
     Return the minimum near another with given quantities free, by their standard deviations.
 
-    The second result is the covariance (m, m), SI units, of the unknowns by the remaining given
-    quantities. If a misfit remains, the minimum from the start with all given quantities
-    free is returned, provided that chi² is smaller and no deviation exceeds `SIGNIFICANT` standard
-    deviations, or that the first cup is implausible (`Solution.is_plausible`).
+    If a misfit remains, the minimum from the start with all given quantities free is returned,
+    provided that chi² is smaller and no deviation exceeds `SIGNIFICANT` standard deviations, or
+    that the first cup is implausible (`Solution.is_plausible`).
     """
     problem = found.problem
     more = {name: std for name, std in given.items() if name not in problem.places}
     near = near_with_given(found, more, report)
-    if not more or is_explained(near[0], given):
+    if not more or is_explained(near, given):
         return near
     wide = problem.freed(problem.start, more)
     again = minimise(wide, report=report)
     is_small = all(
         np.all(np.abs(again.theta[place]) * np.sqrt(wide.weights[place]) < SIGNIFICANT)
         for place in map(wide.places.__getitem__, more))
-    if again.converged and (not near[0].is_plausible or is_small
-                            and again.squares <= near[0].squares):
-        return again, unmoved(again)
-    return near
+    is_better = not near.is_plausible or is_small and again.squares <= near.squares
+    return again if again.converged and is_better else near
 
 
-def unmoved(found: Solution) -> Array:
-    """Return a zero covariance (m, m) by given quantities."""
-    return np.zeros((len(found.theta),) * 2)
-
-
-def near_with_given(found: Solution, more: Free, report: Report) -> tuple[Solution, Array]:
+def near_with_given(found: Solution, more: Free, report: Report) -> Solution:
     """
     Return the minimum near another with the part of `more` free that recordings determine better.
 
-    Other shared quantities keep their given values; their covariance is as in `with_given`.
+    Other shared quantities keep their given values, which add `Solution.from_given`.
     """
-    problem, count = found.problem, found.problem.count
+    if not found.is_plausible:
+        return found
+    problem = found.problem
     wide = problem.freed(
         found.theta, {name: std for name, std in more.items() if name not in problem.places})
-    if not found.is_plausible:
-        return found, unmoved(found)
     start = found.near(wide)
-    H, g = start.information, start.slope
     if not start.is_finite:  # derivatives diverge for very wrong given quantities
-        return replace(found, converged=False), unmoved(found)
+        return replace(found, converged=False)
+    shared, H = np.arange(wide.shared), start.information
     tested = np.concatenate([np.empty(0, dtype=np.int64), *(
         wide.places[name].ravel() for name in more if not wide.is_own(name))])
-    rest, std = np.setdiff1d(np.arange(wide.shared), tested), wide.weights[tested] ** -0.5
+    rest, std = np.setdiff1d(shared, tested), wide.weights[tested] ** -0.5
     known = H.plus(-wide.prior(start.theta)[0].shared).reduced
     S = known[np.ix_(tested, tested)] - known[np.ix_(tested, rest)] @ np.linalg.lstsq(
         known[np.ix_(rest, rest)], known[np.ix_(rest, tested)], rcond=None)[0]
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # given information is 1
-    fixed = vectors[:, values <= 1.0] / std[:, None]
-    fixing = np.zeros((wide.shared,) * 2)
+    is_held = values <= 1.0
+    fixed, fixing = vectors[:, is_held] / std[:, None], np.zeros((wide.shared,) * 2)
     fixing[np.ix_(tested, tested)] = FIXED_INFORMATION * fixed @ fixed.T
-    slope = g.copy()
-    slope[:wide.shared] += fixing @ (wide.start - start.theta)[:wide.shared]
-    fixed_problem = replace(wide, fixing=fixing)
-    again = minimise(fixed_problem, replace(
-        start, problem=fixed_problem, information=H.plus(fixing), slope=slope), report)
-    along, used = np.eye(len(g))[:wide.shared], np.full(len(g), True)
+    slope = start.slope.copy()
+    slope[shared] += fixing @ (wide.start - start.theta)[shared]
+    with_fixed = replace(wide, fixing=fixing)
+    again = minimise(with_fixed, replace(
+        start, problem=with_fixed, information=H.plus(fixing), slope=slope), report)
+    everything, used = np.eye(len(slope)), np.full(len(slope), True)
     if again.converged:
-        along[np.ix_(tested, tested)] = std[:, None] * vectors
-        held = along[:, tested[values <= 1.0]]
-        free = np.hstack([along[:, rest], along[:, tested[values > 1.0]]])
-        found, H = again, again.information.plus(-fixing)
-    else:
-        if len(wide.units) == len(problem.units):
-            return found, unmoved(found)
-        by_given = np.concatenate([wide.places[name].ravel() for name in more])
-        held = np.eye(len(g))[:, by_given] * wide.weights[by_given] ** -0.5
-        free = along[:, rest]
-        used[by_given] = False
-    held = np.vstack([held, np.zeros((len(g) - len(held), held.shape[1]))])
+        directions = everything[shared]
+        directions[np.ix_(tested, tested)] = std[:, None] * vectors
+        held = everything[:, tested] @ directions[np.ix_(tested, tested[is_held])]
+        free = directions[:, np.append(rest, tested[~is_held])]
+        moved = _following(again.information.plus(-fixing), held, free, used) * (
+            wide.units[:, None])
+        return replace(again, from_given=moved @ moved.T)
+    if len(wide.units) == len(problem.units):
+        return found
+    by_given = np.concatenate([wide.places[name].ravel() for name in more])
+    used[by_given] = False
+    held = everything[:, by_given] * wide.weights[by_given] ** -0.5
+    moved = _following(H, held, everything[np.ix_(shared, rest)], used) * wide.units[:, None]
+    moved = np.pad(moved[:problem.count], ((0, len(problem.units) - problem.count), (0, 0)))
+    return replace(found, from_given=moved @ moved.T)
+
+
+def _following(H: Arrow, held: Array, free: Array, used: Mask) -> Array:
+    """Return changes (m, h) of held unknowns, with others following along free directions."""
     moved = held - np.transpose([
         H.step_by(H.times(column), free, used) for column in held.T]).reshape(held.shape)
-    moved *= wide.units[:, None]
-    if found.problem is problem:
-        moved = np.pad(moved[:count], ((0, len(problem.units) - count), (0, 0)))
-    return found, moved @ moved.T
+    return np.asarray(moved)
 
 
 def _of_given(found: Solution, given: Free) -> Array:
@@ -550,29 +544,26 @@ def _relative_variances(count: int, squares: Array) -> Array:
 
 
 def _fit(
-    found: Solution, from_given: Array, iterations: list[Iteration], named: Sequence[str],
-    given: Free, reasons: tuple[Finding, ...],
+    found: Solution, iterations: list[Iteration], named: Sequence[str], given: Free,
+    reasons: tuple[Finding, ...],
 ) -> Fit:
     """Return the result of a solution, with the covariance of identifiable parameters."""
-    problem = found.problem
-    size, x = problem.count, problem.units * found.theta
-    of_given = _of_given(found, given)
-    from_given = from_given + np.pad(of_given, (0, problem.own.size))
-    covariance, std, identifiable, notes = _identifiable(found, from_given, of_given, named)
+    problem, size = found.problem, found.problem.count
+    x, places = problem.units * found.theta, problem.places
+    covariance, from_given, std, identifiable, notes = _identifiable(found, given, named)
+    own_std = np.where(identifiable, std, np.inf)
     strengths, of_strengths = _strengths(found, covariance)
-    (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
     ratio = np.array([-DEFAULT_RATIO, 1.0])
-    if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
+    if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * strengths[0]:
         notes.append(NOTES['r2_assumed'])
-    std = np.where(identifiable, std, np.inf)
-    a_std, b_std = (std[problem.places['stretch'][0]] * STRETCH_UNITS).tolist() if (
-        'stretch' in problem.places) else (0.0, 0.0)
+    is_result = {name: name in named and not KINDS[name].each for name in places}
+    nuisances = {name: place for name, place in places.items()
+                 if name not in OF_SPRING and not is_result[name]}
+    total_std = np.sqrt(own_std**2 + np.diag(from_given))
     information = found.information.shared[:size, :size]
     scale = np.sqrt(np.diag(information))
-    nuisances = {name: place for name, place in problem.places.items()
-                 if name not in OF_SPRING and (KINDS[name].each or name not in named)}
     used = found.residual_count // 6
-    offsets = np.ravel(problem.places['time_offset']) if 'time_offset' in named else slice(0)
+    offsets = np.ravel(places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(
         method='output_error',
         structure=problem.structure.name,
@@ -582,7 +573,7 @@ def _fit(
         from_given=from_given[:size, :size],
         samples_used=used,
         samples_rejected=sum(outline.poses for outline in problem.outlines) - used,
-        condition_number=float(np.sqrt(np.linalg.cond(information / np.outer(*[scale] * 2)))),
+        condition_number=float(np.sqrt(np.linalg.cond(information / np.outer(scale, scale)))),
         weight=np.diag(found.pose_std[0][0] ** -2),
         residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
@@ -593,42 +584,48 @@ def _fit(
         converged=found.converged,
         iterations=tuple(iterations),
         delays=tuple(x[offsets].tolist()),
-        delays_std=tuple(std[offsets].tolist()),
+        delays_std=tuple(own_std[offsets].tolist()),
         freed=tuple(
-            Freed(name, tuple(x[place].tolist()), tuple(std[place].tolist()))
-            for name, (place, *_) in problem.places.items()
-            if name in named and not KINDS[name].each),
+            Freed(name, tuple(x[place].tolist()), tuple(own_std[place].tolist()))
+            for name, (place, *_) in places.items() if is_result[name]),
         causes=reasons,
         nuisances={name: x[place] for name, place in nuisances.items()},
-        nuisances_std={name: np.sqrt(std**2 + np.diag(from_given))[place]
-                       for name, place in nuisances.items()},
-        relaxation=(r1, r2),
-        relaxation_std=(r1_std, r2_std),
+        nuisances_std={name: total_std[place] for name, place in nuisances.items()},
+        relaxation=_pair(strengths),
+        relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
         noise_in_motion=found.noise_in_motion,
         stretch=problem.stretch(found.theta),
-        stretch_std=(a_std, b_std),
-    )
+        stretch_std=_pair(own_std[places['stretch'][0]] * STRETCH_UNITS) if (
+            'stretch' in places) else (0.0, 0.0))
+
+
+def _pair(values: Array) -> tuple[float, float]:
+    """Return two numbers as a tuple."""
+    first, second = values.tolist()
+    return first, second
 
 
 def _identifiable(
-    found: Solution, from_given: Array, of_given: Array, named: Sequence[str]
-) -> tuple[Array, Array, Mask, list[str]]:
+    found: Solution, given: Free, named: Sequence[str]
+) -> tuple[Array, Array, Array, Mask, list[str]]:
     """
-    Return the covariance (s, s) by recordings alone, without the part by given quantities.
+    Return the covariance (s, s) by recordings alone, and the part (m, m) by given quantities.
 
-    Further results are standard errors (m,), SI units, the mask of identifiable numbers, and notes
-    on the others.
+    Further results are standard errors (m,) by recordings alone, SI units, the mask of
+    identifiable numbers, and notes on the others.
     """
     problem, size = found.problem, found.problem.count
     covariance, variances, shares = covariance_of(
         found, noise_information(found) if found.converged else None)
-    by_given, wide = np.pad(np.diag(of_given), (0, problem.own.size)), np.sqrt(variances)
-    std = np.sqrt(np.maximum(variances - by_given, 0.0))
-    largest = np.full(len(std), np.inf)
+    of_given = _of_given(found, given)
+    from_free = np.pad(of_given, (0, problem.own.size))
+    from_given, by_given = found.from_given + from_free, np.diag(from_free)
+    largest = np.full(len(variances), np.inf)
     largest[:size] = MAX_RELATIVE_ERROR * problem.structure.sizes(
         found.cup.stiffness, found.cup.damping)
     for name in named:
         largest[problem.places[name]] = KINDS[name].max_std
+    std = np.sqrt(np.maximum(variances - by_given, 0.0))
     errors = std / (largest / MAX_RELATIVE_ERROR)
     ordinary = _ordinary_damping(found)
     is_noise = (shares > MAX_ERROR_SHARE) & (errors > MAX_NOISY_ERROR)
@@ -637,7 +634,7 @@ def _identifiable(
     identifiable = (std <= largest) & ~is_noise & ~is_overdamped & found.converged
     if found.converged:
         is_low = ~identifiable & (found.theta < ordinary) & np.isfinite(ordinary)
-        growth = np.maximum(_damped_std(found, ordinary, is_low) / wide, 1.0)
+        growth = np.maximum(_damped_std(found, ordinary, is_low) / np.sqrt(variances), 1.0)
         covariance = covariance * np.outer(*[growth[:problem.shared]] * 2)
         std = np.sqrt(np.maximum(variances * growth**2 - by_given, 0.0))
         errors = std / (largest / MAX_RELATIVE_ERROR)
@@ -651,7 +648,7 @@ def _identifiable(
         for label, both, error, is_vague in zip(
             problem.structure.labels, total, errors, vague, strict=False) if is_vague]
     identifiable[:size] &= ~vague
-    return covariance - of_given, std, identifiable, notes
+    return covariance - of_given, from_given, std, identifiable, notes
 
 
 def _ordinary_damping(found: Solution) -> Array:

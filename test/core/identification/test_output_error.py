@@ -12,7 +12,6 @@ from bellows_ros.core.identification.output_error import (
     _identifiable,
     _ordinary_damping,
     output_error,
-    unmoved,
 )
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
@@ -149,8 +148,7 @@ def test_no_stiffness_is_identified_beside_a_damping_that_is_none():
     theta = found.theta.copy()
     theta[5] = 20.0 * _ordinary_damping(found)[5]
     damped = replace(evaluated(found.problem, theta, found.courses), converged=True)
-    _, std, identifiable, notes = _identifiable(
-        damped, unmoved(damped), np.zeros((found.problem.shared,) * 2), ())
+    _, _, std, identifiable, notes = _identifiable(damped, {}, ())
     assert std[1] < 0.1 * found.problem.units[1] * theta[1]
     assert identifiable[:4].tolist() == [True, False, True, True]
     assert notes[0].startswith('K z is not identifiable: P z comes out above 10 times ordinary')
