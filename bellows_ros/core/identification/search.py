@@ -117,12 +117,14 @@ class Sums(NamedTuple):
     """
     Sums over a recording.
 
-    Number (K,) and squares (K, 6) of the differences of each segment, and the sums of the
-    logarithms of their variances and of the products of neighbours.
+    Number (K,) and squares (K, 6) of the differences of each segment, squares (6,) without
+    whitening, m^2 and rad^2, and the sums of the logarithms of their variances and of the products
+    of neighbours.
     """
 
     counts: Array
     squares: Array
+    residuals: Array
     logs: float
     neighbours: float
 
@@ -133,7 +135,8 @@ class Sums(NamedTuple):
         with np.errstate(divide='ignore'):  # a diverging simulation has no variance
             logs = sum(float(np.sum(np.log(part.variance))) for part in parts)
         return cls(
-            np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]), logs,
+            np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]),
+            np.sum(squared_residuals(parts), axis=0), logs,
             sum(float(np.sum(e[1:] * e[:-1])) for e in r))
 
 
@@ -264,7 +267,7 @@ class Solution:
     @property
     def mean_square(self) -> Array:
         """The mean squares (6,) of the differences of all segments, m^2 and rad^2."""
-        total = np.sum(self._of_each(_residual_squares), axis=0)
+        total = np.sum([one.residuals for one in self.sums], axis=0)
         return np.asarray(6.0 * total / self.residual_count)
 
     def _of_each(self, function: Callable[[Segments, Any, Parts], Any]) -> list[Any]:
@@ -342,11 +345,6 @@ class Solution:
         """Factors (2, 6) of a measurement model's errors at rest and in motion, if any."""
         factors: Array | None = self._of_each(_error_factors)[0]
         return factors
-
-
-def _residual_squares(segments: Segments, courses: Sequence[Course], parts: Parts) -> Array:
-    """Return the sums (6,) of the squared differences of a recording."""
-    return np.asarray(np.sum(squared_residuals(parts), axis=0))
 
 
 def _pose_std(segments: Segments, courses: Sequence[Course], parts: Parts) -> Array:
@@ -546,7 +544,8 @@ def _refined(
     if with_noise:
         courses, settled = _with_noise(segments, courses, parts)
     ratio = before / _pose_std(segments, courses, parts)
-    return courses, (float(np.sum(Sums.of(parts).squares * ratio**2)), settled)
+    squares = [np.sum(part.innovations.reshape(-1, 6) ** 2, axis=0) for part in parts]
+    return courses, (float(np.sum(squares * ratio**2)), settled)
 
 
 def likeliest(

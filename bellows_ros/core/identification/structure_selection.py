@@ -22,7 +22,6 @@ from bellows_ros.core.recording.recording import FilterNoise
 from bellows_ros.core.signals.residuals import compare
 from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
-from scipy.linalg import block_diag
 
 FOLDS = 5
 """Folds of each recording; each is held out once."""
@@ -123,10 +122,17 @@ def select_structure(
 
     """
     structures = [*([of_gripper] if of_gripper else ()), *STRUCTURES.values()]
-    # The seeds differ from the seeds of a fit, whose bias is already subtracted.
-    added = [noise_products(samples, noise, cup_length, structures[-1], NOISE_SEED + 1)
-             / max(samples.count, 1) for samples, noise in zip(recordings, noises, strict=True)]
-    candidates = [_candidate(recordings, cup_length, added, each) for each in structures]
+    folds: list[list[Samples]] = [[] for _ in range(FOLDS)]
+    parts: list[list[Statistics]] = [[] for _ in range(FOLDS)]
+    for samples, noise in zip(recordings, noises, strict=True):
+        # The seed differs from the seed of a fit, whose bias is already subtracted.
+        added = noise_products(samples, noise, cup_length, structures[-1], NOISE_SEED + 1)
+        ends = np.linspace(0, len(samples.tool), FOLDS + 1).astype(int)
+        for fold, part, first, end in zip(folds, parts, ends, ends[1:], strict=False):
+            fold.append(samples.select(slice(first, end)))
+            reduced = statistics(fold[-1], cup_length, structures[-1])
+            part.append(reduced._replace(noise=added * (reduced.used / max(samples.count, 1))))
+    candidates = [_candidate(each, folds, parts) for each in structures]
     if all(candidate.refused for candidate in candidates):
         raise BellowsError(f'No structure can be fitted. {candidates[0].refused}')
     advised, advice = _advice(candidates)
@@ -135,32 +141,18 @@ def select_structure(
 
 
 def _candidate(
-    recordings: Sequence[Samples], cup_length: float, added: Sequence[Array],
-    structure: Structure,
+    structure: Structure, folds: Sequence[Sequence[Samples]],
+    parts: Sequence[Sequence[Statistics]],
 ) -> Candidate:
-    """
-    Return a structure with its errors on each fold, fitted to all other folds.
-
-    Added is the contribution of noise to the products of a sample of each recording (see
-    `noise_products`), in the richest structure.
-    """
-    T = block_diag(structure.within(list(STRUCTURES.values())[-1]), np.eye(1))
-    folds: list[list[Samples]] = [[] for _ in range(FOLDS)]
-    parts: list[list[Statistics]] = [[] for _ in range(FOLDS)]
-    for samples, products in zip(recordings, added, strict=True):
-        noise = np.einsum('ipjq,pa,qb->iajb', products, T, T, optimize=True)
-        ends = np.linspace(0, len(samples.tool), FOLDS + 1).astype(int)
-        for fold, part, first, end in zip(folds, parts, ends, ends[1:], strict=False):
-            fold.append(samples.select(slice(first, end)))
-            reduced = statistics(fold[-1], cup_length, structure)
-            part.append(reduced._replace(noise=reduced.used * noise))
+    """Return a structure with its errors on each fold, fitted to the parts of all other folds."""
+    own = [[part.of(structure) for part in fold] for fold in parts]
     size = 2 * structure.size
     try:
-        usable = least_squares(here(sum(parts, []))).usable
-        fits = [least_squares(here(sum(parts[:k] + parts[k + 1:], []))) for k in range(FOLDS)]
+        usable = least_squares(here(sum(own, []))).usable
+        fits = [least_squares(here(sum(own[:k] + own[k + 1:], []))) for k in range(FOLDS)]
     except UndeterminedError as error:
         return Candidate(structure.name, size, False, str(error), np.full(FOLDS, np.inf))
-    cups = [gripper_of(Cup(fit.stiffness, fit.damping, cup_length), structure.places)
+    cups = [gripper_of(Cup(fit.stiffness, fit.damping, own[0][0].cup_length), structure.places)
             for fit in fits]
     sums = [_simulated_errors(cup, [segment for samples in fold for segment in _segments(samples)])
             for cup, fold in zip(cups, folds, strict=True)]
