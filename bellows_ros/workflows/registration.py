@@ -6,7 +6,7 @@ from typing import Any
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import output_error
-from bellows_ros.core.identification.quantities import weak_prior
+from bellows_ros.core.identification.quantities import KINDS, middle_of, weak_prior
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.values import Values
@@ -15,6 +15,7 @@ from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
+from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import UndeterminedError
 import numpy as np
@@ -57,30 +58,53 @@ def _registered(
     names = [name for name, free in (
         ('time_offset', values.fit.time_offset), ('package_world', estimate),
         ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
-    changes = dict[str, Any]()
-    result = output_error.registered(
+    found = output_error.registered(
         recording, given_structure(values), one_cup_of(values), weak_prior(names))
+    changes, estimates = dict[str, Any](), {
+        name: found.estimate(name) for name in found.problem.places} if found else {}
+    world, world_std = estimates.get('package_world', (None, np.zeros(6)))
     if values.fit.method == 'least_squares':
-        result.require_world()
-    if result.scale and pose is not None:  # about the camera instead of the tool's world
+        _require_world(world_std)
+    (scale,), _ = estimates.get('scale', (np.zeros(1), None))
+    if scale and pose is not None:  # about the camera instead of the tool's world
         of_camera = np.array(values.measured.camera)
         camera = pose[:3] + lie.quaternion_to_rotation(pose[3:]) @ of_camera
-        package = replace(package, position=of_camera + (1.0 + result.scale) * (
+        package = replace(package, position=of_camera + (1.0 + scale) * (
             package.position - of_camera))
-        pose = np.append(pose[:3] + result.scale * camera, pose[3:])
-        changes['scale'] = (1.0 + result.scale) * values.measured.scale
-    if result.world is not None and pose is not None:
-        pose = frames.shifted_pose(pose, settings.R_world_recorded, result.middle, result.world)
-        changes['package_world'] = prepared.PackageWorld(pose, result.world_std)
-    if settings.tag and result.error_factors is not None:
-        settings = replace(settings, tag=settings.tag.scaled_errors(*result.error_factors))
-    recording = filtered(result.alignment)
-    if result.offset is not None:
-        recording = with_tool_earlier(recording, result.offset.value)
-        changes['time_offset'] = TimeOffset(rough_s + result.offset.value, result.offset.std)
+        pose = np.append(pose[:3] + scale * camera, pose[3:])
+        changes['scale'] = float(1.0 + scale) * values.measured.scale
+    if world is not None and pose is not None:
+        middle = middle_of(recording.tracked_package)[:3]
+        pose = frames.shifted_pose(pose, settings.R_world_recorded, middle, world)
+        changes['package_world'] = prepared.PackageWorld(pose, world_std)
+    if settings.tag and found and found.error_factors is not None:
+        settings = replace(settings, tag=settings.tag.scaled_errors(*found.error_factors))
+    alignment = recording.alignment
+    if 'package_marker' in estimates:
+        shift, turn = np.split(estimates['package_marker'][0], 2)
+        R = lie.exp_so3(turn)  # origin_to_com is in lip axes, rotated by R
+        alignment = replace(
+            alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
+            origin_to_com=R.T @ (alignment.origin_to_com + shift))
+    recording = filtered(alignment)
+    (offset,), (std,) = estimates.get('time_offset', (np.zeros(1), np.array([np.inf])))
+    if std < KINDS['time_offset'].max_std:
+        recording = with_tool_earlier(recording, float(offset))
+        changes['time_offset'] = TimeOffset(rough_s + float(offset), float(std))
     elif values.fit.time_offset:
         changes['remarks'] = (*recording.report.remarks, frames.Remark('no_offset', {}))
     return replace(recording, report=replace(recording.report, **changes))
+
+
+def _require_world(std: Array) -> None:
+    """Raise if the world is unidentifiable, for a method that takes it as exact."""
+    if np.any(std > KINDS['package_world'].max_std):
+        each = [f'{x:.2g}' for x in DISPLAY_FACTORS * std]
+        raise UndeterminedError(
+            'recording.package_world is not identifiable from this recording: the standard '
+            f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} degrees. Tilt '
+            'and turn the tool more, best with three standstills tilted to different sides, '
+            'or set its seven numbers.')
 
 
 def _first_guess(

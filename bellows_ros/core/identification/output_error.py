@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 from operator import attrgetter
-from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
@@ -71,9 +70,7 @@ from bellows_ros.core.identification.segments import (
 )
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import has_coupling, require_stretch, Structure
-from bellows_ros.core.recording.alignment import Alignment
-from bellows_ros.core.recording.recording import BodyNoise, Recording, TimeOffset
-from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
+from bellows_ros.core.recording.recording import BodyNoise, Recording
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -754,39 +751,11 @@ def _unidentifiable(
             one_cup=', or one of one cup alone' if problem.structure.places else '')
 
 
-class Registered(NamedTuple):
-    """
-    Estimates jointly with K and P from one recording, None if not requested or unidentifiable.
-
-    They are the motion of the package's world (6,) about a point (3,) with its standard errors
-    (6,), the alignment for filtering the streams again, the time offset, the relative error of the
-    positions' scale, and the factors (2, 6) of a tag's errors at rest and in motion.
-    """
-
-    world: Array | None
-    world_std: Array
-    middle: Array
-    alignment: Alignment
-    offset: TimeOffset | None
-    scale: float = 0.0
-    error_factors: Array | None = None
-
-    def require_world(self) -> None:
-        """Raise if the world is unidentifiable, for a method that takes it as exact."""
-        if np.any(self.world_std > KINDS['package_world'].max_std):
-            each = [f'{x:.2g}' for x in DISPLAY_FACTORS * self.world_std]
-            raise UndeterminedError(
-                'recording.package_world is not identifiable from this recording: the standard '
-                f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} degrees. Tilt '
-                'and turn the tool more, best with three standstills tilted to different sides, '
-                'or set its seven numbers.')
-
-
 def registered(
     recording: Recording, structure: Structure, start: Cup, free: Free
-) -> Registered:
+) -> Solution | None:
     """
-    Estimate free quantities jointly with K and P by simulation; omit an unidentifiable clock.
+    Estimate free quantities jointly with K and P by simulation; None for a clock alone not found.
 
     Initial guesses need no cup: rotations of both bodies agree, and their distance is nearly
     constant (see `recording.alignment`).
@@ -797,28 +766,12 @@ def registered(
         If the search does not converge, unless the clock alone is free.
 
     """
-    measured = measured_segments(recording)
-    found = minimise(Problem.of(here([segments_of(measured)]), structure, start, free))
-    middle, alignment = np.asarray(measured[0].middle)[:3], recording.alignment
-    if not found.converged and list(free) == ['time_offset']:
-        return Registered(None, np.zeros(6), middle, alignment, None)
-    if not found.converged:
-        raise UndeterminedError(
-            f'{", ".join(free)} cannot be found: the search did not converge. Check package.mass '
-            'and package.com, and tilt and turn the tool more.')
-    estimates = {name: found.estimate(name) for name in found.problem.places}
-    if 'package_marker' in estimates:
-        shift, turn = np.split(estimates['package_marker'][0], 2)
-        R = exp_so3(turn)  # origin_to_com is in lip axes, rotated by R
-        alignment = replace(
-            alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
-            origin_to_com=R.T @ (alignment.origin_to_com + shift))
-    offset = None
-    if 'time_offset' in estimates:
-        (seconds,), (std,) = estimates['time_offset']
-        if std < KINDS['time_offset'].max_std:
-            offset = TimeOffset(float(seconds), float(std))
-    world, world_std = estimates.get('package_world', (None, np.zeros(6)))
-    (scale,), _ = estimates.get('scale', ((0.0,), None))
-    return Registered(world, world_std, middle, alignment, offset, float(scale),
-                      found.error_factors)
+    segments = here([segments_of(measured_segments(recording))])
+    found = minimise(Problem.of(segments, structure, start, free))
+    if found.converged:
+        return found
+    if list(free) == ['time_offset']:
+        return None
+    raise UndeterminedError(
+        f'{", ".join(free)} cannot be found: the search did not converge. Check package.mass '
+        'and package.com, and tilt and turn the tool more.')
