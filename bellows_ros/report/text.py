@@ -192,7 +192,7 @@ def _print_samples(result: 'Identification', out: Writer) -> None:
 
 def print_replay(result: 'Replay', out: Writer, limit: float = MAX_NRMSE) -> None:
     """Print the errors per axis and their meaning."""
-    rest = result.validation.start == 'equilibrium'
+    rest = result.validation.runs[0].start == 'equilibrium'
     out.line(f'Replay of {result.bag}', 'bold')
     out.paragraph(
         '(package relative to the tool, predicted minus measured; from '

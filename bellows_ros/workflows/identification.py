@@ -347,7 +347,7 @@ class Identification(CommandResult):
             'recordings': [part.report for part in self.parts],
             'static': self.static,
             'one_cup': self.consistency and self.consistency.verdict_json(),
-            'excitation': excitation_json(self.excitation),
+            'excitation': excitation_json(self.excitation, self.fit),
             'structures': self.selection and selection_json(self.selection),
             'validations': self.validations,
             'envelope': self.envelope,
@@ -469,11 +469,11 @@ def _products(units: Any) -> list[list[str]]:
     return [[f'{one} {other}' for other in units] for one in units]
 
 
-def excitation_json(excitation: identifiability.Excitation) -> dict[str, Any]:
+def excitation_json(excitation: identifiability.Excitation, fit: Fit) -> dict[str, Any]:
     """Return the identifiability by the recordings for a JSON file; null is unknown."""
-    units = parameter_units(structure_named(excitation.structure))
+    units = parameter_units(structure_named(fit.structure))
     return {
-        'structure': excitation.structure,
+        'structure': fit.structure,
         'axes': {axis.name: {
             **results.attributes(
                 axis, 'strain', 'motion', 'twist', 'band_hz', 'strain_noise', 'twist_noise'),
@@ -488,7 +488,8 @@ def excitation_json(excitation: identifiability.Excitation) -> dict[str, Any]:
                     'weak'),
                 'units': {'value': unit}}
             for parameter, unit in zip(excitation.parameters, units, strict=True)},
-        **results.attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings')}
+        'rank': excitation.rank, 'size': len(units), 'condition_number': fit.condition_number,
+        **results.attributes(excitation, 'pairs', 'warnings')}
 
 
 def selection_json(selection: Any) -> dict[str, Any]:

@@ -304,7 +304,7 @@ class Replay(CommandResult):
             'moves': validation.moves,
             'limit': limit,
             'above_limit': validation.failing(limit),
-            'start': validation.start,
+            'start': validation.runs[0].start,
             'margin': self.margin,
             'time_offset': self.time_offset,
             'seed': DRAW_SEED,

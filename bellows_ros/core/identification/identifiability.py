@@ -183,16 +183,12 @@ class Excitation(NamedTuple):
 
     Parameters
     ----------
-    structure : str
-        Structure of K and P.
     axes : tuple of Axis
         The six directions.
     parameters : tuple of Identifiability
         The free parameters.
-    rank, size : int
-        Number of identifiable combinations of parameters, and number of parameters.
-    condition_number : float
-        Condition number of the whitened equations with columns of unit length.
+    rank : int
+        Number of identifiable parameters.
     pairs : tuple of (str, str, float)
         Pairs of parameters that can hardly be separated, and the correlation of their estimates.
     warnings : tuple of str
@@ -200,12 +196,9 @@ class Excitation(NamedTuple):
 
     """
 
-    structure: str
     axes: tuple[Axis, ...]
     parameters: tuple[Identifiability, ...]
     rank: int
-    size: int
-    condition_number: float
     pairs: tuple[tuple[str, str, float], ...]
     warnings: tuple[str, ...]
 
@@ -235,9 +228,7 @@ def excitation_of(movements: Sequence[Movement], fit: Fit) -> Excitation:
     warnings = () if fit.method == 'output_error' else (
         *advice(parameters, structure, pairs, source),
         *too_fast(axes, [movement.passed for movement in movements]))
-    return Excitation(
-        fit.structure, axes, parameters, int(np.count_nonzero(identifiable)), len(parameters),
-        fit.condition_number, pairs, warnings)
+    return Excitation(axes, parameters, int(np.count_nonzero(identifiable)), pairs, warnings)
 
 
 def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:

@@ -113,14 +113,8 @@ class Validation(residuals.Comparison):
         Simulated cup.
     recording : Recording
         Recording.
-    tool, package : Trajectory
-        Motions of E with twists, and of B in the free simulation, at the stamps of the tool.
-    state : State
-        State of B in the world at the first stamp.
-    start : str
-        Origin of the first state: 'equilibrium' or 'measured'.
     runs : tuple of Run
-        Simulations of the segments, which `tool` and `package` join.
+        Simulations of the segments.
     warnings : tuple of str
         Warnings for the user.
 
@@ -128,12 +122,18 @@ class Validation(residuals.Comparison):
 
     cup: Cup
     recording: Recording
-    tool: Trajectory
-    package: Trajectory
-    state: State
-    start: str
     runs: tuple[Run, ...]
     warnings: tuple[str, ...]
+
+    @cached_property
+    def tool(self) -> Trajectory:
+        """Motion of E with twists."""
+        return _joined([run.tool for run in self.runs])
+
+    @cached_property
+    def package(self) -> Trajectory:
+        """Motion of B in the free simulation, at the stamps of the tool."""
+        return _joined([run.package for run in self.runs])
 
     @property
     def model(self) -> ModelTuple:
@@ -284,9 +284,7 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
                                    for name in ('stamps_ns', 'measured', 'predicted'))
     return Validation(
         stamps, measured, predicted, residuals.score(measured, predicted), cup=cup,
-        recording=recording, tool=_joined([run.tool for run in runs]),
-        package=_joined([run.package for run in runs]), state=runs[0].state, start=runs[0].start,
-        runs=tuple(runs), warnings=tuple(warnings))
+        recording=recording, runs=tuple(runs), warnings=tuple(warnings))
 
 
 def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:

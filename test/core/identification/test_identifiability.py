@@ -33,8 +33,8 @@ def rich():
 def test_a_rich_exact_recording_tells_everything(rich):
     _, found, fit = described(rich)
     assert found.warnings == ()
-    assert (found.rank, found.size, found.pairs) == (8, 8, ())
-    assert found.condition_number < 10.0
+    assert (found.rank, found.pairs) == (8, ())
+    assert fit.condition_number < 10.0
     assert not any(not p.identifiable or p.weak for p in found.parameters)
     assert [p.value for p in found.parameters] == fit.parameters.tolist()
 
@@ -102,7 +102,7 @@ def test_pairs_are_those_of_the_covariance(name, axes):
     size = np.linalg.norm(A, axis=0)
     covariance = np.linalg.inv((A / size).T @ (A / size)) / np.outer(size, size)
     _, found, _ = described(recording, structure, covariance=covariance)
-    assert found.rank == found.size
+    assert found.rank == len(found.parameters)
     spread = np.sqrt(np.diag(covariance))
     correlation = np.triu(covariance / np.outer(spread, spread), 1)
     expected = {(structure.labels[i], structure.labels[j])

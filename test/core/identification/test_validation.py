@@ -56,7 +56,7 @@ def judged():
 def test_the_true_cup_explains_a_noise_free_recording():
     """Leave nothing but what the smoothing takes from the tool."""
     found = validate(CUP, recording(noise=0.0))
-    assert found.start == 'equilibrium'
+    assert found.runs[0].start == 'equilibrium'
     assert np.all(found.scores.nrmse < 1e-4)
     assert found.one_step is None
     assert found.warnings == ()
@@ -116,7 +116,7 @@ def test_a_wrong_cup_is_found_out(judged):
 def test_a_recording_that_begins_in_motion_starts_as_measured():
     """Begin with the filtered pose and twist, and forget what is wrong with it."""
     found = validate(CUP, recording(noise=0.1, first=int(2.5 * RATE)))
-    assert found.start == 'measured'
+    assert found.runs[0].start == 'measured'
     assert found.failing() == ()
 
 
