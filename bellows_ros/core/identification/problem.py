@@ -39,7 +39,6 @@ from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import first_order
-from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -384,6 +383,11 @@ class Problem:
                 for first, (name, shape) in zip(ends, shapes.items(), strict=False)}
 
     @cached_property
+    def rows(self) -> Mapping[str, Places]:
+        """Indices of free quantities among the unknowns of the first recording."""
+        return {name: row for name, (row, *_) in self.places.items()}
+
+    @cached_property
     def own(self) -> Places:
         """Indices (R, o) of the own unknowns of each recording."""
         return np.hstack([np.empty((len(self.outlines), 0), dtype=np.int64), *(
@@ -475,7 +479,7 @@ class Problem:
     def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
         """Return the model of a segment, and its free quantities, SI units."""
         values = self.units * theta
-        free = {name: values[places] for name, (places, *_) in self.places.items()}
+        free = {name: values[row] for name, row in self.rows.items()}
         cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
@@ -553,27 +557,23 @@ class Problem:
         model, free = self.model(theta, segment)
         nodes = segment.nodes(*(
             float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate')))
-        lengths = np.diff(nodes.stamps) / NS_PER_S
-        step = self._integration_step(model, segment)
-        path = whitening.Path(simulation.tool_rows(resample(course.path, nodes.stamps)),
-                              lengths, substeps_of(lengths, step))
+        path = whitening.Path(
+            simulation.tool_rows(resample(course.path, nodes.stamps)), nodes.lengths,
+            substeps_of(nodes.lengths, self._integration_step(model, segment)))
         expected, start = (
             adapted(model, simulation.row_state(path.rows[0]), body)
             for body in (segment.expected_start, course.start))
         start = _start_near_rest(model, path.rows[0], start, course.std)
-        places = {name: place for name, (place,) in self.places.items()}
         mean = _difference(start, expected)
-        poses = _poses(segment, course, nodes, free, lengths, places, self.units)
         marker = free.get('tool_marker', np.zeros(6))
         tool_noise = segment.tool_noise(course.deviation + marker, nodes)
         initial_std = INITIAL_STD[:len(mean)]
-        unknowns = self._unknowns(
-            segment, free, places, *self._changes(theta, segment, nodes.stamps))
         is_correlated = segment.measured.package_noise.correlation > 0.0
         std = [initial_std, np.zeros(6), course.std][:3 if is_correlated else 2]
         result = whitening.whiten(
             whitening.relaxing(model), whitening.with_inner(start), mean, np.concatenate(std),
-            path, tool_noise, poses, unknowns,
+            path, tool_noise, self._poses(segment, course, nodes, free),
+            self._unknowns(theta, segment, free, nodes.stamps),
             self.forgetting**4 * segment.period * course.std**2)
         innovations, slopes, _, _, gains, _ = result
         smoothed, slope = whitening.smooth(
@@ -608,40 +608,56 @@ class Problem:
         return min(longest, MAX_INTEGRATION_STEP)
 
     def _unknowns(
-        self, segment: Segment, free: Free, places: Mapping[str, Places], scales: Array,
-        extra: Array,
+        self, theta: Array, segment: Segment, free: Free, stamps: Stamps
     ) -> whitening.Unknowns:
-        """Return the effect of a segment's unknowns on its model."""
+        """Return the effect of a segment's unknowns on its model at nodes."""
         payload = quantities.payload_of(segment.measured.payload, free)
         columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units) + 1))
         columns[:BY_DAMPING.stop, :self.count] = self.structure.upper
-        for name, place in places.items():
-            columns[:, place] = quantities.model_columns(
+        for name, row in self.rows.items():
+            columns[:, row] = quantities.model_columns(
                 name, payload, segment.measured.gravity, free, len(columns))
         columns[:, :-1] *= self.units
         used = np.flatnonzero(np.any(columns[:PARAMETER_COLUMNS], axis=1))[-1]
-        last = BY_DAMPING.stop if used < BY_DAMPING.stop else PARAMETER_COLUMNS
-        return whitening.Unknowns(
-            last, columns, scales, extra, np.array([
-                int(place) for name in ('time_offset', 'clock_rate')
-                for place in places.get(name, ())], dtype=np.int64),
-            int(places.get('tool_marker', (-1,))[0]), int(places.get('exposure', (-1,))[0]))
-
-    def _changes(
-        self, theta: Array, segment: Segment, stamps: Stamps
-    ) -> tuple[Array, Array]:
-        """Return factors (M, q) of columns at the nodes, and values (q,) of `CHANGING`."""
-        if self.places.keys().isdisjoint(quantities.CHANGING):
-            return np.empty((len(stamps), 0)), np.empty(0)
         first, last = segment.span_ns or segment.ends_ns
         profiles = {
             'length_drift': (stamps - first) / (last - first) - 0.5,
             'slip': (stamps >= self.slip_ns) & (self.slip_ns >= first)}
-        scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
-        for name, profile in profiles.items():
-            for places in self.places.get(name, ()):
-                scales[:, places], extra[places] = profile[:, None], theta[places]
-        return scales, extra
+        changing = self.rows.keys() & profiles
+        scales = np.ones((len(stamps), len(theta) if changing else 0))
+        values = np.zeros(scales.shape[1])
+        for name in changing:
+            scales[:, self.rows[name]] = profiles[name][:, None]
+            values[self.rows[name]] = theta[self.rows[name]]
+        return whitening.Unknowns(
+            BY_DAMPING.stop if used < BY_DAMPING.stop else PARAMETER_COLUMNS, columns, scales,
+            values, np.array([
+                int(place) for name in ('time_offset', 'clock_rate')
+                for place in self.rows.get(name, ())], dtype=np.int64),
+            *(int(self.rows.get(name, (-1,))[0]) for name in ('tool_marker', 'exposure')))
+
+    def _poses(
+        self, segment: Segment, course: Course, nodes: Nodes, free: Free
+    ) -> whitening.Poses:
+        """Return the package's poses at the nodes, corrected by the free quantities."""
+        noise, poses = segment.measured.package_noise, segment.package.select(nodes.used)
+        context = np.array(segment.measured.moves_with_com, float), segment.middle
+        package = quantities.poses_of(poses, free, *context)
+        by_unknowns = np.zeros((len(poses), 6, len(self.units)))
+        for name, row in self.rows.items():
+            known = quantities.carried(poses, course.path) if name == 'scale' else poses
+            by_unknowns[:, :, row] = -quantities.pose_changes(name, known, *context)
+        mean = segment.period**2 / 24.0  # for an exposure as long as the period
+        by_unknowns[:, :, self.rows.get('exposure', [])] = mean
+        rows = np.column_stack([
+            package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays,
+            np.full(len(poses), mean * float(free.get('exposure', (0.0,))[0]))])
+        return whitening.Poses(
+            nodes.place, rows, by_unknowns * self.units,
+            segment.errors.axes[nodes.used[:len(segment.errors.axes)]], segment.errors.point,
+            (segment.errors.std[nodes.used] * (
+                MIN_POSE_STD if noise.correlation > 0.0 else course.std)) ** 2, course.std**2,
+            noise.correlation ** (nodes.lengths / segment.period))
 
 
 def _changed(
@@ -650,31 +666,6 @@ def _changed(
     """Return other segments of a recording, and their outline."""
     other = segments_of([change(segment.measured) for segment in segments])
     return other, outline_of(other)
-
-
-def _poses(
-    segment: Segment, course: Course, nodes: Nodes, free: Free, lengths: Array,
-    places: Mapping[str, Places], units: Array,
-) -> whitening.Poses:
-    """Return the package's poses at the nodes, corrected by the free quantities."""
-    noise, poses = segment.measured.package_noise, segment.package.select(nodes.used)
-    context = np.array(segment.measured.moves_with_com, float), segment.middle
-    package = quantities.poses_of(poses, free, *context)
-    by_unknowns = np.zeros((len(poses), 6, len(units)))
-    for name, place in places.items():
-        known = quantities.carried(poses, course.path) if name == 'scale' else poses
-        by_unknowns[:, :, place] = -quantities.pose_changes(name, known, *context)
-    mean = segment.period**2 / 24.0  # for an exposure as long as the period
-    by_unknowns[:, :, places.get('exposure', [])] = mean
-    rows = np.column_stack([
-        package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays,
-        np.full(len(poses), mean * float(free.get('exposure', (0.0,))[0]))])
-    return whitening.Poses(
-        nodes.place, rows, by_unknowns * units,
-        segment.errors.axes[nodes.used[:len(segment.errors.axes)]], segment.errors.point,
-        (segment.errors.std[nodes.used] * (
-            MIN_POSE_STD if noise.correlation > 0.0 else course.std)) ** 2, course.std**2,
-        noise.correlation ** (lengths / segment.period))
 
 
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:

@@ -38,9 +38,6 @@ KINDS: Mapping[str, Kind] = {
         Path(__file__).with_name('quantities.toml').read_text()).items()}
 """Kinds by their names in fit.free."""
 
-CHANGING = ('slip', 'length_drift')
-"""Quantities that change within a recording; their effect is added to first order."""
-
 COLUMNS: Mapping[str, slice] = {
     'length': jac.BY_LENGTH, 'length_drift': jac.BY_LENGTH, 'com': jac.BY_COM,
     'relaxation': slice(-2, None), 'slip': slice(jac.BY_COM.start, jac.BY_COM.start + 2)}
@@ -154,9 +151,7 @@ def model_columns(
     return np.zeros((count, KINDS[name].size))
 
 
-def pose_changes(
-    name: str, package: Trajectory, moves: Array, middle: Array | None = None
-) -> Array:
+def pose_changes(name: str, package: Trajectory, moves: Array, middle: Array) -> Array:
     """
     Return the derivatives of poses (M, 6, count) by a quantity, in body axes.
 
@@ -168,14 +163,12 @@ def pose_changes(
     elif name == 'time_offset':
         change -= 1.0
     elif name == 'clock_rate':
-        first = (middle_of(package) if middle is None else middle)[3]
-        change -= (package.stamps_ns / NS_PER_S - first)[:, None, None]
+        change -= (package.stamps_ns / NS_PER_S - middle[3])[:, None, None]
     elif name == 'scale':  # of smooth poses, see `carried`
         change[:, :3, 0] = lie.apply(np.swapaxes(package.rotation, 1, 2), package.position)
     elif name == 'package_marker':
         change += np.eye(6)
     elif name == 'package_world':
-        middle = middle_of(package) if middle is None else middle
         inverse = np.swapaxes(package.rotation, 1, 2)
         change[:, :3, :3] = change[:, 3:, 3:] = inverse
         change[:, :3, 3:] = -inverse @ lie.hat(package.position - middle[:3])

@@ -132,12 +132,12 @@ class Sums(NamedTuple):
     def of(cls, parts: Parts) -> 'Sums':
         """Return the sums of whitened segments."""
         r = [part.innovations.reshape(-1, 6) for part in parts]
-        with np.errstate(divide='ignore'):  # a diverging simulation has no variance
-            logs = sum(float(np.sum(np.log(part.variance))) for part in parts)
-        return cls(
-            np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]),
-            np.sum(squared_residuals(parts), axis=0), logs,
-            sum(float(np.sum(e[1:] * e[:-1])) for e in r))
+        with np.errstate(divide='ignore', invalid='ignore'):  # of a diverging simulation
+            return cls(
+                np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]),
+                np.sum(squared_residuals(parts), axis=0),
+                sum(float(np.sum(np.log(part.variance))) for part in parts),
+                sum(float(np.sum(e[1:] * e[:-1])) for e in r))
 
 
 def median(numbers_of: Callable[[Parts], Array], parts: Held) -> Array:

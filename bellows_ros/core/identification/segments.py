@@ -168,6 +168,11 @@ class Nodes(NamedTuple):
     used: Mask
     delays: Array
 
+    @property
+    def lengths(self) -> Array:
+        """Times (M - 1,) between nodes, s."""
+        return np.diff(self.stamps) / NS_PER_S
+
 
 class Course(NamedTuple):
     """
