@@ -255,12 +255,11 @@ class ContactCell:
     def _seen(self, times, truth, marker, at, fault, when, moved):
         g, drawn = self.rng, []
         last, n = min(at['unseen'], times[-1]), g.normal(size=6)
-        was = truth[0]
         for t in np.arange(at['seen'], last, 1.0 / 30.0):
             k = round(t / (STEP * EVERY))
             pose = truth[min(k, len(truth) - 1)]
             R, o = Rotation.from_quat(pose[3:]), pose[:3]
-            speed, was = np.linalg.norm(o - was[:3]) * 30.0, pose
+            speed = np.linalg.norm(o - truth[max(k - 3, 0), :3]) / (3 * STEP * EVERY)
             o, R = o + R.apply(marker[:3]), R * Rotation.from_rotvec(marker[3:])
             world = Rotation.from_rotvec(self.camera[3:])
             o, R = world.apply(o - [0.5, 0.0, 0.3]) + [0.5, 0.0, 0.3] + self.camera[:3], world * R
