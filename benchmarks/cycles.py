@@ -17,7 +17,10 @@ from bellows_ros import LivePredictor
 from bellows_ros.core.model.equilibrium import pose_error
 from bellows_ros.core.observer.alarms import ONSET_NS
 import numpy as np
-from scipy.stats import ncx2
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+from scipy.special import hyp0f1
+from scipy.stats import ncx2, norm
 
 from test.core.observer import contact_cell  # noqa: I100, I201
 from test.core.observer.contact_cell import ContactCell, DAMPING, LENGTH, STIFFNESS, WRONG
@@ -138,21 +141,22 @@ FAULTS: dict[str, list[dict[str, Any]]] = {
 }
 RIGHT = {'collision': ('', 'disturbance'), 'drop': ('lost',), 'swap': ('payload',)}
 TRUE_SIZE = {'slip': 5e-3, 'swap': 0.3, 'latency': 0.04, 'camera': 5e-3}
+DIRECTIONS = {'slip': 2, 'camera': 3}
+"""Dimensions of the directions of faults with an ideal test."""
 
 
 def faults(kind: str, seeds: range, sensor: str) -> None:
     """Print the first causes of faults in the third cycle of a cell, and z of the sizes."""
-    first, z, odds, ideal = Counter[str](), [], 0.0, []
+    first, z, odds, found_by = Counter[str](), [], 0.0, np.zeros(2)
     for seed in seeds:
-        cell = ContactCell(seed, 1.0, sensor)
         fault = FAULTS[kind][seed % len(FAULTS[kind])]
-        cycles = [cell.cycle(), cell.cycle(), cell.cycle(kind, **fault)]
-        if kind in ('latency', 'swap'):
-            cycles += [cell.cycle(kind, **fault) for _ in range(2)]
+        cycles = _with_fault(seed, sensor, kind, fault)
         run = followed(cycles, CUP | CUP_STD | CAMERAS[sensor], True, True)
         found = [each for each in run.alarms if each[0] >= 2]
         first[found[0][2].cause if found else ''] += 1
-        ideal.append(ideal_slip(cycles[2]))
+        if kind in DIRECTIONS:
+            sound = _with_fault(seed, sensor, kind, {**fault, 'size': 0.0})
+            found_by += ideal(sound[2], cycles[2], DIRECTIONS[kind])
         for _, _, alarm in found[:1]:
             if alarm.cause not in RIGHT.get(kind, (kind,)):
                 odds = max(odds, alarm.odds)
@@ -161,30 +165,44 @@ def faults(kind: str, seeds: range, sensor: str) -> None:
     right = sum(first[cause] for cause in RIGHT.get(kind, (kind,)))
     print(f'| {kind} | {sensor} | {right} of {len(seeds)} {dict(first)} | largest wrong odds '
           f'{odds:.0f} | z rms {np.sqrt(np.mean(np.square(z))):.2f} of {len(z)} |' + (
-              f' ideal {np.sum(ideal):.1f} |' if kind == 'slip' else ''), flush=True)
+              ' ideal {:.1f}, {:.1f} with its direction |'.format(*found_by)
+              if kind in DIRECTIONS else ''), flush=True)
 
 
-def ideal_slip(cycle: Any) -> float:
+def _with_fault(seed: int, sensor: str, kind: str, fault: Mapping[str, Any]) -> list[Any]:
+    """Return two sound cycles, and one or three with a fault."""
+    cell = ContactCell(seed, 1.0, sensor)
+    return [cell.cycle(), cell.cycle(), *(
+        cell.cycle(kind, **fault) for _ in range(3 if kind in ('latency', 'swap') else 1))]
+
+
+def ideal(sound: Any, faulty: Any, dimensions: int) -> tuple[float, float]:
     """
-    Return the probability that an ideal test finds a slip of 5 mm at the threshold of an alarm.
+    Return the probabilities that ideal tests find a fault at the threshold of an alarm.
 
-    The test has the true time of the slip and the true noise of poses and stamps, and averages
-    over directions. Marker, camera and centre of mass have their stated standard deviations.
+    The tests have the true time and size of the fault, its effect on the poses, and the true noise
+    of poses and stamps. Marker, camera and centre of mass have their stated standard deviations.
+    The first test averages over directions, the second has the true one. With n dimensions, the
+    fault's squared distance k and r = sqrt(k) |y| for the whitened score y, the average of the
+    likelihood ratio is 0F1(n / 2; r^2 / 4) exp(-k / 2).
     """
-    stamps = np.array([t for t, *_ in cycle.seen if t < cycle.at['lower']])
-    by_weight = cycle.stated['package.mass'] * 9.81 / STIFFNESS[3]
-    tilt = 5e-3 * by_weight
-    shift, after = 5e-3 - tilt * abs(cycle.stated['package.com'][2]), stamps > cycle.at['fault']
-    speed = np.linalg.norm(np.gradient(cycle.truth[:, :2], cycle.times, axis=0), axis=1)
-    late = 5e-3 / np.sqrt(2.0) * np.interp(stamps, cycle.times, speed)
-    offset, turn = np.hypot(WRONG['camera'], WRONG['marker'])
+    count = sum(t < faulty.at['lower'] for t, *_ in sound.seen)
+    (stamps, _, o0, q0), (_, _, o1, q1) = (
+        map(np.array, zip(*cycle.seen[:count], strict=True)) for cycle in (sound, faulty))
+    turn = (Rotation.from_quat(q0).inv() * Rotation.from_quat(q1)).as_rotvec()
+    by_weight = faulty.stated['package.mass'] * 9.81 / STIFFNESS[3]
+    speed = np.linalg.norm(np.gradient(sound.truth[:, :2], sound.times, axis=0), axis=1)
+    late = 5e-3 / np.sqrt(2.0) * np.interp(stamps, sound.times, speed)
+    offset, twist = np.hypot(WRONG['camera'], WRONG['marker'])
     com, memory = WRONG['com'], np.exp(-np.abs(stamps[:, None] - stamps) / 0.05)
-    covariances = (noise**2 * memory + prior**2 + np.diag(jitter**2) for noise, prior, jitter in (
-        (contact_cell.NOISE[0], np.hypot(offset, com), late),
-        (contact_cell.NOISE[3], np.hypot(turn, com * by_weight), 0.0 * late)))
-    square = sum(change**2 * after @ np.linalg.solve(C, after)
-                 for change, C in zip((shift, tilt), covariances, strict=True))
-    return float(ncx2.sf(2.0 * np.log(3600e9 / ONSET_NS), 2, square))
+    k = sum(np.sum(change * np.linalg.solve(noise**2 * memory + prior**2 + np.diag(jitter**2),
+                                            change)) for change, noise, prior, jitter in (
+        (o1 - o0, contact_cell.NOISE[0], np.hypot(offset, com), late),
+        (turn, contact_cell.NOISE[3], np.hypot(twist, com * by_weight), 0.0 * late)))
+    threshold = np.log(3600e9 / ONSET_NS) + 0.5 * k
+    r = brentq(lambda r: np.log(hyp0f1(0.5 * dimensions, 0.25 * r * r)) - threshold, 0.0, 300.0)
+    return (float(ncx2.sf(r * r / k, dimensions, k)),
+            float(norm.sf(threshold / np.sqrt(k) - np.sqrt(k))))
 
 
 def main() -> None:
