@@ -102,12 +102,13 @@ class SoundWork(Observer):
             lateral, depth, across, along = np.mean(noise, axis=0)
             pooled = np.array([(2 * lateral + depth) / 3] * 2 + [(2 * across + along) / 3] * 2)
             return {'measured.noise': tuple(np.sqrt(pooled).tolist())}
-        found = []
-        for axis in range(4):
-            A = np.square(scales[:, :, axis])
-            weight = 1.0 / np.maximum(noise[:, axis], np.median(noise[:, axis]))
-            found.append(nnls(A * weight[:, None], noise[:, axis] * weight)[0])
-        rest, motion = np.sqrt(np.maximum(np.transpose(found), 1e-12))
+        found = np.ones((4, 2))
+        for _ in range(ITERATIONS):
+            for axis, squares in enumerate(found):
+                A = np.square(scales[:, :, axis])
+                expected = A @ squares  # weights by the measured squares would be biased
+                found[axis] = nnls(A / expected[:, None], noise[:, axis] / expected)[0]
+        rest, motion = np.sqrt(np.maximum(found, 1e-12)).T
         return {'measured.noise': tuple(rest.tolist()), 'measured.blur': tuple(motion.tolist())}
 
     def camera(self) -> dict[str, Any]:
