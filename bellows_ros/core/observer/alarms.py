@@ -85,7 +85,8 @@ OUT_OF_REACH_ODDS = 100.0
 """Factor on the odds of a lost package by two poses out of any cup's reach."""
 
 VACUUM_ODDS = 1000.0
-"""Factor on the odds of a lost package by a broken vacuum; a holding vacuum divides by it."""
+"""Factor on the odds of a lost package or cup by a broken vacuum; a holding vacuum divides by
+it."""
 
 START = tuple(cause for cause in ALARM_CAUSES if cause.at_start)
 HYPOTHESES = START + tuple(cause for cause in ALARM_CAUSES if cause.sets_in)
@@ -362,9 +363,8 @@ class Alarms:
         places = np.flatnonzero(self._places[:, 3] == cup)
         if not len(places):
             return None
-        odds = VACUUM_ODDS * NAMED['cup'].share / NAMED['leak'].share
         return self._of_cup(int(places[0]), Alarm(
-            stamp_ns, 'cup', 1.0, 0.0, 'leak', odds, shown_by='vacuum'))
+            stamp_ns, 'cup', 1.0, 0.0, 'leak', VACUUM_ODDS, shown_by='vacuum'))
 
     @staticmethod
     def lost(
