@@ -367,9 +367,14 @@ def test_shift_of_a_camera_is_told_where_the_package_is():
 
 def test_camera_that_moved_is_not_learned_as_noise():
     """Name it in half of the runs before noise with a long memory would explain it, at 1 s."""
-    after = [Cell(seed, 8.0, CONDITIONS['memory 100 ms'], 'camera', at=3.0).run()[0][1]
-             for seed in range(9000, 9012)]
-    assert np.median(after) < 0.8
+    after, growth = [], []
+    for seed in range(9000, 9012):
+        cell, noise = Cell(seed, 8.0, CONDITIONS['memory 100 ms'], 'camera', at=3.0), []
+        (_, delay), *_ = cell.run(lambda k, cell=cell, noise=noise: noise.append(
+            cell.made._estimates[-1].memory[11:13].max()))
+        after.append(delay)
+        growth.append(max(noise[375:374 + round(125 * delay)]) / noise[375])
+    assert np.median(after) < 0.8 and np.mean(growth) < 1.015
 
 
 @pytest.mark.parametrize('seed', [114, 117])

@@ -197,6 +197,17 @@ def test_flips_of_a_flat_tag_return(seed, frames):
     assert_array_equal((~found.good)[apart > 0.1], flips[apart > 0.1])
 
 
+@pytest.mark.parametrize(('apart', 'is_flip'), [(0.08, False), (0.15, True)])
+def test_solutions_that_nearly_agree_are_no_flips(apart, is_flip):
+    """Keep either solution of a tag that nearly faces the camera."""
+    rng, swapped = np.random.default_rng(1), np.arange(60) // 2 == 10
+    position = [0.0, 0.0, 1.0] + 1e-4 * rng.normal(size=(60, 3))
+    tilt = 0.5 * apart * np.where(swapped, -1.0, 1.0)[:, None] * [1.0, 0.0, 0.0]
+    first, second = exp_so3(tilt), exp_so3(-tilt)
+    found = find_flips(Trajectory(np.arange(60) * 33_000_000, position, first), second)
+    assert_array_equal(~found.good, swapped & is_flip)
+
+
 def frozen(poses, run):
     """Give poses that stay at the one before a run of samples."""
     position, rotation = poses.position.copy(), poses.rotation.copy()
