@@ -28,13 +28,10 @@ from test.core.observer.contact_cell import ContactCell, DAMPING, LENGTH, STIFFN
 START_NS = 1_000_000_000_000
 CYCLES = 12
 """Number of cycles of one cell."""
-CAMERAS = {
-    'memory': {},
-    'view': {'measured.model': 'tag', 'measured.camera': [0.5, 0.0, 1.6]},
-    'white': {},
-}
+CAMERAS: dict[str, dict[str, Any]] = {
+    'memory': {}, 'white': {},
+    'view': {'measured.model': 'tag', 'measured.camera': [0.5, 0.0, 1.6]}}
 """Parameters of each sensor of a `ContactCell`."""
-DIAGONAL = np.eye(6).ravel()
 CUP: dict[str, Any] = {
     'cup.stiffness': np.diag(STIFFNESS).ravel().tolist(), 'cup.length': LENGTH,
     'cup.damping': np.diag(DAMPING).ravel().tolist(), 'vacuum.signal': 'bool',
@@ -57,13 +54,14 @@ class Outcome(NamedTuple):
 
 
 def followed(
-    cycles: Sequence[Any], parameters: Mapping[str, Any], has_camera: bool = True,
-    package_std: bool = False,
+    cycles: Sequence[Any], sensor: str = 'memory', stated: bool = True, has_camera: bool = True,
 ) -> Outcome:
     """Let one predictor follow the cycles of a cell, with package.* set at each grip."""
-    live, begin = LivePredictor.from_parameters({**parameters, **cycles[0].stated}), START_NS
-    alarms: list[tuple[int, float, Any]] = []
-    errors, nees, told = [], [], set[tuple[str, int]]()
+    packages = [{name: value for name, value in cycle.stated.items()
+                 if stated or not name.endswith('_std')} for cycle in cycles]
+    live = LivePredictor.from_parameters(
+        CUP | CAMERAS[sensor] | (CUP_STD if stated else {}) | packages[0])
+    begin, alarms, errors, nees = START_NS, list[tuple[int, float, Any]](), [], []
     for number, cycle in enumerate(cycles):
         held = int(np.searchsorted(cycle.times, cycle.at['grip'])), int(
             np.searchsorted(cycle.times, cycle.at['release']))
@@ -71,7 +69,7 @@ def followed(
         for k, t in enumerate(cycle.times.tolist()):
             stamp_ns = begin + round(1e9 * t)
             if k == held[0]:
-                live.set_parameters(cycle.stated | (_package_std(cycle) if package_std else {}))
+                live.set_parameters(packages[number])
             if k % 5 == 0:
                 live.on_vacuum(held[0] <= k < held[1], stamp_ns)
             while seen and seen[0][1] <= t:
@@ -82,12 +80,12 @@ def followed(
             live.on_twist(stamp_ns, tuple(row[7:10]), tuple(row[10:]))
             live.on_pose(stamp_ns, 'world', tuple(row[:3]), tuple(row[3:7]), stamp_ns)
             for alarm in live.alarms[-3:]:
-                if all((alarm.cause, second) not in told for second in range(
-                        alarm.stamp_ns // 10**9 - 4, alarm.stamp_ns // 10**9 + 5)):
-                    told.add((alarm.cause, alarm.stamp_ns // 10**9))
+                if all(alarm.cause != other.cause or abs(alarm.stamp_ns - other.stamp_ns) > 5e9
+                       for _, _, other in alarms):
                     alarms.append((number, t, alarm))
             if cycle.at['move'] < t < cycle.at['lower'] and k % 5 == 0 and live.held:
-                e = np.r_[pose_error(live.held.body, *_split(cycle.truth[k]))]
+                true = cycle.truth[k].tolist()
+                e = np.r_[pose_error(live.held.body, tuple(true[:3]), tuple(true[3:]))]
                 errors.append(e)
                 P = live.covariance(live.held.stamp_ns) if live.package.observer else None
                 nees.append(np.nan if P is None else e @ np.linalg.solve(P[:6, :6], e))
@@ -95,27 +93,13 @@ def followed(
     return Outcome(alarms, np.array(errors), np.array(nees), 1e-9 * (begin - START_NS))
 
 
-def _split(row: np.ndarray) -> tuple[Any, Any]:
-    numbers = row.tolist()
-    return tuple(numbers[:3]), tuple(numbers[3:])
-
-
-def _package_std(cycle: Any) -> dict[str, Any]:
-    mass, inertia = (np.array(cycle.stated[f'package.{name}']) for name in ('mass', 'inertia'))
-    return {
-        'package.mass_std': float(WRONG['mass'] * mass),
-        'package.com_std': (WRONG['com'] * np.array([1.0, 1.0, 0.5])).tolist(),
-        'package.inertia_std': (WRONG['inertia'] * inertia).tolist()}
-
-
-def ordinary(sensor: str, cells: range, stated: bool, errors: float = 1.0) -> None:
+def ordinary(sensor: str, cells: range, stated: bool) -> None:
     """Print alarms an hour, errors with and without a camera, and NEES of ordinary work."""
     causes, hours, rows, worse = Counter[str](), 0.0, [], 0
     for seed in cells:
-        cell = ContactCell(seed, errors, sensor)
+        cell = ContactCell(seed, sensor)
         cycles = [cell.cycle() for _ in range(CYCLES)]
-        given = CUP | CAMERAS[sensor] | (CUP_STD if stated else {})
-        both, alone = (followed(cycles, given, camera, stated) for camera in (True, False))
+        both, alone = (followed(cycles, sensor, stated, camera) for camera in (True, False))
         causes.update(alarm.cause for _, _, alarm in both.alarms)
         hours += both.seconds / 3600.0
         of_cell = [np.sqrt(np.mean(np.square(run.errors[:, :3]).sum(axis=1)))
@@ -151,7 +135,7 @@ def faults(kind: str, seeds: range, sensor: str) -> None:
     for seed in seeds:
         fault = FAULTS[kind][seed % len(FAULTS[kind])]
         cycles = _with_fault(seed, sensor, kind, fault)
-        run = followed(cycles, CUP | CUP_STD | CAMERAS[sensor], True, True)
+        run = followed(cycles, sensor)
         found = [each for each in run.alarms if each[0] >= 2]
         first[found[0][2].cause if found else ''] += 1
         if kind in DIRECTIONS:
@@ -171,7 +155,7 @@ def faults(kind: str, seeds: range, sensor: str) -> None:
 
 def _with_fault(seed: int, sensor: str, kind: str, fault: Mapping[str, Any]) -> list[Any]:
     """Return two sound cycles, and one or three with a fault."""
-    cell = ContactCell(seed, 1.0, sensor)
+    cell = ContactCell(seed, sensor)
     return [cell.cycle(), cell.cycle(), *(
         cell.cycle(kind, **fault) for _ in range(3 if kind in ('latency', 'swap') else 1))]
 

@@ -25,6 +25,8 @@ RELAXING, TIMES = np.array([0.06, 0.05]), np.array([0.06, 0.8])
 WRONG = {'stiffness': 0.03, 'damping': 0.2, 'mass': 0.02, 'com': 2e-3, 'inertia': 0.05,
          'camera': (2e-3, 3e-3), 'marker': (2e-3, 3e-3)}
 """Standard deviations of the stated numbers: relative, com in m, m and rad."""
+FLAT = 1.0, 1.0, 0.5
+"""Ratio of the errors of the centre of mass along the axes."""
 NOISE = np.repeat([2e-3, 1e-2], 3)
 
 
@@ -39,9 +41,19 @@ class Cycle(NamedTuple):
     seen: list
     """Measured poses: stamp, arrival (s), position, quaternion."""
     stated: dict
-    """Parameters package.*."""
+    """Parameters package.*, with standard deviations."""
     at: dict
     """Times of the events, s."""
+
+
+@njit(cache=True)
+def _turned(phi):
+    """Return the rotation by a rotation vector."""
+    angle = math.sqrt((phi * phi).sum())
+    X = np.array([[0.0, -phi[2], phi[1]], [phi[2], 0.0, -phi[0]], [-phi[1], phi[0], 0.0]])
+    one = 1.0 if angle < 1e-6 else math.sin(angle) / angle
+    two = 0.5 if angle < 1e-6 else (1.0 - math.cos(angle)) / (angle * angle)
+    return np.eye(3) + one * X + two * (X @ X)
 
 
 @njit(cache=True)
@@ -54,12 +66,9 @@ def _fly(tool, state, cup, box, push, grip, floor):
     o, R, v, w = state[:3].copy(), state[3:12].copy().reshape(3, 3), state[12:15].copy(), (
         state[15:18].copy())
     z = state[18:].copy().reshape(2, 6)
-    corners = np.zeros((8, 3))
-    for i in range(8):
-        for j in range(3):
-            corners[i, j] = (0.5 if i >> j & 1 else -0.5) * size[j] - com[j]
-        corners[i, 2] -= 0.5 * size[2]
-    radius = math.sqrt((corners[0] ** 2).sum()) + 0.05
+    corners = np.array([[0.5 if i >> j & 1 else -0.5 for j in range(3)] for i in range(8)])
+    corners = (corners - np.array([0.0, 0.0, 0.5])) * size - com
+    radius = np.linalg.norm(corners[0]) + 0.05
     for k in range(len(tool)):
         if k % EVERY == 0:
             row = out[k // EVERY]
@@ -77,15 +86,10 @@ def _fly(tool, state, cup, box, push, grip, floor):
             near, far = RE[:, 2] * (-0.5 * length), R @ (-com) + R[:, 2] * (0.5 * length)
             d = o + far - e - near
             D = RE.T @ R
-            c = min(max(0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0), -1.0), 1.0)
-            a = np.array([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]])
-            angle = math.acos(c)
-            phi = a * (0.5 if angle < 1e-6 else 0.5 * angle / math.sin(angle))
-            x, s = 0.5 * phi, 0.5 * angle
-            X = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
-            one = 1.0 if s < 1e-6 else math.sin(s) / s
-            two = 0.5 if s < 1e-6 else (1.0 - math.cos(s)) / (s * s)
-            M = RE @ (np.eye(3) + one * X + two * (X @ X))
+            angle = math.acos(min(max(0.5 * (np.trace(D) - 1.0), -1.0), 1.0))
+            phi = np.array([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]])
+            phi *= 0.5 if angle < 1e-6 else 0.5 * angle / math.sin(angle)
+            M = RE @ _turned(0.5 * phi)
             strain, rate = np.zeros(6), np.zeros(6)
             strain[:3], strain[3:] = M.T @ d, phi
             rate[:3] = M.T @ (v + np.cross(w, far) - ve - np.cross(we, near))
@@ -106,8 +110,7 @@ def _fly(tool, state, cup, box, push, grip, floor):
                 N = max(2.5e4 * depth - 70.0 * u[2], 0.0)
                 F = np.zeros(3)
                 F[2] = N
-                slow = math.sqrt(u[0] * u[0] + u[1] * u[1]) + 5e-3
-                F[:2] = -0.35 * N / slow * u[:2]
+                F[:2] = -0.35 * N / (math.hypot(u[0], u[1]) + 5e-3) * u[:2]
                 f += F
                 t += np.cross(arm, F)
         v = v + STEP / mass * f
@@ -115,10 +118,7 @@ def _fly(tool, state, cup, box, push, grip, floor):
         wb = wb + STEP * (R.T @ t - np.cross(wb, J * wb)) / J
         w = R @ wb
         o = o + STEP * v
-        x = STEP * wb
-        X = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
-        R = R @ (np.eye(3) + X + 0.5 * (X @ X))
-        R = 1.5 * R - 0.5 * (R @ (R.T @ R))
+        R = R @ _turned(STEP * wb)
     return out
 
 
@@ -129,66 +129,56 @@ class ContactCell:
     Parameters
     ----------
     seed : int
-    errors : float
-        Factor of all errors of the stated numbers.
     sensor : {'memory', 'white', 'view'}
         Noise of measured poses: with a memory of 50 ms, without memory, or a function of the
         view with blur and flips, as of a detected tag.
 
     """
 
-    def __init__(self, seed, errors=1.0, sensor='memory'):
+    def __init__(self, seed, sensor='memory'):
         """Draw the cell."""
-        self.rng, self.errors, self.sensor = np.random.default_rng(seed), errors, sensor
-        k, p = (np.exp(errors * WRONG[name] * self.rng.normal(size=4))[[0, 0, 1, 2, 2, 3]]
+        self.rng, self.sensor = np.random.default_rng(seed), sensor
+        k, p = (np.exp(WRONG[name] * self.rng.normal(size=4))[[0, 0, 1, 2, 2, 3]]
                 for name in ('stiffness', 'damping'))
-        relaxing = RELAXING * (errors > 0.0)
-        static = STIFFNESS * k / (1.0 + 0.6 * relaxing.sum())
-        self.cup = static, DAMPING * p, relaxing, TIMES, LENGTH
-        self.lag = 5e-3 * errors
+        static = STIFFNESS * k / (1.0 + 0.6 * RELAXING.sum())
+        self.cup = static, DAMPING * p, RELAXING, TIMES, LENGTH
         self.camera = self._offset('camera')
         self.waves = self.rng.normal(size=(6, 8, 6)), self.rng.uniform(0.0, 6.3, (6, 8))
 
     def _offset(self, name):
-        return self.errors * np.repeat(WRONG[name], 3) * self.rng.normal(size=6)
+        return np.repeat(WRONG[name], 3) * self.rng.normal(size=6)
 
     def _path(self, height):
         """Return way points: end time, position, rotation vector, and the times of events."""
-        g, at, t = self.rng, {}, 0.0
+        g, at = self.rng, {}
         o = np.array([g.uniform(-0.1, 0.1), g.uniform(-0.3, 0.3), TABLE + height + LENGTH])
-        turn, points = np.zeros(3), [(0.0, o + [0.0, 0.0, 0.08], np.zeros(3))]
+        points = [(0.0, o + [0.0, 0.0, 0.08], np.zeros(3))]
 
-        def go(seconds, to=None, turned=None):
-            nonlocal t, o, turn
-            t, o = t + seconds, o if to is None else to
-            turn = turn if turned is None else turned
-            points.append((t, o, turn))
+        def go(event, seconds, to=None, turned=None):
+            t, o, turn = points[-1]
+            at[event] = t + seconds
+            points.append((at[event], o if to is None else to, turn if turned is None else turned))
 
-        go(0.4, o - [0.0, 0.0, 2e-3])
-        at['grip'] = t
-        go(0.2)
-        at['lift'] = t
-        go(0.45, o + [0.0, 0.0, 0.15])
+        go('grip', 0.4, o - [0.0, 0.0, 2e-3])
+        go('lift', 0.2)
+        go('move', 0.45, points[-1][1] + [0.0, 0.0, 0.15])
         distance, heading = g.uniform(0.5, 1.2), g.uniform(-0.6, 0.6)
         yaw = g.uniform(-1.0, 1.0)
         seconds = max(math.sqrt(5.78 * distance / 4.5), math.sqrt(5.78 * abs(yaw) / 12.0))
-        at['move'] = t
-        go(seconds, o + [distance * math.cos(heading), distance * math.sin(heading),
-                         g.uniform(0.0, 0.1)], np.r_[g.uniform(-0.05, 0.05, 2), yaw])
-        at['hold'] = t
-        go(g.uniform(0.3, 1.5))
-        at['lower'] = t
-        go(0.5, np.r_[o[:2], TABLE + height + LENGTH - 1e-3], np.r_[0.0, 0.0, yaw])
-        go(0.1)
-        at['valve'] = t
-        at['release'] = t + 0.08
-        go(0.2)
-        go(0.4, o + [0.0, 0.0, 0.1])
-        go(seconds, np.array([0.0, 0.0, TABLE + 0.25]), np.zeros(3))
-        go(g.uniform(0.1, 2.0))
-        at['end'] = t
+        o = points[-1][1] + [distance * math.cos(heading), distance * math.sin(heading),
+                             g.uniform(0.0, 0.1)]
+        go('hold', seconds, o, np.r_[g.uniform(-0.05, 0.05, 2), yaw])
+        go('lower', g.uniform(0.3, 1.5))
+        o = np.r_[o[:2], TABLE + height + LENGTH - 1e-3]
+        go('low', 0.5, o, np.r_[0.0, 0.0, yaw])
+        go('valve', 0.1)
+        go('up', 0.2)
+        go('away', 0.4, o + [0.0, 0.0, 0.1])
+        go('back', seconds, np.array([0.0, 0.0, TABLE + 0.25]), np.zeros(3))
+        go('end', g.uniform(0.1, 2.0))
+        at['release'] = at['valve'] + 0.08
         at['seen'] = at['move'] + g.uniform(0.1, 0.5) * seconds
-        at['unseen'] = at['seen'] + 0.4 * t
+        at['unseen'] = at['seen'] + 0.4 * at['end']
         return points, at
 
     def cycle(self, fault='', at_event='hold', after=0.1, size=1.0, gradual=0.0):
@@ -202,13 +192,15 @@ class ContactCell:
         dims = np.array([g.uniform(0.15, 0.3), g.uniform(0.12, 0.22), g.uniform(0.06, 0.14)])
         mass, com = g.uniform(0.6, 2.2), np.r_[4e-3 * g.normal(size=2), -0.5 * dims[2]]
         inertia = mass / 12.0 * (np.sum(np.square(dims)) - np.square(dims))
-        stated = {'package.mass': mass, 'package.com': com.tolist(),
-                  'package.inertia': [*inertia.tolist(), 0.0, 0.0, 0.0]}
-        factor = (1.0 + self.errors * WRONG['mass'] * g.normal()) * (
-            size if fault == 'swap' else 1.0)
-        mass = factor * mass
-        inertia = factor * inertia * np.exp(self.errors * WRONG['inertia'] * g.normal(size=3))
-        com = com + self.errors * WRONG['com'] * g.normal(size=3) * [1.0, 1.0, 0.5]
+        stated = {
+            'package.mass': mass, 'package.mass_std': WRONG['mass'] * mass,
+            'package.com': com.tolist(), 'package.com_std': [WRONG['com'] * x for x in FLAT],
+            'package.inertia': [*inertia.tolist(), 0.0, 0.0, 0.0],
+            'package.inertia_std': [*(WRONG['inertia'] * inertia).tolist(), 0.0, 0.0, 0.0]}
+        factor = (1.0 + WRONG['mass'] * g.normal()) * (size if fault == 'swap' else 1.0)
+        inertia = factor * inertia * np.exp(WRONG['inertia'] * g.normal(size=3))
+        com = com + WRONG['com'] * g.normal(size=3) * FLAT
+        box = factor * mass, inertia, com, dims
         marker = self._offset('marker')
         points, at = self._path(dims[2])
         times = np.arange(0.0, at['end'] - 2 * STEP, STEP)
@@ -217,7 +209,6 @@ class ContactCell:
         push, when = np.zeros((len(times), 6)), at[at_event] + after
         at['fault'], direction = when, g.normal(size=3)
         direction /= np.linalg.norm(direction)
-        across = direction * [1.0, 1.0, 0.0] / np.linalg.norm(direction[:2])
         if fault == 'collision':
             hit = (times > when) & (times < when + 0.02)
             push[hit, :3] = direction * size / 0.02
@@ -225,47 +216,41 @@ class ContactCell:
         if fault == 'drop':
             grip *= np.clip(1.0 - (times - when) / max(gradual, STEP), 0.0, 1.0)
             at['release'] = when + gradual + 0.05  # of the vacuum switch
-        start = np.r_[0.0, 0.0, 0.0, np.eye(3).ravel(), np.zeros(18)]
-        start[:3] = np.r_[points[1][1][:2], TABLE + dims[2]] + com
-        box = mass, inertia, com, dims
+        start = np.r_[points[1][1][:2] + com[:2], TABLE + dims[2] + com[2], np.eye(3).ravel(),
+                      np.zeros(18)]
+        states = _fly(tool, start, self.cup, box, push, grip, TABLE)
         if fault == 'slip':  # the lip slips at once: the rest of the motion from there
-            k = round(when / STEP) // EVERY * EVERY
-            first = _fly(tool[:k + 1], start, self.cup, box, push[:k + 1], grip[:k + 1], TABLE)
-            moved = com + size * across
-            again = first[-1].copy()
-            again[:3] += again[3:12].reshape(3, 3) @ (size * across)
-            rest = _fly(tool[k:], again, self.cup, (mass, inertia, moved, dims), push[k:],
-                        grip[k:], TABLE)
-            states = np.vstack([first[:-1], rest])
-        else:
-            states = _fly(tool, start, self.cup, box, push, grip, TABLE)
-        sampled = times[::EVERY]
+            first = round(when / STEP) // EVERY
+            k, slip = first * EVERY, size * direction * [1.0, 1.0, 0.0] / np.linalg.norm(
+                direction[:2])
+            again = states[first].copy()
+            again[:3] += again[3:12].reshape(3, 3) @ slip
+            states[first:] = _fly(tool[k:], again, self.cup, (factor * mass, inertia, com + slip,
+                                                              dims), push[k:], grip[k:], TABLE)
+        truth = np.hstack([states[:, :3], Rotation.from_matrix(
+            states[:, 3:12].reshape(-1, 3, 3)).as_quat()])
         q = Rotation.from_matrix(tool[::EVERY, 3:12].reshape(-1, 3, 3)).as_quat()
         told = np.hstack([tool[::EVERY, :3], q, tool[::EVERY, 12:]])
-        late = np.maximum(np.arange(len(told)) - round(self.lag / (STEP * EVERY) + 1e-9), 0)
-        told[:, :7] = 0.5 * (told[:, :7] + told[late, :7]) if self.lag else told[:, :7]
+        told[1:, :7] = 0.5 * (told[1:, :7] + told[:-1, :7])  # 5 ms late
         told[:, 3:7] /= np.linalg.norm(told[:, 3:7], axis=1)[:, None]
         told[:, :3] += 2e-5 * g.normal(size=(len(told), 3))
         told[:, 7:] += np.repeat([5e-4, 1e-3], 3) * g.normal(size=(len(told), 6))
-        truth = np.hstack([states[:, :3], Rotation.from_matrix(
-            states[:, 3:12].reshape(-1, 3, 3)).as_quat()])
-        seen = self._seen(sampled, truth, marker, at, fault, when, size * direction)
-        return Cycle(sampled, told, truth, seen, stated, at)
+        seen = self._seen(truth, marker, at, fault, size * direction)
+        return Cycle(times[::EVERY], told, truth, seen, stated, at)
 
-    def _seen(self, times, truth, marker, at, fault, when, moved):
-        g, drawn = self.rng, []
-        last, n = min(at['unseen'], times[-1]), g.normal(size=6)
+    def _seen(self, truth, marker, at, fault, moved):
+        g, drawn, origin = self.rng, [], np.array([0.5, 0.0, 0.3])
+        last, n = min(at['unseen'], len(truth) * 0.01 - 0.01), self.rng.normal(size=6)
+        memory = math.exp(-1.0 / 30.0 / 0.05) if self.sensor == 'memory' else 0.0
         for t in np.arange(at['seen'], last, 1.0 / 30.0):
-            k = round(t / (STEP * EVERY))
-            pose = truth[min(k, len(truth) - 1)]
-            R, o = Rotation.from_quat(pose[3:]), pose[:3]
-            speed = np.linalg.norm(o - truth[max(k - 3, 0), :3]) / (3 * STEP * EVERY)
+            k, has_fault = round(100.0 * t), t > at['fault']
+            o, R = truth[k, :3], Rotation.from_quat(truth[k, 3:])
+            speed = np.linalg.norm(o - truth[max(k - 3, 0), :3]) / 0.03
             o, R = o + R.apply(marker[:3]), R * Rotation.from_rotvec(marker[3:])
             world = Rotation.from_rotvec(self.camera[3:])
-            o, R = world.apply(o - [0.5, 0.0, 0.3]) + [0.5, 0.0, 0.3] + self.camera[:3], world * R
-            if fault == 'camera' and t > when:
+            o, R = world.apply(o - origin) + origin + self.camera[:3], world * R
+            if fault == 'camera' and has_fault:
                 o = o + moved
-            memory = math.exp(-1.0 / 30.0 / 0.05) if self.sensor == 'memory' else 0.0
             n = memory * n + math.sqrt(1.0 - memory**2) * g.normal(size=6)
             e = NOISE * n
             if self.sensor == 'view':  # depth is z; errors are waves of the view, and blur
@@ -277,14 +262,13 @@ class ContactCell:
                 if g.random() < 0.01:
                     e[3:5] += g.normal(size=2) * 0.5
             o, R = o + e[:3], R * Rotation.from_rotvec(e[3:])
-            stamp = k * STEP * EVERY + 5e-3 * (self.errors > 0.0) * g.normal()
-            if fault == 'latency' and t > when:
-                stamp += moved @ moved and np.linalg.norm(moved)
+            stamp = 0.01 * k + 5e-3 * g.normal()
+            if fault == 'latency' and has_fault:
+                stamp += np.linalg.norm(moved)
             arrival = max(stamp, t) + g.uniform(0.03, 0.06)
             if g.random() > 0.02:
                 drawn.append((stamp, arrival, tuple(o.tolist()), tuple(R.as_quat().tolist())))
-        drawn.sort()
-        return drawn
+        return sorted(drawn)
 
 
 def _sampled(points, times):
