@@ -59,6 +59,7 @@ from bellows_ros.core.identification.search import (
     Parts,
     Report,
     root,
+    settled,
     Solution,
 )
 from bellows_ros.core.identification.segments import (
@@ -261,17 +262,15 @@ def _tried(
         couplings = structure.couplings if structure is not problem.structure else []
         return np.asarray([*couplings, *(row for name in more for row in wide.places[name][0])])
 
-    uncertain = {name: std for name, std in given.items() if name not in problem.places}
-    wide = problem.freed(found.theta, {**more, **uncertain}, structure)
-    near = found.near(wide)
+    near = found.freed({**more, **{
+        name: std for name, std in given.items() if name not in problem.places}}, structure)
     H, g = near.information, near.slope
-    rest = ~np.isin(np.arange(len(g)), place(wide))
+    rest = ~np.isin(np.arange(len(g)), place(near.problem))
     if H.fall(g, rest | True) - H.fall(g, rest) <= MIN_SQUARED_DISTANCE:
         return found
-    wide = problem.freed(found.theta, more, structure)
-    end = minimise(wide, found.near(wide), report)
+    end = settled(found.freed(more, structure), report)
     if end.converged and end.squares < found.squares:
-        x, tested = wide.units * end.theta, place(wide)
+        x, tested = end.problem.units * end.theta, place(end.problem)
         C = covariance_of(end)[0][np.ix_(tested, tested)]
         is_material = structure is problem.structure or has_coupling(end.cup.stiffness)
         if is_material and _is_passive(end) and (
@@ -356,7 +355,7 @@ def with_given(found: Solution, given: Free, report: Report) -> Solution:
     if not more or is_explained(near, given):
         return near
     wide = problem.freed(problem.start, more)
-    again = minimise(wide, report=report)
+    again = minimise(wide, report)
     is_small = all(
         np.all(np.abs(again.theta[place]) * np.sqrt(wide.weights[place]) < SIGNIFICANT)
         for place in map(wide.places.__getitem__, more))
@@ -373,11 +372,11 @@ def near_with_given(found: Solution, more: Free, report: Report) -> Solution:
     if not found.is_plausible:
         return found
     problem = found.problem
-    wide = problem.freed(
-        found.theta, {name: std for name, std in more.items() if name not in problem.places})
-    start = found.near(wide)
+    start = found.freed({
+        name: std for name, std in more.items() if name not in problem.places})
     if not start.is_finite:  # derivatives diverge for very wrong given quantities
         return replace(found, converged=False)
+    wide = start.problem
     shared, H = np.arange(wide.shared), start.information
     tested = np.concatenate([np.empty(0, dtype=np.int64), *(
         wide.places[name].ravel() for name in more if not wide.is_own(name))])
@@ -392,7 +391,7 @@ def near_with_given(found: Solution, more: Free, report: Report) -> Solution:
     slope = start.slope.copy()
     slope[shared] += fixing @ (wide.start - start.theta)[shared]
     with_fixed = replace(wide, fixing=fixing)
-    again = minimise(with_fixed, replace(
+    again = settled(replace(
         start, problem=with_fixed, information=H.plus(fixing), slope=slope), report)
     everything, used = np.eye(len(slope)), np.full(len(slope), True)
     if again.converged:
@@ -449,8 +448,7 @@ def _with_relaxation(found: Solution, relaxation: str, report: Report) -> Soluti
         return found
     (score,) = scores(found, ['relaxation']).values()
     if score > MIN_SQUARED_DISTANCE:
-        wide = found.problem.freed(found.theta, weak_prior(['relaxation']))
-        relaxed = minimise(wide, found.near(wide), report)
+        relaxed = settled(found.freed(weak_prior(['relaxation'])), report)
         noise = MAX_NOISE_CHI2 * relaxed.residual_count
         limit = max(MAX_REMAINING_SHARE * (found.squares - noise), 0.0)
         if relaxed.converged and relaxed.squares - noise <= limit:

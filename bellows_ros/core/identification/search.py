@@ -26,6 +26,7 @@ from bellows_ros.core.identification.problem import (
     symmetric_roots,
     WhitenedSegment,
 )
+from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.segments import (
     Course,
     MIN_POSE_STD,
@@ -34,6 +35,7 @@ from bellows_ros.core.identification.segments import (
 )
 from bellows_ros.core.identification.whitening import HUBER_STD
 from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.signals.resampling import MAD_TO_STD
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -279,9 +281,10 @@ class Solution:
     def cup(self) -> Cup:
         return self.problem.cup(self.theta)
 
-    def near(self, problem: Problem) -> 'Solution':
-        """Return the start of another problem of these recordings with equal cup and courses."""
-        return evaluated(problem, problem.transferred(self.problem, self.theta), self.courses)
+    def freed(self, more: Free, structure: Structure | None = None) -> 'Solution':
+        """Return the start of a problem with more free quantities, with equal cup and courses."""
+        wide = self.problem.freed(self.theta, more, structure)
+        return evaluated(wide, wide.transferred(self.problem, self.theta), self.courses)
 
     def refined(
         self, with_noise: bool, with_paths: bool = True
@@ -397,34 +400,23 @@ def _clipped_rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(np.clip(values, -limit, limit) ** 2, axis=0)))
 
 
-def minimise(
-    problem: Problem, start: Solution | None = None, report: Report = no_report
-) -> Solution:
-    """
-    Return the root of a problem, from the initial guess, or near a start.
-
-    Parameters
-    ----------
-    problem : Problem
-        Recordings and unknowns.
-    start : Solution, optional
-        Start near the root; without it the search approaches from the initial guess.
-    report : callable
-        Callback after each step.
-
-    """
-    if start is None:
-        return root(approach(problem, report), report)
-    return _descended(
-        start, (np.eye(problem.shared), np.full(len(problem.start), True)), report)
+def minimise(problem: Problem, report: Report = no_report) -> Solution:
+    """Return the root of a problem, searched from its initial guess, with a callback."""
+    return root(approach(problem, report), report)
 
 
 def root(near: Solution, report: Report = no_report) -> Solution:
     """Return the root, searched from the end of an approach."""
     with suppress(BellowsError):  # the approach may end at too fast a cup
-        return minimise(
-            near.problem, evaluated(near.problem, near.theta, near.courses), report)
+        return settled(evaluated(near.problem, near.theta, near.courses), report)
     return near
+
+
+def settled(start: Solution, report: Report = no_report) -> Solution:
+    """Return the root near a start, along all directions."""
+    problem = start.problem
+    return _descended(
+        start, (np.eye(problem.shared), np.full(len(problem.start), True)), report)
 
 
 def approach(

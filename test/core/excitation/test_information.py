@@ -3,7 +3,7 @@
 from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation.motion_design import Tracking
 from bellows_ros.core.identification.problem import Problem
-from bellows_ros.core.identification.search import evaluated, measured_courses, minimise
+from bellows_ros.core.identification.search import evaluated, measured_courses, settled
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
@@ -60,8 +60,7 @@ def estimates(mover, duration, draws):
             noisy(rng, tool, TRACKING.tool), noisy(rng, body, TRACKING.package), PACKAGE, 9.81,
             *(BodyNoise(np.repeat(noise, 3)) for noise in (TRACKING.tool, TRACKING.package)))
         problem = Problem.of([Segment.of(measured)], STRUCTURE, cup, {})
-        found = minimise(
-            problem, evaluated(problem, problem.start, measured_courses(problem)))
+        found = settled(evaluated(problem, problem.start, measured_courses(problem)))
         yield (problem.units * (found.theta - problem.start)) / usual
 
 

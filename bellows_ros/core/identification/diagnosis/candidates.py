@@ -30,6 +30,7 @@ from bellows_ros.core.identification.search import (
     minimise,
     no_report,
     Report,
+    settled,
     Solution,
     squared_residuals,
 )
@@ -175,11 +176,11 @@ def freed(
     before: Solution, name: str, from_start: bool = False, report: Report = no_report
 ) -> Alternative:
     """Return the solution near another, or from its start, with one more free quantity."""
-    wide = before.problem.freed(
-        before.problem.start if from_start else before.theta, quantities.weak_prior([name]))
-    found = minimise(wide, None if from_start else before.near(wide), report)
+    problem, more = before.problem, quantities.weak_prior([name])
+    found = minimise(problem.freed(problem.start, more), report) if from_start else settled(
+        before.freed(more), report)
     return Alternative(name, found, beyond_chance(
-        wide, name, gain_of(before, found, name == 'slip')))
+        found.problem, name, gain_of(before, found, name == 'slip')))
 
 
 def beyond_chance(problem: Problem, name: str, fall: float) -> float:
@@ -216,9 +217,8 @@ def gain_of(before: Solution, after: Solution, of_poses: bool = False) -> float:
 
 def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
     """Return the fall of chi² with each quantity free, to first order."""
-    wide = found.problem.freed(found.theta, quantities.weak_prior(names))
-    near = found.near(wide)
-    H, g = near.information, near.slope
+    near = found.freed(quantities.weak_prior(names))
+    wide, H, g = near.problem, near.information, near.slope
     tested = {name: np.isin(np.arange(len(g)), wide.places[name]) for name in names}
     base = ~np.any(list(tested.values()), axis=0)
     return {name: beyond_chance(wide, name, H.fall(g, base | own) - H.fall(g, base))
