@@ -760,11 +760,8 @@ def _unidentifiable(
 def _remedy(package: StreamReport) -> str:
     """Return the remedy for a search that did not converge."""
     share = package.outliers.flips / len(package.recorded)
-    if share > MAX_FLIPPED_SHARE:
-        return (f'{share:.0%} of the poses of the package are flips; at most '
-                f'{MAX_FLIPPED_SHARE:.0%} are expected: the tag is too small in the image. Move '
-                'the camera closer, or print a larger tag.')
-    return 'Check package.mass and package.com, and tilt and turn the tool more.'
+    return NOTES['flips' if share > MAX_FLIPPED_SHARE else 'wrong_package'].format(
+        share=share, most=MAX_FLIPPED_SHARE)
 
 
 def registered(
