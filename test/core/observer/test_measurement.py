@@ -6,7 +6,8 @@ from bellows_ros.core.observer.measurement import _velocity_at
 import numpy as np
 import pytest
 
-from .cases import follow, observer, tool_motion, truth, with_noise
+from .cases import at_once, follow, observer, tool_motion, truth, with_noise
+from .cell import EXACT
 
 
 def test_a_point_of_a_body_has_the_velocity_of_its_position():
@@ -42,3 +43,17 @@ def test_the_jitter_of_stamps_is_estimated(jitter):
     follow(made, stamps, tool, body[0], came)
     found = np.sqrt(made.estimate.memory[JITTER])
     assert 0.5 * jitter < found < max(2.0 * jitter, 5e-4)
+
+
+@pytest.mark.parametrize(('late', 'verdict'), [(8e-3, 'used'), (14e-3, 'gate')])
+def test_stamp_off_by_some_ms_is_usual_from_the_first_motion_on(late, verdict):
+    """Expect 2 ms: at 1 m/s the gate is 5.3 standard deviations of it wide."""
+    stamps, tool = tool_motion(np.random.default_rng(3), 3.0, size=0.15)
+    body = truth(tool)
+    k = int(np.argmax([np.linalg.norm(each[2]) for each in body]))
+    made = observer(measured__noise=[3e-4, 3e-4, 2e-3, 2e-3], alarm__false_per_hour=0.0, **EXACT)
+    seen = moved_by(body[k], np.r_[late * np.r_[body[k][2], body[k][3]], np.zeros(6)])
+    poses = {4: body[4][:2], 8: body[8][:2], k: seen[:2]}
+    follow(made, stamps[:k + 1], tool[:k + 1], body[0], at_once(stamps, poses))
+    assert made.counts['used'] == 2 + (verdict == 'used')
+    assert made.counts['gate'] == (verdict == 'gate')
