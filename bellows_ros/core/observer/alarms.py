@@ -296,20 +296,23 @@ class Alarms:
         """Return the stamps (ns) since half the threshold, with one more measurement."""
         return (*before, stamp_ns) if total > 0.5 * self._threshold else ()
 
-    def is_likely(self, likeliest: Likeliest) -> bool:
+    def is_likely(self, total: float, lead: float) -> bool:
         """Return whether a cause exceeds the threshold and leads."""
-        return min(likeliest[0] - self._threshold, likeliest[1]) > 0.0
+        return min(total - self._threshold, lead) > 0.0
 
     def detected(
-        self, evidence: Evidence, stamp_ns: int, likeliest: Likeliest, lost_cups: tuple[int, ...]
+        self, evidence: Evidence, stamp_ns: int, likeliest: Likeliest, lost_cups: tuple[int, ...],
+        has_vacuum: bool = False,
     ) -> DetectedFault | None:
         """
         Return a fault detected by a measurement, from the result of `filter_step`, if any.
 
-        Lost cups of a gripper are those detected before.
+        Lost cups of a gripper are those detected before. A holding vacuum contradicts a loss.
         """
         _, lead, best, second, runner_up, *_ = likeliest
-        if not self.is_likely(likeliest):
+        if HYPOTHESES[min(best[1], CUP)].name == 'lost':
+            lead -= has_vacuum * math.log(VACUUM_ODDS)
+        if not self.is_likely(likeliest[0], lead):
             return None
         if self.is_cup_proven and lead < CLEAR_LEAD and second == PAYLOAD and (
                 HYPOTHESES[min(best[1], CUP)].name == 'wear'):

@@ -404,7 +404,7 @@ class Correction:
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
-        is_supported: bool = False,
+        is_supported: bool = False, has_vacuum: bool = False,
     ) -> tuple[Estimate, str, alarms.Alarm | None]:
         """
         Return the estimate after a measurement, or before it if the pose is not of the package.
@@ -432,7 +432,7 @@ class Correction:
             after.theta[KNOWN_ROWS - STATE] = before.theta[KNOWN_ROWS - STATE]
             after.covariance[KNOWN] = before.covariance[KNOWN]
         else:
-            after, fault = self._judged(before, after, likeliest)
+            after, fault = self._judged(before, after, likeliest, has_vacuum)
             if fault is not None:
                 return after, name, fault
         if name == 'recovered':
@@ -443,11 +443,11 @@ class Correction:
         """Return whether an alarm is imminent, whose evidence a restart would lose."""
         suspect_ns = estimate.evidence.suspect_ns
         return self.alarms is not None and bool(suspect_ns) and (
-            self.alarms.is_likely(likeliest)
+            self.alarms.is_likely(*likeliest[:2])
             and estimate.stamp_ns - suspect_ns[0] < alarms.DECIDE_NS)
 
     def _judged(
-        self, before: Estimate, after: Estimate, likeliest: alarms.Likeliest
+        self, before: Estimate, after: Estimate, likeliest: alarms.Likeliest, has_vacuum: bool
     ) -> tuple[Estimate, alarms.Alarm | None]:
         """Return an estimate with a detected fault removed, and the alarm on it."""
         row, evidence, stamp_ns = ekf.LATENCY, after.evidence, after.stamp_ns
@@ -463,7 +463,8 @@ class Correction:
             () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0])
         if suspect_ns != evidence.suspect_ns:
             evidence = evidence._replace(suspect_ns=suspect_ns)
-        fault = self.alarms.detected(evidence, stamp_ns, likeliest, after.lost_cups)
+        fault = self.alarms.detected(
+            evidence, stamp_ns, likeliest, after.lost_cups, has_vacuum)
         if fault is None:
             gated = len(after.gated_ns) if (
                 evidence.onsets[0, 0] >= 2 * alarms.MIN_NOISE_COUNT) else 0

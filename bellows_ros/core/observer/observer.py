@@ -358,7 +358,7 @@ class Observer:
                 self._raise(again.pop(0))
             after, verdict, alarm = self._correction.updated(
                 estimates[k], self._track, measurements[k], k == first,
-                self._support.carries(measurements[k].stamp_ns))
+                self._support.carries(measurements[k].stamp_ns), bool(self._is_held(estimates[k])))
             if k == first:
                 self.counts[verdict] += 1
             if verdict == 'recovered':

@@ -221,6 +221,24 @@ def test_drop_is_always_noticed(kind, rate_hz, within):
             assert (named, after <= within) == ('lost', True)
 
 
+def test_loss_takes_more_evidence_while_the_vacuum_holds(monkeypatch):
+    """Divide its odds by 1000, and raise no alarm below 1."""
+    detected, given = Alarms.detected, []
+
+    def kept(made, *arguments):
+        fault = detected(made, *arguments)
+        given.extend([(made, *arguments)] if fault else [])
+        return fault
+
+    monkeypatch.setattr(Alarms, 'detected', kept)
+    ((cause, _), *_) = Cell(3, 1.5, {}, 'drop', at=1.0, **EXACTLY).run()
+    made, evidence, stamp_ns, (total, _, *more), *_ = given[0]
+    for lead, odds in ((6.0, 0.0), (11.0, np.exp(11.0) / 1000.0)):
+        fault = detected(made, evidence, stamp_ns, (total, lead, *more), (), True)
+        assert (fault.alarm.odds if fault else 0.0) == pytest.approx(odds)
+    assert cause == 'lost'
+
+
 def _dense_transition(model, before, *track):
     """Give the transition (n + 7, n + 7) of the error with what falls."""
     P, memory = before[4:]
