@@ -382,10 +382,10 @@ def statistics_of(
     recording: Recording, cup_length: float, structure: Structure, with_noise: bool
 ) -> Statistics:
     """Return the statistics of a recording, if requested with the bias by its noise."""
-    return recording.cached(
-        ('statistics', cup_length, structure, with_noise), lambda: statistics(
-            sampling.samples_of(recording), cup_length, structure,
-            recording.noise if with_noise else None))
+    samples, key = sampling.samples_of(recording), (cup_length, structure)
+    plain = recording.cached(('statistics', *key), lambda: statistics(samples, *key))
+    return plain._replace(noise=recording.cached(('noise', *key), lambda: noise_products(
+        samples, recording.noise, *key))) if with_noise else plain
 
 
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
