@@ -27,6 +27,9 @@ MIN_POSES = 100
 ITERATIONS = 4
 """Number of iterations of expectation maximisation, after which sizes change by less than 3 %."""
 
+MIN_NOISE_SHARE = 1e-2
+"""Smallest expected square of an error in the weights, relative to the mean square."""
+
 INITIAL_FACTOR = 3.0
 """Factor of the initial standard deviations, so that poses stay within the gate."""
 
@@ -102,12 +105,7 @@ class SoundWork(Observer):
             lateral, depth, across, along = np.mean(noise, axis=0)
             pooled = np.array([(2 * lateral + depth) / 3] * 2 + [(2 * across + along) / 3] * 2)
             return {'measured.noise': tuple(np.sqrt(pooled).tolist())}
-        found = np.ones((4, 2))
-        for _ in range(ITERATIONS):
-            for axis, squares in enumerate(found):
-                A = np.square(scales[:, :, axis])
-                expected = A @ squares  # weights by the measured squares would be biased
-                found[axis] = nnls(A / expected[:, None], noise[:, axis] / expected)[0]
+        found = squared_sizes(noise, np.square(scales))
         rest, motion = np.sqrt(np.maximum(found, 1e-12)).T
         return {'measured.noise': tuple(rest.tolist()), 'measured.blur': tuple(motion.tolist())}
 
@@ -117,6 +115,23 @@ class SoundWork(Observer):
         late = float(last.theta[row - STATE])
         return {'measured.latency': self.sensor.model.latency + late,
                 'measured.latency_std': max(math.sqrt(last.covariance[row, row]), 1e-3)}
+
+
+def squared_sizes(noise: Array, units: Array) -> Array:
+    """
+    Return the squared sizes (4, 2) at rest and in motion of errors along four directions.
+
+    By non-negative least squares from the squared errors (N, 4) and the squares of the model with
+    unit sizes (N, 2, 4). The weights follow the model, as the measured squares would bias it.
+    """
+    found = np.ones((4, 2))
+    least = MIN_NOISE_SHARE * np.mean(noise, axis=0)
+    for _ in range(ITERATIONS):
+        for axis, squares in enumerate(found):
+            A = units[:, :, axis]
+            expected = np.maximum(A @ squares, least[axis])
+            found[axis] = nnls(A / expected[:, None], noise[:, axis] / expected)[0]
+    return found
 
 
 @dataclass(frozen=True)
