@@ -79,14 +79,8 @@ def _registered(
         changes['package_world'] = prepared.PackageWorld(pose, world_std)
     if settings.tag and found and found.error_factors is not None:
         settings = replace(settings, tag=settings.tag.scaled_errors(*found.error_factors))
-    alignment = recording.alignment
-    if 'package_marker' in estimates:
-        shift, turn = np.split(estimates['package_marker'][0], 2)
-        R = lie.exp_so3(turn)  # origin_to_com is in lip axes, rotated by R
-        alignment = replace(
-            alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
-            origin_to_com=R.T @ (alignment.origin_to_com + shift))
-    recording = filtered(alignment)
+    marker, _ = estimates.get('package_marker', (np.zeros(6), None))
+    recording = filtered(_realigned(recording.alignment, marker))
     (offset,), (std,) = estimates.get('time_offset', (np.zeros(1), np.array([np.inf])))
     if std < KINDS['time_offset'].max_std:
         recording = with_tool_earlier(recording, float(offset))
@@ -94,6 +88,14 @@ def _registered(
     elif values.fit.time_offset:
         changes['remarks'] = (*recording.report.remarks, frames.Remark('no_offset', {}))
     return replace(recording, report=replace(recording.report, **changes))
+
+
+def _realigned(alignment: frames.Alignment, marker: Array) -> frames.Alignment:
+    """Return the alignment with the estimated error (6,) of the marker's frame."""
+    R = lie.exp_so3(marker[3:])  # origin_to_com is in lip axes, rotated by R
+    return replace(
+        alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
+        origin_to_com=R.T @ (alignment.origin_to_com + marker[:3]))
 
 
 def _require_world(std: Array) -> None:

@@ -52,7 +52,7 @@ while sys.stdin.buffer.peek(1):
 def shares(
     tasks: Sequence[Task], places: Sequence[Any]
 ) -> Iterator[tuple[Any, list[Task]]]:
-    """Yield parts of tasks: each recording alone where it is read, else by their places."""
+    """Yield parts of tasks by places; a task that reads a recording is a part of its own."""
     of: dict[Any, list[Task]] = {}
     for task, place in zip(tasks, places, strict=True):
         alone = not task.calls[0].needs

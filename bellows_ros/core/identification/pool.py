@@ -221,7 +221,7 @@ class Pool:
             waiting, sent = tuple(missing), calls
 
     def _results(self, calls: tuple[Call, ...]) -> list[Any]:
-        """Return the results of the last call, raising the first error of it."""
+        """Return the results of the last call, or raise its first error."""
         replies = dict(self.replies(calls))
         ordered = [replies[number] for number in self.recordings]
         for reply in ordered:

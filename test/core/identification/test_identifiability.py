@@ -18,7 +18,7 @@ L0 = simulated.CUP.length
 
 
 def described(recording, structure=ROUND, **changes):
-    """Return samples of a recording, what they tell, and their fit."""
+    """Return samples of a recording, the identifiability by them, and their fit."""
     samples = samples_of(recording)
     return samples, *simulated.excitation(
         [samples], L0, structure, [recording.noise], **changes)

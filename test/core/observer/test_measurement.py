@@ -47,7 +47,7 @@ def test_the_jitter_of_stamps_is_estimated(jitter):
 
 @pytest.mark.parametrize(('late', 'verdict'), [(8e-3, 'used'), (14e-3, 'gate')])
 def test_stamp_off_by_some_ms_is_usual_from_the_first_motion_on(late, verdict):
-    """Expect 2 ms: at 1 m/s the gate is 5.3 standard deviations of it wide."""
+    """Expect 2 ms: at 1 m/s the gate has a width of 5.3 standard deviations of the jitter."""
     stamps, tool = tool_motion(np.random.default_rng(3), 3.0, size=0.15)
     body = truth(tool)
     k = int(np.argmax([np.linalg.norm(each[2]) for each in body]))
