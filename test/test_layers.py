@@ -42,8 +42,8 @@ LATE = {
     'bellows_ros/demo/steps.py': ('bellows_ros.nodes.bag_player',),
     'bellows_ros/plots/__init__.py': ('bellows_ros.plots.pictures',),
     'bellows_ros/workflows/identify.py': (
-        'bellows_ros.core.identification.structure_selection', 'bellows_ros.workflows.compare',
-        'bellows_ros.workflows.replay', 'bellows_ros.workflows.workers'),
+        'bellows_ros.workflows.compare', 'bellows_ros.workflows.replay',
+        'bellows_ros.workflows.workers'),
     'bellows_ros/workflows/recordings.py': (
         'bellows_ros.workflows.holds', 'bellows_ros.workflows.registration'),
     'bellows_ros/workflows/toss.py': ('bellows_ros.workflows.identify',)}

@@ -1,4 +1,4 @@
-"""Report the differences of two fits in standard errors, and the test for one cup."""
+"""Report the z-scores of the differences of two fits, and whether both are of one cup."""
 
 import argparse
 
@@ -17,7 +17,7 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
 def print_result(result: ComparedFits, console: Console) -> None:
     """Print the table and the verdict."""
     console.line(f'{result.names[0]} (A) and {result.names[1]} (B)', 'bold')
-    console.table([('', 'A', 'B', 'unit', 'change', 'std. errors'), *(
+    console.table([('', 'A', 'B', 'unit', 'change', 'z'), *(
         (name, with_error(before, before_std), with_error(after, after_std), unit,
          formatted(after / before - 1.0 if before else None, '+.2f', '%', 100.0),
          formatted(difference, '+.1f'))

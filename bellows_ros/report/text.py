@@ -113,11 +113,6 @@ def print_identification(
     _print_samples(result, details)
     if fit.converged:
         details.paragraph(sentence('report', 'condition', number=fit.condition_number))
-    if result.selection:
-        details.table([('structure', 'parameters', 'held-out error', 'usable'), *(
-            (each.structure, str(each.parameters), percent(each.held_out),
-             'yes' if each.usable else 'no') for each in result.selection.candidates)],
-            right=True, title='Structures of K and P')
     details.paragraph(*result.findings[len(sentences):])
     out.warn(*result.warnings)
 

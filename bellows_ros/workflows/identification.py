@@ -29,7 +29,6 @@ from bellows_ros.workflows.verdict import FitVerdict
 import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
-    from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.compare import ComparedFits
     from bellows_ros.workflows.replay import Replay
 
@@ -78,8 +77,6 @@ class Identification(CommandResult):
         Test for one cup by each recording alone, None if not requested.
     static : StaticResult or None
         Result of the recordings of standstills, None without any.
-    selection : StructureSelection or None
-        Comparison of structures of K and P, None if not requested.
     validations : tuple of Replay
         Recordings outside the fit, simulated with its cup.
     verdict : FitVerdict or None
@@ -100,7 +97,6 @@ class Identification(CommandResult):
     recordings: tuple[Recording, ...] = ()
     consistency: 'ComparedFits | None' = None
     static: StaticResult | None = None
-    selection: 'StructureSelection | None' = None
     validations: tuple['Replay', ...] = ()
     verdict: FitVerdict | None = None
     failed: tuple[Failed, ...] = ()
@@ -282,7 +278,6 @@ class Identification(CommandResult):
             *_standstill_sentences(self),
             *((static.verdict,) if static and static.spring else ()),
             *(consistency.sentences if consistency and not consistency.differs else ()),
-            *(self.selection.advice if self.selection else ()),
             *(text for each in self.validations for text in (
                 *offset_sentence(each.bag, each.time_offset), each.sentence)))
 
@@ -348,7 +343,6 @@ class Identification(CommandResult):
             'static': self.static,
             'one_cup': self.consistency and self.consistency.verdict_json(),
             'excitation': excitation_json(self.excitation, self.fit),
-            'structures': self.selection and selection_json(self.selection),
             'validations': self.validations,
             'envelope': self.envelope,
             'settings': dict(self.values),
@@ -490,13 +484,3 @@ def excitation_json(excitation: identifiability.Excitation, fit: Fit) -> dict[st
             for parameter, unit in zip(excitation.parameters, units, strict=True)},
         'rank': excitation.rank, 'size': len(units), 'condition_number': fit.condition_number,
         **results.attributes(excitation, 'pairs', 'warnings')}
-
-
-def selection_json(selection: Any) -> dict[str, Any]:
-    """Return a `StructureSelection` for the JSON file."""
-    return {
-        'candidates': [
-            results.attributes(each, 'structure', 'parameters', 'usable', 'refused', 'held_out',
-                               'simulated')
-            for each in selection.candidates],
-        **results.attributes(selection, 'samples', 'advised', 'advice')}

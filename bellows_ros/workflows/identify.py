@@ -22,10 +22,8 @@ from bellows_ros.core.identification.reduction import (
     whole_recordings,
 )
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks, conversion
-from bellows_ros.core.parameters.conversion import is_gripper
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
@@ -55,7 +53,7 @@ CAUSE_TESTS = 'testing possible causes'
 MAX_PAGE_RECORDINGS = 20
 """Largest number of recordings in a report."""
 
-RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
+RECORDING_USERS = ('static.length', 'output.report')
 """Parameters of steps that need the recordings themselves, not only their statistics."""
 
 
@@ -350,21 +348,11 @@ def _identify(
     verdict = verdict_of(
         fit, recordings, fit.standstills.length if fit.standstills else effective.cup.length,
         effective)
-    selected = None
-    if values.fit.compare_structures:
-        from bellows_ros.core.identification.structure_selection import select_structure
-
-        progress('comparing structures', FIT_ENDS)
-        selected = select_structure(
-            [samples_of(recording) for recording in recordings], effective.cup.length,
-            [recording.noise for recording in recordings],
-            conversion.given_structure(effective.replaced({'fit.structure': 'layout'}))
-            if is_gripper(effective) else None)
     identified = identification.Identification(
         fit, result.excitation, values,
         tuple(reduced(part, effective.cup.length) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress, pairs), verdict=verdict,
-        selection=selected, assumed=assumed, **more)
+        assumed=assumed, **more)
     if static:
         identified = replace(identified, static=with_spring(
             static._replace(cup_length=identified.cup_length), identified.cup,

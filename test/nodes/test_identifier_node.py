@@ -88,18 +88,17 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path,
 
 
 def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
-    """Give packages in files, standstills, structures, validation and a page."""
+    """Give packages in files, standstills, validation and a page."""
     package = [str(root / 'bags/package.yaml')]
     node = make(
         ros, PACKAGE | read_parameters(package[0]), bags=[str(root / 'bags/identification')],
         package__files=package, static__bags=[str(root / 'bags/static')], static__files=package,
-        fit__compare_structures=True, validation__bags=[str(root / 'bags/validation')], **TOPICS,
+        validation__bags=[str(root / 'bags/validation')], **TOPICS,
         output__json=str(tmp_path / 'fit.json'), output__report=str(tmp_path / 'page.html'),
         exit_when_done=True)
     assert result_of(ros, node) is None
     content = read_result(tmp_path / 'fit.json')
     assert content['with_standstills']['standstills'] == 7
-    assert content['structures']['advised'] == 'axisymmetric'
     assert content['validations'][0]['above_limit'] == []
     assert content['recordings'][0]['package']['mass'] == 1.8
     assert '7 standstills are part of the fit' in (tmp_path / 'page.html').read_text()

@@ -59,11 +59,3 @@ def test_a_layout_and_another_structure_are_refused_with_a_remedy(gripper):
         identify({**gripper[1], 'fit.structure': 'diagonal'})
     with pytest.raises(BellowsError, match=r'cup\.layout: \['):
         identify({**gripper[1], 'cup.layout': (0.0, 0.0, 0.0)})
-
-
-def test_structures_compares_one_cup_composed_with_the_gripper_as_one(gripper):
-    found = identify({**gripper[1], 'fit.method': 'least_squares',
-                      'fit.compare_structures': True}).selection
-    errors = {own.structure: own.held_out for own in found.candidates}
-    assert found.advised == 'layout' == found.candidates[0].structure
-    assert errors['axisymmetric'] > 2.0 * errors['layout']

@@ -159,10 +159,9 @@ def test_each_recording_may_have_its_own_topics(root, true_cup, tmp_path):
         '/tool_arm/pose', '/arm']
     assert [part.payload.mass for part in result.parts] == [1.8, 1.2]
     compared = result.consistency
-    assert compared.consistency.probability > 1e-3
+    assert not compared.differs
     assert compared.sentences[-1] in set(result.findings) - set(result.warnings)
-    differing = replace(result, consistency=compared._replace(
-        consistency=compared.consistency._replace(probability=1e-9)))
+    differing = replace(result, consistency=compared._replace(std=1e-6 * compared.std))
     assert differing.consistency.sentences[-1] in (
         set(differing.warnings) - set(differing.findings))
     with pytest.raises(BellowsError, match=r'topics\.tool_pose.*package\.files'):
@@ -198,14 +197,11 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path
     assert len(content['provenance']['recordings']) == 1 + len(weights)
 
 
-def test_structures_and_validation_come_with_the_fit(shipped, root):
+def test_a_validation_comes_with_the_fit(shipped, root):
     result = identify({
-        **shipped[0].values, 'fit.compare_structures': True,
-        'validation.bags': [str(root / 'bags/validation')]})
-    assert result.selection.advised == 'axisymmetric'
+        **shipped[0].values, 'validation.bags': [str(root / 'bags/validation')]})
     (validated,) = result.validations
     assert validated.validation.failing() == ()
-    assert any(line.startswith('Use fit.structure: axisymmetric') for line in result.findings)
     assert any('predicted within 5 %' in line for line in result.findings)
     assert f'{validated.bag}: The recording leaves the validity range' in result.warnings[-1]
     assert 'bending about x is -13.' in result.warnings[-1]  # twice what the fit has seen
@@ -343,7 +339,7 @@ def test_nothing_is_computed_twice(root, known, tmp_path, monkeypatch):
     found = identify({
         **known, 'bags': [str(root / 'bags/identification')],
         'validation.bags': [str(root / 'bags/validation')], 'fit.method': 'least_squares',
-        'fit.compare_structures': True, 'output.report': str(page), 'recording.end': 8.0})
+        'output.report': str(page), 'recording.end': 8.0})
     write_page(found, page)
     assert {name for name, _ in calls} == set(EXPENSIVE)
     assert [key for key, count in calls.items() if count > 1] == []

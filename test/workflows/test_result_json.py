@@ -52,7 +52,7 @@ def test_every_number_has_its_unit(settings, method, unit):
     short = {'bags': settings['validation.bags'], 'validation.bags': [], 'fit.time_offset': False,
              'recording.end': 4.0}
     asked = {**settings, 'fit.method': method, **(
-        {'fit.compare_structures': True} if method == 'least_squares' else short)}
+        {} if method == 'least_squares' else short)}
     content = json.loads(format_json(identify(asked).as_json()))
     assert sorted(set(without_unit(content))) == []
     assert content['units']['residual_rms'] == unit

@@ -107,7 +107,6 @@ class FitGroup:
     stretch: str
     relaxation: str
     compare_recordings: bool
-    compare_structures: bool
     time_offset: bool
     free: tuple[str, ...]
 
