@@ -59,8 +59,8 @@ MOST_MODULES = 68  # of the package, folders not counted, for a plain `bellows i
 
 
 CORE = (
-    'geometry', 'signals', 'model', 'parameters', 'recording', 'observer', 'planning', 'toss',
-    'synthetic', 'identification', 'live', 'excitation')
+    'geometry', 'signals', 'model', 'sensors', 'parameters', 'recording', 'observer', 'planning',
+    'toss', 'synthetic', 'identification', 'live', 'excitation')
 """The rooms of core, each above those that it may import."""
 
 

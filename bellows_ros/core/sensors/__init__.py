@@ -1,0 +1,1 @@
+"""Measurements of the package: residuals, derivatives and noise, one module a sensor."""
