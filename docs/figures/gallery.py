@@ -46,7 +46,15 @@ def designed() -> Any:
                   load('config/limits_example.yaml'), 20.0)
 
 
+def minute() -> Any:
+    """Return the prediction of a recorded motion with a cup that was not identified."""
+    known = {**read_parameters('config/cup_thesis.yaml'), **read_parameters('bags/package.yaml'),
+             'cup.lip_radius': 0.03, 'vacuum.holding': 4e4}
+    return plan('bags/validation', known)
+
+
 FIGURES = {
+    'minute.png': drawn(minute),
     'plan.png': drawn(lambda: plan('bags/transport.yaml', parameters())),
     'steer.png': drawn(steered),
     'toss.png': drawn(
