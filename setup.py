@@ -85,7 +85,8 @@ setup(
         'files/cup.sdf', 'files/motion.script', 'report/page.html', 'report/style.css']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
-    install_requires=['numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'PyYAML>=6.0'],
+    install_requires=[
+        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'mcap>=1.2', 'PyYAML>=6.0'],
     extras_require=EXTRAS,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

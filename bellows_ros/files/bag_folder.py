@@ -48,7 +48,17 @@ class Message(NamedTuple):
 Stored = tuple[Channel, int, bytes]
 """Fields of a `Message`, as a plain tuple for speed."""
 
+Batch = tuple[Channel, list[int], list[bytes]]
+"""Messages of a topic: times of recording (ns), and bytes."""
+
 Wanted = Callable[[Channel], bool]
+Counts = dict[Channel, int]
+
+
+def channel(name: str, type_name: str, encoding: str, definition: str) -> Channel:
+    """Return a topic, with the definition of its type only if releases differ in it."""
+    defined = type_name in DEFINED_TYPES and len(definition) < MAX_DEFINITION
+    return Channel(name, type_name, encoding, definition if defined else '')
 
 
 class DamagedError(BellowsError):

@@ -13,7 +13,7 @@ import sqlite3
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_folder, bags, File, mcap, messages
+from bellows_ros.files import atomic, bag_folder, bags, File, messages
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
@@ -126,8 +126,6 @@ def write_bag(
                            for number, r in enumerate(recorded)]
                 for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
                     writer.write(connections[names[number]], log_time_ns, data)
-            if storage == 'mcap':
-                mcap.seal(folder / f'{folder.name}.mcap')
         except sqlite3.Error as error:  # a full disk, reported by the system's message
             raise OSError(f'SQLite says {error}') from None
 

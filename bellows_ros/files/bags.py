@@ -3,32 +3,33 @@ Reading of rosbag2 recordings: SQLite and MCAP, plain and zstd, by folder or by 
 
 Files are not trusted: sizes are bounded, and every fault is a BellowsError with the remedy. The
 recording of a crashed recorder is read as far as possible, with a note.
-
-A database (.db3) is opened read-only and immutable, its schema is not trusted, and the work on it
-is bounded by its size: a damaged or hostile file ends in an error instead of an endless query.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-import sqlite3
 import struct
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError, shown
-from bellows_ros.files import bag_folder, File, mcap, messages
-from bellows_ros.files.bag_folder import Channel, DamagedError, Message, Stored, Wanted, ZSTD_MAGIC
+from bellows_ros.files import bag_folder, File, messages, storage
+from bellows_ros.files.bag_folder import (
+    Batch,
+    Channel,
+    DamagedError,
+    Message,
+    Stored,
+    Wanted,
+    ZSTD_MAGIC,
+)
+from bellows_ros.files.unclosed import INFLATING
 import numpy as np
 
 # Largest number of messages of a topic: five hours at 500 Hz, some 1 GB in memory.
 MAX_MESSAGES = 10_000_000
-# Largest size of a compressed SQLite file that is decompressed in memory.
-MAX_DATABASE_BYTES = 2**30
-
-SQLITE_MAGIC = b'SQLite format 3\0'
 
 Stream = PoseStream | TwistStream
 
@@ -80,17 +81,26 @@ class _Bag:
         self.notes = list(self._listed.notes)
 
     def messages(self, wanted: Wanted) -> Iterator[Stored]:
-        """Yield the messages of the wanted topics, file by file."""
+        """Yield the messages of the wanted topics one by one."""
+        for topic, times_ns, messages_ in self.batches(wanted):
+            for log_time_ns, data in zip(times_ns, messages_, strict=True):
+                yield topic, log_time_ns, data
+
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
+        """Yield the messages of the wanted topics in batches, file by file."""
+        incomplete = False
         for file in self._listed.files:
             losses: list[str] = []
             try:
-                inflated, most = 0, mcap.MAX_INFLATED + mcap.MAX_INFLATION * file.stat().st_size
-                for topic, log_time_ns, data in _stored_in(file, wanted, self.counts, losses):
-                    plain = _decompressed(topic, data) if data[:4] == ZSTD_MAGIC else data
-                    inflated += len(plain) - len(data)
+                most = storage.MAX_INFLATED + storage.MAX_INFLATION * file.stat().st_size
+                inflated = 0
+                for topic, times_ns, stored in storage.batches(file, wanted, self.counts, losses):
+                    plain = [_decompressed(topic, data) if data[:4] == ZSTD_MAGIC else data
+                             for data in stored]
+                    inflated += sum(map(len, plain)) - sum(map(len, stored))
                     if inflated > most:
-                        raise DamagedError('its messages are far larger than the file')
-                    yield topic, log_time_ns, plain
+                        raise DamagedError(INFLATING)
+                    yield topic, times_ns, plain
             except (DamagedError, bag_folder.ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
@@ -98,8 +108,9 @@ class _Bag:
             except OSError as error:
                 raise BellowsError(f"File '{file}' cannot be read: {error}.") from None
             self.notes += [f"File '{file}' is incomplete: {what}." for what in losses]
+            incomplete |= bool(losses)
         count, stated = sum(self.counts.values()), self._listed.information.get('message_count')
-        if self._listed.information and stated != count:
+        if self._listed.information and stated != count and not incomplete:
             self.notes.append(
                 f'The recording has {count} messages, but {bag_folder.METADATA} says '
                 f'{str(stated)[:20]}. Is the copy complete?')
@@ -229,9 +240,9 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
                 and topic.encoding == 'cdr'}
         return bool(collectors[topic])
 
-    for topic, log_time_ns, data in bag.messages(is_wanted):
+    for topic, times_ns, stored in bag.batches(is_wanted):
         for collector in collectors[topic].values():
-            collector.add(log_time_ns, data)
+            collector.add(times_ns, stored)
     bag.require_messages()
     contents = Contents({}, {}, tuple(bag.notes))
     for role, name in roles.items():
@@ -327,12 +338,8 @@ def accepted_types(role: str) -> tuple[str, ...]:
     return tuple(name for name, x in messages.LAYOUTS.items() if (x.twist if twists else x.pose))
 
 
-_BATCH = 4096
-"""Number of messages decoded together."""
-
-
 class _Collector:
-    """The messages of one topic and type for one role, decoded in batches."""
+    """The messages of one topic and type for one role, decoded."""
 
     def __init__(self, topic: Channel, role: str) -> None:
         self.topic = topic
@@ -343,29 +350,19 @@ class _Collector:
         covariance = layout.pose_covariance if self._by_stamp else 0
         self._part = slice(part.start, part.stop + covariance)
         self._frames: dict[tuple[str, ...], int] = {}
-        self._count, self._times, self._messages = 0, list[int](), list[bytes]()
-        self._decoded: list[np.ndarray] = []
+        self._count, self._decoded = 0, list[np.ndarray]()
 
-    def add(self, log_time_ns: int, data: bytes) -> None:
-        """Store a message, and decode a full batch."""
-        self._times.append(log_time_ns)
-        self._messages.append(data[:messages.MAX_MESSAGE_BYTES + 1])  # longer ones are not decoded
-        if len(self._times) == _BATCH:
-            self._decode()
-
-    def _decode(self) -> None:
-        """Decode the stored messages, unless there are too many."""
-        self._count += len(self._times)
+    def add(self, times_ns: Sequence[int], stored: Sequence[bytes]) -> None:
+        """Decode a batch of messages, unless there are too many."""
+        self._count += len(times_ns)
         if self._count > MAX_MESSAGES:
             raise BellowsError(f"Topic '{self.topic.name}' has more than {MAX_MESSAGES} messages. "
                                'Give a shorter recording.')
         self._decoded.append(messages.decode(
-            self._messages, self._times, self._layout, self._part, self._frames))
-        self._times, self._messages = [], []
+            stored, times_ns, self._layout, self._part, self._frames))
 
     def stream(self, recording: Path) -> Stream:
         """Return the usable messages in the recorded order, measured poses by their stamps."""
-        self._decode()
         decoded = np.concatenate(self._decoded)
         order = np.argsort(decoded['stamp' if self._by_stamp else 'arrival'], kind='stable')
         make: Any = messages.twist_stream if self._twists else messages.pose_stream
@@ -417,119 +414,3 @@ def _decompressed(topic: Channel, data: bytes) -> bytes:
         return bag_folder.decompressed(
             'zstd', data, messages.MAX_MESSAGE_BYTES if is_layout else 2**28)
     return b''
-
-
-def _stored_in(
-    path: Path, wanted: Wanted, counts: dict[Channel, int], losses: list[str]
-) -> Iterator[Stored]:
-    """Yield the wanted messages of a file, whose first bytes identify storage and compression."""
-    with path.open('rb') as stored:
-        compressed = stored.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
-        stored.seek(0)
-        file: Any = bag_folder.ZstdFile(stored) if compressed else stored
-        magic = file.read(len(SQLITE_MAGIC))
-        file.seek(0)
-        if magic.startswith(mcap.MAGIC):
-            yield from mcap.scan(file, wanted, counts, losses, path.stat().st_size)
-        elif magic == SQLITE_MAGIC:
-            yield from scan_database(path, file if compressed else None, wanted, counts)
-        elif not magic:
-            losses.append('it is empty')
-        elif magic.startswith(b'#ROSBAG'):
-            raise DamagedError(
-                f"it is a bag of ROS 1. Convert it with 'rosbags-convert --src {path} --dst "
-                "FOLDER', of the Python package rosbags; it is neither an MCAP nor an SQLite file")
-        else:
-            raise DamagedError('it is neither an MCAP nor an SQLite file')
-
-
-# ----------------------------------------------------------------------------------- databases
-
-def scan_database(
-    path: Path, file: BinaryIO | None, wanted: Wanted, counts: dict[Channel, int]
-) -> Iterator[Stored]:
-    """
-    Yield the messages of the wanted topics, topic by topic, in the stored order.
-
-    Parameters
-    ----------
-    path : Path
-        Path of the file.
-    file : file or None
-        Its decompressed content; None for a plain file.
-    wanted : callable
-        Function that selects topics.
-    counts : dict
-        Number of messages of every topic, filled before the first message.
-
-    Raises
-    ------
-    DamagedError
-        If the file is truncated or damaged, or its recording was not closed.
-
-    """
-    try:
-        with closing(_in_memory(file) if file else _connect(path)) as database:
-            (verdict,) = database.execute('PRAGMA quick_check(1)').fetchone()
-            if verdict != 'ok':  # inconsistent pages, so that messages could be missing
-                raise DamagedError(f'SQLite finds it damaged: {verdict!s:.200}')
-            numbers = _topics(database, counts)
-            for topic_id, topic in numbers.items():
-                for log_time_ns, data in database.execute(
-                        'SELECT timestamp, data FROM messages WHERE topic_id = ?',
-                        (topic_id,)) if wanted(topic) else ():
-                    if not (isinstance(log_time_ns, int) and isinstance(data, bytes)):
-                        raise DamagedError("its table 'messages' is damaged")
-                    yield topic, log_time_ns, data
-    except (sqlite3.Error, OverflowError, UnicodeError) as error:
-        raise DamagedError(f'SQLite cannot read it: {error}') from None
-
-
-def _in_memory(file: BinaryIO) -> sqlite3.Connection:
-    """Return a database with the content of a file."""
-    content = file.read(MAX_DATABASE_BYTES + 1)
-    if len(content) > MAX_DATABASE_BYTES:
-        raise DamagedError(f'decompressed it is larger than {MAX_DATABASE_BYTES} bytes. '
-                           "Decompress it with 'zstd -d', and give that file")
-    database = sqlite3.connect(':memory:')
-    database.deserialize(content)
-    return database
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    """Open a database for reading; raise if its last changes are still in its journal."""
-    for suffix in ('-wal', '-journal'):
-        other = path.with_name(path.name + suffix)
-        if other.is_file() and other.stat().st_size:
-            raise DamagedError(
-                f'its recording was not closed: {other.name} holds what is not yet in it. '
-                f"Run 'sqlite3 {path.name} .schema' in its folder once, which merges the two")
-    database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro&immutable=1', uri=True)
-    size, (page_size,) = path.stat().st_size, database.execute('PRAGMA page_size').fetchone()
-    if size % page_size:  # SQLite would read the rest of the page as zeros
-        raise DamagedError(
-            f'it ends in the middle: {size} bytes are no whole pages of {page_size}')
-    return database
-
-
-def _topics(database: sqlite3.Connection, counts: dict[Channel, int]) -> dict[int, Channel]:
-    """Return the topics by number, and count their messages."""
-    amounts = dict(database.execute('SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id'))
-    numbers: dict[int, Channel] = {}
-    definitions = dict[str, str]()
-    with suppress(sqlite3.OperationalError):  # recordings before ROS Iron
-        definitions.update(database.execute(
-            'SELECT topic_type, encoded_message_definition FROM message_definitions '
-            f'WHERE topic_type IN {bag_folder.DEFINED_TYPES} '
-            'AND length(encoded_message_definition) < ?', (bag_folder.MAX_DEFINITION,)))
-    for number, *texts in database.execute(
-            'SELECT id, name, type, serialization_format FROM topics'):
-        if not isinstance(number, int) or not all(isinstance(x, str) for x in texts):
-            raise DamagedError("its table 'topics' is damaged")
-        name, type_name, encoding = texts
-        topic = numbers[number] = Channel(
-            name, type_name, encoding, str(definitions.get(type_name, '')))
-        counts[topic] = counts.get(topic, 0) + amounts.pop(number, 0)
-    if amounts:
-        raise DamagedError(f'{sum(amounts.values())} messages have a topic it does not list')
-    return numbers

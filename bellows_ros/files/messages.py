@@ -32,6 +32,8 @@ MAX_MESSAGE_BYTES = 4096
 HEAD = b'\0\1\0\0'
 """Encapsulation of plain CDR in little-endian order."""
 
+LATEST_NS = 2**63 - 1
+
 NO_STAMP = 0
 """Stamp (ns) of a message whose nanoseconds exceed a second; it is rejected as a stamp."""
 
@@ -206,7 +208,9 @@ def decode(
     decoded = np.zeros(len(messages), [
         ('stamp', 'i8'), ('arrival', 'i8'), ('frame', 'i8'),
         ('values', 'f8', (part.stop - part.start,))])
-    decoded['arrival'] = np.maximum(log_times_ns, 0)
+    latest = max(log_times_ns, default=0)
+    decoded['arrival'] = np.maximum(
+        log_times_ns if latest <= LATEST_NS else [min(x, LATEST_NS) for x in log_times_ns], 0)
     decoded['frame'] = -1
     for (size, head, strings), (names, members) in same_layout(messages, layout.strings).items():
         doubles_at = _doubles_at(_STRINGS_AT + len(strings))

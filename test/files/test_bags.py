@@ -9,7 +9,7 @@ import sqlite3
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import bags
+from bellows_ros.files import bags, storage
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.bags import read_streams, topics
 import numpy as np
@@ -149,15 +149,15 @@ def test_quaternions_with_small_rounding_are_normalised(tmp_path):
 def test_messages_come_in_the_order_they_were_received_in(tmp_path):
     messages = made.poses(6)
     logged = [(messages[i][0], messages[j][1]) for i, j in enumerate([0, 2, 1, 3, 5, 4])]
-    for storage in made.PLUGINS:
-        path = one_topic(tmp_path / storage, logged[::-1], storage=storage)
+    for plugin in made.PLUGINS:
+        path = one_topic(tmp_path / plugin, logged[::-1], storage=plugin)
         stream = read_streams(path, {'p': 'a'})['p']
         assert stream.refused == {'backward_stamp': (2, 5)}
         assert_array_equal(stream.stamps_ns, made.stamps(6)[[0, 2, 3, 5]])
 
 
 def test_one_topic_may_serve_two_roles_and_batches_join(tmp_path, monkeypatch):
-    monkeypatch.setattr(bags, '_BATCH', 7)
+    monkeypatch.setattr(storage, 'BATCH', 7)
     messages = made.poses(50)
     messages[3] = (messages[3][0], faulty(3, 'malformed'))
     messages[20] = (messages[20][0], faulty(20, 'frame_id'))
@@ -328,21 +328,27 @@ def test_a_path_with_signs_that_mean_something_in_an_address_is_read(tmp_path):
         assert len(read_streams(path, {'p': 'a'})['p']) == 4
 
 
-def test_a_write_ahead_log_is_merged_by_the_remedy(tmp_path):
+@pytest.mark.parametrize('mode, left', [('WAL', 3), ('PERSIST', 4)])
+def test_a_database_that_was_not_closed_is_read_with_its_journal(tmp_path, mode, left):
+    """With what a write-ahead log adds, and without what a rollback journal takes back."""
     file = made.storage_file(one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3'))
-    database = sqlite3.connect(file)
-    database.execute('PRAGMA journal_mode = WAL')
+    database = sqlite3.connect(file, isolation_level=None)
+    database.execute(f'PRAGMA journal_mode = {mode}')
+    database.execute('PRAGMA cache_size = 1')
+    database.execute('BEGIN')
     database.execute('DELETE FROM messages WHERE id = 4')
-    database.commit()
+    database.execute('CREATE TABLE filler AS SELECT zeroblob(100000)')  # leaves the cache
+    if mode == 'WAL':
+        database.execute('COMMIT')
     crashed = tmp_path / 'crashed'
     shutil.copytree(file.parent, crashed)  # as a recorder leaves it that is killed
     database.close()
-    assert "'sqlite3 b.db3 .schema'" in error_of(crashed)
-    merging = sqlite3.connect(crashed / 'b.db3')
-    merging.execute('SELECT * FROM sqlite_master').fetchall()
-    merging.close()
-    for folder in (crashed, file.parent):
-        assert len(read_streams(folder, {'p': 'a'})['p']) == 3
+    before = {path: path.read_bytes() for path in crashed.iterdir()}
+    contents = bags.read_contents(crashed, {'p': 'a'})
+    assert len(contents.streams['p']) == left
+    (note,) = contents.notes
+    assert 'not closed' in note and 'b.db3-' in note
+    assert {path: path.read_bytes() for path in crashed.iterdir()} == before
 
 
 @pytest.mark.parametrize('named, statement', [
@@ -350,7 +356,7 @@ def test_a_write_ahead_log_is_merged_by_the_remedy(tmp_path):
     ('name', 'ALTER TABLE topics RENAME COLUMN name TO x'),
     ("'topics'", "UPDATE topics SET type = x'00'"),
     ('4 messages', 'UPDATE messages SET topic_id = 9'),
-    *(("'messages'", f"UPDATE messages SET {name} = 'text'") for name in ('data', 'timestamp'))])
+    *(('', f"UPDATE messages SET {name} = 'text'") for name in ('data', 'timestamp'))])
 def test_a_damaged_database_is_refused(tmp_path, named, statement):
     folder = one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3')
     database = sqlite3.connect(made.storage_file(folder))
@@ -368,8 +374,9 @@ def test_a_topic_with_too_many_messages_is_refused(tmp_path, monkeypatch):
 
 def test_a_compressed_database_that_is_too_large_is_refused(tmp_path, monkeypatch):
     folder = one_topic(tmp_path / 'b', made.poses(9), storage='sqlite3', compression='FILE')
-    monkeypatch.setattr(bags, 'MAX_DATABASE_BYTES', 1000)
-    assert "'zstd -d'" in error_of(folder)
+    monkeypatch.setattr(storage, 'MAX_INFLATED', 1000)
+    monkeypatch.setattr(storage, 'MAX_INFLATION', 1)
+    assert 'far larger than the file' in error_of(folder)
 
 
 def test_reading_holds_little_more_than_what_it_returns(tmp_path):

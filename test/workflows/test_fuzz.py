@@ -123,43 +123,37 @@ def arrays(stream):
     return [stream.stamps_ns, *(getattr(stream, name) for name in names)]
 
 
-def read_again(bag, good, has_checksums):
-    """Read a recording: finite, counted, and with checksums never changed without a word."""
+def read_again(bag):
+    """Read a recording: finite and counted."""
     found = read_contents(bag, ROLES)
     counted = {topic.name: topic.messages for topic in topics(bag)}
     info(bag)
-    lost = 0
     for role, stream in found.streams.items():
         left_out = sum(map(len, stream.refused.values()))
         assert len(stream) + left_out == counted[ROLES[role]]
         assert all(np.all(np.isfinite(array)) for array in arrays(stream))
         assert np.all(np.diff(stream.stamps_ns) > 0)
-        lost += left_out
-    if has_checksums and not (found.notes or found.problems or lost):
-        for role in ROLES:
-            pairs = zip(arrays(found.streams[role]), arrays(good.streams[role]), strict=True)
-            assert all(np.array_equal(*pair) for pair in pairs)
 
 
 @of_seeds
 @pytest.mark.parametrize('zstd', [False, True])
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_damaged_recordings(storage, zstd, seed, tmp_path):
-    """Damage the storage, which has checksums in MCAP, and then the metadata."""
+    """Damage the storage, and then the metadata."""
     rng, bag = np.random.default_rng(seed), tmp_path / 'bag'
     write_bag(bag, [as_messages(*own) for own in recorded()], storage, zstd)
     (stored,) = (path for path in bag.iterdir() if path.suffix != '.yaml')
-    sound, good = stored.read_bytes(), read_contents(bag, ROLES)
+    sound = stored.read_bytes()
     for _ in range(ATTEMPTS):
         stored.write_bytes(damaged(rng, sound))
-        refused(str(bag), read_again, bag, good, storage == 'mcap')
+        refused(str(bag), read_again, bag)
     stored.write_bytes(sound)
     file = bag / 'metadata.yaml'
     text = file.read_text()
     nested = json.dumps(safe_yaml.load(file))
     for _ in range(ATTEMPTS):
         file.write_text(scrambled(rng, text, nested), errors='replace')
-        refused(str(bag), read_again, bag, good, storage == 'mcap')
+        refused(str(bag), read_again, bag)
 
 
 STRANGE = {
