@@ -103,9 +103,9 @@ class _Sentence(Formatter):
     """Formatter of numbers with units, counts with nouns, lists, and foreign text."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        if format_spec.startswith('# '):
+            return many(value, format_spec[2:])
         form, _, unit = format_spec.rpartition(' ')
-        if form.endswith('#'):
-            return many(value, unit)
         if format_spec in SENTENCE_UNITS:
             form, unit = '.3g', format_spec
         elif unit not in SENTENCE_UNITS:

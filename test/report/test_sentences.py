@@ -22,7 +22,7 @@ def room(monkeypatch):
 @pytest.mark.parametrize('template, number, expected', [
     ('{x:.1f mm}', 0.0123, '12.3 mm'), ('{x:mm}', 1.23456, '1.23e+03 mm'),
     ('{x:.0f deg}', np.pi, '180 degrees'), ('{x:.0f %}', 0.256, '26 %'),
-    ('{x:# pose}', 1, '1 pose'), ('{x:# pose}', 20, '20 poses'),
+    ('{x:# pose}', 1, '1 pose'), ('{x:# measured pose}', 20, '20 measured poses'),
     ('{x:.2f} kg', 1.8, '1.80 kg'), ('{x} Hz', 30, '30 Hz'),
     ('{x:.1f mm}', None, '-'), ('{x:.1f mm}', np.inf, '-'), ('{x:.1f}', float('nan'), '-'),
     ('{x:.0f mm}', [0.001, 0.002, 0.003], '1 mm, 2 mm and 3 mm'),
@@ -50,8 +50,26 @@ def test_every_sentence_can_be_made():
             for _, field, form, conversion in Formatter().parse(text):
                 assert field is None or (field and not conversion), where
                 unit = (form or '').rpartition(' ')[2]
-                is_unit = unit in SENTENCE_UNITS or '# ' in (form or '')
+                is_unit = unit in SENTENCE_UNITS or (form or '').startswith('# ')
                 assert not unit or is_unit or unit[-1] in 'defg%', where
+
+
+@pytest.mark.parametrize('number', [1, 20])
+def test_every_sentence_is_formatted_with_numbers_of_its_kind(number):
+    """Print each count, number and text of every sentence, also as a list and as none."""
+    for file in TEXTS.glob('*.toml'):
+        for code, text in texts(file.stem).items():
+            if code.endswith(('.sides', '.units')):
+                continue
+            forms = {field: form for _, field, form, _ in Formatter().parse(text) if field}
+            counts = {field: number for field, form in forms.items()
+                      if form.startswith('# ') or form.endswith('d')}
+            for value in (0.5 * number, None, [0.5, 1.5]):
+                numbers = {field: 'name' if not form else counts.get(field, value)
+                           for field, form in forms.items()}
+                numbers |= {field.split('[')[0]: 9 * [0.5] for field in forms if '[' in field}
+                made = sentences.sentence(file.stem, code, **numbers)
+                assert made and '{' not in made.replace('{{', ''), f'{file.name}: {code}'
 
 
 @pytest.mark.parametrize('text', [

@@ -9,13 +9,13 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import scale, ZERO
-from bellows_ros.core.live.payload import MAX_SUBSTEPS
 from bellows_ros.core.live.plan_tracker import point_at
 from bellows_ros.core.live.uncertainty import Prediction, Uncertainty, UNKNOWN_ROOT
 from bellows_ros.core.model.equilibrium import adapted, largest_step, moved_by, pose_error
 from bellows_ros.core.model.grip import Grip, NO_FLIGHT
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
+from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S

@@ -11,6 +11,7 @@ from bellows_ros.core.live.uncertainty import Prediction, STILL, Uncertainty
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
 from bellows_ros.core.model.validity_range import Distance, distance
+from bellows_ros.core.observer.correction import stated_by
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.values import Values
@@ -246,6 +247,7 @@ def check_live(values: Values) -> None:
             load.watch_force(model, STILL)
             load.watch_deflection(model, STILL)
             Uncertainty(model, values)
+            stated_by(values, model)
             equivalent_box(values)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(

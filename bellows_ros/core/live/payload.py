@@ -11,19 +11,16 @@ from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
-from bellows_ros.core.observer.correction import ANOTHER_PACKAGE, SAME_PACKAGE
+from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.measurement import Measurement
 from bellows_ros.core.observer.observer import Observer, Payload
+from bellows_ros.core.observer.states import ANOTHER_PACKAGE, SAME_PACKAGE
 from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
-
-MAX_SUBSTEPS = 10_000
-"""Largest number of substeps of one advance; more means too stiff a cup or too long a time:
-diverged."""
 
 MIN_STEP = 1e-6
 """Shortest integration step of a live prediction, s."""
@@ -234,7 +231,8 @@ class LivePayload:
 
         An observer stores the package at a given stamp (ns).
         """
-        substeps = equilibrium.substeps_for(duration, self._longest_step)
+        longest = self._longest_step if self.observer is None else self.observer.max_step
+        substeps = equilibrium.substeps_for(duration, longest)
         if substeps > MAX_SUBSTEPS:
             return None
         try:

@@ -32,6 +32,7 @@ from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model.kernels import LawTuple, model_of
 from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer import states
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
 from bellows_ros.core.observer.measurement import MeasuredPose, output_of, OUTSIDE, updated, USED
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -71,9 +72,10 @@ class Cause(NamedTuple):
     flipped tags, unlike falls, last for a few frames."""
 
 
+_ROWS = {**states.FIRST, 'FORCE_LOSS': ekf.FORCE_LOSS}
 NAMED = {
     name: Cause(name, **{**entry, 'steps': tuple(
-        tuple(getattr(ekf, row) + place for row, place in step) for step in entry['steps'])})
+        tuple(_ROWS[row] + place for row, place in step) for step in entry['steps'])})
     for name, entry in CAUSES.items()}
 ALARM_CAUSES = tuple(sorted(NAMED.values(), key=lambda cause: cause.name == 'cup'))
 """
@@ -269,12 +271,12 @@ class Alarms:
         self._places, self._of_tag = places, of_tag
         self._threshold = math.log(3600 * NS_PER_S / ONSET_NS / false_per_hour) + (
             MARGIN if len(places) == 1 else GRIPPER_MARGIN)
-        self.steps: Array = np.zeros((ekf.ROWS + ekf.FALLEN, len(STEPS)))
+        self.steps: Array = np.zeros((states.ROWS + ekf.FALLEN, len(STEPS)))
         for component, step in enumerate(STEPS):
             for row in step:
                 self.steps[row, component] = 1.0
-                if of_lip and ekf.COM <= row < ekf.COM + 3:
-                    self.steps[ekf.MARKER + row - ekf.COM, component] = 1.0
+                if of_lip and states.COM <= row < states.COM + 3:
+                    self.steps[states.MARKER + row - states.COM, component] = 1.0
 
     def start(
         self, stamp_ns: int, place: Vector, cups: int, from_start: bool = True
@@ -449,7 +451,7 @@ def filter_step(
     after, E, gain = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
     _, tool, body, theta, P, _ = after
-    if seen[5] > 0.0:
+    if seen[6] > 0.0:
         verdict, innovation, body, theta, learned = updated(
             model, after, seconds, seen, gain)
         if len(E) > 0 and verdict <= OUTSIDE:
@@ -501,7 +503,7 @@ def _assessed(
     n, C = H.shape[1], H.astype(np.float32)
     response = output_of(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
     t3.add_product(  # fall, as a shift in the world
-        np.ascontiguousarray(C[:3, ekf.CAMERA:ekf.CAMERA + 3]), E[n + 4:], response[:3])
+        np.ascontiguousarray(C[:3, states.CAMERA:states.CAMERA + 3]), E[n + 4:], response[:3])
     change = t3.product(
         root.astype(np.float32), response, np.empty((6, E.shape[1]), np.float32))
     counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
@@ -575,10 +577,10 @@ def _add_onset(
             statistics[:, column + a * slots + slot] = 0.0
             for i in range(len(signature)):
                 signature[i] = steps[i, first + a]
-            x, y, z = signature[ekf.CAMERA + 3:ekf.CAMERA + 6]
+            x, y, z = signature[states.CAMERA + 3:states.CAMERA + 6]
             shift = t3.cross(place, (x, y, z))
             for i in range(3):
-                signature[ekf.CAMERA + i] += shift[i]
+                signature[states.CAMERA + i] += shift[i]
 
 
 @kernel

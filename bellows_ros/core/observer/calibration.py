@@ -10,10 +10,10 @@ from typing import Any
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import hat
-from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.filter import NOISE, STATE
+from bellows_ros.core.observer import states
 from bellows_ros.core.observer.measurement import cholesky, corrected_pose
 from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.observer.states import NOISE, STATE
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.measurement_model import NO_GROWTH, pose_noise, sizes_of
 from bellows_ros.errors import BellowsError
@@ -111,7 +111,7 @@ class SoundWork(Observer):
 
     def camera(self) -> dict[str, Any]:
         """Return the latency with its standard deviation."""
-        last, row = self._estimates[-1] if self._estimates else self._known, ekf.LATENCY
+        last, row = self._estimates[-1] if self._estimates else self._known, states.LATENCY
         late = float(last.theta[row - STATE])
         return {'measured.latency': self.sensor.model.latency + late,
                 'measured.latency_std': max(math.sqrt(last.covariance[row, row]), 1e-3)}

@@ -13,9 +13,9 @@ from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import composition, is_single, maps, UPPER
-from bellows_ros.core.observer import alarms
+from bellows_ros.core.observer import alarms, dynamics, states
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE, STATE
+from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FALLING,
@@ -24,9 +24,11 @@ from bellows_ros.core.observer.measurement import (
     OUT_OF_REACH,
     OUTSIDE,
 )
+from bellows_ros.core.observer.states import KNOWN, KNOWN_ROWS, LARGEST, STATE, Stated
 from bellows_ros.core.parameters.conversion import places_of, stated_std, stiffness_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 GATE = 27.86
@@ -51,9 +53,6 @@ NO_MEASUREMENT = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
 MIN_SAMPLES = 4096
 """Smallest size of the buffer of tool samples, a few seconds."""
 
-INITIAL_STD = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
-"""Initial standard deviations: m, rad, m/s, rad/s."""
-
 MASS_SHARE, COM_UNCERTAIN = 0.05, (3e-3, 3e-3, 1.5e-3)
 """Default standard deviations of the payload: mass (relative), centre of mass (m)."""
 
@@ -77,10 +76,6 @@ FIRST_JITTER = 2e-3
 FIRST_MEMORY = 0.043
 """Initial correlation time of the noise, s."""
 
-BIAS_WALK, WALK_ARM = 0.0003, 0.02
-"""Random walk of the wrench bias in 1 s: force as a fraction of the weight, and its lever for the
-moment (m)."""
-
 LEAST_TOOL_NOISE = 5e-7, 2.5e-6
 """Smallest noise of the tool's position (m) and rotation (rad), of the size of the filter's step
 errors."""
@@ -88,57 +83,20 @@ errors."""
 TOOL_LATENCY = 5e-3
 """Largest delay of the tool's poses, s."""
 
-CAMERA_WALK_TIME = 300.0
-"""Time in which a camera's frame drifts by `measured.offset_std` as its mount warms up, s."""
-
-BIAS_SHARE = 0.01
-"""Initial wrench bias, relative to the effect of the default payload uncertainty."""
-
 FIRST_PERIOD, FIRST_SQUARES = 0.03, 100.0
 """
 Initial time between measurements (s) and sum of squares of the noise, as after 33 measurements:
 with fewer, an initially wrong payload would appear as noise with a long memory.
 """
 
-CAMERA_ROWS = tuple(range(ekf.CAMERA, ekf.LATENCY + 1))
-"""Rows of the camera's errors."""
-
-CUP_ROWS = *range(ekf.STIFFNESS, ekf.MARKER), *range(ekf.DAMPING, ekf.INERTIA)
-"""Rows of the cup's errors."""
-
-PACKAGE_ROWS = (*range(ekf.MASS, ekf.COM + 3), *range(ekf.MARKER, ekf.CAMERA),
-                *range(ekf.INERTIA, ekf.ROWS))
-"""Rows of the package's errors."""
-
-ANOTHER_PACKAGE = CAMERA_ROWS + CUP_ROWS
-"""Number of states that are kept for another package: of camera and cup."""
-
-SAME_PACKAGE = ANOTHER_PACKAGE + PACKAGE_ROWS
-"""Number of states that are kept over a gap in the tool's poses, with the same package."""
-
-KNOWN_ROWS = np.sort(SAME_PACKAGE)
-"""Rows that are estimated over time; the others belong to the motion."""
-
-KNOWN = np.ix_(KNOWN_ROWS, KNOWN_ROWS)
-"""Index of the block of these rows in a covariance."""
+WRENCHES = slice(states.WRENCH, states.WRENCH + 6)
+INERTIAS = slice(states.INERTIA, states.INERTIA + 3)
 
 NUMBERS = 54
 """Number of entries of K and P (6, 6) of a cup, as the kernels' blocks."""
 
 NO_CUPS: Array = np.zeros((0, NUMBERS))
 """Cups of a gripper with a single cup, whose loss is the loss of the package."""
-
-
-def walk_variances(
-    values: Values, model: ModelTuple, is_supported: bool = False
-) -> Array:
-    """Return the variances (12,) of wrench bias and camera pose after a random walk of 1 s."""
-    weight = model[1][0] * math.hypot(*model[2])
-    camera = np.divide(values.measured.camera_std, math.sqrt(CAMERA_WALK_TIME))
-    share, arm = (SUPPORT_WALK, SUPPORT_ARM) if is_supported else (BIAS_WALK, WALK_ARM)
-    bias = share * weight * np.array([1.0, arm])
-    walk: Array = np.square(np.repeat([*bias, *camera], 3))
-    return walk
 
 
 def first_memory() -> Array:
@@ -150,10 +108,17 @@ def first_memory() -> Array:
     return memory
 
 
-def prior_std(values: Values, model: ModelTuple) -> Array:
-    """Return the initial standard deviations (n,) of the error."""
-    (_, _, *blocks), (mass, _, inertia, _), gravity = (model[0][:4], *model[1:])
-    weight = mass * math.hypot(*gravity)
+def stated_by(values: Values, model: ModelTuple) -> Stated:
+    """
+    Return the stated standard deviations, or usual ones.
+
+    Raises
+    ------
+    BellowsError
+        If three of them exceed the physical range of the mass or the centre of mass.
+
+    """
+    blocks, (mass, _, inertia, _), gravity = model[0][2:4], model[1], model[2]
     C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
     relative = []
     for std_of, unstated, matrix in zip(
@@ -169,13 +134,33 @@ def prior_std(values: Values, model: ModelTuple) -> Array:
             ('mass', [mass * (MASS_SHARE if is_free else UNSTATED_MASS)]),
             ('com', COM_UNCERTAIN if is_free else [UNSTATED_COM] * 3),
             ('inertia', UNSTATED_INERTIA * np.array(inertia)[::4])))
-    bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN[0]], 3)
+    for name, std, row, unit in (('mass', float(mass_std[0]), states.MASS, mass),
+                                 ('com', float(com.max()), states.COM, 1.0)):
+        most = states.LARGEST[row] * unit / 3.0
+        if std > most:
+            raise BellowsError(
+                f'package.{name}_std is {std:g}; expected at most {most:.3g}, so that three '
+                'standard deviations are possible. Weigh and measure the package, or leave '
+                f'package.{name}_std out for the usual uncertainty.')
     marker, camera = (
         np.repeat(values[f'measured.{name}_std'], 3) for name in ('marker', 'camera'))
-    std: Array = np.r_[
-        INITIAL_STD, mass_std / mass, com, bias, 0.0, 0.0, relative[0], marker, camera,
-        values.measured.latency_std, np.ones(6), relative[1], moments]
-    return std
+    return Stated(
+        mass * math.hypot(*gravity), COM_UNCERTAIN[0], float(mass_std[0]) / mass, com,
+        relative[0], relative[1], _of_moments(np.reshape(inertia, (3, 3)), moments), marker,
+        camera, values.measured.latency_std)
+
+
+def _of_moments(inertia: Array, std: Array) -> Array:
+    """
+    Return the covariance (3, 3) of the logarithms of the second moments of mass.
+
+    The standard deviations (3,) are of the moments of inertia (kg m^2). A logarithm's is at most
+    1, as the second moment of a thin plate along its normal is nearly 0.
+    """
+    half = 0.5 - np.eye(3)
+    root = half * std / np.maximum(half @ np.diag(inertia), 1e-12)[:, None]
+    root /= np.maximum(np.linalg.norm(root, axis=1), 1.0)[:, None]
+    return np.asarray(root @ root.T)
 
 
 def cups_of(model: ModelTuple, places: Array) -> Array:
@@ -201,7 +186,7 @@ def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
     It follows the previous measurement by at least half of the interval of their stamps. Short
     latencies are corrected by `measurement.at_exposure`.
     """
-    late_ns, last_ns = int(NS_PER_S * before.theta[ekf.LATENCY - STATE]), before.late_ns
+    late_ns, last_ns = int(NS_PER_S * before.theta[states.LATENCY - STATE]), before.late_ns
     if late_ns < NS_PER_S * NONLINEAR_LATENCY:
         return stamp_ns
     most_ns = last_ns + (stamp_ns - before.stamp_ns - last_ns) // 2
@@ -297,8 +282,16 @@ class Correction:
         self.holding_reach = model[0][1] + LARGEST_LOAD * sag(model)
         self.law = law_of(model)
         self._row = model_row(model)
-        self.prior = prior_std(values, model)
-        self._walks = [walk_variances(values, model, carries) for carries in (False, True)]
+        stated = stated_by(values, model)
+        self.prior = states.each_row('prior', stated)
+        self.prior_covariance = np.diag(np.square(self.prior))
+        self.prior_covariance[INERTIAS, INERTIAS] = stated.inertia
+        self._largest = LARGEST.copy()
+        self._largest[WRENCHES] *= stated.weight
+        walk = np.square(states.each_row('walk', stated))
+        self._walks = walk, walk.copy()
+        self._walks[1][WRENCHES] = np.square(
+            SUPPORT_WALK * stated.weight * np.repeat([1.0, SUPPORT_ARM], 3))
         self._marker, places = marker, places_of(values)
         self._cups = cups_of(model, places)
         allowed = values.alarm.false_per_hour
@@ -314,7 +307,7 @@ class Correction:
         lost_cups: tuple[int, ...],
     ) -> Estimate:
         """Return the initial estimate of a package at rest, with theta, covariance and memory."""
-        self._drive = ekf.driving(self.nominal, tool, body, self._tool_noise)
+        self._drive = dynamics.driving(self.nominal, tool, body, self._tool_noise)
         return Estimate(
             stamp_ns, tool, body, *initial, self._evidence(stamp_ns, body, lost_cups), lost_cups)
 
@@ -362,16 +355,16 @@ class Correction:
         if is_supported:
             evidence = NO_EVIDENCE._replace(from_start=evidence.from_start)
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
-        theta[ekf.LATENCY - STATE] -= late  # correction for reading the pose earlier
+        theta[states.LATENCY - STATE] -= late  # correction for reading the pose earlier
         verdict, numbers, (E, statistics, distances, onsets), likeliest = alarms.filter_step(
             self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
             (self._drive, self._walks[is_supported], self._marker[3]),
             (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
-            (*measurement[1:], self._marker, self.holding_reach, gate))
+            (*measurement[1:], self._marker, self.holding_reach, self._largest, gate))
         _, tool, body, theta, P, memory = numbers
-        theta[ekf.LATENCY - STATE] += late
+        theta[states.LATENCY - STATE] += late
         return verdict, Estimate(
             stamp_ns, tool, body, theta, P, memory,
             Evidence(E, statistics, distances, onsets, *evidence[4:]), *before[7:]), likeliest
@@ -389,7 +382,7 @@ class Correction:
         """
         P = estimate.covariance.copy()
         P[6:STATE, 6:STATE] += self._drive[0, :6, :6]
-        late = min(abs(estimate.theta[ekf.LATENCY - STATE]), TOOL_LATENCY)
+        late = min(abs(estimate.theta[states.LATENCY - STATE]), TOOL_LATENCY)
         lag = late * np.r_[estimate.body[2], estimate.body[3]]
         P[:6, :6] += lag[:, None] * lag
         return estimate._replace(covariance=P)
@@ -450,7 +443,7 @@ class Correction:
         self, before: Estimate, after: Estimate, likeliest: alarms.Likeliest, has_vacuum: bool
     ) -> tuple[Estimate, alarms.Alarm | None]:
         """Return an estimate with a detected fault removed, and the alarm on it."""
-        row, evidence, stamp_ns = ekf.LATENCY, after.evidence, after.stamp_ns
+        row, evidence, stamp_ns = states.LATENCY, after.evidence, after.stamp_ns
         change = after.theta[row - STATE] - before.theta[row - STATE]
         if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
             after.covariance[row, row] += change**2
@@ -474,6 +467,9 @@ class Correction:
             return after if alarm is None else self._disturbed(after), alarm
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
         body, theta = changed_by(after.body, after.theta, fault.error)
+        if not dynamics.is_possible(body, theta, self._largest):
+            return after._replace(gated_ns=(), evidence=self._evidence(
+                stamp_ns, after.body, after.lost_cups, False)), fault.alarm
         memory = np.r_[self.first_memory[:11], after.memory[11:]]
         return after._replace(  # the fault has increased the noise, too
             body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
@@ -489,7 +485,7 @@ class Correction:
 
     def released(self, estimate: Estimate) -> Estimate:
         """Return an estimate of a package just released by its support."""
-        rows = np.arange(ekf.WRENCH, ekf.WRENCH + 6)
+        rows = np.arange(states.ROWS)[WRENCHES]
         theta, P = estimate.theta.copy(), estimate.covariance.copy()
         theta[rows - STATE] = 0.0
         P[rows], P[:, rows] = 0.0, 0.0
@@ -513,10 +509,12 @@ class Correction:
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement
     ) -> Estimate:
         """Return an estimate with initial uncertainty, corrected with a measurement."""
-        rows = np.r_[:STATE, ekf.WRENCH:ekf.WRENCH + 6]
+        rows = np.r_[:STATE, states.WRENCH:states.WRENCH + 6]
         P, stamp_ns = estimate.covariance.copy(), estimate.stamp_ns
         P[rows, rows] += np.square(self.prior[rows])
-        restarted = estimate._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
+        theta = np.where(np.abs(estimate.theta) <= self._largest[STATE:], estimate.theta, 0.0)
+        restarted = estimate._replace(
+            theta=theta, covariance=P, memory=memory, evidence=NO_EVIDENCE)
         is_supported = estimate.is_supported
         _, after, _ = self._step(
             restarted, track, stamp_ns, True, measurement, math.inf, is_supported)

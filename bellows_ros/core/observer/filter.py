@@ -1,9 +1,7 @@
 """
 An error-state Kalman filter on SE(3) x R^6, including the errors of an ordinary cell.
 
-The rows of the error have the names below: pose and twist of the package in its own axes, as in
-`jacobians`; parameters of the model, which change its motion; and errors of measured poses. All
-rows but the state are the vector theta. A row without uncertainty is constant until `alarms`
+The rows of the error are those of `states`. A row without uncertainty is constant until `alarms`
 detects a fault, a step in some rows.
 
 The state is propagated through all samples of the tool with the predictor's steps. Between
@@ -20,43 +18,26 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
+from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.equilibrium import linearise, substeps_for
-from bellows_ros.core.model.jacobians import Square
-from bellows_ros.core.model.kernels import Blocks, LawTuple, ModelTuple, State, Wrench
+from bellows_ros.core.model.equilibrium import substeps_for
+from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
+from bellows_ros.core.observer.dynamics import (
+    advanced_with_wrench,
+    model_at,
+    slopes,
+    stable_step,
+    with_theta,
+    wrench_bias,
+    write_losses,
+)
+from bellows_ros.core.observer.states import LENGTH, LENGTHENING, MARKER, NOISE, STATE
 from bellows_ros.core.recording.measurement_model import Sensor, sizes_of
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
-SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
-"""
-Rows of shift (m), rotation (rad), linear and angular twist (m/s, rad/s); logarithm of mass and
-inertia; centre of mass (m); and additional wrench on the package at the lip, in S axes, at the
-nominal mass, proportional to the mass (N, N m).
-"""
-
-LENGTH, LENGTHENING, STIFFNESS = 22, 23, 24
-"""
-Rows of the cup's length (m) and its rate (m/s), and of the logarithms s of K along each axis,
-exp(s/2) K exp(s/2). A common scale of K, P, mass, inertia and wrench does not change the motion
-and is not observable. In logarithms this direction of the error is constant; otherwise the filter
-would take noise for information on the scale.
-"""
-
-MARKER, CAMERA, LATENCY, NOISE = 30, 36, 42, 43
-"""
-Rows of the pose of the marker in B axes, and of the camera in the world (m, rad); of the delay of
-stamps (s); and of the noise with memory of the measured pose, in B axes (m, rad).
-"""
-
-DAMPING, INERTIA, ROWS = 49, 55, 58
-"""Rows of the logarithms of P along each axis, and of the moments of inertia at the nominal mass
-(kg m^2); number of rows."""
-
-STATE = 12
 SECONDS, FALL_SPEED, FALL = 0, 1, 4
 """Columns in row `STATE` of a transition: its duration, and speed and shift of the fall (m/s, m;
 world)."""
@@ -72,9 +53,6 @@ FORCE_LOSS = -FALLEN
 
 COVARIANCE_STEPS = 12
 """Largest ratio of the steps of the covariance and of the state."""
-
-STEP_MARGIN = 1.5
-"""Factor by which the fastest mode may become faster before steps are shortened."""
 
 NO_MATRIX: Array = np.zeros((0, 0))
 """Placeholder for a transition and a covariance that are not computed."""
@@ -180,204 +158,6 @@ cup of a gripper.
 """
 
 
-@kernel
-def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
-    """Return a model with its parameters changed by theta."""
-    cup, (mass, com, inertia, inverse), gravity = model
-    k, longer = math.exp(theta[0]), theta[LENGTH - STATE]
-    (oo, oR, RR), P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
-    P = _scaled(P, theta[DAMPING - STATE:])
-    x, y, z = theta[INERTIA - STATE], theta[INERTIA - STATE + 1], theta[INERTIA - STATE + 2]
-    more = (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
-    inertia = t3.add_scaled_matrix(inertia, 1.0, more)
-    inverse = t3.add_scaled_matrix(
-        inverse, -1.0, t3.multiply(inverse, t3.multiply(more, inverse)))
-    return (cup[0] + 0.5 * longer, cup[1] + longer, (oo, oR, RR, *cup[2][3:]), P, *cup[4:]), (
-        k * mass, t3.add(com, (theta[1], theta[2], theta[3])), t3.scale_matrix(k, inertia),
-        t3.scale_matrix(1.0 / k, inverse)), gravity
-
-
-@kernel
-def model_at(row: Any, law: LawTuple, theta: Array) -> ModelTuple:
-    """Return the model of `kernels.model_of` with its parameters changed by theta."""
-    return with_theta(kernels.model_of(row, law), theta)
-
-
-@kernel
-def _scaled(M: Blocks, s: Array) -> tuple[Matrix, Matrix, Matrix]:
-    """Return exp(s / 2) M exp(s / 2), with s (6,) on a diagonal."""
-    a = math.exp(0.5 * s[0]), math.exp(0.5 * s[1]), math.exp(0.5 * s[2])
-    b = math.exp(0.5 * s[3]), math.exp(0.5 * s[4]), math.exp(0.5 * s[5])
-    return _scaled_block(M[0], a, a), _scaled_block(M[1], a, b), _scaled_block(M[2], b, b)
-
-
-@kernel
-def _scaled_block(A: Matrix, a: Vector, b: Vector) -> Matrix:
-    """Return a 3x3 block of `_scaled`."""
-    return (
-        A[0] * a[0] * b[0], A[1] * a[0] * b[1], A[2] * a[0] * b[2],
-        A[3] * a[1] * b[0], A[4] * a[1] * b[1], A[5] * a[1] * b[2],
-        A[6] * a[2] * b[0], A[7] * a[2] * b[1], A[8] * a[2] * b[2])
-
-
-@kernel
-def stable_step(max_step: float, theta: Array) -> float:
-    """Return the longest step (s) for a model changed by theta, shorter if much stiffer."""
-    stiffer = damped = 0.0
-    for i in range(6):
-        stiffer = max(stiffer, theta[STIFFNESS - STATE + i] - theta[0])
-        damped = max(damped, theta[DAMPING - STATE + i] - theta[0])
-    return max_step * min(1.0, STEP_MARGIN * math.exp(-max(0.5 * stiffer, damped)))
-
-
-@kernel
-def wrench_bias(theta: Array) -> Wrench:
-    """Return the additional wrench (N, N m)."""
-    k = math.exp(theta[0])
-    return t3.scale(k, (theta[4], theta[5], theta[6])), t3.scale(
-        k, (theta[7], theta[8], theta[9]))
-
-
-def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
-    """
-    Return the covariances of the state by white noise (6,) of the tool, held for 1 s.
-
-    They are (3, 12, 12): by all noise, and by position and rotation alone with unit variance.
-
-    The tool's twist is the derivative of its noise e. Integrated by parts, its slope T_v is
-    equivalent to the slope A T_v of e. The derivatives are linearised about a state.
-    """
-    by = linearise(model, tool, body)
-    drive = np.vstack([by.tool_twist, by.tool_pose + by.body_twist @ by.tool_twist])
-    each = noise, np.repeat([1.0, 0.0], 3), np.repeat([0.0, 1.0], 3)
-    return np.stack([drive * np.square(std) @ drive.T for std in each])
-
-
-@kernel
-def advanced_with_wrench(
-    model: ModelTuple, bias: Wrench, body: State, start: State, end: State, seconds: float,
-    substeps: int,
-) -> State:
-    """Return a state after a motion of the tool, with half of the push before and half after."""
-    dv, dw = jac.acceleration_at(model[1], model[1][1], bias[0], bias[1])
-    dv, dw = t3.scale(0.5 * seconds, dv), t3.scale(0.5 * seconds, dw)
-    body = kernels.with_twist(body, t3.add(body[2], dv), t3.add(body[3], dw))
-    body = kernels.advance(model, body, start, end, seconds, substeps)
-    return kernels.with_twist(body, t3.add(body[2], dv), t3.add(body[3], dw))
-
-
-@array_kernel
-def slopes(
-    model: ModelTuple, bias: Wrench, mass_ratio: float, tool: State, body: State, A: Array,
-    B: Array,
-) -> Vector:
-    """
-    Write the slope of the state's error, and return the force of the cup in the world (N).
-
-    Parameters
-    ----------
-    model, bias, tool, body : tuples
-        Tuples with the estimated parameters.
-    mass_ratio : float
-        Ratio of the mass to the nominal one.
-    A : ndarray (12, 12)
-        Slope by the state's error: pose and twist change in axes that rotate with the body.
-    B : ndarray (6, m)
-        Slope of the twist's error by the other rows; m as in `identity_transition`.
-
-    """
-    package, com, turning = model[1], model[1][1], body[3]
-    jac.write_slope(model, tool, body, A)
-    f, m = kernels.lip_wrench(model, tool, body)
-    c, o, R, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
-    B[:, STIFFNESS:] = 0.0
-    h = kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:])
-    J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
-    _by_axes(-0.125, model[0][2], jac.accelerations(package, jac.shift_left(
-        c, (t3.transposed(J_oo), jac.ZERO_MATRIX, t3.transposed(J_oR), t3.transposed(J_RR)))),
-        h[0], h[1], B[:, STIFFNESS:])
-    far, R_back = t3.apply(R, w), t3.transposed(R)
-    at_S1 = jac.IDENTITY, jac.ZERO_MATRIX, jac.ZERO_MATRIX, jac.IDENTITY
-    at_S2 = R_back, jac.ZERO_MATRIX, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
-    _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S1)),
-             v, w, B[:, MARKER:])
-    _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),
-             t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, MARKER:])
-    by_inertia = B[:, MARKER + INERTIA - DAMPING:]
-    jac.parameter_jacobian(model, tool, body, 43, 46, by_inertia)
-    for i in range(6):
-        for j in range(3):
-            by_inertia[i, j] *= mass_ratio
-    dv, dw = jac.by_length(model, tool, body, f)
-    jac.write_column(B, LENGTH, dv, dw)
-    dv, dw = jac.acceleration_at(package, com, f, m)
-    jac.write_column(B, MASS, t3.scale(-1.0, dv), t3.scale(-1.0, dw))
-    slopes_S1 = jac.wrench_jacobians(model, tool, body)
-    for i in range(3):  # by the centre of mass (m), which also changes the push's lever
-        along = t3.unit(i, 1.0)
-        dv, dw = jac.by_com(package, c, slopes_S1[0], slopes_S1[1], turning, f, along)
-        by_push = t3.apply(package[3], t3.cross(along, bias[0]))
-        jac.write_column(B, COM + i, dv, t3.subtract(dw, by_push))
-        dv, dw = jac.acceleration_at(package, com, t3.unit(i, mass_ratio), ZERO)
-        jac.write_column(B, WRENCH + i, dv, dw)
-        jac.write_column(B, WRENCH + 3 + i, ZERO, t3.apply(package[3], t3.unit(i, mass_ratio)))
-    return t3.apply(t3.rotation_matrix(body[1]), f)
-
-
-@kernel
-def _by_axes(
-    factor: float, M: Blocks, S: Square, x: Vector, y: Vector, out: Array
-) -> None:
-    """
-    Add slopes (6, 6) by logarithms along the axes of M (`_scaled`) of terms linear in M.
-
-    Entry jk of M contributes 2 factor (s_j x_k + s_k x_j), with columns s of S and (x, y) for x.
-    """
-    a, b = kernels.multiply_blocks(M, x, y)
-    SM = (
-        t3.add_scaled_matrix(t3.multiply(S[0], M[0]), 1.0, t3.multiply(S[1], t3.transposed(M[1]))),
-        t3.add_scaled_matrix(t3.multiply(S[0], M[1]), 1.0, t3.multiply(S[1], M[2])),
-        t3.add_scaled_matrix(t3.multiply(S[2], M[0]), 1.0, t3.multiply(S[3], t3.transposed(M[1]))),
-        t3.add_scaled_matrix(t3.multiply(S[2], M[1]), 1.0, t3.multiply(S[3], M[2])))
-    _add_block(out, 0, 0, factor, S[0], SM[0], x, a)
-    _add_block(out, 0, 3, factor, S[1], SM[1], y, b)
-    _add_block(out, 3, 0, factor, S[2], SM[2], x, a)
-    _add_block(out, 3, 3, factor, S[3], SM[3], y, b)
-
-
-@kernel
-def _add_block(
-    out: Array, row: int, column: int, factor: float, S: Matrix, SM: Matrix, x: Vector, Mx: Vector
-) -> None:
-    for i in range(3):
-        for j in range(3):
-            out[row + i, column + j] += factor * (S[3 * i + j] * Mx[j] + SM[3 * i + j] * x[j])
-
-
-@array_kernel
-def write_losses(
-    nominal: ModelTuple, theta: Array, cups: Array, tool: State, body: State, out: Array
-) -> None:
-    """
-    Write M^-1 [W_i, w_i] of each cup into (6 n, 13): accelerations by error, and without.
-
-    Without cup i of a gripper, its wrench w_i(x) is missing. The error e of an estimate x with all
-    cups has the slope A e - M^-1 (w_i(x) + W_i e), with A of all cups and W_i the derivative of
-    w_i. The linear slope has its own transition (12, 13), whose last column is the effect of the
-    loss.
-    """
-    for i in range(len(cups)):
-        cup = nominal[0]
-        K, P = kernels.blocks_of(cups[i][:27]), kernels.blocks_of(cups[i][27:])
-        one = with_theta(((cup[0], cup[1], K, P, *cup[4:]), nominal[1], nominal[2]), theta)
-        by_pose, by_twist = jac.cup_accelerations(one, tool, body)
-        jac.write_square(out, 6 * i, 0, by_pose)
-        jac.write_square(out, 6 * i, 6, by_twist)
-        f, m = kernels.lip_wrench(one, tool, body)
-        dv, dw = jac.acceleration_at(one[1], one[1][1], f, m)
-        jac.write_column(out[6 * i:], 12, dv, dw)
-
-
 @array_kernel
 def accumulate(
     A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, fall_acceleration: Vector,
@@ -457,13 +237,8 @@ def identity_plus(factor: float, A: Array, out: Array) -> Array:
 
 @kernel
 def identity_transition() -> Array:
-    """
-    Return the transition (13, m) over no time.
-
-    It has columns for the rows before `MARKER` and from `DAMPING` on; other rows have no effect on
-    the motion.
-    """
-    T = np.zeros((STATE + 1, MARKER + ROWS - DAMPING))
+    """Return the transition (13, m) over no time, of the rows that change the motion."""
+    T = np.zeros((STATE + 1, MARKER))
     for i in range(STATE):
         T[i, i] = 1.0
     return T
@@ -472,8 +247,7 @@ def identity_transition() -> Array:
 @kernel
 def times_transition(T: Any, B: Any, out: Any) -> Any:
     """Write the product (12, k) of a transition (13, m) and errors (n, k), and return it."""
-    t3.product(T[:STATE], B[:MARKER], out)
-    return t3.add_product(np.ascontiguousarray(T[:STATE, MARKER:]), B[DAMPING:], out)
+    return t3.product(T[:STATE], B[:MARKER], out)
 
 
 @kernel
@@ -511,16 +285,14 @@ def propagated_covariance(
     """
     Return the covariance (n, n) after a transition, with half of the walk before it.
 
-    The walk (12,) is the variance per second of wrench and camera.
+    The walk (n,) is the variance per second of each row.
     """
     n, h, out = len(P), T[STATE, SECONDS], P.copy()
     side = times_transition(T, P, out[:STATE])
-    for i in range(6):
-        more = 0.5 * h * walk[i]
-        out[WRENCH + i, WRENCH + i] += 2.0 * more
-        out[CAMERA + i, CAMERA + i] += h * walk[6 + i]
-        for j in range(STATE):
-            side[j, WRENCH + i] += more * T[j, WRENCH + i]
+    for i in range(STATE, n):
+        out[i, i] += h * walk[i]
+        for j in range(STATE if i < MARKER and walk[i] > 0.0 else 0):
+            side[j, i] += 0.5 * h * walk[i] * T[j, i]
     square = times_transition(T, t3.transpose(side), np.empty((STATE, STATE)))
     for i in range(STATE):
         for j in range(STATE):

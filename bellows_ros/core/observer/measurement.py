@@ -13,7 +13,8 @@ from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.filter import COM, NOISE, STATE, with_theta, wrench_bias
+from bellows_ros.core.observer.dynamics import is_possible, with_theta, wrench_bias
+from bellows_ros.core.observer.states import CAMERA, COM, LATENCY, MARKER, NOISE, ROWS, STATE
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.measurement_model import (
     measurement_model,
@@ -31,11 +32,12 @@ Position (m) and orientation of the measured frame, in axes of B; whether its po
 from the lip instead of B; and the errors of its poses.
 """
 
-MeasuredPose = tuple[Vector, Quaternion, Array, Marker, float, float]
+MeasuredPose = tuple[Vector, Quaternion, Array, Marker, float, Array, float]
 """
 Position, orientation and noise of a `Measurement`, and its marker; largest displacement (m) of a
 lip from its place without load, to which uncertainties of centre of mass, camera and stamps are
-added; and largest squared Mahalanobis distance, 0 without a measurement.
+added; largest physical value of each row of the error; and largest squared Mahalanobis distance, 0
+without a measurement.
 """
 
 WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 0.1
@@ -184,11 +186,11 @@ def corrected_pose(
     position: Vector, q: Quaternion, noise: Array, marker: Marker, theta: Array, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
     """Return the result of `at_com` corrected by estimated errors of camera, marker and noise."""
-    back = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, ekf.CAMERA + 3)))
-    shift, marker_shift = vector_at(theta, ekf.CAMERA), vector_at(theta, ekf.MARKER)
+    back = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, CAMERA + 3)))
+    shift, marker_shift = vector_at(theta, CAMERA), vector_at(theta, MARKER)
     position = t3.apply(t3.rotation_matrix(back), t3.subtract(position, shift))
     position, q, noise = at_com(position, t3.quaternion_product(back, q), noise, marker, com)
-    back = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, ekf.MARKER + 3)))
+    back = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, MARKER + 3)))
     q = t3.quaternion_product(q, back)
     position = t3.subtract(position, t3.apply(t3.rotation_matrix(q), marker_shift))
     return position, q, noise
@@ -197,7 +199,7 @@ def corrected_pose(
 @kernel
 def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> State:
     """Return the package earlier by the remaining latency, to second order."""
-    late = theta[ekf.LATENCY - STATE]
+    late = theta[LATENCY - STATE]
     if abs(late) < 1e-9:  # below the resolution of a stamp
         return body
     bias, half = wrench_bias(theta), 0.5 * late * late
@@ -240,21 +242,21 @@ def cholesky(S: Array) -> tuple[Array, Array]:
 @kernel
 def observation(body: State, noise: Array, of_lip: bool, white: float) -> Array:
     """Return the derivative (6, n) of an innovation by the error, with the noise's white part."""
-    H, root = np.zeros((6, ekf.ROWS)), cholesky(noise)[0]
+    H, root = np.zeros((6, ROWS)), cholesky(noise)[0]
     R = t3.rotation_matrix(body[1])
     lever = t3.multiply(t3.transposed(R), t3.hat(body[0]))
     v = body[2] + body[3]
     for i in range(6):
-        H[i, i] = H[i, ekf.MARKER + i] = 1.0
-        H[i, ekf.LATENCY] = -v[i]
+        H[i, i] = H[i, MARKER + i] = 1.0
+        H[i, LATENCY] = -v[i]
         for j in range(i + 1):
             H[i, NOISE + j] = math.sqrt(1.0 - white) * root[i, j]
     for i in range(3):
         if of_lip:
             H[i, COM + i] = -1.0
         for j in range(3):
-            H[i, ekf.CAMERA + j] = H[3 + i, ekf.CAMERA + 3 + j] = R[3 * j + i]
-            H[i, ekf.CAMERA + 3 + j] = -lever[3 * i + j]
+            H[i, CAMERA + j] = H[3 + i, CAMERA + 3 + j] = R[3 * j + i]
+            H[i, CAMERA + 3 + j] = -lever[3 * i + j]
     return H
 
 
@@ -266,16 +268,16 @@ def output_of(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
         return out
     for i in range(6):
         row, one = out[i], H[i]
-        late = one[ekf.LATENCY]
-        a, b, c = one[ekf.CAMERA], one[ekf.CAMERA + 1], one[ekf.CAMERA + 2]
-        d, e, f = one[ekf.CAMERA + 3], one[ekf.CAMERA + 4], one[ekf.CAMERA + 5]
+        late = one[LATENCY]
+        a, b, c = one[CAMERA], one[CAMERA + 1], one[CAMERA + 2]
+        d, e, f = one[CAMERA + 3], one[CAMERA + 4], one[CAMERA + 5]
         u, v, w = one[NOISE], one[NOISE + 1], one[NOISE + 2]
         x, y, z = one[NOISE + 3], one[NOISE + 4], one[NOISE + 5]
         for j in range(X.shape[1]):
             row[j] = (
-                X[i, j] + X[ekf.MARKER + i, j] + late * X[ekf.LATENCY, j]
-                + a * X[ekf.CAMERA, j] + b * X[ekf.CAMERA + 1, j] + c * X[ekf.CAMERA + 2, j]
-                + d * X[ekf.CAMERA + 3, j] + e * X[ekf.CAMERA + 4, j] + f * X[ekf.CAMERA + 5, j]
+                X[i, j] + X[MARKER + i, j] + late * X[LATENCY, j]
+                + a * X[CAMERA, j] + b * X[CAMERA + 1, j] + c * X[CAMERA + 2, j]
+                + d * X[CAMERA + 3, j] + e * X[CAMERA + 4, j] + f * X[CAMERA + 5, j]
                 + u * X[NOISE, j] + v * X[NOISE + 1, j] + w * X[NOISE + 2, j]
                 + x * X[NOISE + 3, j] + y * X[NOISE + 4, j] + z * X[NOISE + 5, j])
         if of_lip and i < 3:
@@ -302,7 +304,7 @@ def innovation_of(
     S = output_of(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
     for i in range(6):
         for j in range(6):
-            S[i, j] += white * noise[i, j] + jitter * H[i, ekf.LATENCY] * H[j, ekf.LATENCY]
+            S[i, j] += white * noise[i, j] + jitter * H[i, LATENCY] * H[j, LATENCY]
     _, W = cholesky(S)
     z = np.zeros(6)
     for i in range(6):
@@ -326,19 +328,25 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
 
 @array_kernel
 def posterior(
-    body: State, theta: Array, P: Array, innovation: Innovation
-) -> tuple[State, Array]:
-    """Return state and theta after a measurement by its `Innovation`; P is updated in place."""
+    body: State, theta: Array, P: Array, innovation: Innovation, largest: Array
+) -> tuple[bool, State, Array]:
+    """
+    Return whether an `Innovation` leads to a possible state, and that state and theta.
+
+    P is updated in place. An impossible state changes nothing.
+    """
     z, _, _, _, Z = innovation
     error = np.zeros(len(P))
     for i in range(6):
         for j in range(len(P)):
             error[j] += Z[i, j] * z[i]
-    body, theta = changed_by(body, theta, error)
+    changed, moved_theta = changed_by(body, theta, error)
+    if not is_possible(changed, moved_theta, largest):
+        return False, body, theta
     for i in range(len(P)):
         P[i, i] *= 1.0 + RELATIVE_ROUNDING
     t3.subtract_product(Z, Z, P)
-    return body, theta
+    return True, changed, moved_theta
 
 
 @kernel
@@ -368,7 +376,7 @@ def updated_memory(
     for i in range(6):
         by_stamp = 0.0
         for j in range(i + 1):
-            by_stamp += W[i, j] * innovation[1][j, ekf.LATENCY]
+            by_stamp += W[i, j] * innovation[1][j, LATENCY]
         along += z[i] * by_stamp
         square += by_stamp * by_stamp
     of_jitter = unweighted * out[ekf.JITTER] * square
@@ -467,8 +475,8 @@ def updated(
     Returns
     -------
     int
-        `USED`, `OUTSIDE` the gate, `OUT_OF_REACH` of any lip (another package), or `FALLING` (the
-        package fell).
+        `USED`, `OUTSIDE` the gate or the physical range of a state, `OUT_OF_REACH` of any lip
+        (another package), or `FALLING` (the package fell).
     tuple
         `Innovation`.
     State, ndarray (n - 12,), ndarray (15,)
@@ -477,7 +485,7 @@ def updated(
 
     """
     _, tool, body, theta, P, memory = estimate
-    seen_position, seen_q, seen_noise, marker, reach, gate = seen
+    seen_position, seen_q, seen_noise, marker, reach, largest, gate = seen
     model = with_theta(model, theta)
     com, sensor = model[1][1], marker[3]
     exposed = at_exposure(model, tool, body, theta)
@@ -498,16 +506,17 @@ def updated(
             break
     if not innovation[3] <= gate:  # also true for NaN
         verdict = OUTSIDE
-    late = 3.0 * math.sqrt(P[ekf.LATENCY, ekf.LATENCY]) + abs(theta[ekf.LATENCY - STATE])
+    late = 3.0 * math.sqrt(P[LATENCY, LATENCY]) + abs(theta[LATENCY - STATE])
     unknown = np.trace(P[COM:COM + 3, COM:COM + 3]) + np.trace(
-        P[ekf.CAMERA:ekf.CAMERA + 3, ekf.CAMERA:ekf.CAMERA + 3])
+        P[CAMERA:CAMERA + 3, CAMERA:CAMERA + 3])
     reach += 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
     away = o[0], o[1], o[2] + model[0][1]
     if t3.norm(away) > reach:
         away = t3.apply(t3.rotation_matrix(tool[1]), away)
         verdict = FALLING if _is_fall(away, model[2], reach, seconds) else OUT_OF_REACH
     elif verdict <= USED:
-        body, theta = posterior(body, theta, P, innovation)
+        possible, body, theta = posterior(body, theta, P, innovation, largest)
+        verdict = verdict if possible else OUTSIDE
     if verdict <= OUTSIDE:
         memory = updated_memory(
             memory, theta, seconds, innovation, gain, verdict <= USED)

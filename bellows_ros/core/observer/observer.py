@@ -18,20 +18,17 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, sag, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
+from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.correction import (
-    ANOTHER_PACKAGE,
-    CAMERA_ROWS,
-    Correction,
-    CUP_ROWS,
-    Known,
-    Track,
-)
-from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE, STATE
+from bellows_ros.core.observer.correction import Correction, INERTIAS, Known, Track
+from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
+from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
 from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
+from bellows_ros.core.observer.states import ANOTHER_PACKAGE, CAMERA_ROWS, CUP_ROWS, STATE
 from bellows_ros.core.observer.support import Support
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 MAX_DELAY_NS = 500_000_000
@@ -70,7 +67,7 @@ camera, cup and package are kept, ns; and this limit."""
 OF_CUP = frozenset(('leak', 'wear'))
 """Causes after which the cup differs from its parameters."""
 
-MODEL_ROWS = np.array([*range(ekf.MASS, ekf.COM + 3), *CUP_ROWS])
+MODEL_ROWS = np.array([*range(states.MASS, states.COM + 3), *CUP_ROWS])
 """Rows of payload and cup that parameters state."""
 
 MAX_DEVIATION = 3.0
@@ -116,6 +113,8 @@ class Observer:
         Numbers of used and restarting measurements, and of rejected ones by `VERDICTS`.
     alarms : list of Alarm
         Detected faults.
+    max_step : float
+        Longest stable step of the estimated model, s.
 
     """
 
@@ -174,34 +173,37 @@ class Observer:
     def _begin_with(self, kept: tuple[int, ...]) -> None:
         """Begin without a motion, with the kept rows of previous estimates."""
         correction = self._correction
-        prior, lost_cups = correction.prior, self._lost_cups if ekf.MASS in kept else ()
-        known = Known(np.zeros(len(prior) - STATE), np.diag(prior**2), correction.first_memory)
+        lost_cups = self._lost_cups if states.MASS in kept else ()
+        known = Known(np.zeros(states.ROWS - STATE), correction.prior_covariance.copy(),
+                      correction.first_memory)
         if kept:
             block, places = np.ix_(kept, kept), np.subtract(kept, STATE)
             known.theta[places] = self._known.theta[places]
             known.covariance[block] = self._known.covariance[block]
             known = known._replace(memory=self._known.memory)
         if correction.alarms is not None:
-            correction.alarms.is_cup_proven = self._is_proven and ekf.STIFFNESS in kept
+            correction.alarms.is_cup_proven = self._is_proven and states.STIFFNESS in kept
         self._known, self._lost_cups = known, lost_cups
         for each in (self._estimates, self._measurements, self._pending):
             each.clear()
         self._newest = None
         self._since_ns = self._gated = 0
-        if ekf.MASS not in kept:
+        if states.MASS not in kept:
             self._first_of_package = len(self.alarms)
         self._predict_with(known.theta, self._lost_cups)
 
     def _predict_with(self, theta: Array, lost_cups: tuple[int, ...]) -> None:
         """Predict with estimated parameters, without lost cups."""
         self._theta, self._row = theta, self._correction.row(lost_cups)
+        self.max_step = dynamics.stable_step(self._correction.max_step, theta)
+        self._reach_ns = int(min(MAX_DELAY_NS, NS_PER_S * MAX_SUBSTEPS * self.max_step))
         self._model: ModelTuple | None = None
 
     @property
     def model(self) -> ModelTuple:
         """The model with the newest estimated parameters."""
         if self._model is None:
-            self._model = ekf.model_at(self._row, self._correction.law, self._theta)
+            self._model = dynamics.model_at(self._row, self._correction.law, self._theta)
         return self._model
 
     @property
@@ -235,21 +237,22 @@ class Observer:
         if not self._estimates or not self._values.payload.estimate:
             return None
         mass, com, inertia, _ = self.model[1]
-        variances = np.diag(self._estimates[-1].covariance)
-        std = np.sqrt(variances[ekf.MASS:ekf.MASS + 4])
-        own = np.sqrt(variances[ekf.INERTIA:]) if len(variances) > ekf.INERTIA else 0.0
+        P = self._estimates[-1].covariance
+        std = np.sqrt(np.diag(P)[states.MASS:states.MASS + 4])
+        by_moment = (1.0 - np.eye(3)) * np.array(dynamics.second_moments(inertia))[::4]
+        own = np.diag(by_moment @ P[INERTIAS, INERTIAS] @ by_moment.T)
         return Payload(
             self._estimates[-1].stamp_ns, mass, com, inertia, float(std[0] * mass), std[1:],
-            np.hypot(std[0] * np.array(inertia[::4]), own))
+            np.hypot(std[0] * np.array(inertia[::4]), np.sqrt(own)))
 
     @property
     def calibration(self) -> Calibration | None:
         """The estimated errors of the camera, if any."""
         if not self._estimates:
             return None
-        last, latency = self._estimates[-1], ekf.LATENCY
-        errors = last.theta[ekf.CAMERA - STATE:latency + 1 - STATE]
-        std = np.sqrt(np.diag(last.covariance)[ekf.CAMERA:latency + 1])
+        last, latency = self._estimates[-1], states.LATENCY
+        errors = last.theta[states.CAMERA - STATE:latency + 1 - STATE]
+        std = np.sqrt(np.diag(last.covariance)[states.CAMERA:latency + 1])
         return Calibration(
             errors[:3], std[:3], errors[3:6], std[3:6], float(errors[6]), float(std[6]))
 
@@ -303,7 +306,7 @@ class Observer:
         if estimates[0].stamp_ns >= before_ns - HISTORY_NS:
             return
         stamps, k = self._track.rows[0], self._track.after(before_ns) - 1
-        max_step = ekf.stable_step(self._correction.max_step, estimates[0].theta)
+        max_step = dynamics.stable_step(self._correction.max_step, estimates[0].theta)
         while stamps[k] > estimates[0].stamp_ns:
             if ekf.ends_step(stamps[k], stamps[k + 1], max_step):
                 estimates[0] = self._correction.propagated(
@@ -313,9 +316,9 @@ class Observer:
 
     def propagated_briefly(self, body: State, start: State, end: State, seconds: float) -> State:
         """Return a package after a motion of the tool, without storing it."""
-        return ekf.advanced_with_wrench(
-            self.model, ekf.wrench_bias(self._theta), body, start, end, seconds,
-            substeps_for(seconds, ekf.stable_step(self._correction.max_step, self._theta)))
+        return dynamics.advanced_with_wrench(
+            self.model, dynamics.wrench_bias(self._theta), body, start, end, seconds,
+            substeps_for(seconds, self.max_step))
 
     # ------------------------------------------------------------ measurements
 
@@ -332,7 +335,7 @@ class Observer:
             verdict = 'future_stamp'
         elif at < len(others) and others[at].stamp_ns == stamp_ns:
             verdict = 'duplicate_stamp'
-        elif stamp_ns <= self._estimates[0].stamp_ns:
+        elif stamp_ns <= max(self._estimates[0].stamp_ns, newest_ns - self._reach_ns):
             verdict = 'late'
         if verdict:
             self.counts[verdict] += 1
@@ -411,7 +414,7 @@ class Observer:
         if is_wrong or correction.alarms is None or any(
                 alarm.cause in OF_CUP for alarm in self.alarms[self._first_alarm:]):
             return
-        rows = np.arange(ekf.STIFFNESS, ekf.STIFFNESS + 6)
+        rows = np.arange(states.STIFFNESS, states.STIFFNESS + 6)
         excess = self._excess(estimate, rows)
         if excess.max() > 0.0:
             worst = rows[excess.argmax()]

@@ -108,13 +108,14 @@ def truth(tool, package=PACKAGE, cup=CUP, start=None, change=None, period_ns=PER
 
 def later(state, theta, start, end, seconds):
     """Return a later state for given model parameters, with the wrench as many small impulses."""
-    t = np.zeros(46)
-    t[:len(theta)] = theta
-    K, P = (np.diag(np.exp(0.5 * s)) @ M @ np.diag(np.exp(0.5 * s)) for M, s in (
-        (CUP.stiffness, t[12:18]), (CUP.damping, t[37:43])))
+    t = np.zeros(27)
+    t[:len(theta)] = theta[:27]
+    K, P, S = (np.diag(np.exp(0.5 * s)) @ M @ np.diag(np.exp(0.5 * s)) for M, s in (
+        (CUP.stiffness, t[12:18]), (CUP.damping, t[18:24]),
+        (0.5 * np.trace(PACKAGE.inertia) * np.eye(3) - PACKAGE.inertia, t[24:])))
     cup, grown = Cup(K, P, CUP.length + t[10]), np.exp(t[0])
     package = Package(
-        PACKAGE.mass * grown, grown * (PACKAGE.inertia + np.diag(t[43:])), PACKAGE.com + t[1:4])
+        PACKAGE.mass * grown, grown * (np.trace(S) * np.eye(3) - S), PACKAGE.com + t[1:4])
     model = model_tuple(cup, package, 9.81)
     force, moment = grown * t[4:7], grown * t[7:10]
     push = np.concatenate([

@@ -6,7 +6,7 @@ from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import quaternion_product, ZERO
 from bellows_ros.core.model.kernels import model_of
 from bellows_ros.core.model.structure import SINGLE
-from bellows_ros.core.observer import alarms
+from bellows_ros.core.observer import alarms, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarms, AT_START, HYPOTHESES
 from bellows_ros.core.observer.correction import NO_CUPS
@@ -114,7 +114,8 @@ def test_late_stamps_are_named_once(motion):
         assert [cause for cause, _ in cell.run()] == ['latency']
         (alarm,) = cell.made.alarms
         assert alarm.size == pytest.approx(0.05, abs=3 * alarm.std)
-        assert cell.made.estimate.theta[ekf.LATENCY - ekf.STATE] == pytest.approx(0.05, abs=3e-3)
+        found = cell.made.estimate.theta[states.LATENCY - states.STATE]
+        assert found == pytest.approx(0.05, abs=3e-3)
 
 
 @pytest.mark.parametrize(('late', 'std', 'causes', 'least'), [
@@ -125,7 +126,7 @@ def test_latency_in_which_nothing_is_linear_is_found(late, std, causes, least):
     for seed in range(8):
         cell = Cell(seed, 10.0, {'late': late}, at=0.0, measured__latency_std=std)
         right += [cause for cause, _ in cell.run()] == causes and abs(
-            cell.made.estimate.theta[ekf.LATENCY - ekf.STATE] - late) < 3e-3
+            cell.made.estimate.theta[states.LATENCY - states.STATE] - late) < 3e-3
     assert right >= least
 
 
@@ -246,11 +247,11 @@ def _dense_transition(model, before, *track):
     ekf.propagated(
         model, before[:4], (T, np.zeros((12, 12)), np.zeros((0, 12, 13))), *track, 0.0, NO_CUPS)
     F, h = np.eye(n + 7), T[12, 0]
-    F[:12, [*range(ekf.MARKER), *range(ekf.DAMPING, n)]] = T[:12]
-    F[ekf.LENGTH, ekf.LENGTHENING] = h
+    F[:12, :states.MARKER] = T[:12]
+    F[states.LENGTH, states.LENGTHENING] = h
     for i in range(6):
         share = np.clip(memory[3 + i // 3] / memory[1 + i // 3], 1e-3, 0.97)
-        F[ekf.NOISE + i, ekf.NOISE + i] = share ** (h / memory[0])
+        F[states.NOISE + i, states.NOISE + i] = share ** (h / memory[0])
     F[n + 1:n + 4, n], F[n + 4:, n], F[n + 4:, n + 1:n + 4] = T[12, 1:4], T[12, 4:7], h * np.eye(3)
     return F
 
@@ -264,14 +265,14 @@ def _dense_total(given, place):
         steps = HYPOTHESES[k].steps
         rows = [*range(n), *range(-7, 0)]
         E = np.array([[float(row in step) for step in steps] for row in rows])
-        E[ekf.CAMERA:ekf.CAMERA + 3] += hat(place) @ E[ekf.CAMERA + 3:ekf.CAMERA + 6]
+        E[states.CAMERA:states.CAMERA + 3] += hat(place) @ E[states.CAMERA + 3:states.CAMERA + 6]
         return {'cause': HYPOTHESES[k], 'later': k >= AT_START, 'E': E, 'J': 0.0, 'd': 0.0,
                 'count': 0, 'distance': 0.0}
 
     known, ratios = [begun(k, place) for k in range(AT_START)], []
     for count, (F, (z, H, root, _, whitened), used, place) in enumerate(given, 1):
         C, update = np.hstack([H, np.zeros((6, 7))]), np.eye(n + 7)
-        C[:3, n + 4:] = H[:3, ekf.CAMERA:ekf.CAMERA + 3]
+        C[:3, n + 4:] = H[:3, states.CAMERA:states.CAMERA + 3]
         update[:n] -= used * whitened.T @ root @ C
         for each in known:
             E = F @ each['E']
@@ -309,7 +310,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     def processing(row, law, before, *more):
         result = processed(row, law, before, *more)
         *track, noise, _, _, seen = more
-        if seen[5] > 0.0:
+        if seen[6] > 0.0:
             model = model_of(row, law)
             F = _dense_transition(model, before, *track, noise[0])
             after, _, gain = interpreted(
@@ -371,7 +372,8 @@ def test_camera_that_moved_is_not_followed():
     alarms_of_run, rms = run_with_errors(cell)
     assert alarms_of_run[0][0] == 'camera'
     assert rms[1] < 2.0 * rms[0] + 2e-4
-    assert np.abs(cell.made._estimates[-1].theta[ekf.CAMERA - 12:ekf.CAMERA - 9]).max() > 3e-3
+    theta = cell.made._estimates[-1].theta
+    assert np.abs(theta[states.CAMERA - 12:states.CAMERA - 9]).max() > 3e-3
 
 
 def test_shift_of_a_camera_is_told_where_the_package_is():

@@ -3,9 +3,9 @@
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.live.payload import prepared
-from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer import states
 from bellows_ros.core.observer.calibration import calibrated
-from bellows_ros.core.observer.correction import CAMERA_ROWS, KNOWN_ROWS
+from bellows_ros.core.observer.states import CAMERA_ROWS, KNOWN_ROWS
 from bellows_ros.core.observer.support import Support
 from benchmarks import cycles
 import numpy as np
@@ -15,7 +15,7 @@ from .cases import CUP, PACKAGE, values
 from .cell import Cell, CONDITIONS, ORDINARY
 from .contact_cell import ContactCell
 
-STATE = ekf.STATE
+STATE = states.STATE
 
 
 def carried(heights, aside=0.0, grips=False):

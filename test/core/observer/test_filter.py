@@ -8,6 +8,7 @@ from bellows_ros.core.model.equilibrium import (
     static_equilibrium,
 )
 from bellows_ros.core.model.kernels import advance, model_row
+from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.correction import cups_of, first_memory, NO_CUPS
 from bellows_ros.core.observer.measurement import (
@@ -16,6 +17,7 @@ from bellows_ros.core.observer.measurement import (
     updated,
     WHITE_SHARE,
 )
+from bellows_ros.core.observer.states import LARGEST
 from bellows_ros.core.recording.measurement_model import (
     MeasurementModel,
     TAG_AT_REST,
@@ -29,10 +31,10 @@ from .cases import NOISE as NOISE_STD
 from .cell import gripper_of, HEAVY, LAYOUT
 
 SIZES = np.repeat(
-    [0.003, 0.02, 0.05, 0.2, 0.05, 0.004, 0.3, 0.01, 0.002, 0.01, 0.1, 0.002, 0.02, 0.002, 0.02,
-     0.005, 1.0, 0.1, 2e-5],
-    [3, 3, 3, 3, 1, 3, 3, 3, 1, 1, 6, 3, 3, 3, 3, 1, 6, 6, 3])
-OF_MOTION = [*range(ekf.MARKER), *range(ekf.DAMPING, ekf.ROWS)]
+    [0.003, 0.02, 0.05, 0.2, 0.05, 0.004, 0.3, 0.01, 0.002, 0.01, 0.1, 0.1, 0.02, 0.002, 0.02,
+     0.002, 0.02, 0.005, 1.0],
+    [3, 3, 3, 3, 1, 3, 3, 3, 1, 1, 6, 6, 3, 3, 3, 3, 3, 1, 6])
+OF_MOTION = range(states.MARKER)
 MEMORY, NO_LOSSES = first_memory(), np.zeros((0, 12, 13))
 MEMORY[3:5] = 0.5 * MEMORY[1:3]
 MEMORY[ekf.SHARE] = 0.0
@@ -48,11 +50,11 @@ def test_transition_is_that_by_differences(is_off):
     rng = np.random.default_rng(1)
     stamps, tool = tool_motion(rng, 0.3, period_ns=1_000_000)
     model, h = model_tuple(CUP, PACKAGE, 9.81), 1e-3
-    theta = rng.normal(size=ekf.ROWS - 12) * SIZES[12:] * 0.5 * is_off
-    theta[ekf.LENGTHENING - 12] = 0.0
+    theta = rng.normal(size=states.ROWS - 12) * SIZES[12:] * 0.5 * is_off
+    theta[states.LENGTHENING - 12] = 0.0
     start, end = tool[250:252]
     body = moved_by(static_equilibrium(model, start), rng.normal(size=12) * 0.01)
-    drive = ekf.driving(model, start, body, np.repeat([1e-4, 5e-4], 3))
+    drive = dynamics.driving(model, start, body, np.repeat([1e-4, 5e-4], 3))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end, end)]
     T, Q = ekf.identity_transition(), np.zeros((12, 12))
     _, found = ekf.propagated(
@@ -60,41 +62,43 @@ def test_transition_is_that_by_differences(is_off):
         False, stamps[251], largest_step(model), drive, 0.0, NO_CUPS)
     middle = later(body, theta, start, end, h)
     np.testing.assert_allclose(error_of(middle, found), 0.0, atol=2e-6)
-    F, memory, step = np.eye(ekf.ROWS), MEMORY, 1e-4
+    F, memory, step = np.eye(states.ROWS), MEMORY, 1e-4
     for row in OF_MOTION:
         ends = []
         for sign in (step, -step):
-            by = np.zeros(ekf.ROWS)
+            by = np.zeros(states.ROWS)
             by[row] = sign * SIZES[row]
             ends.append(later(moved_by(body, by[:12]), theta + by[12:], start, end, h))
         F[:12, row] = (error_of(middle, ends[0]) - error_of(middle, ends[1])) / (
             2 * step * SIZES[row])
-    F[:12, ekf.LENGTHENING] = F[:12, ekf.LENGTH] * h / 2
-    F[ekf.LENGTH, ekf.LENGTHENING] = h
-    noise = range(ekf.NOISE, ekf.NOISE + 6)
+    F[:12, states.LENGTHENING] = F[:12, states.LENGTH] * h / 2
+    F[states.LENGTH, states.LENGTHENING] = h
+    noise = range(states.NOISE, states.NOISE + 6)
     F[noise, noise] = kept = 0.5 ** (h / memory[0])
     scale = SIZES[None] / SIZES[:, None]
     np.testing.assert_allclose(
         T[:12] * scale[:12, OF_MOTION], (F * scale)[:12, OF_MOTION], atol=5e-4)
     P, walk = np.diag(SIZES**2), np.arange(12.0) * 1e-4
-    half = np.zeros((ekf.ROWS, ekf.ROWS))
-    walks = [*range(ekf.WRENCH, ekf.WRENCH + 6), *range(ekf.CAMERA, ekf.CAMERA + 6)]
+    of_rows = np.zeros(states.ROWS)
+    half = np.zeros((states.ROWS, states.ROWS))
+    walks = [*range(states.WRENCH, states.WRENCH + 6), *range(states.CAMERA, states.CAMERA + 6)]
     half[walks, walks] = h / 2 * walk
+    of_rows[walks] = walk
     half[:12, :12] = h * h / 2 * drive[0]
     dense = F @ (P + half) @ F.T + half
     dense[noise, noise] += 1.0 - kept**2
-    own = ekf.propagated_covariance(P, T, Q, walk, ekf.correlations(memory, h))
+    own = ekf.propagated_covariance(P, T, Q, of_rows, ekf.correlations(memory, h))
     np.testing.assert_allclose(
         own / np.outer(SIZES, SIZES), dense / np.outer(SIZES, SIZES), atol=1e-3)
 
 
-@pytest.mark.parametrize('row', [ekf.STIFFNESS, ekf.DAMPING])
+@pytest.mark.parametrize('row', [states.STIFFNESS, states.DAMPING])
 def test_transition_of_a_cup_that_is_much_stiffer_is_stable(row):
     """Let an error fade within 0.4 s, though steps are as long as the nominal cup allows."""
     stamps, tool = tool_motion(np.random.default_rng(1), 0.4, period_ns=8_000_000)
-    model, theta = model_tuple(CUP, PACKAGE, 9.81), np.zeros(ekf.ROWS - 12)
+    model, theta = model_tuple(CUP, PACKAGE, 9.81), np.zeros(states.ROWS - 12)
     theta[row - 12:row - 6] = 2.5
-    body = static_equilibrium(ekf.with_theta(model, theta), tool[0])
+    body = static_equilibrium(dynamics.with_theta(model, theta), tool[0])
     rows = [np.array([[*o, *q, *v, *w] for o, q, v, w in states])
             for states in ([tool[0], *tool[:-1]], tool, tool)]
     T = ekf.identity_transition()
@@ -118,7 +122,7 @@ def test_transition_without_a_cup_is_that_of_the_others():
             for a, b in ((first - 1, last), (first, last + 1))]
     losses = np.tile(np.eye(12, 13), (4, 1, 1))
     _, found = ekf.propagated(
-        model, (stamps[first], tool[first], start, np.zeros(ekf.ROWS - 12)),
+        model, (stamps[first], tool[first], start, np.zeros(states.ROWS - 12)),
         (ekf.identity_transition(), np.zeros((12, 12)), losses),
         (stamps[first:last + 1], *rows, rows[0].copy(), last + 1 - first), False, stamps[last],
         largest_step(model), NO_DRIVE, 0.0, cups)
@@ -143,19 +147,20 @@ def test_innovation_is_what_it_says(of_lip):
     _, tool = tool_motion(rng, 0.3)
     model, noise = model_tuple(CUP, PACKAGE, 9.81), np.diag(NOISE_STD**2)
     body = moved_by(static_equilibrium(model, tool[60]), rng.normal(size=12) * 0.01)
-    none, P = np.zeros(ekf.ROWS - 12), np.diag(SIZES**2)
+    none, P = np.zeros(states.ROWS - 12), np.diag(SIZES**2)
     marker = ZERO, (0.0, 0.0, 0.0, 1.0), of_lip
 
     def pose(e):
         """Give the pose that a camera sees of a package with an error (n,)."""
-        seen = moved_by(body, np.r_[-e[ekf.LATENCY] * np.r_[body[2], body[3]], np.zeros(6)])
+        seen = moved_by(body, np.r_[-e[states.LATENCY] * np.r_[body[2], body[3]], np.zeros(6)])
         seen = moved_by(seen, np.r_[e[:6], np.zeros(6)])
-        seen = moved_by(seen, np.r_[e[ekf.MARKER:ekf.MARKER + 6], np.zeros(6)])
+        seen = moved_by(seen, np.r_[e[states.MARKER:states.MARKER + 6], np.zeros(6)])
         if of_lip:
-            seen = moved_by(seen, np.r_[-(PACKAGE.com + e[ekf.COM:ekf.COM + 3]), np.zeros(9)])
-        noise_of_pose = np.sqrt(1 - WHITE_SHARE) * NOISE_STD * e[ekf.NOISE:ekf.NOISE + 6]
+            com = PACKAGE.com + e[states.COM:states.COM + 3]
+            seen = moved_by(seen, np.r_[-com, np.zeros(9)])
+        noise_of_pose = np.sqrt(1 - WHITE_SHARE) * NOISE_STD * e[states.NOISE:states.NOISE + 6]
         seen = moved_by(seen, np.r_[noise_of_pose, np.zeros(6)])
-        shift, turn = np.split(e[ekf.CAMERA:ekf.CAMERA + 6], 2)
+        shift, turn = np.split(e[states.CAMERA:states.CAMERA + 6], 2)
         shift = shift + np.cross(turn, seen[0])
         turn = exp_quaternion(tuple(turn.tolist()))
         return tuple((seen[0] + shift).tolist()), quaternion_product(turn, seen[1])
@@ -163,20 +168,20 @@ def test_innovation_is_what_it_says(of_lip):
     def seen(e):
         z, H, W, *_ = updated(
             model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03,
-            (*pose(e), noise, (*marker, BODY), 1.0, np.inf), np.zeros((12, 12)))[1]
+            (*pose(e), noise, (*marker, BODY), 1.0, LARGEST, np.inf), np.zeros((12, 12)))[1]
         root = np.linalg.inv(W)
         return root @ z, H, root
 
-    _, H, root = seen(np.zeros(ekf.ROWS))
+    _, H, root = seen(np.zeros(states.ROWS))
     v = np.r_[body[2], body[3]]
     own = WHITE_SHARE * noise + MEMORY[ekf.JITTER] * np.outer(v, v)
     turned = root @ root.T - H @ P @ H.T
     np.testing.assert_allclose(np.trace(turned), np.trace(own), rtol=0.1)
-    for row in range(ekf.ROWS):
-        e = np.zeros(ekf.ROWS)
+    for row in range(states.ROWS):
+        e = np.zeros(states.ROWS)
         e[row] = 1e-4 * SIZES[row]
         slope = (seen(e)[0] - seen(-e)[0]) / 2e-4
-        if of_lip and (0 <= row - ekf.NOISE < 6 or 3 <= row - ekf.MARKER < 6):
+        if of_lip and (0 <= row - states.NOISE < 6 or 3 <= row - states.MARKER < 6):
             continue  # turns about the marker, not about B
         np.testing.assert_allclose(
             slope / NOISE_STD, H[:, row] * SIZES[row] / NOISE_STD, atol=2e-3)
@@ -190,7 +195,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     model = model_tuple(CUP, PACKAGE, 9.81)
     tool = ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     body = own = static_equilibrium(model, tool)
-    theta, P = np.zeros(ekf.ROWS - 12), np.diag(SIZES**2)
+    theta, P = np.zeros(states.ROWS - 12), np.diag(SIZES**2)
     T, Q = ekf.identity_transition(), np.zeros((12, 12))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (tool,) * 3]
     ekf.propagated(
@@ -198,13 +203,15 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
         False, 1_000_000, 1.0, NO_DRIVE, 0.0, NO_CUPS)
     seen = [(noise, *with_noise(rng, body, NOISE_STD * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
+    walk = np.full(states.ROWS, 1e-12)
     for k in range(updates):
-        P = ekf.propagated_covariance(P, T, Q, np.full(12, 1e-12), ekf.correlations(MEMORY, 1e-3))
+        P = ekf.propagated_covariance(P, T, Q, walk, ekf.correlations(MEMORY, 1e-3))
         scale, position, q = seen[37 * k % len(seen)]
         noise = np.diag(NOISE_STD**2) * scale
         found = innovation_of(
             own, theta, P, position, q, noise, (ZERO, (0.0, 0.0, 0.0, 1.0), False, BODY), 4e-6)
-        own, theta = posterior(own, theta, P, found)
+        possible, own, theta = posterior(own, theta, P, found, LARGEST)
+        assert possible
     scale = np.sqrt(np.diag(P))
     assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > 0.0
     np.testing.assert_array_equal(P, P.T)

@@ -5,9 +5,10 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, moved_by, pose_error, substeps_for
 from bellows_ros.core.model.kernels import advance
-from bellows_ros.core.observer.correction import prior_std, SAME_PACKAGE, walk_variances
-from bellows_ros.core.observer.filter import DAMPING, SHARE
+from bellows_ros.core.observer.correction import stated_by
+from bellows_ros.core.observer.filter import SHARE
 from bellows_ros.core.observer.measurement import at_com, MAX_VARIANCE
+from bellows_ros.core.observer.states import DAMPING, each_row, SAME_PACKAGE, WRENCH
 from bellows_ros.report.sentences import alarm_sentence
 import numpy as np
 import pytest
@@ -131,7 +132,7 @@ def test_error_is_what_the_covariance_says(runs, tool_noise):
         made.start(int(stamps[0]), tool[0], truth(tool[:1])[0])
         std = np.sqrt(np.diag(made.estimate.covariance))
         body = [moved_by(made.estimate.body, rng.normal(size=12) * std[:12])]
-        walk = walk_variances(values(), made._correction.nominal)[:6]
+        walk = made._correction._walks[0][WRENCH:WRENCH + 6]
         theta = rng.normal(size=10) * std[12:22]
         for k in range(1, len(tool)):
             body.append(later(body[-1], theta, tool[k - 1], tool[k], 0.004))
@@ -366,6 +367,7 @@ def test_a_cup_without_damping_in_an_axis_has_a_known_uncertainty():
     P = CUP.damping.copy()
     P[0, 0] = 0.0
     model = model_tuple(Cup(CUP.stiffness, P, CUP.length), PACKAGE, 9.81)
-    assert np.isfinite(prior_std(values(), model)).all()
-    found = prior_std(values(cup__damping_std=np.eye(6).ravel().tolist()), model)
+    assert np.isfinite(each_row('prior', stated_by(values(), model))).all()
+    found = each_row('prior', stated_by(
+        values(cup__damping_std=np.eye(6).ravel().tolist()), model))
     assert np.isfinite(found).all() and found[DAMPING] == 1.0

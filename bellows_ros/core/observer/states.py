@@ -1,0 +1,148 @@
+"""
+The states of the filter: one table, from which all slices come.
+
+The rows of the error have the names below: pose and twist of the package in its own axes, as in
+`jacobians`; parameters of the model, which change its motion; and errors of measured poses. All
+rows but the first four are the vector theta.
+
+K and P along each axis, and the second moments of mass S = tr(I) / 2 - I along each axis, are
+changed as exp(s / 2) M exp(s / 2) by logarithms s: K and P stay positive, and the package stays
+a possible body (Wensing, Kim and Slotine 2018). A common scale of K, P, mass, inertia and wrench
+does not change the motion and is not observable. In logarithms this direction of the error is
+constant; otherwise the filter would take noise for information on the scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+from typing import NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+import numpy as np
+
+BIAS_SHARE = 0.01
+"""Initial wrench bias, relative to the effect of the default payload uncertainty."""
+
+BIAS_WALK, WALK_ARM = 0.0003, 0.02
+"""Random walk of the wrench bias in 1 s: force as a fraction of the weight, and its lever for the
+moment (m)."""
+
+CAMERA_WALK_TIME = 300.0
+"""Time in which a camera's frame drifts by `measured.camera_std` as its mount warms up, s."""
+
+MOTION, PACKAGE, CUP, CAMERA_SIDE, NOISE_SIDE = 'motion', 'package', 'cup', 'camera', 'noise'
+"""What a state belongs to: the present motion, or what is kept over motions and packages."""
+
+
+class Stated(NamedTuple):
+    """Stated standard deviations and the weight, from which priors and walks follow."""
+
+    weight: float
+    """N."""
+    arm: float
+    """Lever of the wrench bias, m."""
+    mass: float
+    """Relative."""
+    com: Array
+    """m."""
+    stiffness: Array
+    """Relative, along each axis (6,)."""
+    damping: Array
+    inertia: Array
+    """Covariance of the logarithms of the second moments of mass (3, 3)."""
+    marker: Array
+    """m, rad (6,)."""
+    camera: Array
+    latency: float
+    """s."""
+
+    @property
+    def wrench(self) -> Array:
+        """The weight at levers of 1 m (6,), N and N m."""
+        return np.full(6, self.weight)
+
+
+Size = Callable[[Stated], 'Array | float']
+
+
+class State(NamedTuple):
+    """A state, or several alike."""
+
+    name: str
+    size: int
+    unit: str
+    belongs_to: str
+    largest: float
+    """Largest physical value, in the unit."""
+    prior: Size
+    """Initial standard deviation."""
+    walk: Size = lambda stated: 0.0
+    """Standard deviation of its random walk in 1 s."""
+
+
+STATES = (
+    State('SHIFT', 3, 'm', MOTION, math.inf, lambda by: 0.01),
+    State('TURN', 3, 'rad', MOTION, math.inf, lambda by: 0.1),
+    State('SPEED', 3, 'm/s', MOTION, 50.0, lambda by: 0.5),
+    State('SPIN', 3, 'rad/s', MOTION, 300.0, lambda by: 1.0),
+    State('MASS', 1, 'log', PACKAGE, math.log(20.0), lambda by: by.mass),
+    State('COM', 3, 'm', PACKAGE, 0.5, lambda by: by.com),
+    # additional wrench on the package at the lip, in S axes, at the nominal mass, proportional to
+    # the mass; its largest value is in weights, at 1 m for the moment
+    State('WRENCH', 6, 'N, N m', MOTION, 100.0,
+          lambda by: BIAS_SHARE * by.wrench * np.repeat([0.05, by.arm], 3),
+          lambda by: BIAS_WALK * by.wrench * np.repeat([1.0, WALK_ARM], 3)),
+    State('LENGTH', 1, 'm', MOTION, 0.3, lambda by: 0.0),
+    State('LENGTHENING', 1, 'm/s', MOTION, 1.0, lambda by: 0.0),
+    State('STIFFNESS', 6, 'log', CUP, math.log(100.0), lambda by: by.stiffness),
+    State('DAMPING', 6, 'log', CUP, math.log(100.0), lambda by: by.damping),
+    State('INERTIA', 3, 'log', PACKAGE, math.log(100.0),
+          lambda by: np.sqrt(np.diag(by.inertia))),
+    # the marker in B axes, the camera in the world, the delay of stamps, and the noise with memory
+    # of the measured pose in B axes, in its standard deviations
+    State('MARKER', 6, 'm, rad', PACKAGE, math.tau, lambda by: by.marker),
+    State('CAMERA', 6, 'm, rad', CAMERA_SIDE, math.tau, lambda by: by.camera,
+          lambda by: by.camera / math.sqrt(CAMERA_WALK_TIME)),
+    State('LATENCY', 1, 's', CAMERA_SIDE, 1.0, lambda by: by.latency),
+    State('NOISE', 6, '1', NOISE_SIDE, 100.0, lambda by: 1.0),
+)
+"""All states, in the order of the rows: those that change the motion are before `MARKER`."""
+
+FIRST = dict(zip((each.name for each in STATES), np.cumsum(
+    [0, *(each.size for each in STATES)]).tolist(), strict=False))
+"""First row of each state."""
+
+(SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH, LENGTH, LENGTHENING, STIFFNESS, DAMPING, INERTIA,
+ MARKER, CAMERA, LATENCY, NOISE) = FIRST.values()
+ROWS = sum(each.size for each in STATES)
+"""Number of rows."""
+STATE = MASS
+"""Number of rows of the state of motion; theta has the others."""
+
+LARGEST: Array = np.repeat(
+    [each.largest for each in STATES], [each.size for each in STATES])
+"""Largest physical value of each row."""
+
+
+def rows_of(*belonging: str) -> tuple[int, ...]:
+    """Return the rows of the states that belong to camera, cup or package."""
+    return tuple(FIRST[each.name] + i for what in belonging for each in STATES
+                 if each.belongs_to == what for i in range(each.size))
+
+
+CAMERA_ROWS, CUP_ROWS = rows_of(CAMERA_SIDE), rows_of(CUP)
+ANOTHER_PACKAGE = rows_of(CAMERA_SIDE, CUP)
+"""Rows that are kept for another package."""
+SAME_PACKAGE = rows_of(CAMERA_SIDE, CUP, PACKAGE)
+"""Rows that are kept over a gap in the tool's poses, with the same package."""
+KNOWN_ROWS: Array = np.sort(SAME_PACKAGE)
+"""Rows that are estimated over time; the others belong to the motion."""
+KNOWN = np.ix_(KNOWN_ROWS, KNOWN_ROWS)
+"""Index of the block of these rows in a covariance."""
+
+
+def each_row(sizes: str, stated: Stated) -> Array:
+    """Return the 'prior' or 'walk' of each row (n,), standard deviations."""
+    return np.concatenate([
+        np.broadcast_to(getattr(each, sizes)(stated), each.size) for each in STATES])
