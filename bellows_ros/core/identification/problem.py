@@ -3,8 +3,9 @@ The unknowns of a fit by simulation, and their effect on cup, package, poses and
 
 All uncertain quantities are free jointly with K and P, with their priors as additional
 measurements. K and P move along geodesics of the definite matrices, with a wide prior on the
-logarithm of their size: of K about the start, of P about ordinary rubber. The prior is negligible
-for entries that the recordings determine.
+logarithm of their size: of K about the start, of P about ordinary rubber; the inertia moves along
+logarithms of its pseudo-inertia. These priors are negligible for entries that the recordings
+determine.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +32,7 @@ from bellows_ros.core.identification.segments import (
     Segments,
     segments_of,
 )
-from bellows_ros.core.model import simulation
+from bellows_ros.core.model import pseudo_inertia, simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
 from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
@@ -88,6 +89,13 @@ K and P of `bags/identification` change by less than 1e-4, 0.01 standard errors.
 PRIOR_LOG_STD, APPROACH_LOG_STD = (2.0, 1.0), 0.3
 """Standard deviations of the logarithms of K, about the start, and of P; and of P in the
 approach."""
+
+STRETCH_STD = 2.0
+"""
+Standard deviation of the logarithm of a package's thickness.
+
+It is negligible but for a thin plate, whose thickness the moments do not determine.
+"""
 
 LOSS_FACTOR = 0.25
 """Loss factor of ordinary rubber, without which a fit to noise would ring."""
@@ -502,7 +510,20 @@ class Problem:
         for place in self.places.get('relaxation', ()):
             moved[place] = np.maximum(
                 moved[place], -np.array(self.first_cup.relaxation) / self.units[place])
+        for place in self.places.get('inertia', ()):
+            body, before = self.flattest, (self.units * theta)[place]
+            change = pseudo_inertia.by_moments(pseudo_inertia.with_moments(body, before)) @ (
+                self.units * step)[place]
+            moved[place] = pseudo_inertia.moments_of(
+                body, pseudo_inertia.stretch_of(body, before) + np.clip(
+                    change, -MAX_LOG_STEP, MAX_LOG_STEP)) / self.units[place]
         return moved
+
+    @property
+    def flattest(self) -> Array:
+        """Inertia (3, 3) of the flattest package, which limits changes of the moments most."""
+        return min((pseudo_inertia.nearest(outline.payload.inertia) for outline in self.outlines),
+                   key=pseudo_inertia.flatness)
 
     def _matrices(self, theta: Array) -> tuple[Array, Array]:
         """Return K and P of unknowns, SI units."""
@@ -549,6 +570,12 @@ class Problem:
             slope = np.array([-DEFAULT_RATIO, 1.0]) * self.units[place] / std
             H[np.ix_(place, place)] += np.outer(slope, slope)
             g[place] -= slope * (r[1] - DEFAULT_RATIO * r[0]) / std
+        for place in self.places.get('inertia', ()):  # a wide prior on the stretch
+            body, moments = self.flattest, (self.units * theta)[place]
+            slope = pseudo_inertia.by_moments(pseudo_inertia.with_moments(body, moments)) * (
+                self.units[place] / STRETCH_STD)
+            H[np.ix_(place, place)] += slope.T @ slope
+            g[place] -= slope.T @ pseudo_inertia.stretch_of(body, moments) / STRETCH_STD
         return Arrow(H, np.zeros((recordings, count, len(H))), own[:, :, None] * np.eye(count),
                      self.own), g
 

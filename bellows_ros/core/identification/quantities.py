@@ -14,7 +14,9 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import jacobians as jac
+from bellows_ros.core.model import pseudo_inertia
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
+from bellows_ros.core.model.structure import INERTIA_STD
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values
@@ -58,7 +60,7 @@ CLOCK_RATE_STD = 5e-5
 MIN_STD = 1e-9
 """Smallest standard deviation, SI units."""
 
-PACKAGE_STD: Mapping[str, float] = {'mass': 0.01, 'inertia': 0.05, 'com': 2e-3}
+PACKAGE_STD: Mapping[str, float] = {'mass': 0.01, 'inertia': INERTIA_STD, 'com': 2e-3}
 """Standard deviations of a package's quantities by default: relative for mass and inertia, m."""
 
 
@@ -144,9 +146,10 @@ def model_columns(
     if name == 'mass':
         return np.asarray(payload.mass * parameters[:, jac.BY_MASS])
     if name == 'inertia':
-        rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-        sizes = payload.inertia[rows, columns]
-        by_log = 0.5 * sizes[:, None] * (np.eye(3)[list(rows)] + np.eye(3)[list(columns)])
+        rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+        stretch = pseudo_inertia.by_moments(payload.inertia)
+        by_log = payload.inertia[rows, columns][:, None] * (stretch[rows] + stretch[columns])
+        by_log[:3] = np.diag(np.diag(payload.inertia))
         return np.asarray(parameters[:, jac.BY_INERTIA] @ by_log)
     return np.zeros((count, KINDS[name].size))
 

@@ -8,7 +8,7 @@ import warnings
 
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model import kernels, structure
+from bellows_ros.core.model import kernels, pseudo_inertia, structure
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple
 from bellows_ros.core.model.structure import SINGLE, UPPER
 from bellows_ros.errors import BellowsError, UnitWarning
@@ -148,7 +148,7 @@ class Package:
     com : array_like (3,)
         Centre of mass B in the lip frame S, m; typically (0, 0, -d).
     is_checked : bool
-        Whether the numbers are checked; a search also tries slightly impossible bodies.
+        Whether the numbers are checked.
 
     Raises
     ------
@@ -222,11 +222,12 @@ def varied(
     """
     Return a package with a shifted centre of mass (3,), m, and scaled mass and inertia.
 
-    Scales are logarithms of factors of the mass, and of each moment of inertia (3,) or of all.
+    Scales are logarithms of factors of the mass, and of each moment of inertia (3,) or of all; see
+    `pseudo_inertia.with_moments`.
     """
-    root = np.exp(0.5 * np.broadcast_to(inertia, 3))
     return Package(
-        package.mass * float(np.exp(mass).item()), package.inertia * np.outer(root, root),
+        package.mass * float(np.exp(mass).item()),
+        pseudo_inertia.with_moments(package.inertia, np.broadcast_to(inertia, 3)),
         package.com + np.asarray(com), is_checked=False)
 
 

@@ -408,22 +408,34 @@ def require_symmetric(values: Array, name: str) -> None:
             f'{values[column, row]:.9g}. Give the same number to both, row by row.')
 
 
-def check_inertia(inertia: Array) -> None:
+INERTIA_STD = 0.05
+"""Relative standard deviation of moments of inertia that is assumed unless it is stated."""
+
+INERTIA_ROUNDING = 1e-3
+"""Relative rounding of moments of inertia, which makes thin plates impossible."""
+
+
+def check_inertia(inertia: Array, std: ArrayLike = 0.0) -> None:
     """
     Raise BellowsError unless a rigid body can have this inertia tensor (3, 3), kg m^2.
 
     The tensor must be symmetric and positive definite, and no principal moment above the sum of
-    the other two.
+    the other two by more than rounding, or the standard deviations (3,) of the moments.
     """
     require_symmetric(inertia, 'package.inertia')
     moments = np.linalg.eigvalsh(inertia)
+    excess, others = moments[2] - moments[0] - moments[1], moments[0] + moments[1]
+    if moments[0] <= 0.0 or excess > max(INERTIA_ROUNDING * others, float(np.linalg.norm(std))):
+        raise no_body(moments.tolist())
+
+
+def no_body(moments: Sequence[float]) -> BellowsError:
+    """Return the error of principal moments (3,) of inertia, kg m^2, that no body has."""
     shown = ', '.join(f'{moment:.6g}' for moment in moments)
-    # data of thin plates are rounded
-    if moments[0] <= 0.0 or (moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-3)):
-        raise BellowsError(
-            f'No body has this package.inertia: its principal moments are {shown} kg m^2; '
-            'expected all above zero, and the largest at most the sum of the other two. Check '
-            'units (kg m^2), signs and the order ixx, iyy, izz, ixy, ixz, iyz.')
+    return BellowsError(
+        f'No body has this package.inertia: its principal moments are {shown} kg m^2; expected '
+        'all above zero, and the largest at most the sum of the other two. Check units (kg m^2), '
+        'signs and the order ixx, iyy, izz, ixy, ixz, iyz.')
 
 
 MIN_MASS = 0.01
@@ -464,6 +476,10 @@ def unit_doubts(
         doubts.append(
             f'package.mass is {mass:g} kg; cups of this kind carry {MIN_MASS:g} to '
             f'{MAX_MASS:g} kg. Is it in another unit?')
+    others = sum(moments) - max(moments)
+    if max(moments) > others * (1.0 + INERTIA_ROUNDING):
+        doubts.append(
+            f'{no_body(moments)} The nearest is used.')
     gyration = float(np.sqrt(np.sum(moments) / mass))
     if gyration > GYRATION[-1]:
         doubts.append(

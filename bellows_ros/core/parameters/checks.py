@@ -34,6 +34,9 @@ POSE_PARAMETERS = ('recording.package_world', 'tool_pose.offset')
 MIN_VACUUM = 1000.0
 """Smallest vacuum in the correct unit, Pa below ambient."""
 
+MAX_INERTIA_STD = 0.2
+"""Largest relative standard deviation of moments of inertia by which a body may be impossible."""
+
 VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (MIN_VACUUM, 'mbar', 1e2))
 """Number below which a pressure is likely in a unit, the unit, and its size in Pa."""
 
@@ -240,7 +243,8 @@ def require(values: Mapping[str, object], required: Iterable[str]) -> None:
 
 
 _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
-    'package.inertia': lambda p, value: structure.check_inertia(structure.inertia_matrix(value)),
+    'package.inertia': lambda p, value: structure.check_inertia(
+        structure.inertia_matrix(value), MAX_INERTIA_STD * np.array(value[:3])),
     'cup.stiffness': lambda p, value: structure.require_stiffness(structure.matrix(value), p.name),
     'cup.damping': lambda p, value: structure.require_damping(structure.matrix(value), p.name),
     'cup.layout': lambda p, value: structure.positions_of(value),

@@ -10,6 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, Uncertain
 from bellows_ros.core.model.grip import Grip, Law, Release, RELEASE_NAMES
+from bellows_ros.core.model.pseudo_inertia import flatness, nearest
 from bellows_ros.core.model.structure import matrix, Structure, UPPER
 from bellows_ros.core.model.validity_range import Envelope, RANGE_PARAMETERS
 from bellows_ros.core.parameters.values import Values
@@ -50,11 +51,18 @@ def one_cup_of(values: Values) -> Cup:
 
 
 def package_of(values: Values) -> Package:
-    """Return the package of parameter values (see `parameters`)."""
-    return Package(
-        mass=values.package.mass,
-        inertia=structure.inertia_matrix(values.package.inertia),
-        com=np.array(values.package.com))
+    """
+    Return the package of parameter values (see `parameters`).
+
+    An inertia that is impossible within its standard deviations becomes the nearest possible one.
+    """
+    inertia = structure.inertia_matrix(values.package.inertia)
+    usual = structure.INERTIA_STD * np.diag(inertia)
+    structure.check_inertia(inertia, stated_std(values, 'package.inertia_std', usual) if (
+        'package.inertia_std' in values) else usual)
+    if flatness(inertia) < -structure.INERTIA_ROUNDING:
+        inertia = nearest(inertia)
+    return Package(values.package.mass, inertia, np.array(values.package.com))
 
 
 def stated_std(values: Values, name: str, usual: Array) -> Array:

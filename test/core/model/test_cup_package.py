@@ -2,9 +2,10 @@
 
 from contextlib import nullcontext
 
-from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
+from bellows_ros.core.model.cup_package import box_inertia, Cup
 from bellows_ros.core.model.structure import check_inertia
-from bellows_ros.core.parameters.checks import validate
+from bellows_ros.core.parameters.checks import implausible, resolve
+from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -27,12 +28,20 @@ def test_inertia_no_body_can_have_is_refused(inertia, figures):
         check_inertia(inertia)
 
 
-@pytest.mark.parametrize(('largest', 'is_taken'), [(2.001999, True), (2.002001, False)])
-def test_packages_and_parameters_take_the_same_rounded_inertia(largest, is_taken):
-    with nullcontext() if is_taken else pytest.raises(BellowsError):
-        Package(1.0, np.diag([1.0, 1.0, largest]), np.zeros(3))
-    with nullcontext() if is_taken else pytest.raises(BellowsError):
-        validate('package.inertia', [1.0, 1.0, largest, 0.0, 0.0, 0.0])
+@pytest.mark.parametrize(('largest', 'std', 'is_taken'), [
+    (2.003, 0.0, False), (2.1, -1.0, True), (2.15, -1.0, False),
+    (2.15, 0.1, True)])
+def test_an_inertia_impossible_within_its_uncertainty_becomes_the_nearest(largest, std, is_taken):
+    values = resolve({
+        'package.mass': 1.0, 'package.com': [0.0, 0.0, -0.03],
+        'package.inertia': [1.0, 1.0, largest, 0.0, 0.0, 0.0],
+        'package.inertia_std': [std] * 3 + [-1.0] * 3})
+    with nullcontext() if is_taken else pytest.raises(BellowsError, match='No body'):
+        found = package_of(values).inertia
+        second = 0.5 * np.trace(found) - np.diag(found)
+        assert_allclose(second[2], 1e-4 * second[0])
+        assert_allclose(np.diag(found), values['package.inertia'][:3], rtol=0.08)
+    assert any('nearest' in each for each in implausible(values))
 
 
 def test_the_cup_of_the_thesis_has_its_numbers():

@@ -1,0 +1,88 @@
+"""
+Coordinates of rigid bodies that cannot leave the set of possible ones.
+
+A body is possible if its pseudo-inertia is positive definite (Wensing, Kim and Slotine, 2018): its
+mass is above zero, and so are the second moments Sigma = tr(I) / 2 - I about its centre of mass.
+The logarithms of the mass and of the diagonal of the Cholesky factor of Sigma, and the centre of
+mass, are any numbers (Rucker and Wensing, 2022). A change d (3,) of these logarithms stretches the
+body along its axes: Sigma_ij exp(d_i + d_j).
+"""
+
+import math
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import Matrix, Vector
+import numpy as np
+from numpy.typing import ArrayLike
+
+MIN_FLATNESS = 1e-4
+"""Smallest ratio of two principal second moments: a plate as thin as 1 % of its side."""
+
+
+@kernel
+def second_moments(inertia: Matrix) -> Vector:
+    """Return the second moments (3,) of mass along x, y and z, kg m^2."""
+    half = 0.5 * (inertia[0] + inertia[4] + inertia[8])
+    return half - inertia[0], half - inertia[4], half - inertia[8]
+
+
+@kernel
+def stretched(inertia: Matrix, d: Vector) -> Matrix:
+    """Return the inertia of a body stretched by factors exp(d) along its axes."""
+    x, y, z = second_moments(inertia)
+    a, b, c = math.exp(d[0]), math.exp(d[1]), math.exp(d[2])
+    x, y, z = a * a * x, b * b * y, c * c * z
+    xy, xz, yz = a * b * inertia[1], a * c * inertia[2], b * c * inertia[5]
+    return y + z, xy, xz, xy, x + z, yz, xz, yz, x + y
+
+
+def with_moments(inertia: Array, factors: ArrayLike) -> Array:
+    """
+    Return the inertia (3, 3) of a body stretched so that its moments have logarithmic factors.
+
+    If no body has such moments, the nearest one with the least thickness is returned.
+    """
+    inertia = nearest(inertia)
+    d = stretch_of(inertia, factors)
+    return np.array(stretched(_tuple(inertia), _tuple(d))).reshape(3, 3)
+
+
+def stretch_of(inertia: Array, factors: ArrayLike) -> Array:
+    """Return the stretch (3,) of a body whose moments change by logarithmic factors (3,)."""
+    moments = np.diag(inertia) * np.exp(factors)
+    wanted = 0.5 * moments.sum() - moments
+    wanted = np.maximum(wanted, MIN_FLATNESS * wanted.max())
+    return np.asarray(0.5 * np.log(wanted / second_moments(_tuple(inertia))))
+
+
+def moments_of(inertia: Array, d: Array) -> Array:
+    """Return the logarithmic factors (3,) of the moments of a body after a stretch (3,)."""
+    moved: Array = np.array(stretched(_tuple(inertia), _tuple(d)))
+    return np.asarray(np.log(moved[::4] / np.diag(inertia)))
+
+
+def by_moments(inertia: Array) -> Array:
+    """Return the derivatives (3, 3) of the stretch by logarithms of the moments."""
+    moments, squares = np.diag(inertia), np.reshape(second_moments(_tuple(inertia)), (3, 1))
+    return np.asarray((0.5 - np.eye(3)) * moments / (2.0 * squares))
+
+
+def flatness(inertia: Array) -> float:
+    """Return the ratio of the smallest and largest second moments; not above 0 for no body."""
+    squares = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    return float(squares[0] / squares[2])
+
+
+def nearest(inertia: Array) -> Array:
+    """Return the inertia of the nearest possible body, the same for a possible one."""
+    if flatness(inertia) >= MIN_FLATNESS:
+        return inertia
+    squares, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    squares = np.maximum(squares, MIN_FLATNESS * squares[2])
+    return np.asarray(np.sum(squares) * np.eye(3) - (axes * squares) @ axes.T)
+
+
+def _tuple(values: Array) -> Any:
+    return tuple(values.ravel().tolist())
