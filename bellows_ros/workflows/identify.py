@@ -105,7 +105,7 @@ def identify(
             _require_no_facts(parts, effective, progress)
         return _identify(
             values, effective, parts, static, progress, pairs,
-            failed=tuple(failed), assumed=_assumed(settings),
+            failed=tuple(failed), assumed=(*_assumed(settings), *_doubts(values)),
             parameter_files=tuple(
                 {'path': os.fspath(file), 'files': bag_folder.digests(file)}
                 for file in parameter_files))
@@ -189,6 +189,12 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
            'a recording that was not used in the fit. Remove it from one.')
     yield (validation and missing, f'The package of validation.bags is unknown: set '
            f'{", ".join(missing)} in addition to package.files.')
+
+
+def _doubts(values: Values) -> tuple[str, ...]:
+    """Return warnings about the package of all recordings, if there is one."""
+    given = all(name in values for name in checks.PACKAGE_PARAMETERS)
+    return checks.implausible(values) if given else ()
 
 
 def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:

@@ -56,6 +56,21 @@ def ratios(fit, truth):
         np.diag(fit.stiffness) / np.diag(truth['K']), np.diag(fit.damping) / np.diag(truth['P']))
 
 
+def test_a_thin_plate_is_identified_as_a_possible_body(rig, tmp_path):
+    """Whose moments, free with their standard deviations, would else be those of no body."""
+    bag = rig.parent / 'reports/thin_plate'
+    if not bag.exists():
+        pytest.skip('no ../shared/reports/thin_plate')
+    settings = {**CLEAN, 'topics.tool_twist': '', 'topics.tool_pose': '/tool_arm/pose',
+                'fit.method': 'output_error', 'bags': [str(bag)]}
+    found = identify(settings)
+    truth = np.array([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123])
+    fit = found.fit
+    assert np.all(np.abs(np.diag(fit.stiffness) - truth) < 4.0 * np.diag(fit.stiffness_std))
+    save(found, tmp_path / 'cup.yaml', None, cell_path=tmp_path / 'cell.yaml')
+    resolve(read_parameters(tmp_path / 'cell.yaml'))
+
+
 def test_motion_capture_recording_of_the_rig(rig):
     """And of another one each axis that moves is predicted to 5 %; z moves by less than a mm."""
     result = identify({**LAB, 'bags': [str(rig / 'lab')]})
