@@ -14,10 +14,9 @@ from collections import Counter
 import time
 
 from bellows_ros.core.identification.causes import facts
-from bellows_ros.core.identification.diagnosis.facts import facts_of
+from bellows_ros.core.identification.diagnosis.facts import BLOCKING, facts_of
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.recordings import FAULTS as FACTS
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 
@@ -37,7 +36,7 @@ def outcome(laboratory, cause, other=''):
         warned = ' '.join(own.code for one in recordings for own in one.report.remarks)
         if wrong := [fact.code for one in recordings for fact in facts_of(
                 one.tool_pose, one.package_pose, one.settings.R_world_recorded)
-                if fact.code in FACTS]:
+                if fact.code in BLOCKING]:
             return 'right' if cause in wrong else 'wrong and certain', ' '.join(wrong)
         values = parameters(laboratory)
         length = values['cup.length']
@@ -72,11 +71,12 @@ def outcome(laboratory, cause, other=''):
 
 
 def of_one(named, cause):
-    """Return whether a cause is named first, or among the two after an unknown one."""
+    """Return whether a cause is named first, for an unknown one first of the listed."""
     if cause in named[0]:
         return 'right'
-    if named[0].startswith('unknown') and any(cause in word for word in named[1:3]):
-        return 'unknown with the truth'
+    listed = named[1:] if named[0].startswith('unknown') else named
+    if any(cause in word for word in listed):
+        return 'first, not certain' if cause in listed[0] else 'among three'
     return 'wrong and certain' if 'certain' in named[0] else 'wrong, not certain'
 
 

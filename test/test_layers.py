@@ -37,8 +37,6 @@ LATE = {
     'bellows_ros/nodes/command.py': (
         'bellows_ros.core.parameters.table', 'bellows_ros.files.parameter_files',
         'bellows_ros.nodes.guarding'),
-    'bellows_ros/core/identification/output_error.py': (
-        'bellows_ros.core.identification.diagnosis.ranking',),
     'bellows_ros/demo/steps.py': ('bellows_ros.nodes.bag_player',),
     'bellows_ros/plots/__init__.py': ('bellows_ros.plots.pictures',),
     'bellows_ros/workflows/identify.py': (

@@ -19,6 +19,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.signals.resampling import clock_steps
 from bellows_ros.core.signals.screening import UNIT_TOLERANCE, unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, is_name
@@ -429,7 +430,8 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
     return PoseStream(
         name, names[0], decoded['stamp'][used], poses[used, :3],
         quaternion_to_rotation(poses[used, 3:]), refused,
-        covariance[used].reshape(-1, 6, 6) if covariance.size else None)
+        covariance[used].reshape(-1, 6, 6) if covariance.size else None,
+        clock_steps(*(decoded[name][decoded['stamp'] > 0] for name in ('stamp', 'arrival'))))
 
 
 def twist_stream(name: str, decoded: np.ndarray, frames: Frames) -> TwistStream:

@@ -145,8 +145,6 @@ def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
     """Return the cause of a finding, its size, the misfit with its correction, and a remedy."""
     if finding.sentence:
         return finding.sentence
-    if not finding.certain and not len(finding.theta):  # only named
-        return ''
     name, theta, std = _cause_of(finding), finding.theta.tolist(), finding.std.tolist()
     numbers: dict[str, Any] = {'value': finding.value, 'theta': theta, 'std': std}
     if theta:
@@ -158,11 +156,8 @@ def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
         numbers |= FINDING_FIELDS[name](finding, given)
     what, *more = (sentence('causes', f'{name}.{part}', **numbers) for part in ('what', 'remedy')
                    if f'{name}.{part}' in texts('causes'))
-    if 0.0 < finding.left < 0.95:
-        more.insert(0, f'With that, the misfit falls to {100.0 * finding.left:.2g} %.')
-    if finding.untried:
-        more.append(sentence('causes', 'untried', names=[
-            texts('causes')[f'{name}.setting'] for name in finding.untried]))
+    if not finding.is_fact and finding.name != 'unknown' and finding.share > 0.0:
+        more.insert(0, f'It explains {100.0 * finding.share:.2g} % of the misfit.')
     return ' '.join([f'{what}.', *more])
 
 

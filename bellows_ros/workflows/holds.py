@@ -18,6 +18,10 @@ SIGNALS = {'bool': (messages.BOOL, '/vacuum/held'),
            'pressure': ('sensor_msgs/msg/FluidPressure', '/vacuum/pressure')}
 """Message types and ends of the topics of the vacuum, by values of vacuum.signal."""
 
+MIXED_NS = 86_400 * NS_PER_S
+"""Smallest distance between header stamps and times of recording of two clocks, ns: a day, beyond
+any delay and time zone."""
+
 
 def signals_of(bag: File, values: Values) -> list[Signal]:
     """
@@ -72,6 +76,13 @@ def masks_held(path: File, streams: Mapping[str, Any], values: Values) -> list[M
     """
     if not (signals := signals_of(path, values)):
         return [np.ones(len(stream), bool) for stream in streams.values()]
+    stamps = streams['tool_pose'].stamps_ns
+    if signals[0][0] > stamps[-1] + MIXED_NS or signals[-1][0] < stamps[0] - MIXED_NS:
+        raise BellowsError(
+            f"Recording '{path}' mixes two clocks: the header stamps of the tool begin at "
+            f'{stamps[0] / NS_PER_S:.0f} s, and the vacuum, which has no header, was recorded '
+            f'at {signals[0][0] / NS_PER_S:.0f} s. With simulated time, record with '
+            "'ros2 bag record --use-sim-time', or set vacuum.signal: none.")
     spans = spans_held(streams['tool_pose'], signals, values)
     if not spans:
         raise BellowsError(

@@ -433,11 +433,12 @@ def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
 
 
 def _checked_motion(
-    tool: Trajectory, twist: Array | None, axes: str = 'tool', name: str = 'The motion'
+    tool: Trajectory, twist: Array | None, axes: str = 'tool', name: str = 'The motion',
+    given: bool = True,
 ) -> Trajectory:
     """Return a motion of E with twists (N, 6) in axes of the tool or the world, as a plan."""
     return plan_of(tool.stamps_ns, trajectory.pose_rows(tool), twist, twist_frame=axes,
-                   name=name).trajectory()
+                   name=name, given=given).trajectory()
 
 
 def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> Source:
@@ -458,12 +459,12 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
         poses = PoseStream(
             'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
             quaternion_to_rotation(read.poses[:, 3:]))
-    motion = poses.trajectory()
+    motion, given = poses.trajectory(), rates is not None or twists is not None
     if rates is None:
         name = f"Poses '{poses.name}'"
         motion, rates, axes = _with_rates(
             motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
-    tool = at_tip(_checked_motion(motion, rates, axes, name), conversion.tip_of(values))
+    tool = at_tip(_checked_motion(motion, rates, axes, name, given), conversion.tip_of(values))
     return Source(tool, poses.frame_id, contents.notes,
                   recorded=at_tip(poses.trajectory(), conversion.tip_of(values)))
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.geometry.lie import exp_so3, inverse_transform, transform
 from bellows_ros.core.identification import causes
-from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
+from bellows_ros.core.identification.diagnosis.facts import BLOCKING, Fact, facts_of
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
@@ -39,11 +39,6 @@ FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 
 MIN_POSES = 20
 """Smallest number of poses of each body for a search for their faults."""
-
-FAULTS = frozenset((
-    'frozen_orientation', 'package_on_tool', 'package_at_rest', 'conjugated', 'inverse_rotation',
-    'inverted', 'rotation_frame', 'left_handed'))
-"""Faults of poses that prevent a fit."""
 
 NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 """Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
@@ -244,7 +239,7 @@ def _require_no_faults(
     if min(len(tool), len(package)) < MIN_POSES:
         return
     for fact in facts_of(tool, package, settings.R_world_recorded):
-        if fact.code in FAULTS or (
+        if fact.code in BLOCKING or (
                 fact.code == 'tool_z' and registers and not settings.align_at_rest):
             raise UnexplainedError(fact_sentence(fact, tool, package))
 

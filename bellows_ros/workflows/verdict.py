@@ -2,24 +2,28 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import permutations
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes, methods
+from bellows_ros.core.identification.diagnosis.commission import seems_tag
+from bellows_ros.core.identification.diagnosis.facts import noise_of
 from bellows_ros.core.identification.output_error import HELD_OUT
-from bellows_ros.core.identification.quantities import as_found, Free, given_std, payload_of
+from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.identification.validation import MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.report.sentences import finding_sentence, setting_of, texts
+from bellows_ros.report.sentences import finding_sentence, sentence, setting_of, texts
 import numpy as np
 
 MAX_TESTED = 3
@@ -28,21 +32,16 @@ MAX_TESTED = 3
 MAX_SIMULATED = 50_000
 """Largest number of samples of a recording simulated freely for the verdict."""
 
-UNEXPLAINED = 0.2
-"""Largest unexplained fraction of the motion in an axis."""
+MAX_NOISE_RATIO = 3.0
+"""Largest ratio of the held-out error to the noise, if the error also exceeds `MAX_NRMSE`."""
 
-DRAWS, SIGMAS = 5, 3.0
-"""Number of cups drawn by the standard errors, and number of allowed standard deviations."""
-
-LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_world'})
-"""Quantities that recordings separate from K and P, unlike mass and inertia, which scale with K
-and P."""
-
+SIGMAS = 3.0
+"""Number of stated standard deviations beyond which an estimate is a finding of its own."""
 
 CLOCK_RATE = 'rate of the clocks (ppm)'
-MAX_PULL = 5.0
-"""Largest change of centre of mass or length by a fit, standard deviations: a cup that deviates
-from the model appears longer."""
+
+ORDERS = tuple(permutations('xyz'))[1:]
+"""Other orders of the principal moments of a package."""
 
 
 class Simulated(NamedTuple):
@@ -52,31 +51,17 @@ class Simulated(NamedTuple):
     rms: Array
     noise: Array
     motion: Array
-    unexplained: tuple[str, ...]
     beginning: float = 0.0
     """Duration of the simulated beginning of a long recording, s; 0 for a whole recording."""
-    uncertainty: Array | float = 0.0
-    """RMS errors (6,) explained by the standard errors of K and P."""
-    all_identifiable: bool = True
-    """Whether all entries of K and P are identifiable."""
-    held_out: Array | float = 0.0
-    """RMS errors (6,) in the last fifth with the cup of the other four, m and rad."""
+    held_out: Array | None = None
+    """RMS errors (6,) in the last fifth with the cup of the other four, m and rad, if known."""
 
     @property
     def unpredicted(self) -> list[str]:
-        """Axes with a held-out error beyond three times the noise and beyond `MAX_NRMSE`."""
-        largest = np.maximum(3.0 * self.noise, MAX_NRMSE * self.motion)
-        return [AXES[i] for i in np.flatnonzero(self.held_out > largest)]
-
-    @property
-    def largest(self) -> Array:
-        """Largest RMS errors (6,) explained by noise and the standard errors of K and P."""
-        allowed = np.hypot(
-            methods.MAX_MISFIT_TO_NOISE * self.noise, SIGMAS * np.asarray(self.uncertainty))
-        if not self.all_identifiable:
-            return np.asarray(allowed)
-        return np.asarray(np.minimum(allowed, np.maximum(
-            3.0 * self.noise, 0.01 * self.motion)))
+        """Axes with an error beyond three times the noise and 5 % of the motion, held out."""
+        error = self.rms if self.held_out is None else self.held_out
+        within = error <= np.maximum(MAX_NOISE_RATIO * self.noise, MAX_NRMSE * self.motion)
+        return [AXES[i] for i in np.flatnonzero(~within)]
 
     @property
     def sentence(self) -> str:
@@ -96,24 +81,21 @@ class Simulated(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file."""
         return {**self._asdict(), 'axes': AXES, 'units': {
-            **dict.fromkeys(('noise', 'uncertainty', 'held_out'), POSE_UNITS), 'beginning': 's'}}
+            **dict.fromkeys(('noise', 'held_out'), POSE_UNITS), 'beginning': 's'}}
 
 
 class FitVerdict(NamedTuple):
     """
     Free simulations of recordings of the fit, and deviations from given quantities.
 
-    A cup of output error is rejected for a misfit by its robust chi^2 per degree of freedom, which
-    is None for other methods.
+    A definite cup of a converged search is rejected for a held-out error, or for a certain cause.
     """
 
     simulated: tuple[Simulated, ...]
     diagnosis: causes.Diagnosis
     given: Values
-    chi2: float | None = None
-    expected: Free = MappingProxyType({})
-    """Standard deviations, SI units, of given quantities that output error may correct jointly
-    with K and P."""
+    sensor: str = ''
+    """Sentence on poses that seem to be of another kind of sensor than stated, or ''."""
     log_inertia_ratio: float = 0.0
     """Logarithm of the ratio of inertia and mass as estimated by the fit, relative to the given
     ratio."""
@@ -125,22 +107,13 @@ class FitVerdict(NamedTuple):
 
     @property
     def wrong(self) -> list[causes.Finding]:
-        """Findings that reject a cup: certain ones, and likely ones that change K materially."""
-        return [finding for finding in self.causing if finding.datum and (
-            finding.certain
-            or self.chi2 is not None and finding.name in LOCAL
-            and finding.likely and finding.moved > causes.MATERIAL
-            and not _is_within(finding, self.expected))]
+        """Findings that reject a cup."""
+        return [finding for finding in self.causing if finding.material]
 
     @property
     def causing(self) -> list[causes.Finding]:
-        """Causes, the likeliest first, followed by deviations within expectation."""
-        alone = self.diagnosis.findings
-        first = alone if alone and alone[0].is_fact else alone[:1]
-        findings = [*first, *self.diagnosis.besides]
-        if not all(finding.certain for finding in findings):
-            return findings
-        return sorted(findings, key=lambda finding: _is_within(finding, self.expected))
+        """Causes, the likeliest first, followed by further ones."""
+        return [*self.diagnosis.findings, *self.diagnosis.besides]
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -163,6 +136,11 @@ class FitVerdict(NamedTuple):
                 f'package.inertia is {np.exp(-self.log_inertia_ratio):.3g} times the value '
                 'consistent with package.mass, and the fit has corrected the inertia. If the mass '
                 'is wrong instead, K and P are off by that factor: weigh the package.')
+        sentences += [
+            f'{name} is {off} off the given value, {pull:.2g} times its stated standard '
+            f'deviation.{self._in_order(name, value)} Measure it again, or state a larger '
+            f'{name}_std.' for name, (value, off, pull) in self.found.items()
+            if pull > SIGMAS and f'{name}_std' in PARAMETERS]
         if self.found:
             found = ', '.join(
                 f'{name} [{", ".join(f"{x:.4g}" for x in value)}] (given {off} off)'
@@ -171,80 +149,53 @@ class FitVerdict(NamedTuple):
                              'these values, too.')
         return () if self.refusals else tuple(sentences)
 
+    def _in_order(self, name: str, value: Array) -> str:
+        """Return a sentence on moments of inertia that were given in another order, or ''."""
+        if name != 'package.inertia' or name not in self.given:
+            return ''
+        given = np.array(self.given[name])[:3]
+
+        def off(order: Sequence[str]) -> float:
+            """Return the largest relative error of the given moments in an order."""
+            moments = given[['xyz'.index(axis) for axis in order]]
+            return float(np.max(np.abs(np.log(value[:3] / moments))))
+
+        best = min(ORDERS, key=off)
+        return '' if 2.0 * off(best) > off('xyz') else (
+            ' The given moments fit about other axes: those of x, y and z seem to be given as '
+            f'those of {", ".join("xyz"[best.index(axis)] for axis in "xyz")}.')
+
     @property
     def cause(self) -> tuple[str, ...]:
         """Sentences about the main cause and further ones, if any."""
-        if not self.diagnosis.findings:
+        if not self.causing:
             return ()
         first, *others = self.causing
-        if first.name == 'unknown':
-            return self._unknown(first, others)
-        besides = [f'Besides{"" if finding.certain else ", likely"}: '
-                   f'{finding_sentence(finding, self.given)}' for finding in others]
-        if first.is_fact and not others:
-            besides.append('More may be wrong: correct this, and run it again.')
         if first.certain:
-            return (finding_sentence(first, self.given), *besides)
-        if self.is_at_noise:
+            besides = [f'Besides{"" if finding.certain else ", likely"}: '
+                       f'{finding_sentence(finding, self.given)}'
+                       for finding in others if finding.certain or first.is_fact]
+            more = ['More may be wrong: correct this, and run it again.'] if (
+                first.is_fact and not others) else []
+            return (finding_sentence(first, self.given), *besides, *more)
+        likely = [each for each in self.causing if each.name != 'unknown']
+        if self.is_at_noise or self.simulated and not self.refusals and not (
+                likely and likely[0].share >= causes.DISTINCT):
             return ()
-        if self.given.get('fit.relaxation') == 'off':
-            besides.append('Rubber that relaxes may be the cause, too: set fit.relaxation: auto.')
-        if first.likely:
-            return (f'Likely, but not certain: {finding_sentence(first, self.given)}',
-                    *besides)
-        if self.diagnosis.excess < causes.DOUBTED:
-            return ()
-        return ('Noise does not explain the residuals, and no tested cause explains most of '
-                'them: check the list in the JSON file, and the given values.' + (
-                    ' recording.align_at_rest supposes one world for both bodies: if they may be '
-                    'in two, set recording.package_world: estimate.'
-                    if self.given.get('recording.align_at_rest') else ''),)
-
-    def _unknown(
-        self, residual: causes.Finding, candidates: Sequence[causes.Finding]
-    ) -> tuple[str, ...]:
-        """Return the sentence on an unknown cause, and the likeliest settings without a claim."""
-        if self.is_at_noise:
-            return ()
-        settings = dict.fromkeys(setting_of(finding) for finding in candidates)
-        return (finding_sentence(residual, self.given), *(
-            [f'Likeliest, but not certain: {" or ".join(settings)}.'] if settings else []))
+        listed = ' '.join(f'{number}. {finding_sentence(each, self.given)}'
+                          for number, each in enumerate(likely, 1))
+        return tuple(filter(None, (
+            finding_sentence(first, self.given) if first.name == 'unknown' else '', self.sensor,
+            f'Likeliest, but not certain: {listed}' if likely else '')))
 
     @property
     def refusals(self) -> tuple[str, ...]:
         """Reasons to reject the cup; empty for a usable one."""
-        reasons = []
-        for simulated in self.simulated:
-            if simulated.unexplained:
-                reasons.append(
-                    f'{simulated.bag}: more than {100.0 * UNEXPLAINED:g} % of the motion is '
-                    f'unexplained in {", ".join(simulated.unexplained)}.')
-            elif self.chi2 is not None and (simulated.rms > simulated.largest).any():
-                ratio = np.max(simulated.rms / simulated.noise)
-                reasons.append(
-                    f'{simulated.bag}: the free simulation is off by up to {ratio:.1f} times the '
-                    'noise, more than the standard errors of K and P allow, so model or data are '
-                    'wrong. Check package.mass, package.com, package.inertia and the frames, or '
-                    'use a richer fit.structure.')
-            elif simulated.unpredicted:
-                reasons.append(
-                    f'{simulated.bag}: with the cup of the first four fifths, the last fifth is '
-                    f'predicted worse than {100.0 * MAX_NRMSE:g} % of the motion and three times '
-                    f'the noise in {", ".join(simulated.unpredicted)}, so model or data are '
-                    'wrong, or change during the recording.')
-        if self.simulated and not reasons and self.chi2 is not None and (
-                self.chi2 > methods.MAX_MISFIT_TO_NOISE**2):
-            reasons.append(
-                f'What the fit leaves of each pose is {np.sqrt(self.chi2):.1f} times the noise '
-                f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '
-                'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
-                'use a simpler fit.structure.')
-        for name, (_, off, pull) in self.found.items():
-            if pull > MAX_PULL and name not in ('package.inertia', CLOCK_RATE) and not (
-                    self.wrong or reasons):
-                reasons.append(
-                    f'{name} would be {off} off, {pull:.2g} times its standard deviation. Measure '
-                    f'it again, set {name}_std if it is so uncertain, or try fit.structure: full.')
+        reasons = [
+            f'{simulated.bag}: with the cup of the first four fifths, the last fifth is predicted '
+            f'worse than {100.0 * MAX_NRMSE:g} % of the motion and three times the noise in '
+            f'{", ".join(simulated.unpredicted)}, so model or data are wrong, or change during '
+            'the recording.' for simulated in self.simulated if simulated.unpredicted]
         for finding in self.wrong[:1]:
             line = 'first line says' if finding is self.causing[0] else 'lines above say'
             reasons.append(f'Correct {setting_of(finding)} as the {line}, and fit again.')
@@ -261,16 +212,8 @@ class FitVerdict(NamedTuple):
                  'sentence': finding_sentence(finding, self.given),
                  'units': dict.fromkeys(
                      ('theta', 'std'), texts('causes').get(f'{finding.name}.units', '1'))}
-                for finding in (*self.diagnosis.findings, *self.diagnosis.besides)],
+                for finding in self.causing],
             'besides': len(self.diagnosis.besides)}
-
-
-def _is_within(finding: causes.Finding, std: Free) -> bool:
-    """Return whether a cause is within three standard deviations of the given value."""
-    if finding.name not in std or not len(finding.theta):
-        return False
-    limit = SIGMAS * std[finding.name]
-    return bool(np.all(np.abs(finding.theta.reshape(-1, len(limit))) <= limit))
 
 
 def verdict_of(
@@ -299,7 +242,7 @@ def verdict_of(
         'package.mass': package.mass, 'package.com': package.com,
         'package.inertia': np.diag(package.inertia)})
     simulated = values.replaced({'cup.length': length, 'fit.method': 'output_error'})
-    verdict = FitVerdict((), causes.Diagnosis(0.0, ()), given)
+    verdict = FitVerdict((), causes.Diagnosis(0.0, ()), given, _other_sensor(tested[0], values))
     if fit is not None:
         verdict = _judged(verdict, fit, tested, length, values)
     if facts := causes.facts(tested, length):
@@ -308,15 +251,28 @@ def verdict_of(
         with suppress(BellowsError):  # the fault cannot be corrected
             besides = methods.fitted(right, simulated).causes
         return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts, tuple(
-            cause for cause in besides if cause.likely and all(
+            cause for cause in besides if cause.certain and all(
                 cause.name not in (fact.name, fact.instead) for fact in facts))))
     if fit is None or fit.method != 'output_error':
         if verdict.is_at_noise:
             return verdict
         fit = methods.fitted(tested, simulated, exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
-    return verdict._replace(
-        diagnosis=causes.Diagnosis(excess, fit.causes[:1], fit.causes[1:]))
+    return verdict._replace(diagnosis=causes.Diagnosis(excess, fit.causes))
+
+
+def _other_sensor(recording: Recording, values: Values) -> str:
+    """Return a sentence on poses whose noise is not that of the stated kind of sensor, or ''."""
+    report, body = recording.report.package, recording.tracked_package
+    noise, rate_hz = noise_of(body.select(body.valid)), report.timing.rate_hz
+    if not np.isfinite(noise).all():
+        return ''
+    kind = 'tag' if seems_tag(
+        noise, rate_hz, report.outliers.flips / len(report.recorded)) else 'body'
+    return '' if kind == values.measured.model else sentence(
+        'causes', 'sensor', topic=report.recorded.name, kind=kind, rate=rate_hz,
+        stated=values.measured.model, rotation=float(np.sqrt(np.mean(noise[3:]**2))),
+        what='a detected tag' if kind == 'tag' else 'a tracked body')
 
 
 def _judged(
@@ -330,17 +286,13 @@ def _judged(
     structure = given_structure(verdict.given)
     cup = gripper_of(Cup(
         fit.stiffness, fit.damping, length, fit.relaxation, stretch=fit.stretch), structure.places)
-    others = [] if fit.robust_chi2 is None else _drawn(fit, cup, structure)
     held = None if fit.held_out is None else _cup_of(fit, fit.held_out, cup, structure)
     return verdict._replace(
         simulated=tuple(
-            _simulated(cup, as_found(recording, fit.nuisances, number), others,
-                       fit.noise_in_motion.get(number), held)._replace(
-                           all_identifiable=bool(np.all(np.isfinite(np.diag(fit.covariance)))))
+            _simulated(cup, as_found(recording, fit.nuisances, number),
+                       fit.noise_in_motion.get(number), held)
             for number, recording in enumerate(tested) if fit.usable),
-        chi2=fit.robust_chi2, log_inertia_ratio=log_inertia_ratio,
-        expected={name: std for name, std in given_std(values).items() if name in LOCAL},
-        found=_found(fit, values, tested[0], length))
+        log_inertia_ratio=log_inertia_ratio, found=_found(fit, values, tested[0], length))
 
 
 def _found(
@@ -372,19 +324,6 @@ def _found(
             for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
 
 
-def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
-    """Return cups with K and P drawn from the covariance of a fit, or widely without a fit."""
-    finite, rng = np.isfinite(np.diag(fit.covariance)), np.random.default_rng(0)
-    if not finite.any():
-        return []
-    thetas = fit.parameters * np.where(
-        finite, 1.0, np.exp(rng.standard_normal((DRAWS, len(finite)))))
-    thetas[:, finite] = rng.multivariate_normal(
-        fit.parameters[finite], fit.covariance[np.ix_(finite, finite)], DRAWS, method='eigh')
-    cups = (_cup_of(fit, theta, cup, structure) for theta in thetas)
-    return [each for each in cups if each]
-
-
 def _cup_of(fit: Fit, theta: Array, cup: Cup, structure: Structure) -> Cup | None:
     """Return a cup with other parameters (p,), None if indefinite."""
     K, P = structure.matrices(theta)
@@ -395,22 +334,16 @@ def _cup_of(fit: Fit, theta: Array, cup: Cup, structure: Structure) -> Cup | Non
 
 
 def _simulated(
-    cup: Cup, recording: Recording, others: Sequence[Cup] = (),
-    noise_in_motion: Array | None = None, held: Cup | None = None,
+    cup: Cup, recording: Recording, noise_in_motion: Array | None = None, held: Cup | None = None,
 ) -> Simulated:
     """Return a free simulation of a recording; a failed simulation explains no motion."""
     if recording.pose_errors and noise_in_motion is not None:
         recording, noise_in_motion = recording.with_noise(noise_in_motion), None
     try:
         result = validate(cup, recording, MAX_SIMULATED)
-        beyond = result.moves & ~(result.model_error <= UNEXPLAINED)
     except UnstableError:
         unknown = np.full(6, np.nan)
-        return Simulated(recording.name, unknown, unknown, unknown, AXES)
-    changes = []
-    for other in others:
-        with suppress(UnstableError):
-            changes.append(validate(other, recording, MAX_SIMULATED).predicted - result.predicted)
+        return Simulated(recording.name, unknown, unknown, unknown)
     seconds = float(np.ptp(result.stamps_ns)) / NS_PER_S
     noise = result.noise
     if noise_in_motion is not None:
@@ -418,10 +351,8 @@ def _simulated(
             noise_in_motion**2 - recording.body_noise[1].std**2, 0.0))
     return Simulated(
         recording.name, result.scores.rms, noise, result.scores.motion,
-        tuple(AXES[i] for i in np.flatnonzero(beyond)),
         seconds if len(recording.valid) > MAX_SIMULATED else 0.0,
-        np.sqrt(np.nanmean(np.square(changes), axis=(0, 1))) if changes else 0.0,
-        held_out=_held_out(held, recording) if held else 0.0)
+        _held_out(held, recording) if held else None)
 
 
 def _held_out(cup: Cup, recording: Recording) -> Array:

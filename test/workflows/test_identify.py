@@ -23,6 +23,7 @@ from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json, read_result
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.compare import compare_files
+from bellows_ros.workflows.holds import masks_held
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
 from bellows_ros.workflows.identify import identify, resolved
 from bellows_ros.workflows.recordings import load
@@ -271,7 +272,7 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, true_cup, tmp_
     save(shipped[0], None, tmp_path / 'b.json')
     compared = compare_files(tmp_path / 'a.json', tmp_path / 'b.json')
     (torsion,) = (row for row in compared.rows() if row[0] == 'K rz')
-    assert np.isinf(torsion[3]) and torsion[-1] == 0.0
+    assert np.isinf(torsion[3]) and np.isnan(torsion[-1])
 
 
 @pytest.mark.parametrize('method', ['least_squares', 'output_error'])
@@ -440,6 +441,9 @@ def test_only_the_holds_of_a_recording_of_work_are_fitted(root, tmp_path, method
         held(np.array([part.first_ns, part.last_ns])).all() for part in parts)
     without = resolve({**given, 'bags': [str(root / 'bags' / 'identification')]})
     assert len(load(without.bags[0], without, held=True).segments) == 1  # no vacuum is recorded
+    streams['tool_pose'] = replace(tool, stamps_ns=tool.stamps_ns - tool.stamps_ns[0])
+    with pytest.raises(BellowsError, match='mixes two clocks'):  # simulated time
+        masks_held(tmp_path / 'work', streams, resolve(given))
     truth = read_parameters(root / 'bags' / 'cup.yaml')
     found, expected = (np.diag(np.reshape(K, (6, 6))) for K in (
         fit.stiffness, truth['cup.stiffness']))

@@ -263,6 +263,19 @@ def test_recorded_poses_are_a_plan(truth, tmp_path):
     assert_allclose(smooth['peak_moment'], truth['peak_moment'], rtol=0.01)
 
 
+@pytest.mark.parametrize('seed', range(5))
+def test_poses_of_a_still_tool_with_ordinary_noise_are_a_plan(seed, tmp_path):
+    """Estimates of its velocities are noise, and no other motion."""
+    rng = np.random.default_rng(seed)
+    poses = np.tile([0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0], (1000, 1))
+    poses[:, :3] += 1e-4 * rng.standard_normal((1000, 3))
+    poses[:, 3:6] += 0.5 * np.radians(0.02) * rng.standard_normal((1000, 3))
+    stamps = T0 + np.arange(1000) * 8_333_333
+    write_bag(tmp_path / 'poses', [as_messages('/tool_arm/pose', POSE, stamps, poses, 'base')])
+    values = resolve(VALUES.replaced({'topics.tool_twist': ''}), ())
+    assert len(read_plan(tmp_path / 'poses', values).tool) > 900
+
+
 def test_a_part_of_a_plan_is_taken(tmp_path):
     """Count from the first pose recorded, also where the filter needs some before its first."""
     times, poses, _ = samples()

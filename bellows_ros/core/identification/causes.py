@@ -34,12 +34,7 @@ MATERIAL = 0.05
 """Smallest material relative change of an entry of K, or of a twist."""
 
 DISTINCT = 0.5
-"""Minimum fraction of a rival's remaining chi² that a cause removes; squared if the cause must
-explain nearly all."""
-
-DOUBTED = 1.0
-"""Chi² beyond noise above which a cup is doubted, relative to the chi² expected of noise and
-rubber."""
+"""Share of a misfit, and of the likeliest cause's, that counts as half."""
 
 MISREAD: Mapping[str, str] = tomllib.loads(Path(__file__).with_name('misread.toml').read_text())
 
@@ -57,6 +52,9 @@ MAX_LIP_DEPTH = 0.3
 MIN_LENGTH_OFFSET = 0.02
 """Smallest error of cup.length detected without a fit, m. The lip must also be nearer by half of
 the length, or farther by all of it, more than by any weight."""
+
+MAX_COM_HEIGHT = 1e-3
+"""Largest height of a centre of mass above the lip, m: z of the lip points into the cup."""
 
 MAX_SPREAD = 0.1
 """Largest plausible spread of the lip in the tool frame, m; see `conventions.spread`."""
@@ -115,8 +113,8 @@ class Finding(NamedTuple):
         correct setting, or the body of a marker, '' for freed quantities.
     theta, std : ndarray (n,)
         Estimates of the freed quantities, and their standard errors.
-    left : float
-        RMS of the residuals beyond noise, relative to the fit without the cause.
+    share : float
+        Share of the chi² beyond noise that the cause explains.
     moved : float
         Largest relative change of an identifiable diagonal entry of K.
     datum, certain : bool
@@ -127,8 +125,6 @@ class Finding(NamedTuple):
         none.
     is_fact : bool
         Whether the cause is detected without a fit.
-    untried : tuple of str
-        Names of candidates not tried for lack of time.
     sentence : str
         Message about the cause, if other than the text of its name in the room 'causes'.
 
@@ -138,28 +134,18 @@ class Finding(NamedTuple):
     value: str
     theta: Array = NONE
     std: Array = NONE
-    left: float = 0.0
+    share: float = 1.0
     moved: float = 0.0
     datum: bool = True
     certain: bool = True
     instead: str = ''
     is_fact: bool = False
-    untried: tuple[str, ...] = ()
     sentence: str = ''
 
     @property
     def material(self) -> bool:
-        """Whether the cup is wrong without the cause, which halves residuals or changes K."""
+        """Whether the cup is wrong without the cause."""
         return self.certain and self.datum
-
-    @property
-    def likely(self) -> bool:
-        """
-        Whether the cause is worth reporting: it explains most of chi², even with rivals.
-
-        A slip is detected by its standard error alone, as it affects few poses.
-        """
-        return self.certain or self.left**2 < DISTINCT or self.name == 'slip'
 
 
 class Diagnosis(NamedTuple):
@@ -171,7 +157,7 @@ class Diagnosis(NamedTuple):
     excess : float
         Chi² beyond noise, over the chi² expected of noise.
     findings : tuple of Finding
-        The likeliest causes, or all detected without a fit.
+        Up to three likeliest causes, or all detected without a fit.
     besides : tuple of Finding
         Further causes after correction of the first one.
 
@@ -390,6 +376,8 @@ def implausible_package(payload: Package) -> Finding | None:
         return Finding('mass', 'g')
     if sentence := structure.too_dense(mass, gyration):
         return _fact('factor of inertia', sentence)
+    if payload.com[2] > MAX_COM_HEIGHT:
+        return _fact('com', MISREAD['com_inside'].format(com=1e3 * payload.com[2]))
     return None if gyration < structure.GYRATION[-1] else Finding(
         'inertia', structure.unit_of_inertia(gyration))
 
@@ -458,7 +446,7 @@ def _twists(recording: Recording) -> Finding | None:
              given @ np.swapaxes(rotation, 1, 2)),
             (IN_DEGREES, given * [[1.0], [np.pi / 180.0]])):
         if misfit(twist) < DISTINCT**4 * before:
-            return finding._replace(left=float(np.sqrt(misfit(twist) / before)))
+            return finding._replace(share=1.0 - misfit(twist) / before)
     return None
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares, reduction
-from bellows_ros.core.identification.diagnosis.candidates import MARKERS
+from bellows_ros.core.identification.diagnosis.ranking import MARKERS
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.pool import Held, here

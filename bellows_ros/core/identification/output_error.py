@@ -18,12 +18,12 @@ from operator import attrgetter
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.diagnosis.candidates import (
+from bellows_ros.core.identification.diagnosis.ranking import (
     is_explained,
     likeliest_setting,
+    rank,
     scores,
     SIGNIFICANT,
-    within,
 )
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
@@ -118,9 +118,6 @@ COMMON_WEIGHT = 10.0
 MIN_SCATTER = 0.25
 """Smallest scatter relative to the noise model; less occurs in directions without information."""
 
-MIN_DIAGNOSIS_S, DIAGNOSIS_TO_FIT = 30.0, 2.0
-"""Largest processor time of a diagnosis, s, and its largest ratio to the time of the fit."""
-
 LEAST_OF_SETTING = 4.0
 """
 Smallest chi² per residual left by a wrong world or a frame rotated by 90 degrees.
@@ -203,12 +200,6 @@ def output_error(
 
     held = measured if isinstance(measured, Held) else here([
         segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
-    clock = held.pool.clock
-    began = clock()
-
-    def diagnosed() -> Report:
-        return within(max(MIN_DIAGNOSIS_S, DIAGNOSIS_TO_FIT * (clock() - began)), clock)
-
     problem = Problem.of(held, structure, start, free, common=common)
     if any(outline.has_sensor for outline in problem.outlines) and 'com' in given:
         problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
@@ -216,17 +207,13 @@ def output_error(
     given = {name: std for name, std in given.items() if are_slow or name != 'exposure'}
     near = approach(problem, record, with_couplings=are_slow)
     if near.squares > LEAST_OF_SETTING * near.residual_count and (
-            setting := likeliest_setting(near, other_start or start, diagnosed())):
+            setting := likeliest_setting(near, other_start or start)):
         return _fit(near, iterations, named, given, (setting,))
     near = _extended(near, given, richer, stretch, record)
     found, ends = _from_slow_poses(
         near, given, relaxation, record) if are_slow else _from_quick_poses(
         near, given, relaxation, record, other_start or start)
-    reasons: tuple[Finding, ...] = ()
-    if not is_explained(ends[0], given):
-        from bellows_ros.core.identification.diagnosis.ranking import rank  # rarely needed
-
-        reasons = rank(ends, given, diagnosed())
+    reasons = () if is_explained(ends[0], given) else rank(ends, given)
     return _fit(found, iterations, named, given, reasons)
 
 

@@ -44,6 +44,7 @@ MISREADINGS = (
 def plan_of(
     stamps_ns: Stamps, poses: Array, twist: Array | None = None,
     acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
+    given: bool = True,
 ) -> ToolRows:
     """
     Check the points of a plan; return it with body twists and without long gaps.
@@ -62,6 +63,8 @@ def plan_of(
         Axes of twists and accelerations.
     name : str
         Name of the plan for messages.
+    given : bool
+        Whether the twists are given, and not estimated from the poses: only given ones are tested.
 
     Raises
     ------
@@ -93,10 +96,11 @@ def plan_of(
     else:
         body, other = np.hstack([v, w]), R if twist_frame == 'world' else np.swapaxes(R, -1, -2)
         world_v = lie.apply(R, v)
-        require_consistent(np.diff(t), step, world_v, f'{name}: its velocities',
-                           lie.apply(R, lie.apply(other, v)))
-        require_consistent(
-            np.diff(t), rotation, w, f'{name}: its angular velocities', lie.apply(other, w))
+        if given:
+            require_consistent(np.diff(t), step, world_v, f'{name}: its velocities',
+                               lie.apply(R, lie.apply(other, v)))
+            require_consistent(
+                np.diff(t), rotation, w, f'{name}: its angular velocities', lie.apply(other, w))
     if twist is not None and acceleration is not None:
         linear, angular = np.hsplit(acceleration, 2)
         if twist_frame == 'tool':  # d/dt R v = R (dv/dt + w x v)

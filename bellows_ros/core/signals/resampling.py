@@ -32,6 +32,17 @@ MAD_TO_STD = 1.4826
 MAX_RELATIVE_JITTER = 0.1
 """Jitter above which a warning is given, as a fraction of the period."""
 
+MIN_CLOCK_STEP, CLOCK_WINDOW = 0.02, 1.0
+"""Smallest step of a clock that is found (s), beyond ordinary delays of messages; time before and
+after it that is compared (s), as long as ordinary stalls of a recorder."""
+
+MAX_CLOCK_STEPS = 20
+"""Number of jumps of the delay that are examined, the largest ones."""
+
+CLOCK_DEVIATIONS = 10.0
+"""Smallest step of a clock in median absolute deviations of the delays beside it: a recorder that
+stalls shows a ramp of delays, which has only 4."""
+
 SAMPLES_BESIDE_GAP = 30
 """Number of samples compared on both sides of a gap."""
 
@@ -144,6 +155,39 @@ def resolution(stamps_ns: Stamps) -> float:
     changes = np.abs(parts - np.median(parts, axis=1, keepdims=True)) > equal_us
     rounded = (np.count_nonzero(changes, axis=1) >= 5) & (np.ptp(off_line, axis=1) < 1.3 * tick)
     return 1e-6 * tick if 2 * np.count_nonzero(rounded) > len(parts) else 0.0
+
+
+def clock_steps(stamps_ns: Stamps, arrivals_ns: Stamps) -> tuple[tuple[int, float], ...]:
+    """
+    Return the steps of the clock that stamps messages: stamps before (ns), and sizes (s).
+
+    Stamp minus arrival steps and stays; the steps of a recorder's clock are left out.
+
+    Parameters
+    ----------
+    stamps_ns, arrivals_ns : int array (N,)
+        Header stamps and times of recording, in the order of arrival.
+
+    """
+    arrival = (arrivals_ns - arrivals_ns[:1]) / NS_PER_S
+    ahead = (stamps_ns - stamps_ns[:1]) / NS_PER_S - arrival
+    jumps, period = np.diff(ahead), float(np.median(np.diff(arrival))) if arrival[1:].size else 0.0
+    found = list[tuple[int, float]]()
+    largest = np.argsort(np.abs(jumps))[-MAX_CLOCK_STEPS:]
+    for k in np.sort(largest[np.abs(jumps[largest]) > MIN_CLOCK_STEP]).tolist():
+        first, last = np.searchsorted(arrival, arrival[k] + [-CLOCK_WINDOW, CLOCK_WINDOW])
+        before, after = ahead[first:k + 1], ahead[k + 1:last]
+        if min(len(before), len(after)) < 5 or arrival[last - 1] - arrival[k] < 0.5 * CLOCK_WINDOW:
+            continue
+        middle = float(np.median(before)), float(np.median(after))
+        size = middle[1] - middle[0]
+        spread = max(float(np.median(np.abs(part - level)))
+                     for part, level in zip((before, after), middle, strict=True))
+        is_recorders = size < 0.0 and arrival[k + 1] - arrival[k] - period > -0.5 * size
+        if abs(size) > max(MIN_CLOCK_STEP, CLOCK_DEVIATIONS * spread) and not is_recorders and (
+                abs(jumps[k] - size) < 0.5 * abs(size)):
+            found.append((int(stamps_ns[k]), size))
+    return tuple(found)
 
 
 def in_bursts(stamps_ns: Stamps, timing: Timing) -> bool:

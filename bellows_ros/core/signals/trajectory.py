@@ -57,6 +57,8 @@ class PoseStream(_Stamped):
         Indices of the omitted messages by reason, in the order of the topic.
     covariance : array (N, 6, 6), optional
         Covariance of position (m) and rotation (rad) about axes of the frame, as in messages.
+    clock_steps : tuple of (int, float)
+        Steps of the clock that stamps, by arrivals: stamp before each (ns), and size (s).
 
     Raises
     ------
@@ -73,6 +75,7 @@ class PoseStream(_Stamped):
     rotation: Array
     refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     covariance: Array | None = None
+    clock_steps: tuple[tuple[int, float], ...] = ()
 
     def __post_init__(self) -> None:
         _freeze_arrays(self, f"Poses '{self.name}'", position=(3,), rotation=(3, 3))

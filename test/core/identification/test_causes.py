@@ -357,7 +357,7 @@ def test_a_free_simulation_is_of_what_was_found_with_the_cup():
     (own,), (other,) = (
         verdict_of(one, recordings, values['cup.length'], values).simulated
         for one in (found, replace(found, nuisances={})))
-    assert np.max(own.rms / own.noise) < 1.3 and np.max(own.uncertainty / own.noise) > 1.0
+    assert np.max(own.rms / own.noise) < 1.3
     assert np.max(other.rms / other.noise) > 3.0
 
 

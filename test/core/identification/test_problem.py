@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.diagnosis import candidates
-from bellows_ros.core.identification.diagnosis.candidates import scores, SIGNIFICANT
+from bellows_ros.core.identification.diagnosis import ranking
+from bellows_ros.core.identification.diagnosis.ranking import scores, SIGNIFICANT
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.search import evaluated, measured_courses, minimise
@@ -144,7 +144,7 @@ def test_the_largest_deviation_of_many_recordings_is_judged_by_their_number(coun
     place = found.problem.places['time_offset']
     wrong = np.zeros(len(found.theta))
     wrong[place[0]] = 3.6 / np.sqrt(found.problem.weights[place[0]])
-    assert candidates.is_off(replace(found, theta=wrong), given) is is_off
+    assert ranking.is_off(replace(found, theta=wrong), given) is is_off
 
 
 def in_another_world(each):

@@ -11,8 +11,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.identification.diagnosis.facts import MAX_UP
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.identification.diagnosis.facts import MAX_UP, noise_of, tool_up
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.outliers import find_outliers
@@ -54,15 +54,6 @@ SPEED_STEP = 20_000_000
 
 MAX_COMPARED = 1000
 """Number of poses from which the offset of two clocks is estimated."""
-
-DIFFERENCES, DIFFERENCES_NORM = 4, np.sqrt(70.0)
-"""Order of the differences of poses that suppress motion, and the norm of their coefficients."""
-
-MAX_STEP_ERROR = 0.2
-"""Largest relative deviation of uniform steps."""
-
-MIN_SAMPLES = 20
-"""Smallest number of differences for an estimate of noise."""
 
 TAG_ROTATION, TAG_DEPTH, TAG_RATE_HZ = 2e-3, 2.5, 70.0
 """Limits of a tag detector: smallest noise of the orientation (rad), smallest ratio of depth noise
@@ -128,12 +119,12 @@ def checks_of(
         Whether the axes of tool and package follow from the standstill at the beginning.
 
     """
-    up = float(np.median(tool.rotation[:, :, 2] @ R_world_recorded[2]))
+    up, angle = tool_up(tool.rotation, R_world_recorded)
     outward = up < (MARKER_UP if aligned else MAX_UP)
     result = list[Check]()
     if outward or not aligned:
         result.append(Check(
-            'tool_z', not outward, {'angle': float(np.arccos(np.clip(up, -1.0, 1.0)))},
+            'tool_z', not outward, {'angle': angle},
             {'tool_pose.offset': FLANGE_OUTWARD} if outward else {}))
     if outward:
         tool = at_tip(tool, np.diag([1.0, -1.0, -1.0, 1.0]))
@@ -226,21 +217,11 @@ def _speeds(tool: Trajectory, stamps_ns: Stamps) -> Array:
         / seconds])
 
 
-def _noise(body: Trajectory, chosen: Mask) -> Array:
-    """Return the standard deviation (6,) of the noise of selected poses, NaN for too few."""
-    n = DIFFERENCES
-    steps = np.diff(body.stamps_ns)
-    uniform = np.abs(steps / np.median(steps) - 1.0) < MAX_STEP_ERROR
-    at = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(uniform, n).all(axis=1)
-                        & chosen[n // 2:len(body) - n // 2])
-    if len(at) < MIN_SAMPLES:
-        return np.full(6, np.nan)
-    weights = (1.0, -4.0, 6.0, -4.0, 1.0)
-    middle = np.swapaxes(body.rotation[at + n // 2], 1, 2)
-    change = sum(weight * np.hstack([
-        body.position[at + k], lie.log_so3(middle @ body.rotation[at + k])])
-        for k, weight in enumerate(weights))
-    return np.asarray(MAD_TO_STD * np.median(np.abs(change), axis=0) / DIFFERENCES_NORM)
+def seems_tag(noise: Array, rate_hz: float, flips: float) -> bool:
+    """Return whether poses with a noise (6,), a rate and a share of flips are those of a tag."""
+    lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (noise[:2], noise[3:]))
+    return rate_hz < TAG_RATE_HZ and (
+        flips > MAX_FLIP_PART or rotation > TAG_ROTATION or float(noise[2]) > TAG_DEPTH * lateral)
 
 
 def _detector(
@@ -249,13 +230,11 @@ def _detector(
     """Yield the checks of the kind of detector, its noise, flips, rate and blur."""
     still = np.all(speeds < STILL_SPEED, axis=1)
     fast = speeds[:, 0] > np.quantile(speeds[:, 0], FAST_PART)
-    at_rest, in_motion, quick = (_noise(body, mask) for mask in (still, ~still, fast))
+    at_rest, in_motion, quick = (noise_of(body, mask) for mask in (still, ~still, fast))
     rate_hz = resampling.timing(package.stamps_ns).rate_hz
     known = np.where(np.isfinite(at_rest), at_rest, in_motion)
     lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (known[:2], known[3:]))
-    is_tag = rate_hz < TAG_RATE_HZ and (
-        flips > MAX_FLIP_PART * len(package) or rotation > TAG_ROTATION
-        or float(known[2]) > TAG_DEPTH * lateral)
+    is_tag = seems_tag(known, rate_hz, flips / len(package))
     moving = np.where(np.isfinite(in_motion), in_motion, known)
     overall = [float(np.sqrt(np.mean(part**2))) for part in (moving[:3], moving[3:])]
     yield Check('detector', True, {
@@ -293,8 +272,7 @@ def _motion(
     turned = relative.rotation @ mean.T
     lip = relative.position - lie.apply(turned, relative.position.mean(axis=0))
     moved = np.hstack([lip, lie.log_so3(turned)])
-    noise = _noise(replace(relative, position=lip, rotation=turned),
-                   np.ones(len(package), dtype=bool))
+    noise = noise_of(replace(relative, position=lip, rotation=turned))
     signal = np.sqrt(np.maximum((MAD_TO_STD * np.median(
         np.abs(moved - np.median(moved, axis=0)), axis=0))**2 - noise**2, 1e-18))
     errors = noise / signal / np.sqrt(len(package))

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.recording import alignment, conventions
 from bellows_ros.core.recording.outliers import repeats_in_motion
 from bellows_ros.core.signals import resampling
@@ -41,8 +41,29 @@ AT_REST = np.repeat([5e-4, 5e-3], 3)
 MOVING = np.repeat([0.02, 0.1], 3)
 """Smallest motion of a tool that shakes its package, standard deviations in m and rad."""
 
+MIN_TILT_RATIO = 0.02
+"""
+Smallest ratio of the rotation of a package on a cup to the tilt of its tool, by its weight.
+
+The ratio is m g d / K: 0.03 for 0.5 kg, 25 mm below a cup of 4 N m/rad, and 0.2 for 1.8 kg, 45 mm
+below.
+"""
+
+SWAPPED_SECONDS, UPRIGHT = 0.02, 0.5
+"""Shortest exchange of two bodies (s), and the smallest cosine between the tool's z axis and the
+direction of the package that is surely above, or below."""
+
 NOISE_DEVIATIONS = 2.0
 """Smallest ratio of the standard deviations of motion and noise of a moving body."""
+
+DIFFERENCES, DIFFERENCES_NORM = 4, np.sqrt(70.0)
+"""Order of the differences of poses that suppress motion, and the norm of their coefficients."""
+
+MAX_STEP_ERROR = 0.2
+"""Largest relative deviation of uniform steps."""
+
+MIN_SAMPLES, MAX_SAMPLES = 20, 3000
+"""Smallest and largest number of differences for an estimate of noise: 3000 give it to 2 %."""
 
 MAX_MISFIT_RATIO, MAX_MISFIT = 0.4, 0.6
 """Largest ratio of relative motion after and before the correction of a convention, and largest
@@ -101,6 +122,12 @@ class Fact(NamedTuple):
     numbers: Mapping[str, float] = MappingProxyType({})
 
 
+BLOCKING = frozenset((
+    'clock_step', 'swapped', 'frozen_orientation', 'package_on_tool', 'package_at_rest',
+    'conjugated', 'inverse_rotation', 'inverted', 'rotation_frame', 'left_handed'))
+"""Faults that prevent a fit and a replay: no correction of the recording is known."""
+
+
 def facts_of(
     tool: PoseStream, package: PoseStream, R_world_recorded: Array | None = None
 ) -> tuple[Fact, ...]:
@@ -123,7 +150,8 @@ def facts_of(
                                      else R_world_recorded))
     one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2
     bodies = resample(tool.trajectory(), stamps), resample(package.trajectory(), stamps)
-    motion = _of_motion(tool, package, bodies, one_frame)
+    motion = (*_swapped(tool, package, one_frame), *_of_motion(
+        tool, package, bodies, one_frame))
     if motion or any(fact.code == 'frozen_orientation' for fact in found):
         return (*found, *motion)
     for test in (_of_frames, _of_conventions):
@@ -136,6 +164,12 @@ def facts_of(
 def _of_streams(tool: PoseStream, package: PoseStream) -> Iterator[Fact]:
     """Yield the faults of each topic alone."""
     for body, stream in (('tool', tool), ('package', package)):
+        begin, end = (int(stream.stamps_ns[i]) for i in (0, -1))
+        for at_ns, size in stream.clock_steps:
+            if begin < at_ns < end:
+                yield Fact('clock_step', body, {
+                    'at': (at_ns - min(begin, int(other_of(body, tool, package).stamps_ns[0])))
+                    / NS_PER_S, 'size': size})
         if (repeats := repeats_in_motion(stream)) > MAX_REPEAT_PART * len(stream):
             yield Fact('repeated_poses', body, {'count': repeats, 'poses': len(stream)})
         tick = resampling.resolution(stream.stamps_ns)
@@ -144,10 +178,37 @@ def _of_streams(tool: PoseStream, package: PoseStream) -> Iterator[Fact]:
             yield Fact('quantised_stamps', body, {
                 'tick': tick or float(np.median(np.diff(stream.stamps_ns))) / NS_PER_S,
                 'repeated': repeated, 'poses': len(stream) + repeated})
-        other = package if body == 'tool' else tool
+        other = other_of(body, tool, package)
         if (part := _frozen_part(stream)) > MIN_FROZEN_PART and (
                 body == 'package' or _deviation(other.trajectory())[3:].max() > MOVING[3]):
             yield Fact('frozen_orientation', body, {'part': part})
+
+
+def other_of(body: str, tool: PoseStream, package: PoseStream) -> PoseStream:
+    """Return the poses of the other body."""
+    return package if body == 'tool' else tool
+
+
+def _swapped(tool: PoseStream, package: PoseStream, one_frame: bool) -> Iterator[Fact]:
+    """Yield the time in which two bodies that hang one below the other are exchanged."""
+    hand, eye = tool.trajectory(), package.trajectory()
+    first, last = common_span(hand, eye)
+    eye = eye.select((eye.stamps_ns >= first) & (eye.stamps_ns <= last))
+    hand = resample(hand, eye.stamps_ns)
+    offset = eye.position - hand.position
+    distance = np.linalg.norm(offset, axis=1)
+    usual = float(np.median(distance))
+    above = np.einsum('ni,ni->n', offset, hand.rotation[:, :, 2]) / np.maximum(distance, 1e-9)
+    if not one_frame or not 1e-3 < usual < conventions.REACH[1] or np.median(above) > -UPRIGHT:
+        return
+    exchanged = (above > UPRIGHT) & (np.abs(distance - usual) < conventions.MAX_CHANGE * usual)
+    edges = np.flatnonzero(np.diff(exchanged, prepend=False, append=False)).reshape(-1, 2)
+    for begin, end in edges.tolist():
+        span = eye.stamps_ns[[begin, end - 1]] - min(tool.stamps_ns[0], package.stamps_ns[0])
+        if np.ptp(span) >= SWAPPED_SECONDS * NS_PER_S:
+            yield Fact('swapped', 'both', dict(zip(
+                ('begin', 'end'), (span / NS_PER_S).tolist(), strict=True)))
+            return
 
 
 def _frozen_part(stream: PoseStream) -> float:
@@ -171,9 +232,10 @@ def _of_motion(
 ) -> tuple[Fact, ...]:
     """Return whether the package is fixed to its tool, or rests under a moving tool."""
     tool_motion, package_motion = map(_deviation, bodies)
-    if np.all(tool_motion < MOVING):
-        return ()
-    if np.all(package_motion < np.maximum(AT_REST, NOISE_DEVIATIONS * _noise(package))):
+    moves = bool(np.any(tool_motion >= MOVING))
+    tilt = float(np.linalg.norm(np.std(bodies[0].rotation[:, 2, :2], axis=0)))
+    noise = NOISE_DEVIATIONS * noise_of(package.trajectory())
+    if moves and np.all(package_motion < np.fmax(AT_REST, noise)):
         return (Fact('package_at_rest', 'package', {
             'position': float(package_motion[:3].max()),
             'rotation': float(package_motion[3:].max())}),)
@@ -188,10 +250,11 @@ def _of_motion(
     relative = _seen_from(hand, eye)
     if len(relative) < SAMPLES // 2:
         return ()
-    noise, deviation = _noise(relative), _deviation(relative)
+    noise, deviation = noise_of(relative), _deviation(relative)
+    is_seen = moves or float(noise[3:].max()) < MIN_TILT_RATIO * tilt
     distance = float(np.median(np.linalg.norm(relative.position, axis=1)))
-    if distance < conventions.MAX_DISTANCE and np.all(
-            deviation < np.maximum(FIXED, NOISE_DEVIATIONS * noise)) and np.all(
+    if is_seen and distance < conventions.MAX_DISTANCE and np.all(
+            deviation < np.fmax(FIXED, NOISE_DEVIATIONS * noise)) and np.all(
             noise < MOVING / 10.0):
         return (Fact('one_body' if distance < 1e-3 else 'package_on_tool', 'package', {
             'distance': distance, 'position': float(deviation[:3].max()),
@@ -200,28 +263,37 @@ def _of_motion(
 
 
 def _seen_from(tool: Trajectory, package: Trajectory) -> Trajectory:
-    """Return the package in the axes of the tool, in groups of three successive poses."""
+    """Return the package in the axes of the tool, in groups of five successive poses."""
     first, last = common_span(tool, package)
     inside = np.flatnonzero((package.stamps_ns >= first) & (package.stamps_ns <= last))
-    starts = inside[:-2][::max(len(inside) // (2 * SAMPLES), 1)]
-    package = package.select(np.unique((starts[:, None] + np.arange(3)).ravel()))
+    starts = inside[:-4][::max(len(inside) // (2 * SAMPLES), 1)]
+    package = package.select(np.unique((starts[:, None] + np.arange(5)).ravel()))
     tool = resample(tool, package.stamps_ns)
     back = np.swapaxes(tool.rotation, 1, 2)
     return Trajectory(package.stamps_ns, lie.apply(back, package.position - tool.position),
                       back @ package.rotation)
 
 
-def _noise(body: PoseStream | Trajectory) -> Array:
-    """Return the standard deviation (6,) of white noise, from differences of second order."""
-    if len(body) < 3:
-        return np.zeros(6)
-    step = max(len(body) // (10 * SAMPLES), 1)
-    at = np.arange(0, len(body) - 2, step)
-    R = np.swapaxes(body.rotation[at + 1], 1, 2)
-    change = np.hstack([
-        body.position[at] - 2.0 * body.position[at + 1] + body.position[at + 2],
-        lie.log_so3(R @ body.rotation[at]) + lie.log_so3(R @ body.rotation[at + 2])])
-    return np.asarray(MAD_TO_STD / np.sqrt(6.0) * np.median(np.abs(change), axis=0))
+def noise_of(body: Trajectory, chosen: Mask | None = None) -> Array:
+    """
+    Return the standard deviation (6,) of the noise of selected poses, m and rad, nan for too few.
+
+    Differences of fourth order of five poses at uniform steps suppress the motion.
+    """
+    n, steps = DIFFERENCES, np.diff(body.stamps_ns)
+    if len(body) <= n:
+        return np.full(6, np.nan)
+    uniform = np.abs(steps / np.median(steps) - 1.0) < MAX_STEP_ERROR
+    groups = np.lib.stride_tricks.sliding_window_view(uniform, n).all(axis=1)
+    at = np.flatnonzero(groups if chosen is None else groups & chosen[n // 2:len(body) - n // 2])
+    if len(at) < MIN_SAMPLES:
+        return np.full(6, np.nan)
+    at = at[::len(at) // MAX_SAMPLES + 1]
+    middle = np.swapaxes(body.rotation[at + n // 2], 1, 2)
+    change = sum(weight * np.hstack([
+        body.position[at + k], lie.log_so3(middle @ body.rotation[at + k])])
+        for k, weight in enumerate((1.0, -4.0, 6.0, -4.0, 1.0)))
+    return np.asarray(MAD_TO_STD * np.median(np.abs(change), axis=0) / DIFFERENCES_NORM)
 
 
 def _conjugated(body: Trajectory) -> Trajectory:
@@ -408,6 +480,12 @@ def _of_arrangement(bodies: Bodies, one_frame: bool, R: Array) -> Iterator[Fact]
 
 def _of_gravity(rotation: Array, R: Array) -> Iterator[Fact]:
     """Yield a z axis of the tool that points down, out of the arm."""
-    up = float(np.median(rotation[:, :, 2] @ R[2]))
+    up, angle = tool_up(rotation, R)
     if up < MAX_UP:
-        yield Fact('tool_z', 'tool', {'angle': float(np.arccos(np.clip(up, -1.0, 1.0)))})
+        yield Fact('tool_z', 'tool', {'angle': angle})
+
+
+def tool_up(rotation: Array, R: Array) -> tuple[float, float]:
+    """Return the vertical component of the tool's z axis (median), and its angle, rad."""
+    up = float(np.median(rotation[:, :, 2] @ R[2]))
+    return up, float(np.arccos(np.clip(up, -1.0, 1.0)))

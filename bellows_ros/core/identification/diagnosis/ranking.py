@@ -1,200 +1,336 @@
 """
-The likeliest cause of a misfit, from all freed candidates.
+Diagnosis after a fit: up to three causes of a misfit, each with the share that it explains.
 
-A cause is certain only if the recordings fit to the noise with it, it beats the open alternative
-"something else" (an unknown force on the package), and every rival reduces chi² by less than half
-as much, or by significantly less. Otherwise the cause is unknown: the residual is described by its
-axis, time span and frequency band, and the two likeliest candidates follow without a claim.
+A candidate is a quantity that is not free, or one that is free within the standard deviation of
+its given value. Its score is the fall of chi^2 to first order with this quantity free without a
+given value. The best two are fitted. A cause is certain if with it the residuals are noise, and if
+no other candidate explains half as much. Discrete settings (worlds, axes, exchanged packages) have
+no derivatives: each is tried by a short search, before the fit of a large misfit.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from operator import attrgetter
+import math
+from operator import itemgetter
+from statistics import NormalDist
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply
-from bellows_ros.core.identification import quantities
+from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification.causes import DISTINCT, Finding, MATERIAL
-from bellows_ros.core.identification.diagnosis import candidates
-from bellows_ros.core.identification.diagnosis.candidates import (
-    Alternative,
-    freed,
-    MARKERS,
-    MIN_SLIP_PERIOD,
-    moved_between,
-    OutOfTime,
-    pulls,
-    SIGNIFICANT,
-)
 from bellows_ros.core.identification.problem import Problem, WhitenedSegment
-from bellows_ros.core.identification.quantities import Free, stated
+from bellows_ros.core.identification.quantities import Free, KINDS, of_fixed_frame, weak_prior
 from bellows_ros.core.identification.search import (
+    approach,
     MAX_NOISE_CHI2,
     minimise,
     MISFIT_CHI2,
-    no_report,
-    Report,
+    settled,
     Solution,
 )
-from bellows_ros.core.identification.segments import MeasuredSegment, Segments
+from bellows_ros.core.identification.segments import (
+    MeasuredSegment,
+    Outline,
+    outline_of,
+    Segments,
+)
+from bellows_ros.core.model.cup_package import Cup, gravity_vector, Package
+from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.signals.residuals import AXES, spectrum
 from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.errors import BellowsError
 import numpy as np
 
-MIN_SHIFT = 0.02
-"""Smallest relative change of an entry of K by a cause that does not halve the residuals."""
+SIGNIFICANT = 6.0
+"""Distance of a significant change from zero, standard errors."""
 
-MIN_EXCHANGE_SHIFT = 0.5
-"""Smallest shift of the lip by exchanged frames, relative to the distance from lip to com."""
+CANDIDATES = ('time_offset', 'clock_rate', 'com', 'length', 'length_drift', 'mass', 'gravity',
+              'package_world', 'scale', 'package_marker', 'tool_marker')
+"""Quantities that may be wrong, beside a slip."""
 
-MAX_EXCHANGE_REST = 0.2
-"""Largest com offset after exchanged frames, relative to the distance from lip to com."""
-
-MAX_TRIED = 2
-"""Number of freed candidates if the first explains less than twice as much as the second."""
-
-MAX_SEARCHES = 4
-"""Largest number of freed candidates if searches do not converge."""
-
-PRICE = 0.02
-"""Penalty of a candidate per free number, as a share of its fall of chi²."""
-
-MIN_LENGTH_ERROR = 2e-3
-"""
-Smallest error of the cup's length that makes a cup implausible, m.
-
-With too short a length the weight seems to stretch the cup: K z is far too small, and large
-damping suppresses its swing. Smaller errors are estimated jointly with K and P.
-"""
-
-OF_LIP = ('com', 'length', 'package_marker')
-"""Quantities that seem wrong if poses of the lip are taken for poses of the com."""
-
-WORLDS = ('package_world',)
-"""Causes of non-convergence without a gradient at the last iterate."""
+MARKERS = ('package_marker', 'tool_marker')
+"""Two marker frames that one recording can hardly distinguish."""
 
 ALIKE: Mapping[str, str] = {
     'com': 'length', 'length': 'com', 'package_marker': 'tool_marker',
-    'tool_marker': 'package_marker', 'gravity': 'force'}
-"""Candidates that one recording can hardly distinguish."""
+    'tool_marker': 'package_marker', 'gravity': 'force', 'mass': 'inertia', 'inertia': 'mass'}
+"""Candidates that one recording can hardly distinguish; only the ratio of mass and inertia is
+observable."""
 
-EVENTS = ('slip', 'length_drift', 'clock_rate')
-"""Causes that are named irrespective of their effect on K."""
+OF_LIP = ('com', 'length', 'package_marker')
+"""Quantities that seem wrong if poses of the lip are taken for poses of the com."""
 
 REPORTED: Mapping[str, str] = {
     'mass': 'inertia', 'gravity': 'gravity.direction', 'tool_marker': 'package_marker'}
 """Names of findings that differ from the names of their candidates."""
 
-BAND = 0.8
-"""Share of the residual's power within the reported frequency band."""
+FALSE_ALARMS = 1e-3
+"""False-alarm rate of the largest deviation of a fit's given quantities, per fit."""
 
-BLOCK_S = 1.0
-"""Resolution of the reported time span, s."""
+MAX_RATIO_PULL = 3.0
+"""Largest deviation of the ratio of inertia and mass, standard deviations."""
+
+MIN_KNOWN = 0.01
+"""Smallest relative reduction of a given variance by the recordings for a test of the
+deviation."""
+
+MAX_TRIED, MAX_CAUSES = 2, 3
+"""Number of fitted candidates, and largest number of reported causes."""
+
+MIN_FRAME_SHIFT = 0.5
+"""Smallest shift by exchanged frames, and largest shift left with them, relative to the distance
+from lip to com: half of it separates the two."""
+
+MIN_SLIP_PERIOD = 0.03
+"""Resolution of the instant of a slip, s."""
+
+BAND, BLOCK_S = 0.8, 1.0
+"""Share of the residual's power in the reported frequency band, and resolution of the reported
+time span (s)."""
 
 
-def rank(
-    ends: Sequence[Solution], given_std: Free, report: Report = no_report
-) -> tuple[Finding, ...]:
+def is_explained(found: Solution, given: Free) -> bool:
+    """Return whether a minimum, with given quantities free, leaves no misfit."""
+    names = [name for name in candidates_of(found.problem) if not (
+        # small deviations count for both
+        name in MARKERS and found.problem.places.keys() & set(MARKERS))]
+    return found.fits and not is_off(found, given) and (
+        max(scores(found, names).values()) < SIGNIFICANT**2)
+
+
+def candidates_of(problem: Problem) -> list[str]:
+    """Return the candidates that are not free; no marker if another marker is free."""
+    taken = {*problem.places}
+    for name in problem.places.keys() & set(MARKERS):
+        kind = KINDS[name]
+        if np.all(problem.weights[problem.places[name]] * (kind.prior_std / kind.unit) ** 2 < 2.0):
+            taken.update(MARKERS)
+    return [name for name in CANDIDATES if name not in taken]
+
+
+def is_off(found: Solution, given: Free) -> bool:
+    """Return whether a given quantity deviates by more than chance explains."""
+    return any(z > limit for z, limit in pulls(found, given).values())
+
+
+def pulls(found: Solution, given: Free) -> dict[str, tuple[float, float]]:
     """
-    Return the cause of a misfit, or an unknown cause with its likeliest candidates, or nothing.
+    Return the deviations of given quantities by name, standard deviations, and their limits.
+
+    The square of a deviation is the fall of chi^2 without the given value. For mass and inertia
+    only the ratio is observable.
+    """
+    problem = found.problem
+    information = found.information.plus(-problem.fixing)
+
+    def pull(value: Array, prior: Array, variance: Array) -> float:
+        """Return the largest deviation of values, by their variances before and after the fit."""
+        return float(np.max(np.abs(value) / np.sqrt(
+            prior * np.maximum(1.0 - variance / prior, MIN_KNOWN))))
+
+    places = {name: problem.places[name].ravel() for name in problem.places.keys() & given.keys()
+              - {'mass', 'inertia', 'exposure'}}  # an exposure is bounded, and no cause
+    count = max(sum(place.size for place in places.values()), 1)
+    limit = -NormalDist().inv_cdf(0.5 * FALSE_ALARMS / count)
+    sizes = {name: (pull(found.theta[place], 1.0 / problem.weights[place],
+                         information.variances[place]), limit) for name, place in places.items()}
+    if {'mass', 'inertia'} <= problem.places.keys() & given.keys():
+        ratio = np.zeros(problem.shared)
+        for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
+            place = problem.places[name].ravel()
+            ratio[place] = part * problem.units[place]
+        weights = np.where(ratio != 0.0, problem.weights[:len(ratio)], 1.0)
+        sizes['inertia'] = pull(
+            ratio @ found.theta[:len(ratio)], np.asarray(np.sum(ratio**2 / weights)),
+            ratio @ information.covariance @ ratio), MAX_RATIO_PULL
+    return sizes
+
+
+def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
+    """Return the fall of chi² with each quantity free, to first order."""
+    near = found.freed(weak_prior(names))
+    wide, H, g = near.problem, near.information, near.slope
+    tested = {name: np.isin(np.arange(len(g)), wide.places[name]) for name in names}
+    base = ~np.any(list(tested.values()), axis=0)
+    falls = {name: beyond_chance(wide, name, H.fall(g, base | own) - H.fall(g, base))
+             for name, own in tested.items()}
+    return {name: fall for name, fall in falls.items() if math.isfinite(fall)}
+
+
+def beyond_chance(problem: Problem, name: str, fall: float) -> float:
+    """
+    Return a fall of chi² as if one recording alone had the quantity.
+
+    By chance chi² falls by the number of free numbers, with a root that varies by 0.7. A slip is
+    in one recording only.
+    """
+    places = problem.places[name]
+    others = places.size - places.shape[1]
+    if name == 'slip' or not others or not fall > 0.0:
+        return fall
+    return max(math.sqrt(fall) - math.sqrt(others), 0.0) ** 2
+
+
+def misfit(found: Solution) -> float:
+    """Return chi² with the priors of given quantities; a deviance for estimated noise."""
+    given = float(found.problem.weights @ found.theta**2)
+    return given + (found.deviance if found.problem.is_slow else found.squares)
+
+
+class Alternative(NamedTuple):
+    """A solution with one quantity free without its given value, and its fall of chi²."""
+
+    name: str
+    found: Solution
+    gain: float
+
+
+def freed(before: Solution, name: str) -> Alternative:
+    """Return the solution with a quantity free, from the start if the cup is implausible."""
+    problem, more = before.problem, weak_prior([name])
+    found = settled(before.freed(more)) if before.is_plausible else before
+    if not (before.is_plausible and found.converged) and name != 'slip':
+        found = minimise(problem.freed(problem.start, more))
+    return Alternative(name, found, beyond_chance(
+        found.problem, name, misfit(before) - misfit(found)))
+
+
+def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
+    """
+    Return up to three causes of a misfit, the likeliest first, after an unknown one if none fits.
 
     Parameters
     ----------
     ends : sequence of Solution
-        Ends of a search, first with given quantities free, then as given. The first end with a
-        certain cause decides. Ends after one that fits to the noise are ignored: with fewer free
-        quantities, small errors of given quantities would seem to be causes.
+        Ends of a search, first with given quantities free, then as given.
     given_std : mapping
         Standard deviations of the given quantities, SI units.
-    report : callable
-        Called after each step; see `candidates.within`.
 
     """
-    likely, unexplained = tuple[Finding, ...](), tuple[Finding, ...]()
-    for end in ends:
-        if likely and not end.is_plausible:
-            break
-        for test in (_causes, deviating):
-            try:
-                findings = test(end, given_std, report=report)
-            except OutOfTime as error:
-                first, *others = likely or unexplained or (unknown(end),)
-                return (first._replace(untried=error.args), *others)
-            if any(finding.certain for finding in findings):
-                return findings
-            likely = likely or findings
-        if end.fits and not candidates.is_off(end, given_std):
-            break
-        unexplained = unexplained or (unknown(end),)
-    return likely or unexplained
-
-
-def _causes(end: Solution, given_std: Free, report: Report) -> tuple[Finding, ...]:
-    """Return the cause at one end of a search."""
-    if wrong := _wrong_length(end, report):
-        return (wrong,)
-    is_off = candidates.is_off(end, given_std)
-    falls = candidates.scores(
-        end, candidates.candidates_of(end.problem, stated(given_std)))
-    falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
-    if 'slip' not in end.problem.places and (not end.converged or is_off or max(
-            falls.values(), default=0.0) > SIGNIFICANT**2):  # a slip also shifts the com
-        try:
-            end, falls['slip'] = candidates.with_likeliest_slip(end, report)
-        except OutOfTime:
-            untried = sorted(falls, key=falls.__getitem__, reverse=True)
-            raise OutOfTime(*untried[:MAX_SEARCHES], 'slip') from None
-    if max(falls.values(), default=0.0) < SIGNIFICANT**2:
-        return ()
-    tried = _tried(end, dict(sorted(falls.items(), key=_priced, reverse=True)), report)
-    best = max(tried, key=lambda one: _priced((one.name, one.gain)))
-    if best.gain < SIGNIFICANT**2:
-        return ()
-    if is_off and (
-            found := deviating(end, given_std, best.gain, report)):
-        return found
-    if frame := _frame_instead(end, tried, best, report):
+    end = next((each for each in ends if each.is_plausible), ends[0])
+    is_off_by = {name: z**2 for name, (z, limit) in pulls(end, given_std).items() if z > limit}
+    falls = scores(end, candidates_of(end.problem)) | is_off_by
+    if 'slip' not in end.problem.places and not (end.fits and is_off_by):
+        end, falls['slip'] = with_likeliest_slip(end)
+    names = sorted(falls, key=falls.__getitem__, reverse=True)[:MAX_TRIED]
+    if not end.is_plausible:  # scores about an implausible cup are unreliable
+        names = [*dict.fromkeys([*names, 'length', 'package_world'])]
+    tried = sorted((freed(end, name) for name in names if (
+        falls.get(name, 0.0) > SIGNIFICANT**2 or not end.is_plausible)),
+        key=lambda one: one.gain, reverse=True)
+    tried = [one for one in tried if one.gain > SIGNIFICANT**2 * max(one.found.colour, 1.0)]
+    total = max(misfit_beyond_noise(end), *(one.gain for one in tried), 1e-9) if tried else 1.0
+    best = tried[0] if tried else None
+    frame = best and best.name in OF_LIP and _other_frame(end, best)
+    if frame:
         return (frame,)
-    theta, std = best.found.estimate(best.name)
-    if np.max(np.abs(theta) / std) ** 2 < SIGNIFICANT**2 * best.found.colour:
-        return ()
-    return _decided(end, best, falls | {one.name: one.gain for one in tried}, given_std, is_off)
+    findings = [_finding(end, one, one.gain / total, falls) for one in tried]
+    rivals = falls | {one.name: one.gain for one in tried}
+    certain = best is not None and _is_certain(end, best, rivals, given_std)
+    if certain:
+        return (findings[0]._replace(certain=True), *findings[1:MAX_CAUSES])
+    if end.fits:
+        return tuple(findings[:MAX_CAUSES])
+    return (unknown(end), *findings[:MAX_CAUSES])
 
 
-def _decided(
-    end: Solution, best: Alternative, gains: Mapping[str, float], given_std: Free, is_off: bool
-) -> tuple[Finding, ...]:
-    """Return the best candidate if certain, otherwise an unknown cause before it."""
-    theta, std = best.found.estimate(best.name)
-    moved = moved_between(end, best.found)
-    alike = ALIKE.get(best.name, '')
-    clear = SIGNIFICANT**2 * quantities.KINDS['com'].size
-    instead = alike if best.name == 'gravity' or best.name not in MARKERS and (
-        gains.get(alike, 0.0) > best.gain - clear) else ''
-    rivals = {name: gain for name, gain in gains.items() if name not in (best.name, alike)}
-    rival = max(rivals, key=rivals.__getitem__, default='')
+def misfit_beyond_noise(found: Solution) -> float:
+    """Return chi² beyond the expectation of noise, with the priors of given quantities."""
+    return found.squares - found.residual_count + float(found.problem.weights @ found.theta**2)
+
+
+def _is_certain(
+    end: Solution, best: Alternative, rivals: Mapping[str, float], given_std: Free
+) -> bool:
+    """Return whether a cause leaves noise alone, and no other explains half as much."""
+    after, alike = best.found, (best.name, ALIKE.get(best.name, ''))
+    theta, std = after.estimate(best.name)
     expected = given_std.get('package_marker' if best.name in MARKERS else best.name)
     is_expected = expected is not None and bool(
         np.all(np.abs(theta.reshape(-1, len(expected))) <= 3.0 * expected))
-    left, after = best.left(end), best.found
-    is_material = best.name in EVENTS or moved > MIN_SHIFT or left < DISTINCT or (
-        is_off and not candidates.is_off(after, given_std))
-    certain = bool(
+    others = {name: std for name, std in given_std.items() if name not in alike}
+    return bool(
         after.fits and after.robust_chi2 < MAX_NOISE_CHI2
         and after.squares < MISFIT_CHI2 * after.residual_count
-        and after.deviance < candidates.deviance_of_unknown_force(end)
-        and is_material and not is_expected
-        and rivals.get(rival, 0.0) < max(
-            DISTINCT * best.gain, best.gain - SIGNIFICANT**2 * after.colour))
-    finding = _finding(best, theta, std)._replace(
-        left=left, moved=moved, certain=certain, instead=instead,
-        datum=best.name not in EVENTS[1:] or moved > MATERIAL)
-    if certain or end.fits:
-        return (finding,)
-    second = (Finding(REPORTED.get(rival, rival), '', certain=False),) if (
-        rivals.get(rival, 0.0) > max(DISTINCT * best.gain, SIGNIFICANT**2)) else ()
-    return unknown(end), finding, *second
+        and not is_off(after, others) and not is_expected
+        and np.max(np.abs(theta) / std) > SIGNIFICANT * math.sqrt(after.colour)
+        and max((gain for name, gain in rivals.items() if name not in alike), default=0.0)
+        < DISTINCT * best.gain)
+
+
+def _finding(
+    end: Solution, one: Alternative, share: float, falls: Mapping[str, float]
+) -> Finding:
+    """Return the finding of a freed quantity, without a claim."""
+    name, problem = one.name, one.found.problem
+    theta, std = one.found.estimate(name)
+    moved = float(np.max(np.abs(
+        np.diag(one.found.cup.stiffness) / np.diag(end.cup.stiffness) - 1.0)))
+    alike, clear = ALIKE.get(name, ''), SIGNIFICANT**2 * KINDS['com'].size
+    is_along = name in OF_LIP[:2] and np.argmax(np.abs(theta)) == len(theta) - 1
+    instead = alike if name == 'gravity' or is_along and (
+        alike in problem.places or falls.get(alike, 0.0) > one.gain - clear) else ''
+    if name == 'slip':
+        worst = int(np.argmax(np.abs(theta) / std)) // 2 * 2  # of the affected recording
+        since = (problem.slip_ns - problem.outlines[worst // 2].begin_ns) / NS_PER_S
+        theta = np.append(theta[worst:worst + 2], since)
+        std = np.append(std[worst:worst + 2], MIN_SLIP_PERIOD)
+    if name == 'mass':  # K and P scaled with mass and inertia give equal motion
+        theta = -theta
+    return Finding(
+        REPORTED.get(name, name), 'tool' if name == 'tool_marker' else '', theta, std,
+        share=min(share, 1.0), moved=moved, certain=False, instead=instead,
+        datum=name not in ('length_drift', 'clock_rate') or moved > MATERIAL)
+
+
+def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
+    """
+    Return a solution with the likeliest instant of a slip, and its fall of chi².
+
+    A slip shifts the com in all blocks from one on. The score of each block in the recording with
+    the largest misfit is from one simulation; halving finds the instant near the best.
+    """
+    number = int(np.argmax([
+        np.sum(one.squares) / np.sum(one.counts) for one in found.sums]))
+    begins = [first for first, _ in found.problem.outlines[number].ends_ns]
+    shifted = replace(found, problem=replace(
+        found.problem, slip_ns=min(begins))).freed(weak_prior(['slip']))
+    if not shifted.is_finite:
+        return found, 0.0
+    index = shifted.problem.index(number)
+    own = np.isin(index, shifted.problem.places['slip'])
+    C = shifted.information.within(
+        ~np.isin(np.arange(len(shifted.theta)), shifted.problem.places['slip'])).block(number)
+    (blocks,) = shifted.problem.held.pool.only([number]).results(
+        _slip_scores, own, np.where(np.outer(~own, ~own), C, 0.0), shifted.parts)
+    at = [first + round(BLOCK_S * NS_PER_S * k) for first, block in zip(
+        begins, blocks, strict=False) for k in range(len(block))]
+    best = at[int(np.argmax(np.concatenate(blocks)))]
+
+    def scored(slip_ns: int) -> tuple[Solution, float]:
+        near = replace(found, problem=replace(found.problem, slip_ns=slip_ns))
+        return near, scores(near, ['slip']).get('slip', 0.0)
+
+    chosen, period = scored(best), BLOCK_S
+    while period > MIN_SLIP_PERIOD:
+        period *= 0.5
+        chosen = max(chosen, *(scored(chosen[0].problem.slip_ns + side * round(
+            period * NS_PER_S)) for side in (-1, 1)), key=itemgetter(1))
+    return chosen
+
+
+def _slip_scores(own: Array, C: Array, parts: Sequence[WhitenedSegment]) -> list[Array]:
+    """Return the fall of chi² by a slip at the beginning of each block of each segment."""
+    information = np.concatenate([part.information for part in parts])[::-1].cumsum(axis=0)[::-1]
+    slope = np.concatenate([part.slope for part in parts])[::-1].cumsum(axis=0)[::-1]
+    B = information[:, own]
+    S = B[:, :, own] - B @ C @ np.swapaxes(B, 1, 2)
+    g = slope[:, own, None]
+    falls = np.swapaxes(g, 1, 2) @ np.linalg.solve(S + 1e-9 * np.eye(S.shape[1]), g)
+    counts = np.cumsum([len(part.slope) for part in parts])[:-1]
+    return np.split(falls[:, 0, 0], counts)
 
 
 def unknown(end: Solution) -> Finding:
@@ -206,7 +342,7 @@ def unknown(end: Solution) -> Finding:
     begin_ns = end.problem.outlines[number].begin_ns
     (span,) = pool.only([number]).results(
         _span, axis, int(np.argmax(means[number])), begin_ns, end.problem.held, end.parts)
-    return Finding('unknown', AXES[axis], span, np.zeros(4), certain=False, datum=False)
+    return Finding('unknown', AXES[axis], span, np.zeros(4), share=0.0, certain=False, datum=False)
 
 
 def _span(
@@ -227,153 +363,29 @@ def _span(
         since + min((kept.max() + 1) * BLOCK_S, len(values) * segment.period), low[0], high[0]])
 
 
-def _priced(fall: tuple[str, float]) -> float:
-    """Return a fall of chi² minus the penalty of the candidate's free numbers."""
-    return (1.0 - PRICE * quantities.KINDS[fall[0]].size) * fall[1]
-
-
-def _tried(
-    end: Solution, falls: Mapping[str, float], report: Report
-) -> list[Alternative]:
-    """
-    Return the freed candidates, the highest score first.
-
-    A second candidate is freed if it explains at least half as much, further ones if searches do
-    not converge. Scores about an implausible cup are unreliable: worlds are then tried from the
-    start.
-    """
-    tried, least = list[Alternative](), DISTINCT * max(falls.values())
-    names = list(falls)[:MAX_SEARCHES] if end.is_plausible else dict.fromkeys(
-        [*list(falls)[:MAX_TRIED], *(name for name in WORLDS if name in falls)])
-    for name in names:
-        settled = [one for one in tried if one.found.converged]
-        if end.is_plausible and settled and (falls[name] < least or len(settled) == MAX_TRIED):
-            break
-        try:
-            if end.is_plausible and name != 'slip':
-                tried.append(freed(end, name, report=report))
-            if not (tried and tried[-1].name == name and tried[-1].found.converged):
-                tried.append(freed(end, name, True, report))
-        except OutOfTime:
-            raise OutOfTime(*list(names)[list(names).index(name):]) from None
-    return tried
-
-
-def _frame_instead(
-    end: Solution, tried: Sequence[Alternative], best: Alternative, report: Report
-) -> Finding | None:
-    """Return exchanged frames if the lip's shift is as large as its distance from the com."""
-    problem = end.problem
-    shifts = [one.found.estimate(one.name)[0] for one in tried if one.name in OF_LIP] + [
-        (problem.units * end.theta)[problem.places[name].ravel()]
-        for name in OF_LIP if name in problem.places]
-    if not any(_is_as_far_as_com(problem, shift[:3]) for shift in shifts):
-        return None
-    return _other_frame(end, best.gain, report)
-
-
-def _wrong_length(end: Solution, report: Report) -> Finding | None:
-    """Return another cup length if it explains an implausible cup."""
-    explains = end.converged and end.squares < MISFIT_CHI2 * end.residual_count
-    if not explains or 'length' in end.problem.places or end.is_plausible:
-        return None
-    one = freed(end, 'length', True, report)
-    theta, std = one.found.estimate('length')
-    if one.gain < -SIGNIFICANT**2 or abs(theta[0]) < max(
-            SIGNIFICANT * std[0], MIN_LENGTH_ERROR) or (
-            one.found.problem.largest_damping(one.found.theta)
-            > end.problem.largest_damping(end.theta)):
-        return None
-    if _is_as_far_as_com(end.problem, theta) and (
-            frame := _other_frame(end, one.gain, report)):
-        return frame
-    return Finding('length', '', theta, std, one.left(end), moved_between(end, one.found),
-                   instead='com')
-
-
-def _is_as_far_as_com(problem: Problem, shift: Array) -> bool:
-    """Return whether a shift (m) may be the vector from lip to com."""
-    com = problem.outlines[0].payload.com
-    return bool(np.linalg.norm(shift) > MIN_EXCHANGE_SHIFT * np.linalg.norm(com))
-
-
-def deviating(
-    end: Solution, given_std: Free, least: float = -np.inf, report: Report = no_report
-) -> tuple[Finding, ...]:
-    """
-    Return the given quantity with the largest deviation, if larger than allowed.
-
-    With all given quantities free, a fit may explain the poses with wrong values. Nothing is
-    returned if chi² falls by less than `least` with this quantity free. An exposure beyond its
-    standard deviation is negative or longer than the period, and no cause.
-    """
-    explains = end.converged and end.robust_chi2 < MISFIT_CHI2
-    sizes = pulls(end, given_std)
-    off = [name for name in sorted(sizes, key=sizes.__getitem__, reverse=True)[:MAX_TRIED]
-           if sizes[name] > 1.0 and name != 'exposure']
-    if not explains or not off:
-        return ()
-    tried = dict.fromkeys([*off, *(ALIKE.get(name, '') for name in off)])
-    best = max((freed(end, name, report=report) for name in tried if name in end.problem.places),
-               key=attrgetter('gain'))
-    if best.gain < least:
-        return ()
-    name = best.name
-    if not best.found.converged:
-        best = best._replace(found=end)
-    if name in OF_LIP and (frame := _other_frame(end, best.gain, report)):
-        return (frame,)
-    theta, std = best.found.estimate(name)
-    is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # along the cup's axis, like a length
-    moved = moved_between(end, best.found)
-    certain = end.fits and end.squares < MAX_NOISE_CHI2 * end.residual_count and not (
-        best.found is not end and candidates.is_off(best.found, given_std))
-    finding = _finding(best, theta, std)._replace(
-        moved=moved, datum=name not in EVENTS[1:] or moved > MATERIAL, certain=certain,
-        instead=ALIKE.get(name, '') if is_along and name in OF_LIP[:2] else '')
-    return (finding,) if certain or end.fits else (unknown(end), finding)
-
-
-def _finding(best: Alternative, theta: Array, std: Array) -> Finding:
-    """Return the finding of a freed quantity."""
-    name, problem = best.name, best.found.problem
-    if name == 'slip':
-        worst = int(np.argmax(np.abs(theta) / std)) // 2 * 2  # of the affected recording
-        since = (problem.slip_ns - problem.outlines[worst // 2].begin_ns) / NS_PER_S
-        return Finding('slip', '', np.append(theta[worst:worst + 2], since),
-                       np.append(std[worst:worst + 2], MIN_SLIP_PERIOD))
-    if name == 'mass':  # K and P scaled with mass and inertia give equal motion
-        theta = -theta
-    return Finding(
-        REPORTED.get(name, name), 'tool' if name == 'tool_marker' else '', theta, std)
-
-
-def _other_frame(end: Solution, rival: float, report: Report) -> Finding | None:
+def _other_frame(end: Solution, best: Alternative) -> Finding | None:
     """
     Return exchanged frames, poses of the lip for poses of the com or vice versa, or None.
 
-    The com is freed as well. None if a rival with more free numbers explains more, or if the
-    marker's prior allows the shift.
+    The shift of the best candidate, or of a given quantity, is then the vector from lip to com.
+    The com is freed as well.
     """
     problem = end.problem
-    measured = problem.outlines[0]
-    if 'package_marker' in problem.places:
-        place = problem.places['package_marker'][0, :3]
-        if np.min(problem.weights[place] / problem.units[place] ** 2) < 1.0 / np.sum(
-                np.square(measured.payload.com)):
-            return None
+    measured, com = problem.outlines[0], float(np.linalg.norm(problem.outlines[0].payload.com))
+    shifts = [best.found.estimate(name)[0][:3] for name in OF_LIP
+              if name in best.found.problem.places]
+    if max(map(np.linalg.norm, shifts)) < MIN_FRAME_SHIFT * com and end.is_plausible:
+        return None
     is_lip = all(measured.moves_with_com)
-    other = minimise(problem.changed(partial(_of_frame, is_lip)), report=report)
+    other = minimise(problem.changed(partial(_of_frame, is_lip)))
     if not other.converged:
         return None
-    with_com = freed(other, 'com', report=report)
+    with_com = freed(other, 'com')
     left = np.linalg.norm(with_com.found.estimate('com')[0])
-    if not with_com.found.converged or left > MAX_EXCHANGE_REST * np.linalg.norm(
-            measured.payload.com) or (
-            candidates.gain_of(end, with_com.found) < rival - SIGNIFICANT**2):
+    if not with_com.found.fits or left > MIN_FRAME_SHIFT * com or (
+            misfit(end) - misfit(with_com.found) < best.gain - SIGNIFICANT**2):
         return None
-    return Finding('recording.package_frame', 'com' if is_lip else 'lip',
-                   left=with_com.left(end))
+    return Finding('recording.package_frame', 'com' if is_lip else 'lip')
 
 
 def _of_frame(is_lip: bool, measured: MeasuredSegment) -> MeasuredSegment:
@@ -381,3 +393,90 @@ def _of_frame(is_lip: bool, measured: MeasuredSegment) -> MeasuredSegment:
     poses, sign = measured.package, -1.0 if is_lip else 1.0
     return replace(measured, moves_with_com=(not is_lip,) * 3, package=replace(
         poses, position=poses.position + sign * apply(poses.rotation, measured.payload.com)))
+
+
+ROTATIONS = (90, 180, -90)
+"""Rotations about z of a wrongly mounted frame, degrees."""
+
+Setting = tuple[Finding, Callable[[MeasuredSegment], MeasuredSegment]]
+"""A setting, and a part of a recording with it."""
+
+
+def settings_of(outlines: Sequence[Outline]) -> Iterator[Setting]:
+    """Yield the other settings of recordings of one cup."""
+    for value, R in _worlds(outlines[0].world):
+        yield Finding('recording.world', value), partial(_in_world, R)
+    for degrees in ROTATIONS:
+        phi = np.array([0.0, 0.0, -np.radians(degrees)])
+        yield Finding('yaw', f'tool {degrees}'), partial(_with_tool_turned, phi)
+        yield Finding('yaw', f'package {degrees}'), partial(_with_package_turned, phi)
+    packages = list({each.payload.mass: each.payload for each in outlines}.values())
+    if len(packages) == 2:
+        yield Finding('package.files', 'exchanged'), partial(_exchanged, packages)
+
+
+def _in_world(R: Array, each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with the gravity of another world."""
+    return replace(each, gravity=R.T @ gravity_vector(each.gravity))
+
+
+def _with_tool_turned(phi: Array, each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with the tool's frame turned."""
+    return replace(each, tool=of_fixed_frame(each.tool, phi, np.zeros(3)))
+
+
+def _with_package_turned(phi: Array, each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with the package's frame turned about its lip."""
+    com = each.payload.com
+    return replace(each, package=of_fixed_frame(each.package, phi, exp_so3(phi) @ com - com))
+
+
+def _exchanged(packages: Sequence[Package], each: MeasuredSegment) -> MeasuredSegment:
+    """Return a part of a recording with the other one of two packages."""
+    return replace(each, payload=packages[int(each.payload.mass == packages[0].mass)])
+
+
+def _worlds(world: str) -> Iterator[tuple[str, Array]]:
+    """Yield worlds other than the given one: values of a setting, and their rotation."""
+    other, R = ('motive_y_up', R_WORLD_MOTIVE) if world == 'z_up' else ('z_up', R_WORLD_MOTIVE.T)
+    yield other, R
+    for down in np.concatenate([np.eye(3), -np.eye(3)[:2]]):
+        if down @ R[2] > -0.5:  # direction of gravity in the other world
+            yield f'gravity {down.astype(int).tolist()}', levelling(down)
+
+
+def likeliest_setting(near: Solution, cup: Cup) -> Finding | None:
+    """
+    Return the other setting with which recordings fit to the noise, or None.
+
+    Settings are ranked by the segment of each package with the largest chi², each with one
+    approach; the best is fitted to all segments. If two frames cannot be distinguished, the
+    finding names both.
+    """
+    problem = near.problem
+    problem = problem.freed(problem.unknowns(cup), {})
+    squares = [np.sum(sums.squares, axis=1) for sums in near.sums]
+    order = sorted(range(len(squares)), key=lambda number: float(np.max(squares[number])))
+    numbers = list({problem.outlines[number].payload.mass: number for number in order}.values())
+    pool = problem.held.pool.only(numbers)
+    worst = problem.with_segments(*pool.hold(
+        _segment, pool.each([int(np.argmax(squares[number])) for number in numbers]),
+        problem.held))
+    ends = [(approach(worst, with_couplings=False).squares, Finding('', ''))]
+    for finding, change in settings_of(worst.outlines):
+        with suppress(BellowsError):  # no cup explains this setting
+            ends.append((approach(worst.changed(change), with_couplings=False).squares, finding))
+    least, likeliest = min(ends, key=itemgetter(0))
+    other = next((change for finding, change in settings_of(problem.outlines)
+                  if finding[:2] == likeliest[:2]), None)
+    if not other or not minimise(problem.changed(other)).fits:
+        return None
+    instead = [finding.value for squares, finding in ends if finding is not likeliest and (
+        finding.name == likeliest.name == 'yaw' and DISTINCT * squares < least)]
+    return likeliest._replace(share=1.0 - least / ends[0][0], instead=next(iter(instead), ''))
+
+
+def _segment(place: int, segments: Segments) -> tuple[Segments, Outline]:
+    """Return one of a recording's segments, and its outline."""
+    chosen = segments[place:place + 1]
+    return chosen, outline_of(chosen)
