@@ -35,6 +35,10 @@ MAX_SIMULATED = 50_000
 MAX_NOISE_RATIO = 3.0
 """Largest ratio of the held-out error to the noise, if the error also exceeds `MAX_NRMSE`."""
 
+MAX_SOUND_RATIO = 2.0
+"""Ratio of a free simulation's error to the noise above which the cause of a misfit is described:
+noise with a memory of 26 ms stays below 1.3 (10 laboratories of `test/faults.py`)."""
+
 SIGMAS = 3.0
 """Number of stated standard deviations beyond which an estimate is a finding of its own."""
 
@@ -180,7 +184,8 @@ class FitVerdict(NamedTuple):
             return (finding_sentence(first, self.given), *besides, *more)
         likely = [each for each in self.causing if each.name != 'unknown']
         if self.is_at_noise or self.simulated and not self.refusals and not (
-                likely and likely[0].share >= causes.DISTINCT):
+                likely and likely[0].share >= causes.DISTINCT or any(
+                    (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated)):
             return ()
         listed = ' '.join(f'{number}. {finding_sentence(each, self.given)}'
                           for number, each in enumerate(likely, 1))
