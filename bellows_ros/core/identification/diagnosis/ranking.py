@@ -191,7 +191,7 @@ def freed(before: Solution, name: str) -> Alternative:
     """Return the solution with a quantity free, from the start if the cup is implausible."""
     problem, more = before.problem, weak_prior([name])
     found = settled(before.freed(more)) if before.is_plausible else before
-    if not (before.is_plausible and found.converged) and name != 'slip':
+    if not (before.is_plausible and found.converged):
         found = minimise(problem.freed(problem.start, more))
     return Alternative(name, found, beyond_chance(
         found.problem, name, misfit(before) - misfit(found)))
