@@ -20,7 +20,7 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.problem import Problem
-from bellows_ros.core.identification.quantities import poses_of, weak_prior
+from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
@@ -28,6 +28,7 @@ from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import BodyNoise, PrepareSettings
+from bellows_ros.core.sensors.body import poses_of
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory

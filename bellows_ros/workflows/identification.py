@@ -9,7 +9,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import identifiability, reduction
-from bellows_ros.core.identification.quantities import KINDS, middle_of, payload_of
+from bellows_ros.core.identification.quantities import KINDS, payload_of
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
@@ -19,6 +19,7 @@ from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.measurement_model import measurement_model
 from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
+from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__

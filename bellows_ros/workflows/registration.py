@@ -6,7 +6,7 @@ from typing import Any
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import output_error
-from bellows_ros.core.identification.quantities import KINDS, middle_of, weak_prior
+from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.values import Values
@@ -14,6 +14,7 @@ from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
+from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream

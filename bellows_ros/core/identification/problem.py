@@ -38,6 +38,7 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error
 from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
+from bellows_ros.core.sensors import body
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.errors import BellowsError, UnstableError
@@ -511,11 +512,11 @@ class Problem:
             moved[place] = np.maximum(
                 moved[place], -np.array(self.first_cup.relaxation) / self.units[place])
         for place in self.places.get('inertia', ()):
-            body, before = self.flattest, (self.units * theta)[place]
-            change = pseudo_inertia.by_moments(pseudo_inertia.with_moments(body, before)) @ (
+            plate, before = self.flattest, (self.units * theta)[place]
+            change = pseudo_inertia.by_moments(pseudo_inertia.with_moments(plate, before)) @ (
                 self.units * step)[place]
             moved[place] = pseudo_inertia.moments_of(
-                body, pseudo_inertia.stretch_of(body, before) + np.clip(
+                plate, pseudo_inertia.stretch_of(plate, before) + np.clip(
                     change, -MAX_LOG_STEP, MAX_LOG_STEP)) / self.units[place]
         return moved
 
@@ -571,11 +572,11 @@ class Problem:
             H[np.ix_(place, place)] += np.outer(slope, slope)
             g[place] -= slope * (r[1] - DEFAULT_RATIO * r[0]) / std
         for place in self.places.get('inertia', ()):  # a wide prior on the stretch
-            body, moments = self.flattest, (self.units * theta)[place]
-            slope = pseudo_inertia.by_moments(pseudo_inertia.with_moments(body, moments)) * (
+            plate, moments = self.flattest, (self.units * theta)[place]
+            slope = pseudo_inertia.by_moments(pseudo_inertia.with_moments(plate, moments)) * (
                 self.units[place] / STRETCH_STD)
             H[np.ix_(place, place)] += slope.T @ slope
-            g[place] -= slope.T @ pseudo_inertia.stretch_of(body, moments) / STRETCH_STD
+            g[place] -= slope.T @ pseudo_inertia.stretch_of(plate, moments) / STRETCH_STD
         return Arrow(H, np.zeros((recordings, count, len(H))), own[:, :, None] * np.eye(count),
                      self.own), g
 
@@ -658,10 +659,7 @@ class Problem:
             values[self.rows[name]] = theta[self.rows[name]]
         return whitening.Unknowns(
             BY_DAMPING.stop if used < BY_DAMPING.stop else PARAMETER_COLUMNS, columns, scales,
-            values, np.array([
-                int(place) for name in ('time_offset', 'clock_rate')
-                for place in self.rows.get(name, ())], dtype=np.int64),
-            *(int(self.rows.get(name, (-1,))[0]) for name in ('tool_marker', 'exposure')))
+            values, int(self.rows.get('tool_marker', (-1,))[0]))
 
     def _poses(
         self, segment: Segment, course: Course, nodes: Nodes, free: Free
@@ -669,19 +667,11 @@ class Problem:
         """Return the package's poses at the nodes, corrected by the free quantities."""
         noise, poses = segment.measured.package_noise, segment.package.select(nodes.used)
         context = np.array(segment.measured.moves_with_com, float), segment.middle
-        package = quantities.poses_of(poses, free, *context)
-        by_unknowns = np.zeros((len(poses), 6, len(self.units)))
-        for name, row in self.rows.items():
-            known = quantities.carried(poses, course.path) if name == 'scale' else poses
-            by_unknowns[:, :, row] = -quantities.pose_changes(name, known, *context)
-        mean = segment.period**2 / 24.0  # for an exposure as long as the period
-        by_unknowns[:, :, self.rows.get('exposure', [])] = mean
-        rows = np.column_stack([
-            package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays,
-            np.full(len(poses), mean * float(free.get('exposure', (0.0,))[0]))])
         return whitening.Poses(
-            nodes.place, rows, by_unknowns * self.units,
-            segment.errors.axes[nodes.used[:len(segment.errors.axes)]], segment.errors.point,
+            nodes.place, body.views(
+                poses, free, self.rows, self.units, context, course.path, segment.period,
+                nodes.delays, segment.errors.axes[nodes.used[:len(segment.errors.axes)]],
+                segment.errors.point),
             (segment.errors.std[nodes.used] * (
                 MIN_POSE_STD if noise.correlation > 0.0 else course.std)) ** 2, course.std**2,
             noise.correlation ** (nodes.lengths / segment.period))

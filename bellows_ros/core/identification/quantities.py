@@ -21,7 +21,8 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
+from bellows_ros.core.sensors import body
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 
@@ -75,54 +76,6 @@ def payload_of(payload: Package, free: Free) -> Package:
     return varied(payload, **changes) if changes else payload
 
 
-def poses_of(
-    package: Trajectory, free: Free, moves: Array, middle: Array | None = None
-) -> Trajectory:
-    """
-    Return the poses of B, and twists if any, for given free quantities.
-
-    Moves (3,) is 1 for the components of the com that shift B, else 0. The world rotates about a
-    middle, see `middle_of`; by default of the poses.
-    """
-    if 'com' in free:
-        package = of_fixed_frame(package, np.zeros(3), moves * free['com'])
-    if 'scale' in free:
-        package = replace(package, position=(1.0 + free['scale']) * package.position)
-    if 'package_world' in free:
-        middle = middle_of(package) if middle is None else middle
-        R = lie.exp_so3(free['package_world'][3:])
-        package = replace(
-            package, position=middle[:3] + free['package_world'][:3] + lie.apply(
-                R, package.position - middle[:3]), rotation=R @ package.rotation)
-    if 'package_marker' in free:
-        shift, rotation = np.split(free['package_marker'], 2)
-        package = of_fixed_frame(package, rotation, shift)
-    return package
-
-
-def of_fixed_frame(body: Trajectory, rotation: Array, shift: Array) -> Trajectory:
-    """Return the motion of a frame fixed in a body, rotated (rad) and shifted (m) there."""
-    return at_tip(body, lie.transform(lie.exp_so3(rotation), shift))
-
-
-def middle_of(package: Trajectory) -> Array:
-    """Return the mean (3,) of the valid positions (m), and their first stamp (s)."""
-    used = package.select(package.valid)
-    return np.append(used.position.mean(axis=0), used.stamps_ns[0] / NS_PER_S)
-
-
-def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
-    """
-    Return the package as if fixed to the tool's smooth path.
-
-    Noisy positions in the derivative by their scale would bias the scale towards zero.
-    """
-    nearest = np.minimum(np.searchsorted(tool.stamps_ns, package.stamps_ns), len(tool) - 1)
-    position, R = tool.position[nearest], tool.rotation[nearest]
-    offset = lie.apply(np.swapaxes(R, 1, 2), package.position - position).mean(axis=0)
-    return replace(package, position=position + R @ offset, rotation=R)
-
-
 def gravity_of(gravity: Array | float, free: Free) -> Array:
     """Return the vector (3,) of gravity in a tilted world."""
     return np.asarray(lie.exp_so3(-np.append(free.get('gravity', (0.0, 0.0)), 0.0))
@@ -152,30 +105,6 @@ def model_columns(
         by_log[:3] = np.diag(np.diag(payload.inertia))
         return np.asarray(parameters[:, jac.BY_INERTIA] @ by_log)
     return np.zeros((count, KINDS[name].size))
-
-
-def pose_changes(name: str, package: Trajectory, moves: Array, middle: Array) -> Array:
-    """
-    Return the derivatives of poses (M, 6, count) by a quantity, in body axes.
-
-    Derivatives by offset and rate of the clocks are in units of the twist.
-    """
-    change = np.zeros((len(package), 6, KINDS[name].size))
-    if name == 'com':
-        change[:, :3] = np.diag(moves)
-    elif name == 'time_offset':
-        change -= 1.0
-    elif name == 'clock_rate':
-        change -= (package.stamps_ns / NS_PER_S - middle[3])[:, None, None]
-    elif name == 'scale':  # of smooth poses, see `carried`
-        change[:, :3, 0] = lie.apply(np.swapaxes(package.rotation, 1, 2), package.position)
-    elif name == 'package_marker':
-        change += np.eye(6)
-    elif name == 'package_world':
-        inverse = np.swapaxes(package.rotation, 1, 2)
-        change[:, :3, :3] = change[:, 3:, 3:] = inverse
-        change[:, :3, 3:] = -inverse @ lie.hat(package.position - middle[:3])
-    return change
 
 
 def given_std(values: Values) -> dict[str, Array]:
@@ -220,12 +149,12 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
         return recording
     free = {name: rows[number % len(rows)] for name, rows in found.items()}
     moves, tracked = np.array(recording.settings.moves_with_com, float), recording.tracked_package
-    middle = middle_of(tracked)
+    middle = body.middle_of(tracked)
     offset, rate = (float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate'))
     delays = offset * NS_PER_S + rate * (tracked.stamps_ns - middle[3] * NS_PER_S)
 
     def moved(poses: Trajectory) -> Trajectory:
-        return poses_of(poses, free, moves, middle)
+        return body.poses_of(poses, free, moves, middle)
 
     of_tool, of_package = recording.filters
     payload = payload_of(recording.payload, free)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
-from bellows_ros.core.identification import quantities, whitening
+from bellows_ros.core.identification import whitening
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.kernels import State
@@ -25,6 +25,7 @@ from bellows_ros.core.recording.recording import (
     MIN_SEGMENT,
     Recording,
 )
+from bellows_ros.core.sensors import body
 from bellows_ros.core.signals.resampling import subdivided
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.savgol import bridged, savgol
@@ -88,7 +89,7 @@ class MeasuredSegment:
         Components of the com that shift the poses of B, as poses of the lip are measured.
     middle : ndarray (4,), optional
         Point (m) about which the package's world may rotate, and start (s) of its possible drift;
-        see `quantities.middle_of`.
+        see `body.middle_of`.
     world : str
         World of the recording, the parameter recording.world.
     sensor : PoseErrors or None
@@ -124,7 +125,7 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
               for noise in recording.body_noise)
     context: tuple[Any, ...] = (
         recording.payload, recording.settings.gravity, *noises, number,
-        recording.settings.moves_with_com, quantities.middle_of(package), recording.settings.world,
+        recording.settings.moves_with_com, body.middle_of(package), recording.settings.world,
         recording.pose_errors)
     motions = []
     for start, end, _ in recording.segments:
@@ -275,9 +276,9 @@ class Segment:
 
     @cached_property
     def middle(self) -> Array:
-        """Middle of the package, see `quantities.middle_of`."""
+        """Middle of the package, see `body.middle_of`."""
         own = self.measured.middle
-        return quantities.middle_of(self.package) if own is None else own
+        return body.middle_of(self.package) if own is None else own
 
     @cached_property
     def expected_start(self) -> State:

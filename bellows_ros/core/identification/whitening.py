@@ -26,10 +26,11 @@ from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.geometry.jit import array_kernel
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.equilibrium import moved_by, pose_error
-from bellows_ros.core.model.kernels import ModelTuple, State, Strain, Strains
+from bellows_ros.core.model.equilibrium import moved_by
+from bellows_ros.core.model.kernels import ModelTuple, State, Strains
 from bellows_ros.core.model.simulation import row_state
 from bellows_ros.core.model.structure import RELAXATION_TIMES
+from bellows_ros.core.sensors.body import observe, Views
 import numpy as np
 
 HUBER_STD = 3.0
@@ -135,20 +136,13 @@ class Poses(NamedTuple):
     """
     Measured poses of B.
 
-    Their indices at the nodes (M,), -1 for none; the poses (N, 9) with their small delay (s) after
-    the node, and the factor (s^2) of the acceleration in a mean over the exposure; minus their
-    derivatives (N, 6, p) in body axes by the unknowns, for delay and exposure per unit of the
-    simulated twist and acceleration; the axes (N, 3, 3) of the noise in the world, empty for body
-    axes, and the measured point (3,), m, in body axes; the variances of the errors of this point
-    in these axes, m^2 and rad^2: (N, 6) of white noise, and (6,) of correlated noise, with its
-    correlation (M - 1,) between nodes.
+    Their indices at the nodes (M,), -1 for none, and the N views; the variances of their errors,
+    m^2 and rad^2: (N, 6) of white noise, and (6,) of correlated noise, with its correlation (M -
+    1,) between nodes.
     """
 
     place: Places
-    rows: Array
-    by_unknowns: Array
-    axes: Array
-    point: Array
+    views: Views
     white_variance: Array
     variance: Array
     correlations: Array
@@ -160,18 +154,15 @@ class Unknowns(NamedTuple):
 
     Number of used `jacobians.PARAMETER_COLUMNS`, and derivatives (64, p + 1) of the model's
     parameters; factors of the columns at the nodes (M, p), and values (p,) of unknowns outside the
-    model, with linear effect on the mean, empty without such unknowns; the unknowns of the clocks,
-    with effects proportional to the twist; the first of the unknowns (6,) of the tool's marker
-    frame, and the unknown of the exposure, each -1 for none.
+    model, with linear effect on the mean, empty without such unknowns; and the first of the
+    unknowns (6,) of the tool's marker frame, -1 for none.
     """
 
     last: int
     columns: Array
     scales: Array
     extra: Array
-    clocks: Places
     marker: int
-    exposure: int
 
 
 @array_kernel
@@ -208,10 +199,9 @@ def whiten(
         Maps of shifts and rotations from the body to the measured point, in axes of the noise.
 
     """
-    rows, lengths, steps = path  # an order that stored machine code depends on
-    place, _, _, axes, point, white_variance, _, _ = poses
-    last, columns, _, _, _, marker, exposure = unknowns
-    m, n, nodes, count = len(mean), len(std), len(rows), len(poses[1])
+    (rows, lengths, steps), place, views = path, poses.place, poses.views
+    columns = unknowns.columns
+    m, n, nodes, count = len(mean), len(std), len(rows), len(views.rows)
     S, P = np.zeros((n, columns.shape[1])), np.zeros((n, n))
     for i in range(n):
         P[i, i] = std[i] * std[i]
@@ -225,21 +215,18 @@ def whiten(
         here, slot = row_state(rows[k]), k % 2
         if k > 0:
             body = _advanced(model, body, rows[k - 1], rows[k], lengths[k - 1], steps[k - 1])
-        _derivatives(model, here, body, last, A[slot], C[slot], E[slot])
+        _derivatives(model, here, body, unknowns.last, A[slot], C[slot], E[slot])
         for i in range(6):
             B[k, m + i, i] = 1.0
         if k > 0:
             _propagate(k, path, tool_noise, poses, unknowns, walk, (A, C, E),
                        (B[k], S, P, T[k]))
-        _add_tool_noise(k, tool_noise, marker, B[k], S, P)
+        _add_tool_noise(k, tool_noise, unknowns.marker, B[k], S, P)
         i = place[k]
         if i >= 0:
-            _write_map(body, axes, point, i, maps[i])
-            acceleration = (t3.ZERO, t3.ZERO)
-            if exposure >= 0:
-                acceleration = kernels.body_acceleration(model, here, body)
-            _write_difference(body, acceleration, i, poses, unknowns, maps[i], out[i])
-            _update(white_variance[i], maps[i], poses[2][i], m + 6, S, P, out[i], slopes[i], K[i])
+            observe(model, here, body, views, i, maps[i], out[i])
+            _update(poses.white_variance[i], maps[i], views.columns[i], m + 6, S, P, out[i],
+                    slopes[i], K[i])
             if walk[0] > 0.0:
                 body = with_mean(body, S, m)
     return out, slopes, T, B, K, maps
@@ -251,61 +238,6 @@ def _advanced(
 ) -> State:
     """Return the body after a step of the tool from one row to the next."""
     return kernels.advance(model, body, row_state(before), row_state(after), length, steps)
-
-
-@array_kernel
-def _write_map(body: State, axes: Any, point: Any, i: int, M: Any) -> None:
-    """Write the map (6, 6) of pose i, see `whiten`."""
-    R, lever = t3.rotation_matrix(body[1]), (point[0], point[1], point[2])
-    for j in range(3):
-        if len(axes) == 0:
-            M[j, j] = M[3 + j, 3 + j] = 1.0
-        else:
-            c = t3.apply_transposed(R, (axes[i, 0, j], axes[i, 1, j], axes[i, 2, j]))
-            of_rotation = t3.cross(lever, c)
-            for k in range(3):
-                M[j, k] = M[3 + j, 3 + k] = c[k]
-                M[j, 3 + k] = of_rotation[k]
-
-
-@array_kernel
-def _write_difference(
-    body: State, acceleration: Strain, i: int, poses: Poses, unknowns: Unknowns, M: Any, out: Any
-) -> None:
-    """
-    Write the difference (6,) of pose i from the body, of the measured point in axes of its noise.
-
-    The mean pose over an exposure T differs from the pose at its middle by T^2/24 times the
-    acceleration. Columns of clocks are multiplied by the twist, the column of the exposure by the
-    acceleration, and all columns are mapped.
-    """
-    pose, by_unknowns, point = poses[1][i], poses[2][i], poses[4]
-    shift, rotation = pose_error(
-        body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
-    linear, angular = body[2], body[3]
-    bend = t3.add(acceleration[0], t3.cross(angular, linear)), acceleration[1]
-    lever = (point[0], point[1], point[2])
-    # The map is linear in the rotation, but blurred tags need the second order.
-    second = t3.scale(0.5, t3.cross(rotation, t3.cross(rotation, lever)))
-    difference = np.empty((6, 1))
-    for j in range(3):
-        difference[j, 0] = shift[j] + second[j] - pose[7] * linear[j] - pose[8] * bend[0][j]
-        difference[3 + j, 0] = rotation[j] - pose[7] * angular[j] - pose[8] * bend[1][j]
-        if unknowns[6] >= 0:
-            by_unknowns[j, unknowns[6]] *= bend[0][j]
-            by_unknowns[3 + j, unknowns[6]] *= bend[1][j]
-    for column in unknowns[4]:
-        for j in range(3):
-            by_unknowns[j, column] *= linear[j]
-            by_unknowns[3 + j, column] *= angular[j]
-    mapped = t3.product(M, difference, np.empty((6, 1)))
-    for j in range(6):
-        out[j] = mapped[j, 0]
-    if len(poses[3]) > 0:
-        columns = t3.product(M, by_unknowns, np.empty(by_unknowns.shape))
-        for j in range(6):
-            for k in range(columns.shape[1]):
-                by_unknowns[j, k] = columns[j, k]
 
 
 @array_kernel
@@ -338,8 +270,8 @@ def _propagate(
     """Propagate states, derivatives and covariance over a step to node k; write T and B."""
     (A, C, E), (B, S, P, T) = derivatives, states
     (_, lengths, steps), (_, _, tool_correlations) = path, tool_noise
-    (_, _, _, _, _, _, variance, correlations) = poses
-    (_, columns, scales, extra, _, _, _) = unknowns
+    variance, correlations = poses.variance, poses.correlations
+    columns, scales, extra = unknowns.columns, unknowns.scales, unknowns.extra
     n, m, length = len(P), A.shape[1], lengths[k - 1]
     mean, ramp, entered = np.zeros((m, m)), np.zeros((m, m)), np.empty((m, 6))
     tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]

@@ -21,7 +21,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification.causes import DISTINCT, Finding, MATERIAL
 from bellows_ros.core.identification.problem import Problem, WhitenedSegment
-from bellows_ros.core.identification.quantities import Free, KINDS, of_fixed_frame, weak_prior
+from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
 from bellows_ros.core.identification.search import (
     approach,
     MAX_NOISE_CHI2,
@@ -38,6 +38,7 @@ from bellows_ros.core.identification.segments import (
 )
 from bellows_ros.core.model.cup_package import Cup, gravity_vector, Package
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
+from bellows_ros.core.sensors.body import of_fixed_frame
 from bellows_ros.core.signals.residuals import AXES, spectrum
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
