@@ -285,6 +285,14 @@ MOVEIT_TYPES = {
     DISPLAY_TRAJECTORY: 'string model_id\nmoveit_msgs/RobotTrajectory[] trajectory'}
 """Definitions of types unknown to rosbags, for recordings without definitions: the first fields,
 common to all releases."""
+TAG_TYPES = {
+    'apriltag_msgs/msg/Point': 'float64 x\nfloat64 y',
+    'apriltag_msgs/msg/AprilTagDetection':
+    'string family\nint32 id\nint32 hamming\nfloat32 goodness\nfloat32 decision_margin\n'
+    'apriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography',
+    'apriltag_msgs/msg/AprilTagDetectionArray':
+    'std_msgs/Header header\napriltag_msgs/AprilTagDetection[] detections'}
+"""Definitions of apriltag_msgs."""
 
 
 def decoded(data: bytes, type_name: str, definition: str = '') -> Any:
@@ -322,7 +330,8 @@ def message_types(type_name: str = '', definition: str = '') -> Any:
     from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
     store = get_typestore(Stores.EMPTY if definition else Stores.ROS2_JAZZY)
-    for name, text in ({type_name: definition} if definition else MOVEIT_TYPES).items():
+    known = {**MOVEIT_TYPES, **TAG_TYPES}
+    for name, text in ({type_name: definition} if definition else known).items():
         store.register(get_types_from_msg(text, name))
     return store
 

@@ -33,7 +33,8 @@ from bellows_ros.core.signals.trajectory import (
 )
 from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
-from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
+from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
+from bellows_ros.files.detections import DETECTIONS, read_contents
 from bellows_ros.report.sentences import finding_sentence
 from bellows_ros.workflows.holds import SIGNALS
 from bellows_ros.workflows.recordings import fact_sentence, remark_sentences, within_interval
@@ -228,7 +229,8 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     counts = topics(path, notes)
     wanted = {
         f'{topic.name} {kind}': topic.name for topic in counts if topic.messages
-        for kind in ('pose', 'twist') if topic.type_name in accepted_types(kind)}
+        for kind in ('pose', 'twist') if topic.type_name in (
+            *accepted_types(kind), *[DETECTIONS] * (kind == 'pose'))}
     contents = read_contents(path, wanted) if wanted else Contents({}, {}, ())
     problems = {wanted[role]: str(error) for role, error in contents.problems.items()}
     streams = {role: stream for role, stream in within_interval(contents.streams, span).items()

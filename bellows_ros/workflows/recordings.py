@@ -22,7 +22,7 @@ from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
-from bellows_ros.files import bag_folder, bags, File, parameter_files
+from bellows_ros.files import bag_folder, detections, File, parameter_files
 from bellows_ros.report.sentences import finding_sentence, sentence
 import numpy as np
 
@@ -81,7 +81,8 @@ def load(
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
     roles = ('tool_pose', 'package_pose', 'tool_twist')
-    contents = bags.read_contents(path, {role: values[f'topics.{role}'] for role in roles})
+    contents = detections.read_contents(
+        path, {role: values[f'topics.{role}'] for role in roles}, tag_sought(values))
     for problem in contents.problems.values():
         if isinstance(problem, NoTopicError) and values.bags[1:] and name in map(str, values.bags):
             problem = NoTopicError(f'{problem} If the topics of recordings differ, give each a '
@@ -98,6 +99,11 @@ def load(
     return replace(
         recording, name=name, report=report, files=files,
         digest=bag_folder.recording_digest(path, files) if with_digest else '')
+
+
+def tag_sought(values: Values) -> detections.TagSought:
+    """Return the tag on the package of which corners are read."""
+    return detections.TagSought(values.measured.tag_size, values.measured.tag_id)
 
 
 def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:
@@ -145,8 +151,8 @@ def _selected(streams: Mapping[str, Any], masks: Sequence[Mask]) -> dict[str, An
     """Return streams by role with the selected messages."""
     return {role: replace(stream, **{
         name: getattr(stream, name)[mask]
-        for name in ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
-        if hasattr(stream, name)
+        for name in ('stamps_ns', 'position', 'rotation', 'corners', 'linear', 'angular')
+        if getattr(stream, name, None) is not None
     }) for (role, stream), mask in zip(streams.items(), masks, strict=True)}
 
 

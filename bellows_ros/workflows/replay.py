@@ -38,11 +38,11 @@ from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
-from bellows_ros.files import bags, File, results
+from bellows_ros.files import detections, File, results
 from bellows_ros.report.sentences import alarm_sentence, finding_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.holds import SIGNALS, signals_of, spans_held
-from bellows_ros.workflows.recordings import load, no_progress, Progress
+from bellows_ros.workflows.recordings import load, no_progress, Progress, tag_sought
 import numpy as np
 
 MAX_LISTED = 3
@@ -551,7 +551,10 @@ def observed(
         If the recording lacks the topic, or too little of it is predicted.
 
     """
-    stream = bags.read_streams(bag, {'measured': topic})['measured']
+    contents = detections.read_contents(bag, {'measured': topic}, tag_sought(values))
+    for problem in contents.problems.values():
+        raise problem
+    stream = contents.streams['measured']
     assert isinstance(stream, PoseStream)
     estimated, pose = recording.report.package_world, np.eye(7)[6]
     if world := values.recording.package_world:

@@ -59,6 +59,8 @@ class PayloadGroup:
 
 class MeasuredGroup:
     type: str
+    tag_size: float
+    tag_id: int
     model: str
     noise: tuple[float, ...]
     blur: tuple[float, ...]

@@ -57,6 +57,8 @@ class PoseStream(_Stamped):
         Indices of the omitted messages by reason, in the order of the topic.
     covariance : array (N, 6, 6), optional
         Covariance of position (m) and rotation (rad) about axes of the frame, as in messages.
+    corners : array (N, 8), optional
+        Corners of a detected tag in the image of an undistorted camera of unit focal length.
     clock_steps : tuple of (int, float)
         Steps of the clock that stamps, by arrivals: stamp before each (ns), and size (s).
 
@@ -76,9 +78,11 @@ class PoseStream(_Stamped):
     refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     covariance: Array | None = None
     clock_steps: tuple[tuple[int, float], ...] = ()
+    corners: Array | None = None
 
     def __post_init__(self) -> None:
-        _freeze_arrays(self, f"Poses '{self.name}'", position=(3,), rotation=(3, 3))
+        _freeze_arrays(
+            self, f"Poses '{self.name}'", position=(3,), rotation=(3, 3), corners=(8,))
 
     def trajectory(self) -> 'Trajectory':
         """Return the poses as a trajectory whose samples are all valid."""

@@ -1,0 +1,181 @@
+"""
+Corners of a detected tag: from pixels to directions, and the pose of a tag that shows them.
+
+Directions are coordinates (X/Z, Y/Z) in the camera's frame, those of an undistorted camera of unit
+focal length. The distortion models are those of sensor_msgs/CameraInfo, with the coefficients of
+OpenCV: k1, k2, p1, p2, k3 of `plumb_bob`, and also k4, k5, k6 of `rational_polynomial`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.sensors.corners import CORNERS
+from bellows_ros.core.signals.trajectory import PoseStream
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+DISTORTIONS = {'': 0, 'plumb_bob': 5, 'rational_polynomial': 8}
+"""Distortion models with their number of coefficients."""
+
+UNDISTORTION_STEPS, UNDISTORTED = 50, 1e-9
+"""Largest number of steps to a direction, and its largest error, 1."""
+POSE_STEPS = 10
+"""Number of Gauss-Newton steps to the pose of a tag; an error of the start falls by 10 in each."""
+
+
+@dataclass(frozen=True, eq=False)
+class CornerViews:
+    """
+    Views of the four corners of one tag.
+
+    Parameters
+    ----------
+    name : str
+        Topic of the detections.
+    frame_id : str
+        Frame of the camera, z along its line of sight.
+    tag_id : int
+        Number of the tag.
+    stamps_ns : int array (N,)
+        Increasing header stamps, ns.
+    corners : array (N, 4, 2)
+        Directions (X/Z, Y/Z) of the corners in the order of the detector.
+    refused : mapping of str to tuple of int
+        Indices of omitted messages by reason.
+
+    """
+
+    name: str
+    frame_id: str
+    tag_id: int
+    stamps_ns: Stamps
+    corners: Array
+    refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+    def poses(self, side: float) -> PoseStream:
+        """Return the poses in the camera, with corners, of a tag with a side (m)."""
+        position, rotation = poses_of_corners(self.corners, side)
+        return PoseStream(self.name, self.frame_id, self.stamps_ns, position, rotation,
+                          self.refused, corners=self.corners.reshape(-1, 8))
+
+
+def directions(pixels: Array, matrix: Array, model: str, coefficients: Array) -> Array:
+    """
+    Return the coordinates X/Z and Y/Z that pixels show, NaN where there are none.
+
+    Parameters
+    ----------
+    pixels : array (..., 2)
+        Pixels x, y of the raw image.
+    matrix : array (3, 3)
+        Camera matrix K of the raw image.
+    model : str
+        One of `DISTORTIONS`.
+    coefficients : array (D,)
+        Coefficients of the model, fewer if the last ones are 0.
+
+    Raises
+    ------
+    BellowsError
+        For an unknown model, or a matrix of no camera.
+
+    """
+    if model not in DISTORTIONS:
+        raise BellowsError(
+            f"The camera's distortion model is '{model:.40}'; known are plumb_bob and "
+            'rational_polynomial. Detect tags in the rectified image, and record its camera_info.')
+    matrix = np.asarray(matrix, float).reshape(3, 3)
+    if not (np.isfinite(matrix).all() and matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+        raise BellowsError(f'The camera is not calibrated: its camera_info has fx {matrix[0, 0]:g}'
+                           f' and fy {matrix[1, 1]:g}. Calibrate it, and record again.')
+    k = np.zeros(8)
+    given = np.ravel(coefficients)[:DISTORTIONS[model]]
+    k[:len(given)] = given
+    seen = (np.asarray(pixels, float) - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
+    seen[..., 0] -= matrix[0, 1] / matrix[0, 0] * seen[..., 1]
+    found = seen.copy()
+    with np.errstate(all='ignore'):
+        for _ in range(UNDISTORTION_STEPS):
+            error = distorted(found, k) - seen
+            if not k.any() or np.nanmax(np.abs(error), initial=0.0) < UNDISTORTED:
+                break
+            found -= error
+        wrong = ~(np.abs(distorted(found, k) - seen) < UNDISTORTED).all(axis=-1)
+    found[wrong] = np.nan
+    return np.asarray(found)
+
+
+def distorted(direction: Array, k: Array) -> Array:
+    """
+    Return directions (..., 2) as a lens with coefficients k (8,) shows them.
+
+    Source: OpenCV, camera calibration: x (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 +
+    k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and y alike.
+    """
+    x, y = direction[..., 0], direction[..., 1]
+    r2 = x * x + y * y
+    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (
+        1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+    return np.stack([
+        x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x),
+        y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y], axis=-1)
+
+
+def poses_of_corners(corners: Array, side: float) -> tuple[Array, Array]:
+    """
+    Return the poses of tags in the camera, the least squares of their corners.
+
+    A flat tag has a second solution, nearly as good; either shows the same corners.
+
+    Parameters
+    ----------
+    corners : array (N, 4, 2)
+        Directions of the corners, in the order of `CORNERS`.
+    side : float
+        Side of the tag, m.
+
+    Returns
+    -------
+    position : array (N, 3)
+        Middle of the tag, m.
+    rotation : array (N, 3, 3)
+        R_camera_tag.
+
+    """
+    plane = 0.5 * side * np.array(CORNERS)
+    position, rotation = _from_homography(corners, plane)
+    points = np.pad(plane, ((0, 0), (0, 1)))
+    for _ in range(POSE_STEPS):
+        arms = np.einsum('nij,cj->nci', rotation, points)
+        places = position[:, None] + arms
+        depth = np.maximum(places[..., 2:], 1e-3)
+        seen = places[..., :2] / depth
+        by_place = np.concatenate(
+            [np.broadcast_to(np.eye(2), (*seen.shape, 2)), -seen[..., None]], -1)
+        by_place /= depth[..., None]
+        J = np.concatenate([by_place, -by_place @ lie.hat(arms)], -1).reshape(len(seen), 8, 6)
+        step = np.linalg.pinv(J, rcond=1e-6) @ (corners - seen).reshape(-1, 8, 1)
+        position = position + step[:, :3, 0]
+        rotation = lie.exp_so3(step[:, 3:, 0]) @ rotation
+    return position, rotation
+
+
+def _from_homography(corners: Array, plane: Array) -> tuple[Array, Array]:
+    """Return poses by the map of a plane (4, 2) to four directions (N, 4, 2) each."""
+    x, y = np.broadcast_to(plane, corners.shape)[..., 0], np.broadcast_to(
+        plane, corners.shape)[..., 1]
+    one, none = np.ones_like(x), np.zeros((*x.shape, 3))
+    p, flat = np.stack([x, y, one], -1), corners[..., None]
+    rows = np.concatenate([
+        np.concatenate([p, none, -flat[..., 0, :] * p], -1),
+        np.concatenate([none, p, -flat[..., 1, :] * p], -1)], 1)
+    H = np.linalg.svd(rows)[2][:, -1].reshape(-1, 3, 3)
+    H = H * np.where(H[:, 2, 2] < 0.0, -1.0, 1.0)[:, None, None]
+    H = H / np.sqrt(np.linalg.norm(H[:, :, 0], axis=1) * np.linalg.norm(H[:, :, 1], axis=1)
+                    )[:, None, None]
+    U, _, V = np.linalg.svd(H[:, :, :2], full_matrices=False)
+    first = U @ V
+    return H[:, :, 2], np.concatenate(
+        [first, np.cross(first[..., 0], first[..., 1])[..., None]], axis=2)

@@ -1,0 +1,181 @@
+"""Corners of detected tags, as apriltag_ros records them with the camera's calibration."""
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry.arrays import Mask
+from bellows_ros.core.sensors.camera import CornerViews, directions, poses_of_corners
+from bellows_ros.core.signals.screening import unusable_stamps
+from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.errors import BellowsError, NoTopicError
+from bellows_ros.files import bags, File, messages
+from bellows_ros.files.bags import absolute, Contents
+import numpy as np
+
+DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+
+ANY = -1
+"""Number that stands for the only tag of a recording."""
+
+LEAST_AREA = 1e-8
+"""Smallest area of a tag at unit distance, a hundredth of a pixel."""
+
+
+class TagSought(NamedTuple):
+    """The detected tag on the package: its side (m; 0 if unknown) and number."""
+
+    side: float = 0.0
+    number: int = ANY
+
+
+NO_TAG = TagSought()
+
+
+def read_contents(
+    path: File, wanted: Mapping[str, str], tag: TagSought = NO_TAG
+) -> Contents:
+    """
+    Read the streams of a recording, poses also from the detected corners of a tag.
+
+    Parameters and errors are those of `bags.read_contents`; corners need the side of the tag.
+    """
+    contents = bags.read_contents(path, wanted)
+    missing = [role for role, problem in contents.problems.items()
+               if isinstance(problem, NoTopicError)]
+    if missing:
+        kinds = {topic.name: topic.type_name for topic in bags.topics(path) if topic.messages}
+        for role in missing:
+            topic = absolute(wanted[role])
+            if kinds.get(topic) == DETECTIONS and not role.endswith('twist'):
+                del contents.problems[role]
+                try:
+                    contents.streams[role] = _poses(read_views(path, topic, tag.number), tag.side)
+                except BellowsError as problem:
+                    contents.problems[role] = problem
+    return contents
+
+
+def _poses(views: CornerViews, side: float) -> Any:
+    """Return the poses of a tag with its corners; raise without its side."""
+    if not side:
+        raise BellowsError(
+            f"Topic '{views.name}' has the corners of tag {views.tag_id}. Set measured.tag_size "
+            'to the side of its black square, in m.')
+    return views.poses(side)
+
+
+def read_views(path: File, topic: str, number: int = ANY) -> CornerViews:
+    """
+    Read the views of one tag.
+
+    Parameters
+    ----------
+    path : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+    topic : str
+        Topic of an AprilTagDetectionArray.
+    number : int
+        Number of the tag; `ANY` for the only one.
+
+    Returns
+    -------
+    CornerViews
+        Directions of the corners, undistorted by the CameraInfo of the same frame.
+
+    Raises
+    ------
+    BellowsError
+        If the recording lacks the tag or the calibration of the camera, or has several tags
+        without a number that names one.
+
+    """
+    arrays = [(log_ns, bags.decoded(data, DETECTIONS))
+              for _, log_ns, data in bags.messages_of(path, {DETECTIONS}, topic)]
+    number = _number_of(topic, path, [array for _, array in arrays], number)
+    frame = Counter(array.header.frame_id for _, array in arrays).most_common(1)[0][0]
+    of_frame: dict[str, list[int]] = defaultdict(list)
+    views, stamps, arrivals, places = [], [], [], []
+    for place, (log_ns, array) in enumerate(arrays):
+        seen = [each for each in array.detections if each.id == number]
+        if array.header.frame_id != frame:
+            of_frame['frame_id'].append(place)
+        elif len(seen) > 1:
+            of_frame['tag_twice'].append(place)
+        elif seen:
+            stamp = array.header.stamp
+            stamps.append(stamp.sec * NS_PER_S + stamp.nanosec)
+            arrivals.append(log_ns)
+            views.append([(corner.x, corner.y) for corner in seen[0].corners])
+            places.append(place)
+    corners = directions(np.array(views).reshape(-1, 4, 2), *_calibration(path, frame))
+    found = CornerViews(absolute(topic), frame, number, np.array(stamps, np.int64), corners,
+                        {reason: tuple(at) for reason, at in of_frame.items()})
+    return _usable(found, np.array(arrivals), np.array(places), path)
+
+
+def _number_of(topic: str, path: File, arrays: list[Any], number: int) -> int:
+    """Return the number of the tag that is meant."""
+    seen = Counter(int(each.id) for array in arrays for each in array.detections)
+    listed = ', '.join(f'{each} ({count} views)' for each, count in sorted(seen.items())) or 'none'
+    if number == ANY and len(seen) == 1:
+        return next(iter(seen))
+    if number == ANY or number not in seen:
+        which = f'no tag {number}' if number != ANY else f'{len(seen)} tags' if seen else 'no tag'
+        raise BellowsError(
+            f"Topic '{topic}' in recording '{Path(path)}' has {which}; seen are: {listed}. Set "
+            'measured.tag_id to the number of the tag on the package.')
+    return number
+
+
+def _calibration(path: File, frame: str) -> tuple[Any, str, Any]:
+    """Return camera matrix, distortion model and coefficients of the camera of a frame."""
+    found: dict[tuple[Any, ...], str] = {}
+    for topic, _, data in bags.messages_of(path, {CAMERA_INFO}):
+        info = bags.decoded(data, CAMERA_INFO)
+        if info.header.frame_id == frame:
+            found.setdefault((tuple(info.k), info.distortion_model, tuple(info.d)), topic.name)
+    if not found:
+        raise BellowsError(
+            f"Recording '{Path(path)}' has no {CAMERA_INFO} of the frame '{frame}', in which tags "
+            "were detected. Record the camera's camera_info too.")
+    if len(found) > 1:
+        raise BellowsError(
+            f"Recording '{Path(path)}' has {len(found)} calibrations of the frame '{frame}', on "
+            f'{", ".join(sorted(set(found.values())))}. Record the one of the image in which tags '
+            'are detected.')
+    ((matrix, model, coefficients),) = found
+    return np.array(matrix), model, np.array(coefficients)
+
+
+def _usable(views: CornerViews, arrivals: Any, places: Any, path: File) -> CornerViews:
+    """Return the usable views, with the others by reason."""
+    refused = dict(views.refused)
+    edges = np.roll(views.corners, -1, axis=1) - views.corners
+    after = np.roll(edges, -1, axis=1)  # turns of one sign are a tag's; NaN is none
+    turns = edges[..., 0] * after[..., 1] - edges[..., 1] * after[..., 0]
+    shown = (np.abs(turns).min(axis=1) > LEAST_AREA) & (np.abs(np.sign(turns).sum(axis=1)) == 4)
+    if shown.any():
+        position, rotation = poses_of_corners(views.corners[shown], 1.0)
+        shown[shown] = (position[:, 2] > 0.0) & np.isfinite(rotation).all(axis=(1, 2))
+    tests: dict[str, Mask] = {
+        'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~shown}
+    kept = np.arange(len(views.stamps_ns))
+    for reason, bad in tests.items():
+        if bad[kept].any():
+            refused[reason] = tuple(places[kept[bad[kept]]].tolist())
+        kept = kept[~bad[kept]]
+    wrong = unusable_stamps(views.stamps_ns[kept], arrivals[kept])
+    refused |= {reason: tuple(places[kept[bad]].tolist()) for reason, bad in wrong.items()
+                if bad.any()}
+    kept = kept[~np.logical_or.reduce(list(wrong.values()))]
+    if not len(kept):
+        raise BellowsError(
+            f"Topic '{views.name}' in recording '{Path(path)}' has no usable view of tag "
+            f'{views.tag_id}: {messages.describe(refused)}. Check the camera, and record '
+            'again.')
+    return replace(views, stamps_ns=views.stamps_ns[kept], corners=views.corners[kept],
+                   refused=refused)

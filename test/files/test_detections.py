@@ -1,0 +1,166 @@
+"""Corners of tags that apriltag_ros records, through the lens of the camera."""
+
+from bellows_ros.core.sensors.camera import directions, poses_of_corners
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Encoded, write_bag
+from bellows_ros.files.bags import message_types
+from bellows_ros.files.detections import DETECTIONS, read_contents, read_views, TagSought
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.spatial.transform import Rotation
+
+from . import recordings as made
+
+COUNT, SIDE, FRAME = 40, 0.06, 'optical'
+TAG = TagSought(SIDE)
+MATRIX = np.array([[910.0, 0.0, 650.0], [0.0, 930.0, 340.0], [0.0, 0.0, 1.0]])
+LENSES = {
+    'plumb_bob': (-0.31, 0.12, 1e-3, -2e-3, -0.02),
+    'rational_polynomial': (0.4, -0.2, -1e-3, 5e-4, 0.02, 0.7, -0.1, 0.01)}
+TYPES = message_types().types
+"""Of apriltag_msgs too."""
+
+
+def views(seed=0):
+    """Return positions, rotations and directions of the corners of a tag before a camera."""
+    rng = np.random.default_rng(seed)
+    position = rng.uniform([-0.4, -0.25, 0.8], [0.4, 0.25, 1.4], (COUNT, 3))
+    rotation = Rotation.from_rotvec(rng.uniform(-0.7, 0.7, (COUNT, 3))).as_matrix()
+    points = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    places = position[:, None] + points @ np.swapaxes(rotation, 1, 2)
+    return position, rotation, places[..., :2] / places[..., 2:]
+
+
+def pixel(direction, k):
+    """Return the pixel of a direction, one at a time, as the pages of OpenCV have it."""
+    x, y = direction
+    k1, k2, p1, p2, k3, k4, k5, k6 = np.append(k, np.zeros(8 - len(k)))
+    r = np.hypot(x, y)
+    radial = (1 + k1 * r**2 + k2 * r**4 + k3 * r**6) / (1 + k4 * r**2 + k5 * r**4 + k6 * r**6)
+    seen = [radial * x + 2 * p1 * x * y + p2 * (r**2 + 2 * x**2),
+            radial * y + p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y, 1.0]
+    return (MATRIX @ seen)[:2]
+
+
+def encoded(topic, kind, messages):
+    """Return messages to record."""
+    data = [bytes(message_types().serialize_cdr(each, kind)) for each in messages]
+    return Encoded(topic, kind, made.stamps(len(data)), data)
+
+
+def header(stamp_ns, frame=FRAME):
+    """Return a header."""
+    time = TYPES['builtin_interfaces/msg/Time'](*divmod(int(stamp_ns), 10**9))
+    return TYPES['std_msgs/msg/Header'](time, frame)
+
+
+def detections(pixels, numbers=(7,)):
+    """Return one message of detections for each view, with tags of some numbers."""
+    point = TYPES['apriltag_msgs/msg/Point']
+    one = TYPES['apriltag_msgs/msg/AprilTagDetection']
+    found = []
+    for stamp, four in zip(made.stamps(len(pixels)), pixels, strict=True):
+        corners = [point(*map(float, x)) for x in four]
+        found.append(TYPES[DETECTIONS](header(stamp), [
+            one('36h11', number, 0, 0.0, 50.0, point(0.0, 0.0), corners, np.zeros(9))
+            for number in numbers]))
+    return found
+
+
+def calibration(model, k, frame=FRAME):
+    """Return a message of the camera."""
+    region = TYPES['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False)
+    return TYPES['sensor_msgs/msg/CameraInfo'](
+        header(made.EPOCH_NS, frame), 720, 1280, model, np.array(k), MATRIX.ravel(),
+        np.eye(3).ravel(), np.zeros(12), 0, 0, region)
+
+
+def recorded(path, arrays, *cameras):
+    """Write a recording of detections and cameras."""
+    write_bag(path, [encoded('/detections', DETECTIONS, arrays)] + [
+        encoded(f'/camera{i}', 'sensor_msgs/msg/CameraInfo', [each])
+        for i, each in enumerate(cameras)])
+    return path
+
+
+@pytest.mark.parametrize('model', LENSES)
+def test_corners_are_read_without_the_distortion_of_the_lens(tmp_path, model):
+    position, rotation, true = views()
+    pixels = np.apply_along_axis(pixel, -1, true, LENSES[model])
+    assert np.abs(pixels - true @ MATRIX[:2, :2] - MATRIX[:2, 2]).max() > 3.0
+    path = recorded(tmp_path / 'b', detections(pixels), calibration(model, LENSES[model]),
+                    calibration('plumb_bob', np.zeros(5), 'another'))
+    found = read_views(path, 'detections')
+    assert (found.tag_id, found.frame_id, found.refused) == (7, FRAME, {})
+    assert_array_equal(found.stamps_ns, made.stamps(COUNT))
+    assert_allclose(found.corners, true, atol=1e-8)
+    stream = read_contents(path, {'package_pose': '/detections'}, TagSought(SIDE)).streams[
+        'package_pose']
+    assert_allclose(stream.corners, true.reshape(-1, 8), atol=1e-8)
+    assert_allclose(stream.position, position, atol=1e-5)
+    assert_allclose(stream.rotation, rotation, atol=1e-4)
+
+
+def test_noisy_corners_give_the_pose_of_least_squares_or_its_second_solution():
+    """Compare with the errors of corners that the true pose leaves."""
+    position, rotation, true = views(1)
+    noise = 1e-4 * np.random.default_rng(2).normal(size=true.shape)
+    o, R = poses_of_corners(true + noise, SIDE)
+    points = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    places = o[:, None] + points @ np.swapaxes(R, 1, 2)
+    left = true + noise - places[..., :2] / places[..., 2:]
+    assert np.all(np.sum(left**2, (1, 2)) <= 1.0001 * np.sum(noise**2, (1, 2)))
+    assert_allclose(o, position, atol=0.05)
+
+
+def refusal(path, tag=TAG):
+    """Return the reason for which a recording has no poses of a tag."""
+    return str(read_contents(path, {'package_pose': '/detections'}, tag).problems['package_pose'])
+
+
+def test_several_tags_are_listed_and_one_is_chosen_by_its_number(tmp_path):
+    pixels = views()[2] * 900.0 + 600.0
+    path = recorded(tmp_path / 'b', detections(pixels, (3, 7)), calibration('plumb_bob', ()))
+    assert '3 (40 views), 7 (40 views)' in refusal(path) and 'measured.tag_id' in refusal(path)
+    assert 'no tag 5' in refusal(path, TagSought(SIDE, 5))
+    assert read_views(path, 'detections', 7).tag_id == 7
+    assert 'measured.tag_size' in refusal(path, TagSought(0.0, 7))
+
+
+def test_views_that_show_no_single_tag_are_counted_by_reason(tmp_path):
+    pixels = views()[2] * 900.0 + 600.0
+    pixels[5] = pixels[5, 0]  # a point
+    arrays = detections(pixels)
+    arrays[8] = detections(pixels, (7, 7))[8]
+    arrays[9].detections.clear()
+    arrays[11].header = header(made.stamps(COUNT)[10])
+    arrays[12].header = header(made.stamps(COUNT)[12], 'another')
+    found = read_views(recorded(tmp_path / 'b', arrays, calibration('', ())), 'detections')
+    assert found.refused == {
+        'tag_no_pose': (5,), 'tag_twice': (8,), 'duplicate_stamp': (11,), 'frame_id': (12,)}
+    assert len(found.stamps_ns) == COUNT - 5
+
+
+@pytest.mark.parametrize('cameras, named', [
+    ([], 'camera_info'), ([calibration('plumb_bob', (), 'another')], "'optical'"),
+    ([calibration('plumb_bob', ()), calibration('plumb_bob', (0.1,))], '/camera0, /camera1'),
+    ([calibration('fisheye', (0.1,))], 'fisheye')])
+def test_a_camera_that_is_not_known_is_refused(tmp_path, cameras, named):
+    assert named in refusal(recorded(tmp_path / 'b', detections(views()[2] * 900), *cameras))
+
+
+def test_a_camera_without_calibration_is_refused():
+    with pytest.raises(BellowsError, match='not calibrated'):
+        directions(np.zeros((1, 2)), np.zeros(9), 'plumb_bob', np.zeros(5))
+
+
+def test_the_corners_of_the_cell_are_read(root):
+    """Against what its truth holds, as detected."""
+    path = root.parent / 'shared/cell/tag_corners/962'
+    if not path.exists():
+        pytest.skip('the recordings of the cell are not here (../shared/cell)')
+    truth = np.load(f'{path}_truth.npz')
+    found = read_views(path, '/detections')
+    assert_array_equal(found.stamps_ns, truth['stamps'])
+    assert_allclose(found.corners, (truth['corners'] - [640.0, 360.0]) / truth['f'], atol=1e-12)
