@@ -46,13 +46,10 @@ def outcome(laboratory, cause, other=''):
         named = [own for own in (cause, other) if own and own in str(error)]
         return ('refused otherwise', 'one of two' if other else 'right', 'right')[len(named)], (
             str(error)[:90])
-    findings, besides = verdict.diagnosis.findings, verdict.diagnosis.besides
+    findings = verdict.diagnosis.findings
     named = [f'{own.name} {own.value}{own.sentence} {own.instead} '
-             f'{"certain" if own.certain else "perhaps"}' for own in (*findings, *besides)]
+             f'{"certain" if own.certain else "perhaps"}' for own in findings]
     said = '; '.join([*named, *verdict.refusals])[:200]
-    if any('certain' in word and cause not in word and not (other and other in word)
-           for word in named[len(findings):]):
-        return 'wrong besides', said
     if other and named:
         return of_two(named, cause, other), said
     word, off = unnamed(laboratory, verdict, found, said)

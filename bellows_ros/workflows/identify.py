@@ -244,7 +244,7 @@ def read_part(
         raise BellowsError(' '.join(verdict.cause if verdict else ()))
     part, pair = reduced(recording, values.cup.length), methods.pair_of(recording, values, number)
     if values.fit.method == 'output_error':
-        part = part._replace(facts=causes.corrected(recording)[0])
+        part = part._replace(facts=causes.faults_of(recording))
     return pair, recording if bag in keep else part
 
 

@@ -20,7 +20,7 @@ from bellows_ros.core.identification.diagnosis.commission import Check, checks_o
 from bellows_ros.core.identification.diagnosis.facts import facts_of
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.recording import alignment, conventions, preparation, recording
+from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
@@ -37,7 +37,7 @@ from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import DETECTIONS, read_contents
 from bellows_ros.report.sentences import finding_sentence
 from bellows_ros.workflows.holds import SIGNALS
-from bellows_ros.workflows.recordings import fact_sentence, remark_sentences, within_interval
+from bellows_ros.workflows.recordings import fact_sentences, remark_sentences, within_interval
 import numpy as np
 
 MIN_HOLD, MIN_TILT = 4.0, 0.1
@@ -342,9 +342,9 @@ def _registration_settings(
     """Add settings and notes on both poses; return the initial rest (s), and checks."""
     remarks, (tool, package) = list[str](), streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
-    error = conventions.convention_sentence(tool, package, path) or ' '.join(
-        fact_sentence(fact, tool, package) for fact in facts_of(tool, package, R)
-        if fact.code not in ('tool_z', 'repeated_poses'))
+    error = fact_sentences([
+        fact for fact in facts_of(tool, package, R)
+        if fact.code not in ('tool_z', 'repeated_poses')], tool, package, path)
     separate = '' if error else _why_separate(pair, tool, package)
     if separate:
         settings |= {

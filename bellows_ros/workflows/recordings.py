@@ -190,13 +190,10 @@ def _prepared(
             tool, twist, conversion.tip_of(values), values.tool_twist.frame == 'world')
     if values.recording.package_world == '':
         prepared.require_one_frame(tool, package)
-    elif tool.frame_id != package.frame_id and (
-            wrong := conventions.convention_sentence(tool, package, name)):
-        raise UnexplainedError(wrong)  # such poses determine no world
     world = values.recording.package_world
     registers = bool(values.fit.time_offset or world == checks.ESTIMATE
                      or 'package_marker' in values.fit.free)
-    _require_no_faults(tool, package, settings, registers)
+    _require_no_faults(tool, package, settings, registers, name)
     package = as_measured(package, values)
     if registers:
         payload, inertia = settings.payload, np.diag(settings.payload.inertia)
@@ -239,22 +236,28 @@ def marker_alignment(values: Values) -> frames.Alignment | None:
 
 
 def _require_no_faults(
-    tool: PoseStream, package: PoseStream, settings: PrepareSettings, registers: bool
+    tool: PoseStream, package: PoseStream, settings: PrepareSettings, registers: bool,
+    name: str,
 ) -> None:
     """Raise for poses with a fault that no fit can correct, or that misleads a registration."""
     if min(len(tool), len(package)) < MIN_POSES:
         return
-    for fact in facts_of(tool, package, settings.R_world_recorded):
-        if fact.code in BLOCKING or (
-                fact.code == 'tool_z' and registers and not settings.align_at_rest):
-            raise UnexplainedError(fact_sentence(fact, tool, package))
+    if wrong := [
+            fact for fact in facts_of(tool, package, settings.R_world_recorded)
+            if fact.code in BLOCKING or (
+                fact.code == 'tool_z' and registers and not settings.align_at_rest)]:
+        raise UnexplainedError(fact_sentences(wrong, tool, package, name))
 
 
-def fact_sentence(fact: Fact, tool: PoseStream, package: PoseStream) -> str:
-    """Return the sentence on a fault of the poses, with their topics."""
+def fact_sentences(
+    facts: Sequence[Fact], tool: PoseStream, package: PoseStream, name: File = ''
+) -> str:
+    """Return the sentences on faults of the poses, and the command that converts a recording."""
+    others = [fact for fact in facts if fact.code not in ('millimetres', 'quaternion_order')]
+    said = [conventions.convention_sentence(tool, package, name)] * (len(others) < len(facts))
     names = {'tool': [tool.name], 'package': [package.name]}
-    topics = names.get(fact.body, [tool.name, package.name])
-    return sentence('facts', fact.code, topic="' and '".join(topics), **fact.numbers)
+    return ' '.join([*said, *(sentence('facts', fact.code, topic="' and '".join(
+        names.get(fact.body, [tool.name, package.name])), **fact.numbers) for fact in others)])
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:

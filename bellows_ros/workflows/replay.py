@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import reduction, result
-from bellows_ros.core.identification.causes import corrected
+from bellows_ros.core.identification.causes import faults_of
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
@@ -359,7 +359,7 @@ def replay(
             f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name[1:]}. "
             'Record it, or set vacuum.signal: none.')
     rated, note = _held_part(bag, recording, values, signals) if signals else (recording, '')
-    causes = corrected(rated)[0]
+    causes = faults_of(rated)
     if any(cause.sentence for cause in causes):  # the package is not below the tool
         raise BellowsError(' '.join(finding_sentence(cause, values) for cause in causes))
     progress('simulating', 0.3)
@@ -398,7 +398,7 @@ def validated(values: Values, recording: Recording) -> Replay:
     except UnstableError as error:
         raise UnstableError(' '.join([*_mass_hint(values, recording), str(error)])) from None
     warnings = [
-        *(finding_sentence(cause, values) for cause in corrected(recording)[0]
+        *(finding_sentence(cause, values) for cause in faults_of(recording)
           if cause.name not in ('mass', 'inertia')),
         *recording.report.warnings, *validation.warnings]
     valid = conversion.parameter_envelope(values)

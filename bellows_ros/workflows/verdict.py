@@ -1,7 +1,6 @@
 """Quality of a cup, causes of a misfit, and the acceptance of the cup."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from itertools import permutations
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -22,7 +21,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError, UnstableError
+from bellows_ros.errors import UnstableError
 from bellows_ros.report.sentences import finding_sentence, sentence, setting_of, texts
 import numpy as np
 
@@ -116,8 +115,8 @@ class FitVerdict(NamedTuple):
 
     @property
     def causing(self) -> list[causes.Finding]:
-        """Causes, the likeliest first, followed by further ones."""
-        return [*self.diagnosis.findings, *self.diagnosis.besides]
+        """Causes, the likeliest first."""
+        return [*self.diagnosis.findings]
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -176,12 +175,10 @@ class FitVerdict(NamedTuple):
             return ()
         first, *others = self.causing
         if first.certain:
-            besides = [f'Besides{"" if finding.certain else ", likely"}: '
-                       f'{finding_sentence(finding, self.given)}'
-                       for finding in others if finding.certain or first.is_fact]
-            more = ['More may be wrong: correct this, and run it again.'] if (
-                first.is_fact and not others) else []
-            return (finding_sentence(first, self.given), *besides, *more)
+            return (finding_sentence(first, self.given), *(
+                f'Besides: {finding_sentence(each, self.given)}' for each in others
+                if first.is_fact), *(['More may be wrong: correct this, and run it again.'] * (
+                    first.is_fact)))
         likely = [each for each in self.causing if each.name != 'unknown']
         if self.is_at_noise or self.simulated and not self.refusals and not (
                 likely and likely[0].share >= causes.DISTINCT or any(
@@ -217,8 +214,7 @@ class FitVerdict(NamedTuple):
                  'sentence': finding_sentence(finding, self.given),
                  'units': dict.fromkeys(
                      ('theta', 'std'), texts('causes').get(f'{finding.name}.units', '1'))}
-                for finding in self.causing],
-            'besides': len(self.diagnosis.besides)}
+                for finding in self.causing]}
 
 
 def verdict_of(
@@ -251,13 +247,7 @@ def verdict_of(
     if fit is not None:
         verdict = _judged(verdict, fit, tested, length, values)
     if facts := causes.facts(tested, length):
-        besides: tuple[causes.Finding, ...] = ()
-        right = [causes.corrected(each)[1] for each in tested]
-        with suppress(BellowsError):  # the fault cannot be corrected
-            besides = methods.fitted(right, simulated).causes
-        return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts, tuple(
-            cause for cause in besides if cause.certain and all(
-                cause.name not in (fact.name, fact.instead) for fact in facts))))
+        return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts))
     if fit is None or fit.method != 'output_error':
         if verdict.is_at_noise:
             return verdict

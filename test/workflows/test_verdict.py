@@ -103,7 +103,7 @@ def test_what_a_fit_found_comes_after_nothing_but_facts():
     found = verdict.verdict_of(
         replace(made_for(laboratory), causes=wrong), laboratory.recordings(), laboratory.length,
         parameters(laboratory))
-    assert found.is_at_noise and (*found.diagnosis.findings, *found.diagnosis.besides) == wrong
+    assert found.is_at_noise and found.diagnosis.findings == wrong
     laboratory.say(mass=1e3)
     found = verdict.verdict_of(
         replace(made_for(laboratory), causes=wrong), laboratory.recordings(), laboratory.length,

@@ -6,7 +6,7 @@ Each cause has a name; its parameter and a sentence with a remedy are in the tex
 tested by simulation (`diagnosis`). Each becomes a `Finding`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
@@ -39,12 +39,6 @@ DISTINCT = 0.5
 MISREAD: Mapping[str, str] = tomllib.loads(Path(__file__).with_name('misread.toml').read_text())
 
 NONE = np.empty(0)
-
-MAX_FACTS = 4
-"""Largest number of findings without a fit."""
-
-MAX_BODY_DISTANCE = 1e-3
-"""Largest distance between two poses of one body, m."""
 
 MAX_LIP_DEPTH = 0.3
 """Largest distance of a lip below its tool, m; beyond, tool and package are in two worlds."""
@@ -158,14 +152,11 @@ class Diagnosis(NamedTuple):
         Chi² beyond noise, over the chi² expected of noise.
     findings : tuple of Finding
         Up to three likeliest causes, or all detected without a fit.
-    besides : tuple of Finding
-        Further causes after correction of the first one.
 
     """
 
     excess: float
     findings: tuple[Finding, ...]
-    besides: tuple[Finding, ...] = ()
 
 
 IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
@@ -179,29 +170,10 @@ def implausible_inputs(recording: Recording) -> tuple[Finding, ...]:
     return tuple(wrong._replace(is_fact=True) for wrong in found if wrong)
 
 
-def corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
-    """Return the faults of a recording detected without a fit, and the corrected recording."""
-    return recording.cached('corrected', lambda: _corrected(recording))
-
-
-def _corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
-    facts = list[Finding]()
-    while len(facts) < MAX_FACTS:
-        try:
-            wrong = misread(recording)
-            new = [wrong] if wrong else [one for one in implausible_inputs(recording) if all(
-                one.name != fact.name for fact in facts)]
-            facts += new
-            for one in new:
-                if one.name in CORRECTIONS:
-                    recording = CORRECTIONS[one.name](recording, one)
-        except BellowsError as error:
-            if not facts:
-                raise
-            return (*facts, _fact('recording', str(error))), recording
-        if not new:
-            break
-    return tuple(facts), recording
+def faults_of(recording: Recording) -> tuple[Finding, ...]:
+    """Return the faults of a recording that are detected without a fit."""
+    return recording.cached('faults', lambda: (wrong,) if (
+        wrong := misread(recording)) else implausible_inputs(recording))
 
 
 def _fact(name: str, sentence: str) -> Finding:
@@ -231,7 +203,7 @@ def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
 
 def facts(recordings: Sequence[Recording], length: float) -> tuple[Finding, ...]:
     """Return the faults of recordings of a cup with a length (m), detected without a fit."""
-    found = tuple(fact for recording in recordings for fact in corrected(recording)[0])
+    found = tuple(fact for recording in recordings for fact in faults_of(recording))
     off = None if found or not recordings else wrong_length(recordings[0], length)
     return (off,) if off else found
 
@@ -262,11 +234,6 @@ def _misread(recording: Recording) -> Finding | None:
     lip, centre = (apply(R_tool_world, offset)
                    for offset in (in_world, package.position - tool.position))
     away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
-    if wrong := conventions.convention_sentence(*streams, recording.name):
-        return _fact('recording', wrong)
-    recorded = lip if recording.settings.package_frame == 'lip' else centre
-    if float(np.median(np.linalg.norm(recorded, axis=1))) < MAX_BODY_DISTANCE:
-        raise BellowsError(MISREAD['one_body'].format(**names))
     if away <= conventions.MAX_DISTANCE and above <= 0.0 and conventions.spread(lip) < MAX_SPREAD:
         return None
     with suppress(BellowsError):  # remains unexplained by clocks
@@ -284,14 +251,9 @@ def _above_the_tool(
     recording: Recording, centre: Array, in_world: Array, above: float
 ) -> Finding:
     """Return the cause of a lip above the tool (mm), by positions (N, 3) in tool and world."""
-    below, upward, other = (1e3 * float(np.median(offset[:, 2])) for offset in (
-        -centre, in_world, apply(alignment.R_WORLD_MOTIVE, in_world)))  # inverse of itself
+    below, upward = (1e3 * float(np.median(offset[:, 2])) for offset in (-centre, in_world))
     if recording.settings.package_frame == 'com' and below > 0.0:
         return _fact('recording.package_frame', MISREAD['lip'].format(below=below, above=above))
-    if upward > 0.0 or other > -upward:
-        return _fact('topics', MISREAD['exchanged'].format(
-            above=above, world=max(upward, other), where='the world' if upward > other else
-            'that of the other recording.world'))
     raise BellowsError(MISREAD['upside_down'].format(above=above, below_in_world=-upward))
 
 
@@ -319,36 +281,11 @@ def _world_of(recording: Recording) -> Array:
         recording.measured_tool, recording.measured_package, THESIS_LENGTH, -recording.payload.com)
 
 
-def _in_one_world(recording: Recording, finding: Finding) -> Recording:
-    """Return a recording with the poses of its package in the world of the tool."""
-    pose, R = _world_of(recording), recording.settings.R_world_recorded
-    recorded = np.concatenate([R.T @ pose[:3], lie.rotation_to_quaternion(
-        R.T @ lie.quaternion_to_rotation(pose[3:]) @ R)])
-    return _prepared(recording, package=alignment.in_tool_world(
-        recording.package_pose, recorded, recording.tool_pose.frame_id))
-
-
-def _by_convention(recording: Recording, finding: Finding) -> Recording:
-    """Return a recording in metres, and with w last."""
-    both = recording.tool_pose, recording.package_pose
-    tool, package = map(conventions.converted, both, conventions.conventions_of(*both))
-    return _prepared(recording, tool=tool, package=package)
-
-
 def _by_one_clock(recording: Recording, finding: Finding) -> Recording:
     """Return a recording with the stamps of the tool earlier by the estimated offset."""
     seconds, twist = float(finding.theta[0]), recording.tool_twist
     return _prepared(recording, tool=earlier(recording.tool_pose, seconds),
                      tool_twist=twist and earlier(twist, seconds))
-
-
-def _in_other_units(recording: Recording, finding: Finding) -> Recording:
-    """Return a recording whose package is in kg and kg m^2."""
-    factor = {'g': 1e3, **dict(structure.INERTIA_UNITS)}[finding.value]
-    mass, inertia, com = (getattr(recording.payload, name) for name in ('mass', 'inertia', 'com'))
-    payload = Package(mass / factor, inertia, com) if finding.name == 'mass' else Package(
-        mass, inertia / factor, com)
-    return replace(recording, settings=replace(recording.settings, payload=payload))
 
 
 def _prepared(recording: Recording, **changes: Any) -> Recording:
@@ -501,14 +438,3 @@ def _noise_order(poses: Trajectory) -> float:
         return 0.0
     return -float(np.polyfit(np.log(hz[inside]), np.log(densities.mean(axis=0)), 1)[0])
 
-
-CORRECTIONS: Mapping[str, Callable[[Recording, Finding], Recording]] = {
-    'recording': _by_convention,
-    'topics': lambda recording, finding: _prepared(
-        recording, tool=recording.package_pose, package=recording.tool_pose, tool_twist=None),
-    'recording.package_frame': lambda recording, finding: _prepared(
-        recording, settings=replace(recording.settings, package_frame='lip')),
-    'package_world': _in_one_world,
-    'time_offset': _by_one_clock,
-    **dict.fromkeys(('mass', 'inertia'), _in_other_units)}
-"""Corrections of a recording by the name of a finding without a fit."""

@@ -124,8 +124,9 @@ class Fact(NamedTuple):
 
 BLOCKING = frozenset((
     'clock_step', 'swapped', 'frozen_orientation', 'package_on_tool', 'package_at_rest',
-    'conjugated', 'inverse_rotation', 'inverted', 'rotation_frame', 'left_handed'))
-"""Faults that prevent a fit and a replay: no correction of the recording is known."""
+    'one_body', 'millimetres', 'quaternion_order', 'conjugated', 'inverse_rotation', 'inverted',
+    'rotation_frame', 'left_handed', 'exchanged'))
+"""Faults that prevent a fit and a replay."""
 
 
 def facts_of(

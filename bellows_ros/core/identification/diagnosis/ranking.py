@@ -211,7 +211,9 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
 
     """
     end = next((each for each in ends if each.is_plausible), ends[0])
-    is_off_by = {name: z**2 for name, (z, limit) in pulls(end, given_std).items() if z > limit}
+    off = {name: pair for name, pair in pulls(end, given_std).items() if pair[0] > pair[1]}
+    least = {name: limit**2 for name, (_, limit) in off.items()}
+    is_off_by = {name: z**2 for name, (z, _) in off.items()}
     falls = scores(end, candidates_of(end.problem)) | is_off_by
     if 'slip' not in end.problem.places and not (end.fits and is_off_by):
         end, falls['slip'] = with_likeliest_slip(end)
@@ -219,9 +221,10 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
     if not end.is_plausible:  # scores about an implausible cup are unreliable
         names = [*dict.fromkeys([*names, 'length', 'package_world'])]
     tried = sorted((freed(end, name) for name in names if (
-        falls.get(name, 0.0) > SIGNIFICANT**2 or not end.is_plausible)),
+        falls.get(name, 0.0) > least.get(name, SIGNIFICANT**2) or not end.is_plausible)),
         key=lambda one: one.gain, reverse=True)
-    tried = [one for one in tried if one.gain > SIGNIFICANT**2 * max(one.found.colour, 1.0)]
+    tried = [one for one in tried if one.gain > least.get(one.name, SIGNIFICANT**2) * max(
+        one.found.colour, 1.0)]
     total = max(misfit_beyond_noise(end), *(one.gain for one in tried), 1e-9) if tried else 1.0
     best = tried[0] if tried else None
     frame = best and best.name in OF_LIP and _other_frame(end, best)
