@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml
-import lz4.frame
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -57,6 +56,8 @@ Counts = dict[Channel, int]
 
 def channel(name: str, type_name: str, encoding: str, definition: str) -> Channel:
     """Return a topic, with the definition of its type only if releases differ in it."""
+    if not all(isinstance(text, str) for text in (name, type_name, encoding)):
+        raise DamagedError('its list of topics is damaged')
     defined = type_name in DEFINED_TYPES and len(definition) < MAX_DEFINITION
     return Channel(name, type_name, encoding, definition if defined else '')
 
@@ -207,17 +208,9 @@ ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 ZstdError, ZstdFile = zstd.ZstdError, zstd.ZstdFile
 
 
-# Decompressor of each form of frames, and its exception for damaged frames.
-FRAMES: dict[str, tuple[Any, type[Exception]]] = {
-    'zstd': (zstd.ZstdDecompressor, zstd.ZstdError),
-    'lz4': (lz4.frame.LZ4FrameDecompressor, RuntimeError)}
-
-
-def decompressed(form: str, data: bytes, limit: int, cut: bool = False) -> bytes:
+def decompressed(data: bytes, limit: int) -> bytes:
     """
-    Decompress frames of a form, up to a total number of bytes.
-
-    Truncated data give the available part.
+    Decompress frames of zstd, up to a total number of bytes.
 
     Raises
     ------
@@ -225,17 +218,16 @@ def decompressed(form: str, data: bytes, limit: int, cut: bool = False) -> bytes
         If the data is damaged, incomplete, or decompresses beyond the limit.
 
     """
-    new_decompressor, damage = FRAMES[form]
     plain = bytearray()
     while data:
-        frame = new_decompressor()
+        frame = zstd.ZstdDecompressor()
         try:
             plain += frame.decompress(data, max_length=limit - len(plain) + 1)
-        except damage as error:
-            raise DamagedError(f'{form} data is damaged: {error}') from None
+        except ZstdError as error:
+            raise DamagedError(f'zstd data is damaged: {error}') from None
         if len(plain) > limit:
             raise DamagedError(f'decompressed data is longer than the {limit} bytes expected')
-        if not (frame.eof or cut):
+        if not frame.eof:
             raise DamagedError('compressed data ends early')
         data = frame.unused_data
     return bytes(plain)

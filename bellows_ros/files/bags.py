@@ -25,7 +25,7 @@ from bellows_ros.files.bag_folder import (
     Wanted,
     ZSTD_MAGIC,
 )
-from bellows_ros.files.unclosed import INFLATING
+from bellows_ros.files.storage import INFLATING
 import numpy as np
 
 # Largest number of messages of a topic: five hours at 500 Hz, some 1 GB in memory.
@@ -359,12 +359,12 @@ class _Collector:
         covariance = layout.pose_covariance if self._by_stamp else 0
         self._part = slice(part.start, part.stop + covariance)
         self._frames: dict[tuple[str, ...], int] = {}
-        self._count, self._decoded = 0, list[np.ndarray]()
+        self.count, self._decoded = 0, list[np.ndarray]()
 
     def add(self, times_ns: Sequence[int], stored: Sequence[bytes]) -> None:
         """Decode a batch of messages, unless there are too many."""
-        self._count += len(times_ns)
-        if self._count > MAX_MESSAGES:
+        self.count += len(times_ns)
+        if self.count > MAX_MESSAGES:
             raise BellowsError(f"Topic '{self.topic.name}' has more than {MAX_MESSAGES} messages. "
                                'Give a shorter recording.')
         self._decoded.append(messages.decode(
@@ -387,7 +387,7 @@ class _Collector:
 
 def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -> Stream:
     """Return the stream of a role from its messages, or raise its fault."""
-    filled = [each for each in collectors if bag.counts[each.topic]]
+    filled = [each for each in collectors if each.count]
     if len(filled) > 1:
         raise BellowsError(
             f"Topic '{name}' has messages of two types, {filled[0].topic.type_name} and "
@@ -396,7 +396,8 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
         return filled[0].stream(bag.path)
     where = f"'{name}' in recording '{bag.path}'"
     if collectors:
-        raise BellowsError(f'Topic {where} has no messages. Record while it is published.')
+        remedy = ' '.join(bag.notes) or 'Record while it is published.'
+        raise BellowsError(f'Topic {where} has no messages. {remedy}')
     types = accepted_types(role)
     given_by = f'topics.{role}' if f'topics.{role}' in PARAMETERS else 'the topic'
     fitting = sorted({t.name for t in bag.counts if t.type_name in types})
@@ -421,5 +422,5 @@ def _decompressed(topic: Channel, data: bytes) -> bytes:
     is_layout = topic.type_name in messages.MOTIONS
     with suppress(DamagedError):
         return bag_folder.decompressed(
-            'zstd', data, messages.MAX_MESSAGE_BYTES if is_layout else 2**28)
+            data, messages.MAX_MESSAGE_BYTES if is_layout else 2**28)
     return b''

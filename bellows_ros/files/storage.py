@@ -1,24 +1,21 @@
 """
-Reading of one storage file of a recording with rosbags: MCAP or SQLite, plain or compressed.
+Reading of one storage file of a recording: MCAP or SQLite, plain or compressed.
 
-rosbags needs the index at the end of an MCAP file, and a sound database; other files are read by
-`unclosed.py`. Files are not trusted: sizes are bounded before rosbags decompresses a chunk, and a
-database may not define its tables by queries.
+rosbags reads sound files. An MCAP file whose end is missing or damaged is read linearly by mcap,
+and a damaged database row by row. Every file is read up to its damage, with a note.
 """
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, ExitStack, suppress
-from os import truncate
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 import shutil
 import sqlite3
-import struct
 from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
-from bellows_ros.files import bag_folder, unclosed
+from bellows_ros.files import bag_folder
 from bellows_ros.files.bag_folder import (
     Batch,
     Channel,
@@ -30,22 +27,24 @@ from bellows_ros.files.bag_folder import (
     Wanted,
     ZSTD_MAGIC,
 )
-from bellows_ros.files.unclosed import INFLATING, MCAP_MAGIC
-from mcap.reader import SeekingReader
+from mcap import records
+from mcap.stream_reader import StreamReader
+import numpy as np
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-SQLITE_MAGIC = b'SQLite format 3\0'
-
-MAX_INFLATED, MAX_INFLATION = 2**27, 30
-"""Largest decompressed content of a small file, bytes, and additional decompressed bytes per byte
-of a file."""
-
-_CHUNK_DATA_AT = 49
-"""Position of the content of a chunk without the name of its compression."""
+MCAP_MAGIC, SQLITE_MAGIC, ROS1_MAGIC = b'\x89MCAP0\r\n', b'SQLite format 3\0', b'#ROSBAG'
 
 BATCH = 4096
 """Largest number of messages of a topic that are given together."""
+
+MAX_INFLATED = 2**27
+"""Largest decompressed content of a small file, bytes."""
+
+MAX_INFLATION = 30
+"""Additional decompressed bytes per byte of a file."""
+
+INFLATING = 'its content is far larger than the file'
 
 
 def batches(path: Path, wanted: Wanted, counts: Counts, notes: list[str]) -> Iterator[Batch]:
@@ -66,37 +65,46 @@ def batches(path: Path, wanted: Wanted, counts: Counts, notes: list[str]) -> Ite
     Raises
     ------
     DamagedError
-        If the file is no recording, or is damaged although it was closed.
+        If the file is no recording.
 
     """
-    met, before = Counter[Channel](), dict(counts)
+    number, last_ns = 0, 0
     pending: dict[Channel, tuple[list[int], list[bytes]]] = defaultdict(lambda: ([], []))
-    for topic, log_time_ns, data in _stored(path, wanted, counts, notes):
-        times, messages = pending[topic]
-        times.append(log_time_ns)
-        messages.append(data)
-        if len(times) == BATCH:
-            met[topic] += BATCH
-            yield topic, *pending.pop(topic)
+    try:
+        for topic, log_time_ns, data in _stored(path, wanted, counts, notes):
+            number, last_ns = number + 1, max(last_ns, log_time_ns)
+            if not wanted(topic):
+                continue
+            times, messages = pending[topic]
+            times.append(log_time_ns)
+            messages.append(data)
+            if len(times) == BATCH:
+                yield topic, *pending.pop(topic)
+    except (DamagedError, OSError):
+        raise
+    except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
+        reason = str(error) or type(error).__name__
+        notes.append(
+            f'its recording was not closed, or it is damaged ({reason:.200}); read were {number} '
+            'messages' + f' up to {_utc(last_ns)} UTC' * (number > 0))
     for topic, (times, messages) in pending.items():
-        met[topic] += len(times)
         yield topic, times, messages
-    for topic, number in met.items():
-        if number != counts[topic] - before.get(topic, 0):
-            raise DamagedError(f"it has {number} messages of '{topic.name}', but says "
-                               f'{counts[topic] - before.get(topic, 0)}')
+
+
+def _utc(stamp_ns: int) -> np.datetime64:
+    """Return a time of recording to the millisecond."""
+    return np.datetime64(min(stamp_ns, 2**63 - 1) // 10**6, 'ms')
 
 
 def _stored(path: Path, wanted: Wanted, counts: Counts, notes: list[str]) -> Iterator[Stored]:
-    """Yield the wanted messages one by one."""
-    most_bytes = MAX_INFLATED + MAX_INFLATION * path.stat().st_size
-    with _plain(path, notes, most_bytes) as plain:
+    """Yield messages, the wanted ones among them, up to the exception of a damage."""
+    with _plain(path, notes) as plain:
         magic = _first(plain, len(SQLITE_MAGIC))
         if magic.startswith(MCAP_MAGIC):
-            yield from _from_mcap(plain, wanted, counts, notes, most_bytes)
+            yield from _from_mcap(plain, wanted, counts)
         elif magic == SQLITE_MAGIC:
-            yield from _from_database(plain, wanted, counts, notes)
-        elif magic.startswith(b'#ROSBAG'):
+            yield from _from_database(plain, wanted, counts)
+        elif magic.startswith(ROS1_MAGIC):
             raise DamagedError(
                 f"it is a bag of ROS 1. Convert it with 'rosbags-convert --src {path} --dst "
                 "FOLDER', of the Python package rosbags; it is neither an MCAP nor an SQLite file")
@@ -113,27 +121,21 @@ def _first(path: Path, size: int) -> bytes:
 
 
 @contextmanager
-def _plain(path: Path, notes: list[str], most_bytes: int) -> Iterator[Path]:
-    """
-    Provide a file decompressed, and a database merged with its journal, if need be as a copy.
-
-    Compressed content is given up to its damage, and a database without an incomplete last page,
-    which SQLite would fill with zeros.
-    """
+def _plain(path: Path, notes: list[str]) -> Iterator[Path]:
+    """Provide a file, or a copy of it that is decompressed or merged with a journal."""
     compressed = _first(path, len(ZSTD_MAGIC)) == ZSTD_MAGIC
     journals = [journal for suffix in ('-wal', '-journal')
                 if (journal := path.with_name(path.name + suffix)).is_file()
                 and journal.stat().st_size]
-    if not compressed and not journals and path.stat().st_size % _page_bytes(path) == 0:
+    if not compressed and not journals:
         yield path
         return
     with TemporaryDirectory() as folder:
         copy = Path(folder, path.name)
         if compressed:
-            _decompress(path, copy, most_bytes)
+            _decompress(path, copy)
         else:
             shutil.copyfile(path, copy)
-        truncate(copy, copy.stat().st_size // _page_bytes(copy) * _page_bytes(copy))
         for journal in journals:
             shutil.copyfile(journal, copy.with_name(journal.name))
             with suppress(sqlite3.Error), closing(sqlite3.connect(copy)) as database:
@@ -142,134 +144,100 @@ def _plain(path: Path, notes: list[str], most_bytes: int) -> Iterator[Path]:
         yield copy
 
 
-def _page_bytes(path: Path) -> int:
-    """Return the size of the pages of a database; 1 for another file."""
-    head = _first(path, 18)
-    if not head.startswith(SQLITE_MAGIC) or len(head) < 18:
-        return 1
-    (size,) = struct.unpack_from('>H', head, 16)
-    return 65536 if size == 1 else max(size, 1)
-
-
-def _decompress(path: Path, copy: Path, most_bytes: int) -> None:
-    """Decompress a file up to where it is cut."""
-    with bag_folder.ZstdFile(path) as file, copy.open('wb') as out, suppress(EOFError):
+def _decompress(path: Path, copy: Path) -> None:
+    """Decompress a file up to its damage, within a limit."""
+    bytes_left = MAX_INFLATED + MAX_INFLATION * path.stat().st_size
+    with bag_folder.ZstdFile(path) as file, copy.open('wb') as out, suppress(
+            EOFError, bag_folder.ZstdError):
         while block := file.read(2**20):
-            most_bytes -= out.write(block)
-            if most_bytes < 0:
+            bytes_left -= out.write(block)
+            if bytes_left < 0:
                 raise DamagedError(INFLATING)
 
 
-def _from_mcap(
-    path: Path, wanted: Wanted, counts: Counts, notes: list[str], most_bytes: int
-) -> Iterator[Stored]:
-    """Yield the messages of an MCAP file, by its index if this is complete."""
-    reader = _indexed(path, most_bytes)
-    if reader is None:
-        yield from unclosed.linear_mcap(path, wanted, counts, notes, most_bytes)
+def _from_mcap(path: Path, wanted: Wanted, counts: Counts) -> Iterator[Stored]:
+    """Yield the messages of an MCAP file, by its index if rosbags reads the index."""
+    reader = McapReader(path)
+    try:
+        reader.open()
+    except Exception:  # noqa: BLE001 (struct.error, KeyError, ReaderError ...)
+        yield from _linear(path, counts)
         return
     with closing(reader):
+        if any(x.msgtype == '__schemaless__' for x in reader.connections):
+            yield from _linear(path, counts)
+            return
+        if sum(x.uncompressed_size for x in reader.chunks) > (
+                MAX_INFLATED + MAX_INFLATION * path.stat().st_size):
+            raise DamagedError(INFLATING)
         yield from _by_index(reader, wanted, counts)
 
 
-def _indexed(path: Path, most_bytes: int) -> McapReader | None:
-    """Return the opened reader of an MCAP file; None without a complete summary at its end."""
-    reader = McapReader(path)
-    try:
-        with _guarded(), path.open('rb') as file:
-            # rosbags searches all chunks of a file without these, and decompresses without a bound
-            end = SeekingReader(file, record_size_limit=MAX_RECORD_BYTES).get_summary()
-            if not (end and end.statistics and end.schemas and end.chunk_indexes):
-                return None
-            reader.open()
-    except DamagedError:
-        return None
-    with ExitStack() as stack:
-        stack.callback(reader.close)
-        with _guarded():
-            if not _indexes_all(reader, path, most_bytes):
-                return None
-        stack.pop_all()
-        return reader
-
-
-def _indexes_all(reader: McapReader, path: Path, most_bytes: int) -> bool:
-    """Return whether an index lists all messages; raise for chunks not of their stated size."""
-    stated = sum(x.msgcount for x in reader.connections)
-    indexed = sum(sum(chunk.channel_count.values()) for chunk in reader.chunks)
-    if not stated == indexed == reader.metadata.message_count:
-        return False
-    if sum(chunk.uncompressed_size for chunk in reader.chunks) > most_bytes:
-        raise DamagedError(INFLATING)
+def _linear(path: Path, counts: Counts) -> Iterator[Stored]:
+    """Yield the messages of an MCAP file without its index."""
+    schemas, topics = dict[int, Any](), dict[int, Channel]()
     with path.open('rb') as file:
-        for chunk in reader.chunks:
-            if chunk.compression:
-                file.seek(chunk.chunk_start_offset + _CHUNK_DATA_AT + len(chunk.compression))
-                bag_folder.decompressed(
-                    chunk.compression, file.read(chunk.compressed_size), chunk.uncompressed_size)
-    return not any(x.msgtype == '__schemaless__' for x in reader.connections)
+        for record in StreamReader(
+                file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records:
+            if isinstance(record, records.Message):
+                topic = topics.get(record.channel_id)
+                if topic is None:
+                    raise ValueError(
+                        f'a message belongs to channel {record.channel_id}, which is not defined')
+                counts[topic] += 1
+                yield topic, record.log_time, record.data
+            elif isinstance(record, records.Schema):
+                schemas[record.id] = record
+            elif isinstance(record, records.Channel):
+                schema = schemas[record.schema_id]
+                topic = topics[record.id] = channel(
+                    record.topic, schema.name, record.message_encoding,
+                    schema.data.decode(errors='replace'))
+                counts.setdefault(topic, 0)
 
 
-def _from_database(
-    path: Path, wanted: Wanted, counts: Counts, notes: list[str]
-) -> Iterator[Stored]:
-    """Yield the messages of a database, up to its damage if it has one."""
+def _from_database(path: Path, wanted: Wanted, counts: Counts) -> Iterator[Stored]:
+    """Yield the messages of a database, row by row where rosbags cannot open it."""
     address = quote(str(path.resolve()))
-    with closing(sqlite3.connect(f'file:{address}?mode=ro&immutable=1', uri=True)) as database:
-        if damage := _damage(database):
-            yield from unclosed.readable_rows(database, damage, wanted, counts, notes)
-            return
     reader = Sqlite3Reader(Path(address))
-    with _guarded():
+    try:
         reader.open()
+    except Exception:  # noqa: BLE001 (those of apsw and of damaged texts)
+        yield from _by_row(address, counts)
+        raise
     with closing(reader):
-        unlisted = reader.metadata.message_count - sum(x.msgcount for x in reader.connections)
-        if unlisted:
-            raise DamagedError(f'{unlisted} messages have a topic it does not list')
         for topic, log_time_ns, data in _by_index(reader, wanted, counts):
             if not (isinstance(log_time_ns, int) and isinstance(data, bytes)):
-                raise DamagedError("its table 'messages' is damaged")
+                raise ValueError("its table 'messages' has other types")
             yield topic, log_time_ns, data
-
-
-def _damage(database: sqlite3.Connection) -> str:
-    """Return what SQLite finds damaged in a database; '' for nothing."""
-    try:
-        (verdict,) = database.execute('PRAGMA quick_check(1)').fetchone()
-        tables = database.execute(
-            "SELECT name FROM sqlite_master WHERE type = 'table' AND name IN ('messages', "
-            "'topics') ORDER BY name").fetchall()
-    except (sqlite3.Error, UnicodeError) as error:
-        return str(error)
-    if verdict != 'ok':
-        return str(verdict)
-    if tables != [('messages',), ('topics',)]:
-        raise DamagedError("it lacks the tables 'messages' and 'topics' of a recording")
-    return ''
+    page_bytes = int.from_bytes(_first(path, 18)[16:], 'big')
+    if page_bytes > 1 and path.stat().st_size % page_bytes:  # SQLite reads zeros beyond the end
+        raise ValueError('its last page is cut')
 
 
 def _by_index(reader: Any, wanted: Wanted, counts: Counts) -> Iterator[Stored]:
-    """Yield the messages of an opened file."""
-    topics = {}
+    """Yield the wanted messages of an opened file."""
+    topics = {x.id: channel(x.topic, x.msgtype, x.ext.serialization_format, x.msgdef.data)
+              for x in reader.connections}
     for x in reader.connections:
-        if not all(isinstance(text, str) for text in (x.topic, x.msgtype)):
-            raise DamagedError("its table 'topics' is damaged")
-        topic = topics[x.id] = channel(
-            x.topic, x.msgtype, x.ext.serialization_format, x.msgdef.data)
-        counts[topic] = counts.get(topic, 0) + x.msgcount
+        counts[topics[x.id]] = counts.get(topics[x.id], 0) + x.msgcount
     chosen = [x for x in reader.connections if wanted(topics[x.id])]
-    with _guarded():
-        for connection, log_time_ns, data in reader.messages(chosen) if chosen else ():
-            yield topics[connection.id], log_time_ns, data
+    for connection, log_time_ns, data in reader.messages(chosen) if chosen else ():
+        yield topics[connection.id], log_time_ns, data
 
 
-@contextmanager
-def _guarded() -> Iterator[None]:
-    """Raise DamagedError for whatever rosbags and mcap make of damaged bytes."""
-    try:
-        yield
-    except DamagedError:
-        raise
-    except Exception as error:  # noqa: BLE001 (KeyError, TypeError, those of zstd ...)
-        what = str(error) or type(error).__name__
-        raise DamagedError(f'a record in it is damaged ({what:.200})') from None
+def _by_row(address: str, counts: Counts) -> Iterator[Stored]:
+    """Yield the messages of a damaged database in the order of its rows."""
+    with closing(sqlite3.connect(f'file:{address}?mode=ro&immutable=1', uri=True)) as database:
+        tables = database.execute(
+            "SELECT name FROM sqlite_master WHERE type = 'table' AND name IN ('messages', "
+            "'topics')").fetchall()
+        if len(tables) < 2:
+            raise DamagedError("it lacks the tables 'messages' and 'topics' of a recording")
+        topics = {number: channel(*texts, '') for number, *texts in database.execute(
+            'SELECT id, name, type, serialization_format FROM topics')}
+        counts.update({topic: counts.get(topic, 0) for topic in topics.values()})
+        for number, log_time_ns, data in database.execute(
+                'SELECT topic_id, timestamp, data FROM messages NOT INDEXED'):
+            counts[topics[number]] += 1
+            yield topics[number], int(log_time_ns), bytes(data)

@@ -355,8 +355,8 @@ def test_a_database_that_was_not_closed_is_read_with_its_journal(tmp_path, mode,
 @pytest.mark.parametrize('named, statement', [
     ('topics', 'DROP TABLE topics'),
     ('name', 'ALTER TABLE topics RENAME COLUMN name TO x'),
-    ("'topics'", "UPDATE topics SET type = x'00'"),
-    ('4 messages', 'UPDATE messages SET topic_id = 9'),
+    ('list of topics', "UPDATE topics SET type = x'00'"),
+    ('says 4', 'UPDATE messages SET topic_id = 9'),
     *(('', f"UPDATE messages SET {name} = 'text'") for name in ('data', 'timestamp'))])
 def test_a_damaged_database_is_refused(tmp_path, named, statement):
     folder = one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3')

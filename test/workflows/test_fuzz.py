@@ -130,7 +130,8 @@ def read_again(bag):
     info(bag)
     for role, stream in found.streams.items():
         left_out = sum(map(len, stream.refused.values()))
-        assert len(stream) + left_out == counted[ROLES[role]]
+        found_all = len(stream) + left_out == counted[ROLES[role]]
+        assert found_all or any('read were' in note for note in found.notes)
         assert all(np.all(np.isfinite(array)) for array in arrays(stream))
         assert np.all(np.diff(stream.stamps_ns) > 0)
 

@@ -165,6 +165,8 @@ def _rotation_residual(tool: Trajectory, package: Trajectory) -> float:
     first, last = resampling.common_span(tool, package)
     eye = package.select((package.stamps_ns >= first) & (package.stamps_ns <= last))
     eye = eye.select(slice(None, None, len(eye) // MAX_COMPARED + 1))
+    if not len(eye):  # a shift beyond the ends of a short recording
+        return float('inf')
     hand = resample(tool, eye.stamps_ns)
     R = alignment.rotation_of(hand.rotation, eye.rotation)
     relative = np.swapaxes(hand.rotation, 1, 2) @ R @ eye.rotation
