@@ -5,7 +5,7 @@ rosbags reads sound files. An MCAP file whose end is missing or damaged is read 
 and a damaged database row by row. Every file is read up to its damage, with a note.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -68,11 +68,12 @@ def batches(path: Path, wanted: Wanted, counts: Counts, notes: list[str]) -> Ite
         If the file is no recording.
 
     """
-    number, last_ns = 0, 0
+    met, before, last_ns = Counter[Channel](), dict(counts), 0
     pending: dict[Channel, tuple[list[int], list[bytes]]] = defaultdict(lambda: ([], []))
     try:
         for topic, log_time_ns, data in _stored(path, wanted, counts, notes):
-            number, last_ns = number + 1, max(last_ns, log_time_ns)
+            met[topic] += 1
+            last_ns = max(last_ns, log_time_ns)
             if not wanted(topic):
                 continue
             times, messages = pending[topic]
@@ -85,8 +86,12 @@ def batches(path: Path, wanted: Wanted, counts: Counts, notes: list[str]) -> Ite
     except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
         reason = str(error) or type(error).__name__
         notes.append(
-            f'its recording was not closed, or it is damaged ({reason:.200}); read were {number} '
-            'messages' + f' up to {_utc(last_ns)} UTC' * (number > 0))
+            f'its recording was not closed, or it is damaged ({reason:.200}); read were '
+            f'{met.total()} messages' + f' up to {_utc(last_ns)} UTC' * bool(met))
+    else:
+        notes += [f"its index lists {stated} messages of '{topic.name}'; read were {number}"
+                  for topic, number in met.items()
+                  if number != (stated := counts[topic] - before.get(topic, 0))]
     for topic, (times, messages) in pending.items():
         yield topic, times, messages
 
