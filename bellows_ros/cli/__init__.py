@@ -29,9 +29,10 @@ from types import MappingProxyType
 from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
+from bellows_ros.errors import shown
 from bellows_ros.version import __version__
 
-from .console import Binary, Console, Folder, Output, run_guarded, USER_ERROR, WIDTH
+from .console import Binary, Console, Folder, MAX_TEXT, Output, run_guarded, USER_ERROR, WIDTH
 
 TYPES = {
     'path': Path, 'int': int, 'float': float, 'output': Output, 'binary': Binary,
@@ -118,6 +119,7 @@ class Parser(argparse.ArgumentParser):
             if (self.commands or word.startswith('--')) and word not in known and matches:
                 kind = 'an option' if word.startswith('-') else 'a command'
                 message = f"'{word}' is not {kind}. Did you mean '{matches[0]}'?"
+        message = shown(message, MAX_TEXT, '\n')  # words of the command line may be hostile
         self.exit(USER_ERROR, f'{self.prog}: {message}\nSee {self.prog} --help.\n')
 
 

@@ -5,8 +5,8 @@ Results go to one stream, all else to stderr. Colour is used only on terminals, 
 is set or TERM is dumb. A signal ends a command in order, without partial output.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 import errno
 from io import TextIOWrapper
 import os
@@ -265,7 +265,8 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     Do some work with the streams of this process; return the exit code.
 
     An error ends with a message, and so do signals that would otherwise end the process at once:
-    they raise the exception of Ctrl-C, so that temporary files are removed. Only the first signal
+    they raise the exception of Ctrl-C, so that temporary files are removed. After a signal every
+    exception is that interruption, as compiled code turns it into others. Only the first signal
     raises, as signals often come twice, to a process and to its group, and a second one must not
     stop the cleanup. Signals are also recorded: an exception in a callback of a library is lost,
     and the command then ends at its next output.
@@ -296,15 +297,8 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     unraisable, sys.unraisablehook = sys.unraisablehook, report_unraisable
     try:
         return _run_guarded(work, console, ended)
-    except BrokenPipeError:  # the reader of the output has closed it
-        _discard(sys.stdout)
-        return 141  # exit code of SIGPIPE in a shell
     except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        _discard(sys.stdout)
-        console.error(f'The output cannot be written: {error.strerror}. Write elsewhere.')
-        return USER_ERROR
+        return _unwritable(error, console, ended)
     finally:
         sys.unraisablehook = unraisable
         for number in handled if not ended else ():  # ignored during the cleanup
@@ -318,27 +312,66 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
         sys.stdout.flush()  # now, as an error at the very end could not be reported
         console.require_no_signal()
         return code
-    except BellowsError as error:
-        console.error(str(error))
-        if isinstance(error, NotSetError):
-            console.note('Give the file with --params FILE, or a value with --set NAME=VALUE.')
-        return error.exit_code
-    except KeyboardInterrupt:
-        for each in STOP_SIGNALS if ended else ():  # only the message remains
-            signal.signal(each, signal.SIG_IGN)
-        number = (*ended, signal.SIGINT)[0]
-        how = 'Interrupted' if number == signal.SIGINT else (
-            f'Ended by {signal.Signals(number).name}')
-        console.note(f'{how}; no partial output was left.')
-        return 128 + number
-    except Exception as error:  # noqa: BLE001 (all others are defects, whose code is not 1, "no")
-        if isinstance(error, BrokenPipeError) or getattr(error, 'errno', 0) == errno.ENOSPC:
+    except BaseException as error:  # noqa: B902 (of compiled code too, once a signal has come)
+        if ended or isinstance(error, KeyboardInterrupt):
+            return _interrupted(console, ended)
+        if isinstance(error, BellowsError):
+            console.error(str(error))
+            if isinstance(error, NotSetError):
+                console.note('Give the file with --params FILE, or a value with --set NAME=VALUE.')
+            return error.exit_code
+        if not isinstance(error, Exception) or _of_stream(error):
             raise
         console.note(traceback.format_exc().rstrip())
         console.error(
             f'This is a defect of bellows_ros {__version__}: please report it, with the command '
             'and the lines above.')
         return CRASHED
+
+
+def _unwritable(error: OSError, console: Console, ended: Sequence[int]) -> int:
+    """Say that a stream cannot be written, if that is the error; return the exit code."""
+    if not _of_stream(error):
+        raise error
+    _discard(sys.stdout)
+    if ended:
+        return _interrupted(console, ended)
+    if isinstance(error, BrokenPipeError):  # the reader of the output has closed it
+        return 141  # exit code of SIGPIPE in a shell
+    with _lost_if_unwritable():
+        console.error(f'The output cannot be written: {error.strerror}. Write elsewhere.')
+    return USER_ERROR
+
+
+def _interrupted(console: Console, ended: Sequence[int]) -> int:
+    """Say that a signal has ended the work, and return its exit code."""
+    for each in STOP_SIGNALS if ended else ():  # only the message remains
+        signal.signal(each, signal.SIG_IGN)
+    number = (*ended, signal.SIGINT)[0]
+    how = 'Interrupted' if number == signal.SIGINT else (
+        f'Ended by {signal.Signals(number).name}')
+    with _lost_if_unwritable():
+        console.note(f'{how}; every output file is whole, the old or the new one.')
+    return 128 + number
+
+
+UNWRITABLE = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EPIPE))
+"""Errors of a stream that cannot be written; those of files are a BellowsError."""
+
+
+def _of_stream(error: BaseException) -> bool:
+    """Return whether an output stream cannot be written."""
+    return isinstance(error, OSError) and error.errno in UNWRITABLE
+
+
+@contextmanager
+def _lost_if_unwritable() -> Iterator[None]:
+    """Give a last message up if stderr cannot be written either."""
+    try:
+        yield
+        sys.stderr.flush()
+    except OSError:
+        _discard(sys.stderr)
 
 
 def _discard(stream: TextIO) -> None:

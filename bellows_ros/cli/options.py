@@ -1,10 +1,10 @@
 """Common parts of the commands: order of the work, settings, checks of outputs."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 import importlib
-from itertools import permutations
+from itertools import permutations, product
 import os
 from pathlib import Path
 import re
@@ -52,6 +52,7 @@ class Outcome(NamedTuple):
 def run_command(arguments: argparse.Namespace, console: Console) -> int:
     """Check the outputs, work, write --json, print, name the written files; return the code."""
     require_named_outputs(arguments)
+    console.warn(*_hard_links(arguments))
     require_drawable(arguments)
     command = importlib.import_module(f'{__package__}.{arguments.command}')
     with console.progress:
@@ -187,6 +188,25 @@ def _parsed(kind: str, text: str) -> object:
     return text
 
 
+def _named(arguments: argparse.Namespace) -> tuple[list[Output], list[Path]]:
+    """Return the outputs and the inputs of a command line."""
+    named = [item for value in vars(arguments).values()
+             for item in (value if isinstance(value, list) else [value])]
+    return ([item for item in named if isinstance(item, Output)],
+            [item for item in named if isinstance(item, Path)])
+
+
+def _hard_links(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield a sentence on each output that is an input by another name."""
+    outputs, inputs = _named(arguments)
+    for name, given in product(filter(os.path.isfile, outputs), inputs):
+        with suppress(OSError, ValueError):  # of inputs, which are told where they are read
+            for file in given.iterdir() if given.is_dir() else [given]:
+                if os.path.samefile(name, file):
+                    yield (f"Output '{name}' is a hard link of the input '{file}': it becomes a "
+                           'file of its own, and the input stays as it is.')
+
+
 def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] = ()) -> None:
     """
     Check, before any work, every `Output` of a command line against every `Path` and other input.
@@ -198,10 +218,8 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
         an input or be inside one, or binary output is for stdout.
 
     """
-    named = [item for value in vars(arguments).values()
-             for item in (value if isinstance(value, list) else [value])]
-    outputs = [item for item in named if isinstance(item, Output)]
-    read: list[str | Path] = [*inputs, *(item for item in named if isinstance(item, Path))]
+    outputs, paths = _named(arguments)
+    read: list[str | Path] = [*inputs, *paths]
     targets = list[Path]()
     files = [name for name in outputs if name not in ('', STDOUT)]
     to_stdout = [name for name in outputs if name == STDOUT]

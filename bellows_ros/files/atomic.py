@@ -14,6 +14,7 @@ import secrets
 import shutil
 import stat
 import sys
+import time
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
@@ -22,6 +23,9 @@ from bellows_ros.files import File
 _HERE, _EXCHANGE = -100, 2
 
 PREFIX = '.bellows-'
+
+ABANDONED = 86400.0
+"""Age (s) above which a hidden file or folder is of a killed run."""
 
 
 def write_text(path: File, text: str) -> None:
@@ -182,7 +186,11 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _temporary_path(target: Path) -> Path:
-    """Return a hidden path in the folder of a target."""
+    """Return a hidden path in the folder of a target, which is freed of those of killed runs."""
+    for path in target.parent.glob(f'{PREFIX}*.tmp'):
+        with suppress(OSError):
+            if time.time() - path.lstat().st_mtime > ABANDONED:
+                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
     return target.with_name(f'{PREFIX}{os.getpid()}-{secrets.token_hex(4)}.tmp')
 
 
@@ -200,4 +208,4 @@ def _failed(path: File, error: Exception) -> BellowsError:
     """Return the error for output that cannot be written."""
     reason = getattr(error, 'strerror', None) or str(error)
     return BellowsError(
-        f"Output '{os.fspath(path)!s}' cannot be written: {reason}. Nothing was changed.")
+        f"Output '{os.fspath(path)!s}' cannot be written: {reason}. It is unchanged.")

@@ -1,6 +1,7 @@
 """Tables and numbers as the commands print them, and commands that are ended from outside."""
 
 from contextlib import suppress
+import errno
 import io
 import math
 import os
@@ -11,6 +12,7 @@ import time
 
 from bellows_ros.cli.console import aligned, Console, run_guarded, STOP_SIGNALS, TWICE
 from bellows_ros.core.geometry import jit
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.atomic import PREFIX
 from bellows_ros.report.text import column, with_error
 import pytest
@@ -83,7 +85,7 @@ def test_errors_are_wrapped_on_a_terminal_but_for_what_is_to_be_copied(
     assert ' '.join(printed.getvalue().split()).startswith(f'bellows: {sentence}')
 
 
-@pytest.mark.parametrize('error', [ZeroDivisionError('a defect'), OSError(5, 'a defect')])
+@pytest.mark.parametrize('error', [ZeroDivisionError('a defect'), OSError(22, 'a defect')])
 def test_a_crash_has_its_own_exit_code_and_asks_for_a_report(error, capsys):
     """Do not end with 1, which says no; keep the traceback, then one line."""
     def work(console):
@@ -168,7 +170,7 @@ def test_a_signal_ends_in_order(number, said, workshop, tmp_path, user_environme
     os.killpg(process.pid, number)
     out, err = process.communicate(timeout=WITHIN)
     assert process.returncode == 128 + number
-    assert out == '' and err == f'{said}; no partial output was left.\n'
+    assert out == '' and err == f'{said}; every output file is whole, the old or the new one.\n'
     assert contents(tmp_path) == before
 
 
@@ -183,7 +185,73 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys
 
     assert run_guarded(work) == 128 + number
     out, err = capsys.readouterr()
-    assert out == '' and 'no partial output was left' in err
+    assert out == '' and 'every output file is whole' in err
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize('error', [
+    SystemError('CPUDispatcher(whiten)'), BellowsError('wrong'), OSError(5, 'stream'),
+    BrokenPipeError(32, 'pipe'), ValueError('a defect'), SystemExit(1), MemoryError()], ids=repr)
+def test_after_a_signal_every_exception_is_that_interruption(number, error, capsys, handlers):
+    """Compiled code turns the exception of a signal into another one."""
+    def work(console):
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(number)
+        raise error
+
+    assert run_guarded(work) == 128 + number
+    assert 'defect' not in capsys.readouterr().err
+
+
+class Unwritable(io.RawIOBase):
+    """A device that takes nothing, for one reason."""
+
+    def __init__(self, number, descriptor):
+        super().__init__()
+        self._number, self._descriptor = number, descriptor
+
+    def writable(self):
+        return True
+
+    def fileno(self):
+        return self._descriptor
+
+    def write(self, data):
+        raise OSError(self._number, os.strerror(self._number))
+
+
+def stops(console):
+    """Receive a signal and go on."""
+    with suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    console.line('more')
+
+
+def fails(console):
+    """End with an error."""
+    raise BellowsError('It is wrong.')
+
+
+@pytest.mark.parametrize('number', [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG])
+@pytest.mark.parametrize('unwritable', [('stdout',), ('stderr',), ('stdout', 'stderr')])
+@pytest.mark.parametrize('work, code', [
+    (lambda console: console.line('a result') or 0, 2), (fails, 2), (stops, 143)],
+    ids=['result', 'error', 'signal'])
+def test_a_stream_that_cannot_be_written_has_one_code(
+        number, unwritable, work, code, monkeypatch, tmp_path, handlers):
+    """Neither the code of a negative result nor that of a defect, and nothing fails at the end."""
+    streams, raws = {}, {}
+    for name in ('stdout', 'stderr'):
+        file = (tmp_path / name).open('wb', 0)
+        raws[name] = Unwritable(number, file.fileno()) if name in unwritable else file
+        streams[name] = io.TextIOWrapper(
+            io.BufferedWriter(raws[name]), line_buffering=name == 'stderr')
+        monkeypatch.setattr(sys, name, streams[name])
+    found = run_guarded(work)
+    monkeypatch.undo()
+    for name in unwritable:  # what is left in its buffer
+        raws[name].write = len
+    assert found == (code if work in (fails, stops) or 'stdout' in unwritable else 0)
 
 
 def test_a_signal_within_an_exec_has_its_code(user_environment, tmp_path):

@@ -1,7 +1,10 @@
 """Values from the command line, and what else the commands share."""
 
+import argparse
+import os
 
-from bellows_ros.cli.console import progress_line
+from bellows_ros.cli import options
+from bellows_ros.cli.console import Output, progress_line
 from bellows_ros.cli.options import parse_override
 import pytest
 
@@ -26,6 +29,17 @@ def test_overrides_are_read_in_the_kind_of_the_parameter(text, name, value):
     got = parse_override(text)
     assert got == (name, value)
     assert type(got[1]) is type(value)
+
+
+def test_an_output_that_is_a_hard_link_of_an_input_is_named(bellows, tmp_path):
+    """Keep the input as it is."""
+    text = '/**:\n  ros__parameters:\n    package.mass: 1.5\n'
+    (tmp_path / 'in.yaml').write_text(text)
+    os.link(tmp_path / 'in.yaml', tmp_path / 'out.yaml')
+    arguments = argparse.Namespace(
+        params=[tmp_path / 'in.yaml'], out=Output(tmp_path / 'out.yaml'), other=Output('new'))
+    (sentence,) = options._hard_links(arguments)
+    assert all(str(tmp_path / name) in sentence for name in ('in.yaml', 'out.yaml'))
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 import re
 from tempfile import mkdtemp
+import time
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
@@ -92,6 +93,25 @@ def test_a_folder_is_exchanged_where_the_system_can(tmp_path, monkeypatch, in_on
         (folder / 'new').write_text('x')
     assert os.listdir(path) == ['new']
     assert [name for name in os.listdir(tmp_path) if name.startswith('.')] == []
+
+
+def test_what_killed_runs_left_is_removed_by_the_next_run(tmp_path):
+    """Files and folders of more than a day, in the folder of the output, and no others."""
+    (tmp_path / 'link').mkdir()
+    made = {}
+    for name in ('old.tmp', 'new.tmp', 'old', 'bag.tmp', 'link.tmp'):
+        made[name] = tmp_path / f'{atomic.PREFIX}1-{name}'
+    made['bag.tmp'].mkdir()
+    (made['bag.tmp'] / 'x').touch()
+    made['link.tmp'].symlink_to('link')
+    (tmp_path / 'link' / 'kept').touch()
+    for name in ('old.tmp', 'new.tmp', 'old'):
+        made[name].touch()
+    for name in ('old.tmp', 'old', 'bag.tmp', 'link.tmp'):
+        os.utime(made[name], (0, time.time() - 1.1 * atomic.ABANDONED), follow_symlinks=False)
+    write_text(tmp_path / 'out', 'x')
+    left = {name for name, path in made.items() if os.path.lexists(path)}
+    assert left == {'new.tmp', 'old'} and (tmp_path / 'link' / 'kept').exists()
 
 
 def test_a_folder_that_appears_meanwhile_is_not_touched(tmp_path):
