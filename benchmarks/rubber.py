@@ -9,7 +9,7 @@ of docs/validation.md.
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import add, add_scaled, apply, rotation_matrix, scale
 from bellows_ros.core.identification.methods import fit
@@ -71,7 +71,7 @@ def _rates(model: Any, r: Any, tau: Any, tool: Any, body: Any, z: Array, dz: Arr
     return kernels.newton_euler(package, gravity, R_A_B, body[2], body[3], f, m)
 
 
-@kernel
+@entry
 def _simulate(
     model: Any, r: Any, tau: Any, body: Any, rows: Array, durations: Array, count: int, out: Array
 ) -> None:

@@ -1,8 +1,8 @@
 """Imports point one way: nodes and commands, workflows, files, core; ROS only in the nodes."""
 
 import ast
-from collections import Counter
 from functools import cache
+import re
 import subprocess
 import sys
 
@@ -29,7 +29,7 @@ FOR_ALL = {'errors', 'version'}
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')
 OPTIONAL = {
-    'argcomplete', 'imageio_ffmpeg', 'llvmlite', 'matplotlib', 'mpl_toolkits', 'numba', 'PIL'}
+    'argcomplete', 'imageio_ffmpeg', 'matplotlib', 'mpl_toolkits', 'numba', 'PIL'}
 LATE = {
     'bellows_ros/__init__.py': ('bellows_ros.library',),
     'bellows_ros/library.py': ('bellows_ros.workflows',),
@@ -52,31 +52,13 @@ The package itself loads nothing, so that `bellows --help` answers at once. rosb
 and only some types need it. A command of a node limits the threads of NumPy before it loads that.
 The others load ROS or matplotlib, which are optional, or what few runs need.
 """
-CORE_NEEDS = {'numpy', 'scipy', 'numba', 'llvmlite', 'bellows_ros'}
+CORE_NEEDS = {'numpy', 'scipy', 'numba', 'bellows_ros'}
 
 
 CORE = (
     'geometry', 'signals', 'model', 'sensors', 'parameters', 'recording', 'observer', 'planning',
     'toss', 'synthetic', 'identification', 'live', 'excitation')
 """The rooms of core, each above those that it may import."""
-
-
-READ_VALUES = {
-    'identification.methods', 'identification.quantities', 'identification.reduction',
-    'live.flight', 'live.load', 'live.payload', 'live.predictor', 'live.uncertainty',
-    'observer.calibration', 'observer.correction', 'observer.measurement', 'observer.observer',
-    'recording.measurement_model'}
-"""Modules of core outside `parameters` that still read parameters by name."""
-
-CORE_SENTENCES = {
-    'geometry.jit': 2, 'identification.causes': 6, 'identification.diagnosis.commission': 1,
-    'identification.identifiability': 2, 'identification.methods': 1,
-    'identification.output_error': 1, 'identification.result': 3, 'identification.validation': 4,
-    'model.cup_package': 1, 'model.grip': 5, 'model.structure': 9, 'model.validity_range': 3,
-    'observer.measurement': 1, 'parameters.checks': 4, 'parameters.table': 6, 'planning.points':
-    10, 'recording.alignment': 3, 'recording.conventions': 2, 'recording.preparation': 3,
-    'signals.resampling': 1, 'signals.transforms': 4}
-"""Number of sentences that modules of core still have."""
 
 
 def is_ros(module):
@@ -163,26 +145,18 @@ def test_functions_import_what_is_optional(root):
     assert wrong == []
 
 
-def test_a_name_stands_for_one_thing(root):
-    """Name no two modules but a command and its workflow, classes, or constants imported alike."""
-    named = Counter(
-        file.stem for file in modules(root) if not file.stem.startswith('__')
-        and not (room_of(file, root) == 'cli'
-                 and (root / 'bellows_ros/workflows' / file.name).exists()))
-    constants, targets = Counter[str](), {name.rpartition('.')[2] for _, name in imported(root)}
-    for tree in (ast.parse(file.read_text()) for file in modules(root)):
-        named.update(node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
-        constants.update({
-            node.id for line in tree.body if isinstance(line, (ast.Assign, ast.AnnAssign))
-            for node in ast.walk(line) if isinstance(node, ast.Name)
-            and isinstance(node.ctx, ast.Store) and node.id.isupper()})
-    named.update({name: count for name, count in constants.items() if name in targets})
-    assert [name for name, count in named.items() if count > 1] == []
-
-
 def test_only_nodes_import_ros(root):
     """Keep ROS behind one door."""
     assert {room_of(file, root) for file, name in imported(root) if is_ros(name)} == {'nodes'}
+
+
+def test_nothing_private_of_other_packages_is_imported(root):
+    """Find no name with an underscore, in a package, a module, or behind an imported module."""
+    wrong = []
+    for file, name in imported(root):
+        if not name.startswith('bellows_ros') and re.search(r'(^|\.)_(?!_future__)', name):
+            wrong.append((str(file.relative_to(root)), name))
+    assert wrong == []
 
 
 def test_core_needs_only_numbers(root):
@@ -211,38 +185,6 @@ def test_modules_of_core_import_downwards(root):
         f'{name} imports {target}' for name, targets in graph_of(root, 'core').items()
         for target in targets if floor(target) > floor(name)]
     assert wrong == []
-
-
-def test_core_reads_no_parameter_by_name(root):
-    """Convert values in `parameters/conversion.py`; `READ_VALUES` may only become shorter."""
-    values = 'bellows_ros.core.parameters.values'
-    assert {name.removeprefix('bellows_ros.core.') for name, targets in graph_of(
-        root, 'core').items() if values in targets and '.parameters.' not in name} <= READ_VALUES
-
-
-def sentences_in(tree):
-    """Count the texts of more than four words outside errors, docstrings and constants' texts."""
-    def inside(node):
-        if isinstance(node, ast.Raise) or (
-                isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
-            return 0
-        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith('Error'):
-            return 0
-        if isinstance(node, ast.JoinedStr):
-            parts = [each.value for each in node.values if isinstance(each, ast.Constant)]
-            return len(' '.join(parts).split()) > 4
-        if isinstance(node, ast.Constant):
-            return isinstance(node.value, str) and len(node.value.split()) > 4
-        return sum(map(inside, ast.iter_child_nodes(node)))
-
-    return inside(tree)
-
-
-def test_core_has_no_sentences(root):
-    """Return codes and numbers; the numbers of `CORE_SENTENCES` may only become smaller."""
-    found = {name_of(file, root).removeprefix('bellows_ros.core.'): sentences_in(
-        ast.parse(file.read_text())) for file in modules(root, 'core')}
-    assert [name for name, count in found.items() if count > CORE_SENTENCES.get(name, 0)] == []
 
 
 def test_modules_import_in_no_circle(root):

@@ -153,7 +153,7 @@ class Console:
 
 
 COMPILING = '; compiling, once on this machine'
-"""Suffix of a stage in which kernels are compiled."""
+"""Suffix of a stage on a machine where nothing is compiled yet."""
 
 
 class Progress:
@@ -175,20 +175,13 @@ class Progress:
         if not self._shown or (now < self._next and stage == self._stage):
             return
         self._next, self._stage = now + 0.1, stage  # s
+        jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')  # of commands that compute
+        stage += COMPILING if jit and jit.IS_NEW else ''
         width = shutil.get_terminal_size().columns - 1
         line = progress_line(stage, fraction, now - self._start)
         shown = line if len(line) <= width else stage  # the stage matters more than the bar
         self._stream.write(CLEAR_LINE + printable(shown)[:width])
         self._stream.flush()
-        jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')
-        if jit:  # loaded by commands that compute
-            jit.announce = self._on_compiling
-
-    def _on_compiling(self) -> None:
-        """Show that a kernel is compiled during the current stage."""
-        stage = self._stage.partition(COMPILING)[0]
-        if stage:
-            self(f'{stage}{COMPILING}')
 
     def __exit__(self, *_: object) -> None:
         """Clear the line on the terminal."""
@@ -322,6 +315,10 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
             return error.exit_code
         if not isinstance(error, Exception) or _of_stream(error):
             raise
+        jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')
+        if damaged := jit and jit.damage(error):
+            console.error(damaged)
+            return USER_ERROR
         console.note(traceback.format_exc().rstrip())
         console.error(
             f'This is a defect of bellows_ros {__version__}: please report it, with the command '

@@ -110,7 +110,11 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
             causes.append('Give the file with --ros-args --params-file FILE.')
         print(*(f'{name}: {cause}' for cause in causes), sep='\n', file=sys.stderr)
         return error.exit_code
-    except Exception:  # noqa: BLE001 (all others are defects, whose code is not 1, "no")
+    except Exception as error:  # noqa: BLE001 (all others are defects, whose code is not 1, "no")
+        jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')
+        if damaged := jit and jit.damage(error):
+            print(f'{name}: {damaged}', file=sys.stderr)
+            return BellowsError.exit_code
         traceback.print_exc()
         print(f'{name}: This is a defect of bellows_ros {__version__}: please report it, with the '
               'parameters and the lines above.', file=sys.stderr)

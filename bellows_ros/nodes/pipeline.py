@@ -34,7 +34,7 @@ from .guarding import COMPILE_TIME, GuardedNode
 from .node_parameters import ManagedNode
 from .outputs import Outputs, Predicting, QUEUE, Topic, Tossing
 from .planning import Planning
-from ..core.geometry.jit import compile_aside, COMPILED, release_compiler
+from ..core.geometry.jit import compile_aside, COMPILED
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import flight, LivePredictor, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import model_tuple
@@ -102,7 +102,6 @@ class Pipeline(Predicting):
             Bool, 'vacuum/valve', lambda message: self.switch_valve(message.data), 10)
         self.observing = Observing(self)
         self._apply()
-        release_compiler()
         # s; each costs as much as a message
         node.create_timer(0.02, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -285,7 +284,6 @@ class Pipeline(Predicting):
             model = self._compile_predictor(values)
             uncertainty.warm_up_uncertainty(cup_of(values).relaxation)
             self.observing.warm_up(model)
-            release_compiler()
         finally:  # a compilation that fails here fails again at its use
             self._compiled.add(_kernels_of(values))
 

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, model_tuple
@@ -380,7 +379,6 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     return replace(source, tool=tool, path=os.fspath(path), values=values, notes=notes)
 
 
-@seldom_collected()  # most of the time for many points
 def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
     """Return the whole plan in a file."""
     if topic and file.suffix.lower() in (*YAML, *TEXT):

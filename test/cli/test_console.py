@@ -97,34 +97,14 @@ def test_a_crash_has_its_own_exit_code_and_asks_for_a_report(error, capsys):
     assert line.startswith('bellows: This is a defect') and 'please report it' in line
 
 
-def test_the_progress_line_says_that_a_kernel_is_compiled(monkeypatch):
-    """Name it beside the stage, once, until the next stage; say nothing where nothing compiles."""
-    monkeypatch.setattr(jit, 'announce', jit.announce)
+@pytest.mark.parametrize('is_new', [True, False])
+def test_the_progress_line_says_that_nothing_is_compiled_yet(is_new, monkeypatch):
+    monkeypatch.setattr(jit, 'IS_NEW', is_new)
     monkeypatch.setenv('TERM', 'xterm')
     stream = Terminal()
     with Console(io.StringIO(), stream, []).progress as progress:
         progress('fitting', 0.5)
-        before = stream.getvalue()
-        jit.announce()
-        jit.announce()
-        during = stream.getvalue().removeprefix(before)
-        progress('validating')
-    assert 'compiling' not in before and during.count('fitting; compiling') == 1
-    assert 'compiling' not in stream.getvalue().removeprefix(before + during)
-
-
-@pytest.mark.skipif(not jit.COMPILED, reason='nothing is compiled without numba')
-def test_a_kernel_that_is_not_on_disk_is_announced(monkeypatch, tmp_path):
-    """Call back before a kernel is compiled, not when it is called again, or is on disk."""
-    def plus(x):
-        return x + 1.5
-
-    told: list[bool] = []
-    monkeypatch.setattr(jit, 'announce', lambda: told.append(True))
-    monkeypatch.setattr('numba.config.CACHE_DIR', str(tmp_path))
-    for _ in range(2):
-        kernel = jit.kernel(plus)
-        assert kernel(1.0) == kernel(1.0) == 2.5 and len(told) == 1
+    assert ('fitting; compiling' in stream.getvalue()) is is_new
 
 
 WITHIN = 600.0  # s, for what comes at once on a machine that is not busy

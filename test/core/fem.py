@@ -8,7 +8,7 @@ vacuum) in 92 poses up to 25 degrees and 8 mm, with residuals of 2.5 % in force 
 """
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, rotation_to_quaternion
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -43,7 +43,7 @@ def slope_of_energy(u, v, z, p, q, t):
         (2.0 * p * by_pp - v * by_w + u * by_up, 2.0 * q * by_pp + u * by_w + v * by_up, by_t))
 
 
-@kernel
+@entry
 def spring_wrench(o, R, q):
     """Return the wrench on the package at the lip in its axes, for E_o_S, E_R_S and quaternion."""
     phi = t3.rotation_between((0.0, 0.0, 0.0, 1.0), q)
@@ -84,7 +84,7 @@ def advance(model, body, tool, middle, end, h):
     return kernels.with_rotation(end_state, t3.normalised(end_state[1]))
 
 
-@kernel
+@entry
 def run(model, body, tool, h, out):
     """Advance over two tool samples at a time."""
     write_row(out[0], body)

@@ -6,12 +6,12 @@ distance above 1 is out of tolerance.
 """
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry
 import numpy as np
 from numpy.typing import ArrayLike
 
 
-@kernel
+@entry
 def pose_distance(difference: tuple[float, float], tolerance: tuple[float, float]) -> float:
     """Return the distance, at least 0, of a difference (m, rad) by a tolerance (m, rad)."""
     return max(difference[0] / tolerance[0], difference[1] / tolerance[1])

@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import array_kernel, COMPILED, kernel
+from bellows_ros.core.geometry.jit import COMPILED, kernel
 import numpy as np
 
 Vector = tuple[float, float, float]
@@ -276,7 +276,7 @@ if COMPILED:
         """Add A B to the first rows of out; A may have more columns than B has rows."""
         return _add_from(0, A, B, out)
 
-    @array_kernel
+    @kernel
     def _add_from(first: int, A: Any, B: Any, out: Any) -> Any:
         """Add the product from a column of A on, in blocks of 12 or 6 columns without zeros."""
         n = min(A.shape[1], B.shape[0])
@@ -312,7 +312,7 @@ if COMPILED:
                 + g * B[6, j] + h * B[7, j] + p * B[8, j] + q * B[9, j] + r * B[10, j]
                 + s * B[11, j])
 
-    @array_kernel
+    @kernel
     def product(A: Any, B: Any, out: Any) -> Any:
         """Return A B, written to the first rows of out; slices of columns would be far slower."""
         if A.shape[1] < 12:
@@ -329,7 +329,7 @@ if COMPILED:
         out[len(A):] = 0.0
         return _add_from(12, A, B, out) if A.shape[1] > 12 else out
 
-    @array_kernel
+    @kernel
     def add_array(A: Any, factor: float, out: Any) -> Any:
         """Add factor A to the first rows, and return the sum."""
         for i in range(A.shape[0]):
@@ -337,7 +337,7 @@ if COMPILED:
                 out[i, j] += factor * A[i, j]
         return out
 
-    @array_kernel
+    @kernel
     def subtract_product(Z: Any, B: Any, out: Any) -> None:
         """Subtract Z^T B, of six rows each, from the first rows; Z^T Z stays symmetric."""
         for i in range(Z.shape[1]):

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
-from bellows_ros.core.geometry.jit import array_kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import moved_by
@@ -70,7 +70,7 @@ def shifted(body: State, x: Array) -> State:
     return moved if body[4:] else (moved[0], moved[1], moved[2], moved[3])
 
 
-@array_kernel
+@kernel
 def _derivatives(
     model: ModelTuple, tool: State, body: State, last: int, A: Any, C: Any, B: Any
 ) -> None:
@@ -86,7 +86,7 @@ def _derivatives(
         _strain_derivatives(model, tool, body, A, C, B)
 
 
-@array_kernel
+@kernel
 def _strain_derivatives(
     model: ModelTuple, tool: State, body: State, A: Any, C: Any, B: Any
 ) -> None:
@@ -165,7 +165,7 @@ class Unknowns(NamedTuple):
     marker: int
 
 
-@array_kernel
+@entry
 def whiten(
     model: ModelTuple, body: State, mean: Array, std: Array, path: Path, tool_noise: ToolNoise,
     poses: Poses, unknowns: Unknowns, walk: Array,
@@ -232,7 +232,7 @@ def whiten(
     return out, slopes, T, B, K, maps
 
 
-@array_kernel
+@kernel
 def _advanced(
     model: ModelTuple, body: State, before: Any, after: Any, length: float, steps: int
 ) -> State:
@@ -240,7 +240,7 @@ def _advanced(
     return kernels.advance(model, body, row_state(before), row_state(after), length, steps)
 
 
-@array_kernel
+@entry
 def with_mean(body: State, S: Any, m: int) -> State:
     """Return a package shifted by the mean of x, the last column, whose m rows become zero."""
     x = S[:, S.shape[1] - 1]
@@ -253,7 +253,7 @@ def with_mean(body: State, S: Any, m: int) -> State:
     return kernels.with_strains(moved, kernels.moved_strains(body[4:], 1.0, strains))
 
 
-@array_kernel
+@kernel
 def _step_mean(pair: Any, length: float, out: Any) -> Any:
     """Write the mean of two matrices, times a length."""
     for i in range(out.shape[0]):
@@ -262,7 +262,7 @@ def _step_mean(pair: Any, length: float, out: Any) -> Any:
     return out
 
 
-@array_kernel
+@kernel
 def _propagate(
     k: int, path: Path, tool_noise: ToolNoise, poses: Poses, unknowns: Unknowns, walk: Array,
     derivatives: tuple[Array, Array, Array], states: tuple[Array, Array, Array, Array],
@@ -301,7 +301,7 @@ def _propagate(
         P[i, i] += (1.0 - noise_correlation * noise_correlation) * variance[i - m - 6]
 
 
-@array_kernel
+@kernel
 def _scale_changes(effect: Any, scales: Any, extra: Any) -> None:
     """Scale columns by their mean factor, and add the effect of extra values to the mean."""
     for j in range(len(extra)):
@@ -311,7 +311,7 @@ def _scale_changes(effect: Any, scales: Any, extra: Any) -> None:
             effect[i, effect.shape[1] - 1] += effect[i, j] * extra[j]
 
 
-@array_kernel
+@kernel
 def _exponential(M: Any, steps: int, mean: Any, ramp: Any) -> Any:
     """
     Return exp(M), modifying M; write the means over t of exp(t M) and (1 - t) exp(t M), t <= 1.
@@ -338,7 +338,7 @@ def _exponential(M: Any, steps: int, mean: Any, ramp: Any) -> Any:
     return F
 
 
-@array_kernel
+@kernel
 def _short_exponential(M: Any, mean: Any, ramp: Any) -> Any:
     """Return exp(M), and write its means, to fourth order."""
     X, Y = np.empty(M.shape), np.empty(M.shape)
@@ -360,7 +360,7 @@ def _short_exponential(M: Any, mean: Any, ramp: Any) -> Any:
     return Y
 
 
-@array_kernel
+@kernel
 def _add_tool_noise(k: int, tool_noise: ToolNoise, marker: int, B: Any, S: Any, P: Any) -> None:
     """
     Add the innovation of the tool's noise at node k, and its variances, to the states.
@@ -381,7 +381,7 @@ def _add_tool_noise(k: int, tool_noise: ToolNoise, marker: int, B: Any, S: Any, 
     t3.add_product(B, noise, P)
 
 
-@array_kernel
+@kernel
 def _update(
     variance: Any, M: Any, by_pose: Any, noise_state: int, S: Any, P: Any, out: Any,
     slopes: Any, K: Any,
@@ -414,7 +414,7 @@ def _update(
         t3.add_product(gain, s_row, S)
 
 
-@array_kernel
+@kernel
 def _add_mapped(factors: Any, rows: Any, out: Any) -> None:
     """Add the first six rows times factors (6,) to a row (1, n)."""
     for k in range(6):
@@ -423,7 +423,7 @@ def _add_mapped(factors: Any, rows: Any, out: Any) -> None:
                 out[0, i] += factors[k] * rows[k, i]
 
 
-@array_kernel
+@entry
 def smooth(
     whitened: tuple[Array, Array, Array, Array, Array, Array], place: Places, variances: Array,
     noise_state: int,
@@ -455,7 +455,7 @@ def smooth(
     return innovations, slope
 
 
-@array_kernel
+@kernel
 def _times_transposed(T: Any, x: Any) -> Any:
     out = np.zeros(T.shape[1])
     for i in range(T.shape[0]):

@@ -5,7 +5,7 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY_NS, Settling
 from bellows_ros.core.model import equilibrium, kernels
@@ -26,7 +26,7 @@ MIN_STEP = 1e-6
 """Shortest integration step of a live prediction, s."""
 
 
-@kernel
+@entry
 def advance_and_hold(
     row: Any, law: LawTuple, body: State, before: State, now: State,
     duration: float, substeps: int, reach: float,

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.tool_twist import ROTATION_LEVER
 from bellows_ros.core.live.uncertainty import Prediction
@@ -70,7 +70,7 @@ class PlanProgress(NamedTuple):
     rate_variance: float
 
 
-@kernel
+@entry
 def pose_deviation(row: Any, o: Vector, q: Quaternion) -> float:
     """Return the distance (m) of a tool from a point of a plan, rotation by `ROTATION_LEVER`."""
     x, y, z = row[0] - o[0], row[1] - o[1], row[2] - o[2]
@@ -85,7 +85,7 @@ def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
     return t3.dot(v, linear) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, angular)
 
 
-@kernel
+@entry
 def point_at(rows: Any, seconds: Any, t: float) -> State:
     """Return the tool on a plan at a time (s); at rest outside of the plan."""
     last = len(seconds) - 1
@@ -98,7 +98,7 @@ def point_at(rows: Any, seconds: Any, t: float) -> State:
     return tool_at(segment, (t - seconds[k]) / duration)
 
 
-@kernel
+@entry
 def departure(rows: Any, seconds: Any) -> float:
     """Return the time (s) of the first point that is distinguishable from the plan's first."""
     o, q = row_state(rows[0])[:2]
@@ -171,7 +171,7 @@ def search(
     return best, h
 
 
-@kernel
+@entry
 def track(
     rows: Any, seconds: Any, tool: State, prior: tuple[float, float, float, float, float],
     ends: tuple[float, float],
@@ -218,7 +218,7 @@ def track(
     return math.sqrt(squared), (at, rate, variance, covariance, rate_variance)
 
 
-@kernel
+@entry
 def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> int:
     """
     Move a limited number of states per second, and the last, to the front; return their number.

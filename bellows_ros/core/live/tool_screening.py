@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.signals import screening
@@ -104,7 +104,7 @@ def change(a: Vector, b: Vector) -> tuple[float, float]:
     return t3.norm(t3.subtract(b, a)), min(t3.norm(a), t3.norm(b)) if t3.dot(a, b) > 0.0 else 0.0
 
 
-@kernel
+@entry
 def _pose_step(
     o: Vector, q: Quaternion, velocity: Vector, rate: Vector, period: float,
     other_o: Vector, other_q: Quaternion, seconds: float,

@@ -14,7 +14,7 @@ from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
@@ -193,7 +193,7 @@ ROTATION_LEVER = 0.1
 """Lever that converts rotations to distances, m."""
 
 
-@kernel
+@entry
 def append_row(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) -> int:
     """Append a pose, dropping the first when full; return the number of poses."""
     if count == len(rows):
@@ -207,7 +207,7 @@ def append_row(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) 
     return count + 1
 
 
-@kernel
+@entry
 def pose_with_slope(rows: Any, count: int, at: int) -> State:
     """Return the pose in rows[at], and the slope there of a quadratic through rows[:count]."""
     o = (rows[at][1], rows[at][2], rows[at][3])
@@ -280,7 +280,7 @@ MAX_ANGULAR_JERK, ANGLE_TOLERANCE = 5e4, 0.15
 """Largest angular jerk of an arm (rad/s^3), and additional tolerance of a rotation (rad)."""
 
 
-@kernel
+@entry
 def misfits(
     q: Quaternion, linear: Vector, angular: Vector, v: Vector, w: Vector
 ) -> tuple[float, float, float]:
@@ -304,7 +304,7 @@ def squared(v: Vector, w: Vector) -> float:
     return t3.dot(v, v) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, w)
 
 
-@kernel
+@entry
 def with_measured_twist(
     before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
     seconds: float, lag: float,

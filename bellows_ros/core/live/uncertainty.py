@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector, ZERO
 from bellows_ros.core.model import equilibrium
@@ -404,7 +404,7 @@ class Settling:
         return round(NS_PER_S * math.log(ratio) / self.modes.decay)
 
 
-@kernel
+@entry
 def motion_through(
     start: State, middle: State, end: State, s: float, t: float
 ) -> tuple[float, float, float, float]:

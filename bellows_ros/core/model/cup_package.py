@@ -294,7 +294,7 @@ def regressor(
     return L
 
 
-@jit.kernel
+@jit.entry
 def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, out: Array) -> None:
     """Write the cup's wrench for every sample into out (N, 6)."""
     for k in range(o.shape[1]):

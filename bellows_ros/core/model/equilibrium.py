@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import jacobians, kernels
@@ -39,7 +39,7 @@ def adapted(model: ModelTuple, tool: State, body: State) -> State:
     return kernels.relaxed(model[0], kernels.lip_strain(model, tool, plain), plain)
 
 
-@kernel
+@entry
 def displaced(body: State, delta: Vector, phi: Vector) -> State:
     """Return the body at rest, shifted by R delta and rotated by exp(phi) in body axes."""
     move = t3.apply(t3.rotation_matrix(body[1]), delta)
@@ -56,14 +56,14 @@ def moved(body: State, shift: Vector, rotation: Vector, linear: Vector, angular:
         perturbed, t3.add(perturbed[2], linear), t3.add(perturbed[3], angular))
 
 
-@kernel
+@entry
 def moved_by(body: State, e: Any) -> State:
     """Return a state changed by the first twelve numbers of an error; see `moved`."""
     return moved(
         body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11]))
 
 
-@kernel
+@entry
 def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
     """Return shift and rotation with which `moved` takes a body to a pose: log(T_hat^-1 Z)."""
     return (
@@ -162,7 +162,7 @@ def largest_step(model: ModelTuple, A: Array | None = None) -> float:
     return PHASE_PER_STEP / fastest if fastest > 0.0 else math.inf
 
 
-@kernel
+@entry
 def substeps_for(duration: float, longest_step: float) -> int:
     """Return the number of integration steps for a time between two tool samples."""
     return max(1, math.ceil(duration / longest_step - 1e-9))
@@ -205,7 +205,7 @@ def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = Non
     return adapted(model, (tool[0], tool[1], *ORIGIN[2:]), body)
 
 
-@kernel
+@entry
 def _loaded(
     model: ModelTuple, tool: State, body: State, loads: int, A: Any, x: Any
 ) -> tuple[State, bool]:

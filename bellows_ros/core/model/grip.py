@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, State, Strains, Wrench
@@ -69,7 +69,7 @@ def peel_load(radius: float, f: Vector, m: Vector) -> float:
     return f[2] + 2.0 * math.sqrt(m[0] * m[0] + m[1] * m[1]) / radius
 
 
-@kernel
+@entry
 def safety_factors(grip: tuple[float, float, float], f: Vector, m: Vector) -> tuple[float, float]:
     """
     Return the safety factors against peel and slip, as in `MODES`; the smaller one counts.
@@ -104,7 +104,7 @@ def one_of(M: Blocks, places: Array) -> Blocks:
     return oo, oR, t3.scale_matrix(1.0 / n, t3.add_scaled_matrix(RR, 1.0, squares))
 
 
-@kernel
+@entry
 def cup_of_gripper(cup: CupTuple, places: Array) -> CupTuple:
     """Return one cup of a gripper."""
     return (cup[0], cup[1], one_of(cup[2], places), one_of(cup[3], places), *cup[4:])
@@ -132,7 +132,7 @@ def strains_at(strains: Strains, a: Vector) -> Strains:
     return ((t3.subtract(b, t3.cross(a, c)), c), (t3.subtract(d, t3.cross(a, e)), e))
 
 
-@kernel
+@entry
 def least_factors(
     grip: Grip, cup: CupTuple, o: Vector, R: Matrix, v: Vector, w: Vector, strains: Strains,
     f: Vector, m: Vector,
@@ -174,7 +174,7 @@ def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -
     return load
 
 
-@kernel
+@entry
 def factors_along(model: ModelTuple, grip: Grip, tool: Array, body: Array) -> Array:
     """
     Return safety factors (N, 2), as in `MODES`, and the rows of their cups in the grip (N, 2).

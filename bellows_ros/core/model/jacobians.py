@@ -12,7 +12,7 @@ X(S1_H_B) xi there, like a twist; the twist relative to the tool changes by -ad(
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import (
@@ -231,7 +231,7 @@ def cup_accelerations(model: ModelTuple, tool: State, body: State) -> tuple[Squa
             accelerations(model[1], shift_left(c, shift_right(by_twist, c))))
 
 
-@kernel
+@entry
 def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
     """Return the derivatives of `body_acceleration` by pose and twist of the body."""
     _, package, gravity = model
@@ -248,7 +248,7 @@ def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
             twist[2], t3.add_scaled_matrix(twist[3], 1.0, t3.multiply(package[3], gyro))))
 
 
-@kernel
+@entry
 def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
     """
     Return the derivatives of the acceleration by r_b z_b, and of h by the body's pose.
@@ -286,7 +286,7 @@ def relaxation_jacobian(
         write_column(out, column + b, dv, dw)
 
 
-@kernel
+@entry
 def tool_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
     """Return the derivatives of `body_acceleration` by pose and twist of the tool."""
     c, _, R, _, _, o_E_S1, _, _ = ends_of_spring(model, tool, body)
@@ -352,7 +352,7 @@ def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> None:
         A[i, 6 + i] = 1.0
 
 
-@kernel
+@entry
 def parameter_jacobian(
     model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any
 ) -> None:

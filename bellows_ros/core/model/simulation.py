@@ -7,7 +7,7 @@ from typing import Any
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -250,7 +250,7 @@ def write_row(row: Array, state: State) -> None:
             row[22], row[23], row[24] = state[5][1]
 
 
-@kernel
+@entry
 def first_after(times: Any, time: float, count: int) -> int:
     """Return the index of the first sample after a time."""
     low, high = 0, count
@@ -263,7 +263,7 @@ def first_after(times: Any, time: float, count: int) -> int:
     return low
 
 
-@kernel
+@entry
 def _simulate(
     model: ModelTuple, start: State, tool: Any, durations: Any, substeps: Any, out: Array
 ) -> None:
@@ -276,7 +276,7 @@ def _simulate(
         before = after
 
 
-@kernel
+@entry
 def lip_wrenches(model: ModelTuple, tool: Array, body: Array) -> Array:
     """Return the wrenches (N, 6) of the cup at the lip, in S axes, N and N m, of rows (N, 13)."""
     out = np.empty((len(tool), 6))

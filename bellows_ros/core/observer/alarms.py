@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model.kernels import LawTuple, model_of
 from bellows_ros.core.observer import filter as ekf
@@ -431,7 +431,7 @@ def _length(part: Array, P: Array, is_log: bool) -> tuple[float, float]:
     return length, std
 
 
-@kernel
+@entry
 def filter_step(
     row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples,
     is_recorded: bool, until_ns: int, max_step: float, noise: ekf.Noise,
@@ -473,7 +473,7 @@ def _layout(number: int) -> tuple[int, int]:
     return h, COLUMNS[h] + (number - h) * ONSETS
 
 
-@array_kernel
+@kernel
 def _assessed(
     E: Any, statistics: Array, distances: Array, onsets: Stamps, steps: Array, stamp_ns: int,
     place: Vector, innovation: tuple[Array, Array, Array, float, Array], of_lip: bool, used: bool,
@@ -554,7 +554,7 @@ def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
     return slot
 
 
-@kernel
+@entry
 def _add_onset(
     E: Any, statistics: Array, distances: Array, onsets: Stamps, steps: Array, stamp_ns: int,
     place: Vector, pinned: int,
@@ -603,7 +603,7 @@ def _add_products(z: Array, change: Array, number: int, statistics: Array) -> No
                     + change[4, i + k] * change[4, j + k] + change[5, i + k] * change[5, j + k])
 
 
-@array_kernel
+@kernel
 def _likeliest_fault(
     statistics: Array, distances: Array, onsets: Stamps, from_start: bool, faults: int
 ) -> Likeliest:

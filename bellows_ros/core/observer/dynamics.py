@@ -11,7 +11,7 @@ from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
@@ -83,7 +83,7 @@ def inverse_of(A: Matrix) -> Matrix:
     return t3.scale_matrix(1.0 / t3.dot(x, a), (*a, *b, *c))
 
 
-@kernel
+@entry
 def model_at(row: Any, law: LawTuple, theta: Array) -> ModelTuple:
     """Return the model of `kernels.model_of` with its parameters changed by theta."""
     return with_theta(kernels.model_of(row, law), theta)
@@ -106,7 +106,7 @@ def _scaled_block(A: Matrix, a: Vector, b: Vector) -> Matrix:
         A[6] * a[2] * b[0], A[7] * a[2] * b[1], A[8] * a[2] * b[2])
 
 
-@kernel
+@entry
 def stable_step(max_step: float, theta: Array) -> float:
     """Return the longest step (s) for a model changed by theta, shorter if much stiffer."""
     stiffer = damped = lighter = 0.0
@@ -154,7 +154,7 @@ def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
     return np.stack([drive * np.square(std) @ drive.T for std in each])
 
 
-@kernel
+@entry
 def advanced_with_wrench(
     model: ModelTuple, bias: Wrench, body: State, start: State, end: State, seconds: float,
     substeps: int,
@@ -167,7 +167,7 @@ def advanced_with_wrench(
     return kernels.with_twist(body, t3.add(body[2], dv), t3.add(body[3], dw))
 
 
-@array_kernel
+@kernel
 def slopes(
     model: ModelTuple, bias: Wrench, mass_ratio: float, tool: State, body: State, A: Array,
     B: Array,
@@ -264,7 +264,7 @@ def _add_block(
             out[row + i, column + j] += factor * (S[3 * i + j] * Mx[j] + SM[3 * i + j] * x[j])
 
 
-@array_kernel
+@kernel
 def write_losses(
     nominal: ModelTuple, theta: Array, cups: Array, tool: State, body: State, out: Array
 ) -> None:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
@@ -158,7 +158,7 @@ cup of a gripper.
 """
 
 
-@array_kernel
+@kernel
 def accumulate(
     A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, fall_acceleration: Vector,
     losses: Array, without_cup: Array,
@@ -209,7 +209,7 @@ def accumulate(
     last[SECONDS] += h
 
 
-@array_kernel
+@kernel
 def _accumulate_loss(F: Any, by_twist: Any, losses: Any, without_cup: Any) -> None:
     """Propagate a transition (12, 13) without a cup, with half the sum of losses at both ends."""
     before, mean, loss = without_cup.copy(), without_cup.copy(), np.empty((6, 13))
@@ -278,7 +278,7 @@ def _correlation(of_next: float, rate: float) -> float:
     return math.exp(math.log(min(max(of_next, 1e-3), MAX_CORRELATION)) * rate)
 
 
-@array_kernel
+@kernel
 def propagated_covariance(
     P: Array, T: Array, Q: Array, walk: Array, correlation: tuple[float, float]
 ) -> Array:
@@ -312,7 +312,7 @@ def propagated_covariance(
     return out
 
 
-@kernel
+@entry
 def ends_step(stamp_ns: int, next_ns: int, max_step: float) -> bool:
     """Return whether a covariance step ends at a sample, independently of its begin."""
     length_ns = int(NS_PER_S * min(COVARIANCE_STEPS * max_step, 1.0))
@@ -428,7 +428,7 @@ def correlations_of_tag(
             of_view * min(across0, across1) / max(across0, across1))
 
 
-@array_kernel
+@kernel
 def predicted(
     model: ModelTuple, estimate: EstimateTuple, samples: Samples, is_recorded: bool, until_ns: int,
     max_step: float, noise: Noise, signatures: Any, cups: Array,
@@ -461,7 +461,7 @@ def predicted(
     return (until_ns, tool, body, theta, P, memory), signatures, Q
 
 
-@array_kernel
+@kernel
 def propagated_signatures(
     E: Any, T: Array, correlation: tuple[float, float], without_cup: Array
 ) -> Any:
@@ -505,7 +505,7 @@ def _followed(
     return body
 
 
-@kernel
+@entry
 def followed(
     row: Any, law: LawTuple, theta: Array, body: State, samples: Samples,
     stamp_ns: int, start: State, end: State, max_step: float, reach: float,
@@ -531,7 +531,7 @@ def followed(
     return body, wrench, is_sound
 
 
-@array_kernel
+@entry
 def body_at_end(
     row: Any, law: LawTuple, beginning: Moving, samples: Samples, until_ns: int,
     max_step: float,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import array_kernel, COMPILED, kernel
+from bellows_ros.core.geometry.jit import COMPILED, entry, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
@@ -152,7 +152,7 @@ class PoseSensor:
             stamp_ns - round(NS_PER_S * self.model.latency), position, q, noise)
 
 
-@kernel
+@entry
 def at_com(
     position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
@@ -181,7 +181,7 @@ def vector_at(theta: Array, row: int) -> Vector:
     return theta[row - STATE], theta[row - STATE + 1], theta[row - STATE + 2]
 
 
-@kernel
+@entry
 def corrected_pose(
     position: Vector, q: Quaternion, noise: Array, marker: Marker, theta: Array, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
@@ -221,7 +221,7 @@ from P by a measurement.
 """
 
 
-@kernel
+@entry
 def cholesky(S: Array) -> tuple[Array, Array]:
     """Return the Cholesky factor of a covariance (6, 6), and its inverse."""
     L, W = np.zeros((6, 6)), np.zeros((6, 6))
@@ -260,7 +260,7 @@ def observation(body: State, noise: Array, of_lip: bool, white: float) -> Array:
     return H
 
 
-@array_kernel
+@kernel
 def output_of(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
     """Write H X (6, k), with H of `observation`, and return it."""
     if not COMPILED:
@@ -286,7 +286,7 @@ def output_of(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
     return out
 
 
-@array_kernel
+@kernel
 def innovation_of(
     body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
     marker: Marker, jitter: float,
@@ -317,7 +317,7 @@ def innovation_of(
     return z, H, W, distance, t3.product(W, HP, np.empty((6, n)))
 
 
-@kernel
+@entry
 def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
     """Return state and theta changed by an error (n,)."""
     theta = theta.copy()
@@ -326,7 +326,7 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
     return moved_by(body, e), theta
 
 
-@array_kernel
+@kernel
 def posterior(
     body: State, theta: Array, P: Array, innovation: Innovation, largest: Array
 ) -> tuple[bool, State, Array]:
@@ -453,7 +453,7 @@ def _velocity_at(body: State, position: Vector) -> Vector:
     return t3.add(t3.apply(R, body[2]), turning)
 
 
-@array_kernel
+@kernel
 def updated(
     model: ModelTuple, estimate: ekf.EstimateTuple, seconds: float, seen: MeasuredPose,
     gain: Array,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
@@ -300,7 +300,7 @@ def record_sample(
     return float(max(loads[0], loads[1]))
 
 
-@kernel
+@entry
 def _simulate_plan(
     model: ModelTuple, grip: Grip, start: State, plan: tuple[Any, Any, float], longest: float,
     samples: tuple[Array, Array, Array], watch: Watch,
@@ -347,7 +347,7 @@ def _simulate_plan(
     return body, t, True
 
 
-@kernel
+@entry
 def _simulate_decay(
     model: ModelTuple, grip: Grip, hanging: Quaternion, tool: State, body: State, t: float,
     steps: tuple[float, int], watch: Watch,

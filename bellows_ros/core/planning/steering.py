@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import resting_on_tool, symmetric_matrix, system_matrix
@@ -127,7 +127,7 @@ def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw
     return kernels.with_twist(tool, v_E, w_E)
 
 
-@kernel
+@entry
 def _invert_kernel(
     model: ModelTuple, tool: State, reference: Any, h: float, speed: float, rate: float,
     out: Array, package: Array,

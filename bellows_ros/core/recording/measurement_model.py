@@ -21,7 +21,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
@@ -51,7 +51,7 @@ LEAST_DISTANCE = 0.05
 """Smallest distance of a tag from the camera, the limit of focus, m."""
 
 
-@kernel
+@entry
 def sizes_of(sensor: Sensor, position: Vector, velocity: Vector) -> Sizes:
     """
     Return the standard deviations of a measured pose from its position and velocity.
@@ -74,7 +74,7 @@ def sizes_of(sensor: Sensor, position: Vector, velocity: Vector) -> Sizes:
         math.hypot(distance * at_rest[3], in_motion[3] * v2))
 
 
-@kernel
+@entry
 def pose_noise(sensor: Sensor, position: Vector, velocity: Vector) -> Array:
     """Return the covariance (6, 6) of a measured pose (m^2, rad^2) about axes of the world."""
     lateral, depth, across, along = sizes_of(sensor, position, velocity)
@@ -89,7 +89,7 @@ def pose_noise(sensor: Sensor, position: Vector, velocity: Vector) -> Array:
     return out
 
 
-@kernel
+@entry
 def mirrored(camera: Vector, position: Vector, q: Quaternion) -> Quaternion:
     """
     Return the second solution of a flat tag's orientation.

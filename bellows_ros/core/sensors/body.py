@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.geometry.jit import array_kernel
+from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import pose_error
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -43,7 +43,7 @@ class Views(NamedTuple):
     exposure: int
 
 
-@array_kernel
+@kernel
 def observe(
     model: ModelTuple, tool: State, body: State, views: Views, i: int, M: Any, out: Any
 ) -> None:
@@ -87,7 +87,7 @@ def observe(
                 columns[j, k] = turned[j, k]
 
 
-@array_kernel
+@kernel
 def _write_map(body: State, views: Views, i: int, M: Any) -> None:
     """Write the derivative (6, 6) of view i by the package's error."""
     R, lever = t3.rotation_matrix(body[1]), (views.point[0], views.point[1], views.point[2])

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import array_kernel, as_inputs, kernel
+from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import moved
 from bellows_ros.core.model.kernels import matrix_of, State
@@ -60,7 +60,7 @@ def corner_at(body: State, sight: Sight, corner: int) -> tuple[Vector, Vector]:
     return (X, Y, max(Z, LEAST_DEPTH)), arm
 
 
-@array_kernel
+@kernel
 def write_image(body: State, sight: Sight, out: Any) -> None:
     """Write the image (8,) of the corners."""
     for corner in range(4):
@@ -68,7 +68,7 @@ def write_image(body: State, sight: Sight, out: Any) -> None:
         out[2 * corner], out[2 * corner + 1] = X / Z, Y / Z
 
 
-@array_kernel
+@kernel
 def write_slopes(body: State, sight: Sight, J: Any) -> None:
     """Write the derivatives (8, 6) of the image by the package's error."""
     axes = t3.multiply(t3.transposed(sight[1]), t3.rotation_matrix(body[1]))
@@ -82,7 +82,7 @@ def write_slopes(body: State, sight: Sight, J: Any) -> None:
             J[k, 3], J[k, 4], J[k, 5] = t3.cross(arm, (a, b, c))
 
 
-@array_kernel
+@kernel
 def reduce_view(J: Any, X: Any) -> None:
     """
     Replace J (8, 6) by R, and X (8, m) by Q^T X, with J = Q R, by Householder's reflections.
@@ -108,7 +108,7 @@ def reduce_view(J: Any, X: Any) -> None:
             J[i, k] = 0.0
 
 
-@array_kernel
+@kernel
 def _reflect(J: Any, k: int, square: float, X: Any, j: int) -> None:
     """Reflect column j of X by the vector in column k of J, with half of its square."""
     along = 0.0
@@ -119,7 +119,7 @@ def _reflect(J: Any, k: int, square: float, X: Any, j: int) -> None:
         X[i, j] -= along * J[i, k]
 
 
-@array_kernel
+@entry
 def _write_views(
     rows: Any, accelerations: Any, sight: Sight, corners: Any, out: Any, maps: Any, smears: Any
 ) -> None:

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.grip import Box
@@ -98,7 +98,7 @@ def flight_step(body: State, rotation_per_step: float) -> float:
     return max(1e-5, min(MAX_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
 
 
-@kernel
+@entry
 def flight(
     package: PackageTuple, gravity: Vector, body: State, duration: float, rotation_per_step: float
 ) -> State:
@@ -117,7 +117,7 @@ def upward(gravity: Vector) -> Vector:
     return t3.scale(-1.0 / max(math.sqrt(t3.dot(gravity, gravity)), 1e-9), gravity)
 
 
-@kernel
+@entry
 def lowest(box: Box, up: Vector, body: State) -> float:
     """Return the height (m) of the lowest corner of the box."""
     half, centre = box

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import equilibrium, kernels, simulation
 from bellows_ros.core.model.grip import Grip, largest_peel_load, Law, NO_LAW, Release
@@ -131,7 +131,7 @@ def _held_substep(
     return tool, end
 
 
-@kernel
+@entry
 def _simulate_held(
     model: ModelTuple, grip: Grip, body: State, plan: tuple[Any, Any, Any],
     samples: tuple[Array, Array, Array, Array],
@@ -247,7 +247,7 @@ def write_toss(
     return released
 
 
-@kernel
+@entry
 def toss_along(
     switching: Switching, start: float, tool: State, body: State, ahead: ToolContinuation
 ) -> tuple[float, State, float, State]:
@@ -269,7 +269,7 @@ def toss_along(
     return released, body, released + later if later >= 0.0 else -1.0, landed
 
 
-@kernel
+@entry
 def landing_error(landed: State, nominal: State, gravity: Vector) -> tuple[Vector, Vector]:
     """
     Return the deviation of a landing from a nominal one.

@@ -118,7 +118,7 @@ def test_the_rate_of_a_rotation_vector_is_exact_to_the_third_order():
     assert_allclose(np.log2(errors[0] / errors[1]), 4.0, atol=0.05)  # the next term is sigma^4
 
 
-@jit.kernel
+@jit.entry
 def repeat(model, body, tool, later, h, count):
     """Advance many times with the same tool motion."""
     for _ in range(count):

@@ -305,7 +305,7 @@ def _dense_total(given, place):
 def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""
     processed, given, totals = alarms.filter_step, [], []
-    interpreted = getattr(ekf.predicted, 'py_func', ekf.predicted)  # compiling it takes some 7 s
+    interpreted = ekf.predicted
 
     def processing(row, law, before, *more):
         result = processed(row, law, before, *more)
