@@ -433,7 +433,7 @@ def fit_json(fit: Fit) -> dict[str, Any]:
             fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
             'relaxation', 'relaxation_std', 'stretch', 'stretch_std', 'samples_used',
             'samples_rejected', 'condition_number', 'usable', 'weight', 'residual_rms',
-            'noise_rms', 'chi2', 'robust_chi2', 'converged'),
+            'chi2', 'robust_chi2', 'converged'),
         'with_exactly_given': results.attributes(exact, 'stiffness_std', 'damping_std'),
         'intervals_95': {
             name: {'low': value - half, 'high': value + half} for name, value, half in (
@@ -456,7 +456,7 @@ def fit_json(fit: Fit) -> dict[str, Any]:
             'narrowed': dict(zip(fit.labels, standstills.narrowed.tolist(), strict=True))},
         'units': {
             'weight': _products([f'1/({unit})' for unit in fit.residual_units]),
-            **dict.fromkeys(('residual_rms', 'noise_rms'), fit.residual_units)}}
+            'residual_rms': fit.residual_units}}
 
 
 def _products(units: Any) -> list[list[str]]:

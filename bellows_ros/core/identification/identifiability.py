@@ -9,7 +9,7 @@ is given.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from bellows_ros.core.identification.reduction import Movement, PassBand
+from bellows_ros.core.identification.reduction import Movement
 from bellows_ros.core.identification.result import Fit, NOTE_TEXTS, NOTES, with_unidentifiable
 from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import Structure, structure_named
@@ -144,35 +144,6 @@ def _direction_warnings(
                 title=title, share=share, bias=abs(each.bias), remedy=remedy)
 
 
-MIN_HALF_WINDOW = 4
-"""Shortest half window (samples) for polynomials of order 6."""
-
-
-def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
-    """
-    Yield a warning for each direction with motion beyond the filter's pass band.
-
-    Parameters
-    ----------
-    axes : sequence of Axis
-        The six directions.
-    passed : sequence of PassBand
-        Pass band of each recording.
-
-    """
-    too_much = (np.sum([band.removed for band in passed], axis=0)
-                > np.sum([band.limit for band in passed], axis=0))
-    first = min(passed, key=lambda band: band.end_hz)
-    for axis, is_removed in zip(axes, too_much, strict=True):
-        if not is_removed:
-            continue
-        end, fastest = first.end_hz, axis.band_hz[1]
-        tool, package = (max(int(n * end / fastest), MIN_HALF_WINDOW) for n in first.half_windows)
-        yield NOTES['too_fast'].format(
-            title=DIRECTIONS[axis.name][0], fastest=fastest, end=end, shorter=NOTES[
-                'shorter'].format(tool=tool, package=package) if fastest > end else '')
-
-
 MAX_CORRELATION = 0.95
 """Correlation of two estimates above which they can hardly be separated."""
 
@@ -207,7 +178,7 @@ def excitation_of(movements: Sequence[Movement], fit: Fit) -> Excitation:
     """
     Return the identifiability of K and P from the motions of recordings and their fit.
 
-    The bias by noise and by fast motion is of least squares alone.
+    The bias by noise is of least squares alone.
     """
     structure, axes, covariance = structure_named(fit.structure), _axes(movements), fit.covariance
     identifiable = np.isfinite(np.diag(covariance))
@@ -225,9 +196,8 @@ def excitation_of(movements: Sequence[Movement], fit: Fit) -> Excitation:
     pairs = tuple((fit.labels[i], fit.labels[j], float(correlation[i, j]))
                   for i, j in sorted(correlated, key=lambda pair: -abs(correlation[*pair])))
     source = 'this recording' if len(movements) == 1 else 'these recordings'
-    warnings = () if fit.method == 'output_error' else (
-        *advice(parameters, structure, pairs, source),
-        *too_fast(axes, [movement.passed for movement in movements]))
+    warnings = () if fit.method == 'output_error' else tuple(
+        advice(parameters, structure, pairs, source))
     return Excitation(axes, parameters, int(np.count_nonzero(identifiable)), pairs, warnings)
 
 

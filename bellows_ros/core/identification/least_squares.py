@@ -45,9 +45,6 @@ MIN_SHARE = 1e-3
 MIN_SIGNAL_SHARE = 0.1
 """Smallest share of signal in the information on a direction whose noise is subtracted."""
 
-MAX_RESIDUAL_TO_NOISE, MAX_RESIDUAL_TO_WRENCH = 1.5, 0.1
-"""Ratios of residuals to noise and to the wrench beyond which residuals are too large."""
-
 MIN_SQUARED_DISTANCE = 13.8
 """Smallest squared Mahalanobis distance of a significant extension of the spring from zero;
 false-alarm rate 1 in 1000."""
@@ -146,7 +143,7 @@ def least_squares(parts: Held) -> Fit:
         raise UndeterminedError(
             f'{", ".join(structure.labels[:MAX_LISTED])} and all others are not identifiable from '
             'these recordings: nothing moves. Excite all six directions.')
-    bias = noise_rms = noise_share = None
+    bias = noise_share = None
     gain = inverse
     if noise is not None:
         bias, gain, separable = noise_bias(noise, whitening, x, inverse)
@@ -154,13 +151,10 @@ def least_squares(parts: Held) -> Fit:
         noise_share = np.where(
             identifiable, np.minimum(energy * np.sum(inverse**2, axis=1), 1.0), 1.0)
         x, identifiable = x - bias, identifiable & separable
-        combination = np.append(x, -1.0)
-        noise_rms = np.sqrt(np.einsum('p,ipiq,q->i', combination, noise, combination) / used)
     covariance, squares = _uncertainty(parts, whitening, x, inverse, gain)
     std = np.sqrt(np.diag(covariance))
     sizes = structure.sizes(*structure.matrices(x))
     significant = identifiable & (std <= MAX_RELATIVE_ERROR * sizes)
-    residual_rms = np.sqrt(squares / used)
     return Fit(
         method='least_squares',
         structure=structure.name,
@@ -170,12 +164,10 @@ def least_squares(parts: Held) -> Fit:
         samples_rejected=rejected,
         condition_number=condition,
         weight=whitening.T @ whitening,
-        residual_rms=residual_rms,
-        noise_rms=noise_rms,
+        residual_rms=np.sqrt(squares / used),
         bias=bias,
         noise_share=noise_share,
-        notes=() if significant.any() else (NOTES['too_short'],),
-        misfit=_misfit(residual_rms, noise_rms, whitening))
+        notes=() if significant.any() else (NOTES['too_short'],))
 
 
 def simplest_fit(parts: Held, simpler: Structure) -> Fit:
@@ -313,19 +305,3 @@ def noise_bias(
     gain = compensated + inverse @ V[:, noisy] @ V[:, noisy].T
     return -compensated @ slope, gain, separable
 
-
-def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> str:
-    """Return a sentence if the residual wrench (6,) is larger than noise explains, else ''."""
-    if noise_rms is None:
-        return ''
-    spread = np.linalg.norm(np.linalg.inv(whitening), axis=1)
-    excess = np.sqrt(np.maximum(residual_rms**2 - noise_rms**2, 0.0)) / spread
-    doubtful = (residual_rms > MAX_RESIDUAL_TO_NOISE * noise_rms) & (
-        excess > MAX_RESIDUAL_TO_WRENCH)
-    if not doubtful.any():
-        return ''
-    worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
-    axis, unit = 'xyz'[worst % 3], result.WRENCH_UNITS[worst]
-    what = f'moment about {axis}' if worst > 2 else f'force along {axis}'
-    return NOTES['too_large_residual'].format(
-        what=what, rms=residual_rms[worst], unit=unit, noise=noise_rms[worst])

@@ -6,9 +6,8 @@ is reduced; stored statistics can be weighted later. For a fit the sufficient st
 cluster, the rows [L c] of each wrench component, reduced by QR to an R factor with equal inner
 products. If W couples the components, six R factors do not suffice, and R factors of all products
 would be larger than the samples, which are stored instead. Also stored are the mean contribution
-of noise to the products, estimated by adding noise once more; the motion of the lip, and hence the
-validity range of the fit; and the attenuation by the filter, which biases K and P of least squares
-for fast motion beyond their standard errors. All statistics are additive over recordings.
+of noise to the products, estimated by adding noise once more; and the motion of the lip, hence the
+validity range of the fit. All statistics are additive over recordings.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,27 +22,9 @@ from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording import recording as measured
 from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Recording
 from bellows_ros.core.signals.residuals import Spectrum
-from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import block_diag
-
-MAX_ATTENUATION = 0.013
-"""Largest fraction of a velocity that a suitable filter removes; automatic filters reach 6 Hz."""
-
-BAND_RESOLUTION = 0.05
-"""Resolution of the end of a pass band, Hz."""
-
-MAX_REMOVED_VELOCITY, MIN_POWER_TO_NOISE = 0.03, 5.0
-"""
-Largest fraction of a direction's velocity that the filter may remove.
-
-The second number is the smallest ratio of the velocity's power to the noise's, which is accurate
-to a few percent.
-"""
-
-MIN_NOISE_TRANSMISSION = 1e-3
-"""Transmission of white noise below which the spectrum shows no noise floor."""
 
 ENVELOPE_BAND = 0.95
 """Fraction of the deflection's power inside the frequency bands."""
@@ -194,62 +175,6 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
         np.nan_to_num(bands), np.array([mass, mass]))
 
 
-def transmission(weights: Array, rate_hz: float, frequency: Array) -> Array:
-    """Return the gain (F,) of a filter for velocities at frequencies (F,) in Hz."""
-    half_window = weights.shape[1] // 2
-    time = np.arange(-half_window, half_window + 1) / rate_hz
-    omega = 2.0 * np.pi * np.maximum(frequency, BAND_RESOLUTION)
-    return np.asarray(np.sin(omega[:, None] * time) @ weights[1] / omega)
-
-
-def pass_band(weights: Array, rate_hz: float) -> float:
-    """Return the frequency (Hz) up to which a filter with weights (3, 2n+1) follows."""
-    frequency = np.arange(BAND_RESOLUTION, 0.5 * rate_hz, BAND_RESOLUTION)
-    beyond = transmission(weights, rate_hz, frequency) < 1.0 - MAX_ATTENUATION
-    return float(frequency[np.argmax(beyond)]) if beyond.any() else 0.5 * rate_hz
-
-
-class PassBand(NamedTuple):
-    """
-    The transmission of a package's filter for the lip's twist.
-
-    It consists of the mean squares (6,) of the motion removed by the filter, and their limits; the
-    end (Hz) of the pass band; and half windows (samples) of the filters of tool and package.
-    """
-
-    removed: Array
-    limit: Array
-    end_hz: float
-    half_windows: tuple[int, int]
-
-    @classmethod
-    def of(cls, samples: Samples, noise: FilterNoise, size: Array) -> 'PassBand':
-        """
-        Return the pass band of all samples of a recording, with a noise level (6,) of twists.
-
-        For axes with larger noise, the spectrum beyond the pass band replaces this level.
-        """
-        twist, rate_hz = samples.twist_spectrum, uniform_rate_hz(samples.package.stamps_ns)
-        part = transmission(noise.package_weights, rate_hz, twist.frequency)
-        white = (part * twist.frequency) ** 2
-        end = pass_band(noise.package_weights, rate_hz)
-        beyond = (twist.frequency > 2.0 * end) & (white > MIN_NOISE_TRANSMISSION * white.max())
-        back = np.exp(-2j * np.pi * twist.frequency / rate_hz)  # to the previous sample
-        colour = np.abs(1.0 - np.multiply.outer(back, noise.correlation)) ** -2.0
-        noise_density = white[:, None] * np.repeat(colour, 3, axis=1)
-        floor = np.zeros(6)
-        if beyond.any():
-            level = np.median(twist.density[beyond] / noise_density[beyond], axis=0)
-            floor = level * noise_density.sum(axis=0)
-        variance = np.maximum(size**2, twist.frequency[1] * floor)
-        moving = twist.frequency[1] * twist.density.sum(axis=0) - variance
-        noise_part = (1.0 - part) @ noise_density / noise_density.sum(axis=0)
-        removed = twist.frequency[1] * (1.0 - part) @ twist.density - noise_part * variance
-        return cls(
-            removed, MAX_REMOVED_VELOCITY * np.maximum(moving, MIN_POWER_TO_NOISE * variance), end,
-            (noise.tool_half_window, noise.package_weights.shape[1] // 2))
-
-
 class Movement(NamedTuple):
     """
     Motion of the lip in the tool frame during one recording.
@@ -262,8 +187,6 @@ class Movement(NamedTuple):
         Moments of the noise in strain and twist.
     bands_hz : ndarray (2, 6)
         Frequency bands with most of the twist's power; nan without motion.
-    passed : PassBand
-        Pass band of the filter for the twist.
 
     """
 
@@ -272,7 +195,6 @@ class Movement(NamedTuple):
     strain_noise: Moments
     twist_noise: Moments
     bands_hz: Array
-    passed: PassBand
 
 
 def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Movement:
@@ -301,8 +223,7 @@ def movement_of(samples: Samples, cup_length: float, noise: FilterNoise) -> Move
     added = moved - motion
     return Movement(
         Moments.of(motion[0]), Moments.of(motion[1]), Moments.of(added[0]), Moments.of(added[1]),
-        np.array(samples.twist_spectrum.band(BAND)),
-        PassBand.of(samples, noise, added[1].std(axis=0)))
+        np.array(samples.twist_spectrum.band(BAND)))
 
 
 class ReducedRecording(NamedTuple):

@@ -168,8 +168,6 @@ class Fit:
         standard error inf if not identifiable.
     standstills : StandstillPart or None
         Contribution of standstills, None without any.
-    noise_rms : ndarray (6,) or None
-        RMS of the residual wrench expected of noise alone, N and N m; None without noise.
     relaxation, relaxation_std : (float, float)
         Strengths r1, r2 of the cup's relaxation, and their standard errors; zeros without it.
     noise_in_motion : mapping
@@ -218,7 +216,6 @@ class Fit:
     delays_std: tuple[float, ...] = ()
     freed: tuple[Freed, ...] = ()
     standstills: StandstillPart | None = None
-    noise_rms: Array | None = None
     bias: Array | None = None
     noise_share: Array | None = None
     relaxation: tuple[float, float] = (0.0, 0.0)

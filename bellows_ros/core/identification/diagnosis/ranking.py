@@ -48,7 +48,7 @@ SIGNIFICANT = 6.0
 """Distance of a significant change from zero, standard errors."""
 
 CANDIDATES = ('time_offset', 'clock_rate', 'com', 'length', 'length_drift', 'mass', 'gravity',
-              'package_world', 'scale', 'package_marker', 'tool_marker')
+              'package_world', 'scale', 'package_marker', 'tool_marker', 'relaxation')
 """Quantities that may be wrong, beside a slip."""
 
 MARKERS = ('package_marker', 'tool_marker')
@@ -59,6 +59,9 @@ ALIKE: Mapping[str, str] = {
     'tool_marker': 'package_marker', 'gravity': 'force', 'mass': 'inertia', 'inertia': 'mass'}
 """Candidates that one recording can hardly distinguish; only the ratio of mass and inertia is
 observable."""
+
+OF_CUP = ('length_drift', 'relaxation')
+"""Causes in the cup itself, which no given value corrects."""
 
 OF_LIP = ('com', 'length', 'package_marker')
 """Quantities that seem wrong if poses of the lip are taken for poses of the com."""
@@ -286,7 +289,7 @@ def _finding(
     return Finding(
         REPORTED.get(name, name), 'tool' if name == 'tool_marker' else '', theta, std,
         share=min(share, 1.0), moved=moved, certain=False, instead=instead,
-        datum=name not in ('length_drift', 'clock_rate') or moved > MATERIAL)
+        datum=name not in OF_CUP and (name != 'clock_rate' or moved > MATERIAL))
 
 
 def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
