@@ -117,6 +117,29 @@ def poses_in(
     return stamps, np.hstack([position, quaternion]), world, bad
 
 
+def interpolation_noise(
+    transforms: Sequence[Transform], frame: str, world: str, of: str
+) -> list[tuple[str, float, float]]:
+    """
+    Return the links between two frames that are interpolated, with rate (Hz) and error (m, RMS).
+
+    The middle of two neighbours deviates by h^2 a / 2 at steps h, with the acceleration a; linear
+    interpolation at random times by h^2 a / sqrt(120).
+    """
+    parents = {each.child: each.parent for each in transforms}
+    path, top = (_frames_to_root(parents, name.lstrip('/'), of) for name in (frame, world))
+    between = [name for name in (*path, *top) if (name in path) != (name in top)]
+    moving, found = moving_frames(transforms), list[tuple[str, float, float]]()
+    for child in [name for name in between if name in moving][1:]:
+        own = [each.sample for each in transforms if each.child == child and not (
+            each.is_fixed or why_no_pose(*each.sample[1:]))]
+        stamps, p = (np.array(part) for part in zip(*(each[:2] for each in own), strict=True))
+        middle = p[1:-1] - 0.5 * (p[:-2] + p[2:])
+        found.append((child, float(NS_PER_S / np.median(np.diff(stamps))), float(np.sqrt(
+            np.mean(np.sum(middle**2, axis=1)) / 30.0)) if len(middle) else 0.0))
+    return found
+
+
 def _frames_to_root(parents: Mapping[str, str], frame: str, of: str) -> list[str]:
     """Return the frames from this one up to the root; raise for loops."""
     if frame not in {*parents, *parents.values()}:

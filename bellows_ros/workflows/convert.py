@@ -13,7 +13,7 @@ from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import pose_rows, PoseStream
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, shown
 from bellows_ros.files import bag_writer, bags, File, plans, results, trajectory_files
 from bellows_ros.files.bag_folder import Channel
 from bellows_ros.files.messages import POSE
@@ -21,6 +21,9 @@ from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_
 import numpy as np
 
 TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
+
+MIN_STATED_NOISE = 2e-5
+"""Smallest stated error by interpolation, m: a fifth of the noise of motion capture, 0.1 mm."""
 
 
 class Body(NamedTuple):
@@ -37,6 +40,8 @@ class Body(NamedTuple):
         Number of omitted frames by reason.
     world : {'z_up', 'motive_y_up'}
         The value of recording.world.
+    notes : tuple of str
+        Warnings of the source.
 
     """
 
@@ -44,6 +49,7 @@ class Body(NamedTuple):
     source: str
     left_out: Mapping[str, int] = MappingProxyType({})
     world: str = 'z_up'
+    notes: tuple[str, ...] = ()
 
     @property
     def topic(self) -> str:
@@ -196,7 +202,11 @@ def bodies_in_transforms(
         bodies.append(Body(
             bag_writer.as_messages(bags.absolute(topic), POSE, stamps, rows, world_frame),
             f"{frame} in '{world_frame}' of {bag}",
-            {'transforms that are no poses': bad} if bad else {}))
+            {'transforms that are no poses': bad} if bad else {}, notes=tuple(
+                f"{topic}: '{shown(link)}' comes at {rate_hz:.0f} Hz and is interpolated: an "
+                f'error of {1e3 * error:.2g} mm (RMS), which counts as noise of the poses. '
+                'Record it more often.' for link, rate_hz, error in plans.interpolation_noise(
+                    transforms, frame, world_frame, f"'{bag}'") if error > MIN_STATED_NOISE)))
     return bodies
 
 
@@ -275,7 +285,8 @@ def to_bag(
         If no pose remains, or the output exists or cannot be written.
 
     """
-    notes = [f'{body.source} was never tracked; its topic is empty.'
+    notes = [note for body in bodies for note in body.notes]
+    notes += [f'{body.source} was never tracked; its topic is empty.'
              for body in bodies if not body.poses]
     undated = [body.source for body in bodies
                # earlier stamps are times since a start

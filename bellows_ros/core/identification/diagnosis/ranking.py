@@ -48,8 +48,8 @@ SIGNIFICANT = 6.0
 """Distance of a significant change from zero, standard errors."""
 
 CANDIDATES = ('time_offset', 'clock_rate', 'com', 'length', 'length_drift', 'mass', 'gravity',
-              'package_world', 'scale', 'package_marker', 'tool_marker', 'relaxation')
-"""Quantities that may be wrong, beside a slip."""
+              'package_world', 'scale', 'package_marker', 'tool_marker')
+"""Quantities that may be wrong, beside a slip and relaxation, which cost longer simulations."""
 
 MARKERS = ('package_marker', 'tool_marker')
 """Two marker frames that one recording can hardly distinguish."""
@@ -217,7 +217,8 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
     off = {name: pair for name, pair in pulls(end, given_std).items() if pair[0] > pair[1]}
     least = {name: limit**2 for name, (_, limit) in off.items()}
     is_off_by = {name: z**2 for name, (z, _) in off.items()}
-    falls = scores(end, candidates_of(end.problem)) | is_off_by
+    relaxation = [] if 'relaxation' in end.problem.places else ['relaxation']
+    falls = scores(end, [*candidates_of(end.problem), *relaxation]) | is_off_by
     if 'slip' not in end.problem.places and not (end.fits and is_off_by):
         end, falls['slip'] = with_likeliest_slip(end)
     names = sorted(falls, key=falls.__getitem__, reverse=True)[:MAX_TRIED]
