@@ -8,7 +8,7 @@ import re
 import sys
 from typing import Any, NamedTuple
 
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, shown
 from bellows_ros.files import File, safe_yaml
 
 if sys.version_info >= (3, 14):
@@ -169,6 +169,12 @@ def _without_metadata(folder: Path) -> Listing:
     # A file exists twice during its compression.
     names -= {f'{name}.zstd' for name in names}
     if not names:
+        inner = [path.name for path in sorted(folder.iterdir()) if path.is_dir() and any(
+            each.name == METADATA or each.suffix in STORAGE_SUFFIXES for each in path.iterdir())]
+        if inner:
+            raise BellowsError(
+                f"Folder '{folder}' is not a recording; it holds {len(inner)}: "
+                f'{shown(", ".join(inner), 1000)}. Give one of them.')
         raise BellowsError(
             f"Folder '{folder}' has no {METADATA} and no storage file, so it is not a recording. "
             'Give the folder that ros2 bag record made.')

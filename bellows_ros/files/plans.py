@@ -207,9 +207,9 @@ def of_moveit(trajectories: Iterable[Any]) -> list[PlanMessage | JointPlan]:
         if each.joint_trajectory.points or each.multi_dof_joint_trajectory.points]
 
 
-def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPlan:
+def plans_in_yaml(content: Mapping[str, Any], name: str) -> list[PlanMessage | JointPlan]:
     """
-    Return the plan in a message as YAML, as `ros2 topic echo --once` prints it.
+    Return the plans in a message as YAML, as `ros2 topic echo --once` prints it.
 
     Raises
     ------
@@ -220,14 +220,16 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
     try:
         message: Any = json.loads(json.dumps(content), object_hook=lambda x: SimpleNamespace(**x))
         if 'poses' in content:
-            read: PlanMessage | JointPlan = path_points(message)
+            read: list[PlanMessage | JointPlan] = [path_points(message)]
         elif 'trajectory' in content or 'joint_trajectory' in content:
-            read = of_moveit(getattr(message, 'trajectory', [message]))[0]
+            read = of_moveit(getattr(message, 'trajectory', [message]))
+            if not read:
+                raise ValueError('it has no trajectory')
         else:
             points = message.points or []
             require_count(len(points), 'The plan')
             is_of_tool = hasattr(points[0], 'transforms')
-            read = multi_dof(message) if is_of_tool else plan_messages.joint_plan(message)
+            read = [multi_dof(message) if is_of_tool else plan_messages.joint_plan(message)]
         return read
     except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as error:
         missing = getattr(error, 'name', '')

@@ -1,11 +1,11 @@
 """
-Safe YAML: plain data, no duplicate or merge keys, bounded, errors with their line.
+Safe YAML: plain data, no tags, duplicate or merge keys, bounded depth, errors with their line.
 
-Aliases are optionally rejected: ROS does not support them, and nested ones grow without bound in
-output.
+The values are built from the events of libyaml, in one pass without recursion. Aliases are
+optionally rejected: ROS does not support them, and nested ones grow without bound in output.
 """
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 import re
 from typing import Any
@@ -14,9 +14,14 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import read_text
 import yaml
 
-MAX_FILE_BYTES = 2**20
-# Largest number of values and keys in a file, which takes some seconds.
-MAX_VALUES = 50_000
+MAX_FILE_BYTES = 2**28
+MAX_DEPTH = 50
+"""Largest number of lists and mappings in each other."""
+MAX_ALIASES = 10_000
+_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+"""Ten times faster in C, where PyYAML was built with libyaml."""
+
+_CONTENT = yaml.ScalarEvent, yaml.CollectionStartEvent, yaml.CollectionEndEvent, yaml.AliasEvent
 
 Lines = dict[tuple[str, ...], int]
 
@@ -42,105 +47,173 @@ class Content(dict[str, Any]):
 yaml.SafeDumper.add_representer(Content, yaml.SafeDumper.represent_dict)
 
 
-class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, stricter."""
-
-    aliases_allowed = False
-    count = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Raise for tags, aliases, and too many values."""
-        event = self.peek_event()  # type: ignore[no-untyped-call]
-        self.count += 1
-        if self.count > MAX_VALUES:
-            raise _refused(
-                f'more than {MAX_VALUES} values are not read; split the file, or record what '
-                "is a message with 'ros2 bag record'", event)
-        alias = isinstance(event, yaml.AliasEvent)
-        if getattr(event, 'tag', None) or (alias and not self.aliases_allowed):
-            reason = 'aliases (*name)' if alias else 'tags (!name)'
-            raise _refused(f'{reason} are not allowed; write plain values', event)
-        return super().compose_node(parent, index)
-
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Raise for merge keys."""
-        for key, _ in node.value:
-            if key.tag == 'tag:yaml.org,2002:merge':
-                raise _refused('merge keys (<<) are not allowed', key)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """Raise for keys that are not plain or are given twice."""
-        names: set[str] = set()
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                raise _refused('a key must be a plain name', key)
-            if key.value in names:
-                raise _refused(f"key '{key.value[:80]}' is given twice", key)
-            names.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
-# As in ROS, 1e-05 is a number, although YAML 1.1 requires a point; 2024-05-01 and 1:30 are texts.
-_NUMBERS = {
-    'int': r'[-+]?(0b[01_]+|0[0-7_]*|[1-9][0-9_]*|0x[0-9a-fA-F_]+)$',
-    'float': r'[-+]?([0-9][0-9_]*\.[0-9_]*([eE][-+]?[0-9]+)?|\.[0-9][0-9_]*([eE][-+]?[0-9]+)?'
-             r'|[0-9]+[eE][-+]?[0-9]+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$'}
-_OTHERWISE = {f'tag:yaml.org,2002:{name}' for name in (*_NUMBERS, 'timestamp')}
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, form) for tag, form in forms if tag not in _OTHERWISE]
-    for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()}
-for _name, _form in _NUMBERS.items():
-    _Loader.add_implicit_resolver(
-        f'tag:yaml.org,2002:{_name}', re.compile(_form), list('-+.0123456789'))
-
-
 def load(path: Path, aliases: bool = False) -> Any:
     """
     Return the content of a YAML file: dicts, lists, strings, numbers, booleans and None.
 
-    A mapping is returned as `Content`, without lines if aliases are allowed.
+    A mapping is returned as `Content`.
 
     Raises
     ------
     BellowsError
-        If the file cannot be read, is too large, or is not safe YAML.
+        If the file cannot be read, is too large, has several documents, or is not safe YAML.
 
     """
+    documents = load_all(path, aliases, most=1)
+    return documents[0] if documents else None
+
+
+def load_all(path: Path, aliases: bool = False, most: int = 10_000) -> list[Any]:
+    """Return all documents of a YAML file, as printed messages are; see `load`."""
     text = read_text(path, MAX_FILE_BYTES).removesuffix('---\n')  # end of a printed message
+    found, builder = list[Any](), _Builder(aliases)
     try:
-        loader = _Loader(text)
-        loader.aliases_allowed = aliases  # in files of other programs
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        content = loader.construct_document(node)
-        lines = {} if aliases else dict(_lines(node, ()))
-        return Content(content, path, lines) if isinstance(content, dict) else content
+        for event in yaml.parse(text, _LOADER):
+            if isinstance(event, _CONTENT):
+                builder.add(event)
+            elif isinstance(event, yaml.DocumentStartEvent):
+                if len(found) == most:
+                    raise _refused(f'more than {most} documents (---)', event)
+                builder = _Builder(aliases)
+            elif isinstance(event, yaml.DocumentEndEvent):
+                content = builder.content
+                found.append(Content(content, path, builder.lines) if isinstance(
+                    content, dict) else content)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f', line {mark.line + 1}' if mark else ''
         raise BellowsError(f'{path}{line}: not valid YAML here: {error.problem}.') from None
     except yaml.YAMLError as error:
         raise BellowsError(f'{path} is not valid YAML: {error}') from None
-    except RecursionError:
-        raise BellowsError(f'{path} is nested too deeply to be read.') from None
     except (ValueError, OverflowError) as error:  # similar to a number
         raise BellowsError(f'{path}: a value cannot be read: {error}.') from None
+    return found
 
 
-def _lines(node: yaml.Node, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], int]]:
+class _Builder:
     """
-    Yield the keys that lead to each value of nested mappings, with the line of the last key.
+    The values of one document, built from its events.
 
-    Mappings of a list are 'name[0]', 'name[1]' and so on.
+    Attributes
+    ----------
+    content : object
+        The document, once it is complete.
+    lines : dict
+        Line of each key of nested mappings, by the keys that lead to it; mappings of a list are
+        'name[0]', 'name[1]' and so on.
+
     """
-    if isinstance(node, yaml.MappingNode):
-        for key, value in node.value:
-            yield (*keys, key.value), key.start_mark.line + 1
-            yield from _lines(value, (*keys, key.value))
-    elif isinstance(node, yaml.SequenceNode) and keys:
-        for i, value in enumerate(node.value):
-            if isinstance(value, yaml.MappingNode):
-                item = (*keys[:-1], f'{keys[-1]}[{i}]')
-                yield item, value.start_mark.line + 1
-                yield from _lines(value, item)
+
+    def __init__(self, aliases: bool) -> None:
+        self.content: Any = None
+        self.lines: Lines = {}
+        self._aliases = MAX_ALIASES if aliases else 0
+        self._anchors: dict[str, Any] = {}
+        # Open lists and mappings: the value, its anchor, the keys to it, and the key in a mapping.
+        self._open: list[list[Any]] = []
+
+    def add(self, event: Any) -> None:
+        """Take a scalar, an alias, or the start or end of a list or mapping."""
+        if isinstance(event, yaml.ScalarEvent):
+            self._check(event)
+            if not self._is_key(event):
+                self._put(_scalar(event), event)
+        elif isinstance(event, yaml.CollectionStartEvent):
+            self._check(event)
+            if len(self._open) == MAX_DEPTH:
+                raise _refused(f'more than {MAX_DEPTH} lists and mappings in each other', event)
+            self._require_no_key(event)
+            is_list = isinstance(event, yaml.SequenceStartEvent)
+            self._open.append([[] if is_list else {}, event.anchor, self._keys(event), _NO_KEY])
+        elif isinstance(event, yaml.CollectionEndEvent):
+            value, anchor, _, _ = self._open.pop()
+            self._put(value, event, anchor)
+        else:
+            self._require_no_key(event)
+            self._aliases -= 1
+            if self._aliases < 0:
+                raise _refused('aliases (*name) are not allowed; write plain values', event)
+            if event.anchor not in self._anchors:
+                raise _refused(f"alias '*{event.anchor}' has no complete value", event)
+            self._put(self._anchors[event.anchor], event)
+
+    def _check(self, event: Any) -> None:
+        """Raise for a tag."""
+        if event.tag:
+            raise _refused('tags (!name) are not allowed; write plain values', event)
+
+    def _is_key(self, event: Any) -> bool:
+        """Take a scalar as the key of the innermost mapping, if it is one."""
+        if not self._open or isinstance(self._open[-1][0], list) or (
+                self._open[-1][3] is not _NO_KEY):
+            return False
+        mapping, _, keys, _ = self._open[-1]
+        if event.implicit[0] and event.value == '<<':
+            raise _refused('merge keys (<<) are not allowed', event)
+        key = _scalar(event)
+        if key in mapping:
+            raise _refused(f"key '{event.value[:80]}' is given twice", event)
+        self._open[-1][3] = key
+        self.lines[(*keys, event.value)] = event.start_mark.line + 1
+        return True
+
+    def _require_no_key(self, event: Any) -> None:
+        """Raise for a key that is no scalar."""
+        if self._open and isinstance(self._open[-1][0], dict) and self._open[-1][3] is _NO_KEY:
+            raise _refused('a key must be a plain name', event)
+
+    def _keys(self, event: Any) -> tuple[str, ...]:
+        """Return the keys that lead to a list or mapping that begins."""
+        if not self._open:
+            return ()
+        value, _, keys, key = self._open[-1]
+        if isinstance(value, dict):
+            return (*keys, str(key))
+        if not keys or isinstance(event, yaml.SequenceStartEvent):
+            return ()
+        item = (*keys[:-1], f'{keys[-1]}[{len(value)}]')
+        self.lines[item] = event.start_mark.line + 1
+        return item
+
+    def _put(self, value: Any, event: Any, anchor: str | None = None) -> None:
+        """Put a value into the innermost list or mapping."""
+        if anchor := anchor or getattr(event, 'anchor', None):
+            self._anchors[anchor] = value
+        if not self._open:
+            self.content = value
+        elif isinstance(self._open[-1][0], list):
+            self._open[-1][0].append(value)
+        else:
+            self._open[-1][0][self._open[-1][3]] = value
+            self._open[-1][3] = _NO_KEY
+
+
+_NO_KEY = object()
+
+# As in ROS, 1e-05 is a number, although YAML 1.1 requires a point; 2024-05-01 and 1:30 are texts.
+_INTEGER = re.compile(r'[-+]?(?:0b[01_]+|0[0-7_]*|[1-9][0-9_]*|0x[0-9a-fA-F_]+)$')
+_FLOAT = re.compile(
+    r'[-+]?(?:[0-9][0-9_]*\.[0-9_]*(?:[eE][-+]?[0-9]+)?|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?'
+    r'|[0-9]+[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))$|\.(?:nan|NaN|NAN)$')
+_WORDS: dict[str, bool | None] = {form: value for word, value in {
+    '~': None, '': None, 'null': None, **yaml.SafeLoader.bool_values}.items()
+    for form in (word, word.capitalize(), word.upper())}
+
+
+def _scalar(event: Any) -> Any:
+    """Return the value of a scalar."""
+    text = event.value
+    if not event.implicit[0]:  # quoted, or of several lines
+        return text
+    if text[:1] in _NUMERIC:
+        if _INTEGER.match(text):
+            digits = text.replace('_', '').lstrip('+-')
+            base = {'0b': 2, '0x': 16}.get(digits[:2], 8 if digits[:1] == '0' else 10)
+            return (-1 if text[0] == '-' else 1) * int(digits, base)
+        if _FLOAT.match(text):
+            return float(text.replace('_', '').lower().replace('.inf', 'inf').replace(
+                '.nan', 'nan'))
+    return _WORDS.get(text, text)
+
+
+_NUMERIC = frozenset('-+.0123456789')

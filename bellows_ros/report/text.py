@@ -173,8 +173,8 @@ def _print_samples(result: 'Identification', out: Writer) -> None:
     fit = result.fit
     out.paragraph(sentence(
         'report', 'samples', used=fit.samples_used, rejected=fit.samples_rejected))
-    for stream in (part.report[name] for part in result.parts
-                   for name in ('tool_pose', 'package_pose')):
+    for part, stream in ((part, part.report[name]) for part in result.parts
+                         for name in ('tool_pose', 'package_pose')):
         counts = {f'{reason.replace("_", " ")} message': len(indices)
                   for reason, indices in stream['refused'].items()}
         counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps']),
@@ -182,7 +182,9 @@ def _print_samples(result: 'Identification', out: Writer) -> None:
         faults = [many(count, what) for what, count in counts.items() if count]
         if faults:
             rejected = many(stream['filtered_samples_left_out'], 'filtered sample')
-            out.paragraph(f'  {stream["topic"]}: {", ".join(faults)}; {rejected} near these')
+            where = f'{part.name}, ' if len(result.parts) > 1 else ''
+            out.paragraph(
+                f'  {where}{stream["topic"]}: {", ".join(faults)}; {rejected} near these')
 
 
 def print_replay(result: 'Replay', out: Writer, limit: float = MAX_NRMSE) -> None:

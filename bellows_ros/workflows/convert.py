@@ -20,6 +20,9 @@ from bellows_ros.files.messages import POSE
 from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_interval
 import numpy as np
 
+MAX_REPEATED = 0.1
+"""Largest share of lines with the time of the line before that is a fault of single lines."""
+
 TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
 
 MIN_STATED_NOISE = 2e-5
@@ -318,8 +321,19 @@ def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
                 ('not tracked', body.missing), ('too few markers', body.unseen)) if count},
             'motive_y_up')
             for body in trajectory_files.read_motive(source, min_markers)]
-    read = trajectory_files.read_tum(source)
-    return [Body(bag_writer.as_messages(_topic_of(source.stem), POSE, *read), str(source))]
+    stamps, values = trajectory_files.read_tum(source)
+    finite = np.isfinite(values).all(axis=1)
+    kept = finite.copy()
+    kept[finite] = np.diff(stamps[finite], prepend=-1) != 0
+    repeated = int(finite.sum() - kept.sum())
+    if repeated > MAX_REPEATED * len(stamps):
+        raise BellowsError(
+            f"'{source}': {repeated} of {len(stamps)} lines repeat the time before: times were "
+            'written with too few digits (%g). Write all decimals, as %.9f does.')
+    lost = {'not finite': int(np.sum(~finite)), 'repeated stamp': repeated}
+    return [Body(
+        bag_writer.as_messages(_topic_of(source.stem), POSE, stamps[kept], values[kept]),
+        str(source), {reason: count for reason, count in lost.items() if count})]
 
 
 def _topic_of(name: str) -> str:

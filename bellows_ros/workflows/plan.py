@@ -388,16 +388,25 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
         content = plans.read_yaml(file)
         if 'kind' in content:
             return _source_of_motion(content, values)
-        return _source_of_plan(plans.plan_in_yaml(content, os.fspath(file)), values, urdf, '')
+        of_file = plans.plans_in_yaml(content, os.fspath(file))
+        return _source_of_first([('', each) for each in of_file], values, urdf, file, '')
     if file.suffix.lower() in TEXT:
         tool = plan_of(*read_tum(file), name=f"'{file}'").trajectory()
         return Source(at_tip(tool, conversion.tip_of(values)), '')
     read = plans.plans_in(file, topic)
     if read:
-        notes = ([f"'{file}' has {len(read)} plans; using the first, on {read[0][0]}."]
-                 if len(read) > 1 else [])
-        return replace(_source_of_plan(read[0][1], values, urdf, file), notes=tuple(notes))
+        return _source_of_first(read, values, urdf, file, file)
     return _source_of_recording(file, values, urdf, topic)
+
+
+def _source_of_first(
+    read: list[tuple[str, plan_messages.PlanMessage | plan_messages.JointPlan]],
+    values: Values, urdf: str, file: Path, recording: Any,
+) -> Source:
+    """Return the first of some plans, each with its topic, with a note if there are several."""
+    where = f', on {read[0][0]}' if read[0][0] else ''
+    notes = [f"'{file}' has {len(read)} plans; using the first{where}."] if len(read) > 1 else []
+    return replace(_source_of_plan(read[0][1], values, urdf, recording), notes=tuple(notes))
 
 
 def _source_of_plan(

@@ -130,6 +130,10 @@ def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> l
     last = max((int(stamps.max()) for stamps in all_stamps if len(stamps)), default=0)
     begins = first + round(start * NS_PER_S)
     ends = first + round(end * NS_PER_S) if end else last
+    if end and end <= start:
+        raise BellowsError(
+            f'The interval from recording.start, {start:g} s, to recording.end, {end:g} s, is '
+            'empty. Give an end (--to) after the start (--from).')
     chosen = [(stamps >= begins) & (stamps <= ends) for stamps in all_stamps]
     if ends <= begins or not any(mask.any() for mask in chosen):
         raise BellowsError(

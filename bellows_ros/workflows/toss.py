@@ -225,7 +225,8 @@ def toss_plan(
     """
     if target is None and (target_rotation is not None or switched is None):
         raise BellowsError(
-            'Neither release nor target is given. Give the time of the valve (s), or x and y (m).'
+            'Neither release nor target is given. Give the time of the valve, --release T (s), '
+            'or a place to hit, --target X Y (m).'
             if target_rotation is None else
             'target_rotation is given, but no target. Give both, or leave it out.')
     for name, value, is_allowed, expected in (

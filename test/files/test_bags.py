@@ -211,6 +211,13 @@ def test_what_is_no_recording_is_refused(tmp_path):
         topics(tmp_path / 'nothing')
 
 
+def test_a_folder_of_recordings_lists_them(tmp_path):
+    for name in ('second', 'first'):
+        one_topic(tmp_path / name, made.poses(4))
+    (tmp_path / 'pictures').mkdir()
+    assert 'it holds 2: first, second.' in error_of(tmp_path)
+
+
 def test_a_folder_without_metadata_is_read_with_a_note(tmp_path):
     """As a recorder leaves it that crashed in its twelfth file, while it compressed another."""
     folder, messages = tmp_path / 'crashed', made.poses(12)

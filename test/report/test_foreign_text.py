@@ -68,7 +68,7 @@ URDF = """<robot name="arm"><link name="base"/><link name="tool"/>
 def test_plans(root):
     """In every name and word of a message."""
     for content in with_hostile_strings(PLAN):
-        harmless(plans.plan_in_yaml, content, HOSTILE)
+        harmless(plans.plans_in_yaml, content, HOSTILE)
 
 
 def test_names_of_a_urdf():

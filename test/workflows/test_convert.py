@@ -15,6 +15,32 @@ STAMPS = 1_700_000_000_000_000_000 + np.arange(20) * 2_000_000
 VALUES = np.hstack([np.arange(60.0).reshape(20, 3), np.tile([0.0, 0.0, 0.6, 0.8], (20, 1))])
 
 
+@pytest.mark.parametrize('form, kept', [
+    ('%.9f', 400), ('%.18e', 400), ('%.13g', 400), ('%.10g', None), ('%g', None)])
+def test_times_with_too_few_digits_are_refused(tmp_path, form, kept):
+    """As numpy.savetxt writes them."""
+    rows = np.tile([1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8], (400, 1))
+    seconds = 1.7e9 + 2e-3 * np.arange(400)
+    lines = [' '.join([form % t, *map(str, row)]) for t, row in zip(seconds, rows, strict=True)]
+    (tmp_path / 'a.tum').write_text('\n'.join(lines))
+    if kept is None:
+        with pytest.raises(BellowsError, match=r'of 400 lines .* %\.9f'):
+            bodies_in_files([tmp_path / 'a.tum'])
+    else:
+        (body,) = bodies_in_files([tmp_path / 'a.tum'])
+        assert (body.poses, dict(body.left_out)) == (kept, {})
+
+
+def test_lines_that_are_no_pose_are_left_out_and_counted(tmp_path):
+    lines = [f'{t / 1e9:.9f} 1 2 3 0 0 0.6 0.8' for t in STAMPS]
+    lines[3:5] = [f'{STAMPS[i] / 1e9:.9f} {bad}' for i, bad in (
+        (3, 'nan 2 3 0 0 0.6 0.8'), (4, '1 2 3 0 inf 0.6 0.8'))]
+    lines.insert(8, lines[7])
+    (tmp_path / 'a.tum').write_text('\n'.join(lines))
+    (body,) = bodies_in_files([tmp_path / 'a.tum'])
+    assert (body.poses, dict(body.left_out)) == (18, {'not finite': 2, 'repeated stamp': 1})
+
+
 def test_a_take_becomes_topics_of_its_bodies(tmp_path):
     """Write what can be used, and say what was not and how the world lies."""
     done = to_bag(bodies_in_files([export(tmp_path / 'take.csv')]), tmp_path / 'bag')

@@ -1,6 +1,7 @@
 """Plans in every form they come in, what is said of them, and bad ones refused."""
 
 from dataclasses import replace
+import json
 import math
 
 from bellows_ros.core.geometry import lie
@@ -10,7 +11,6 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import DISPLAY_TRAJECTORY, ROBOT_TRAJECTORY
 from bellows_ros.files.parameter_files import read_parameters
@@ -21,7 +21,7 @@ from bellows_ros.files.plan_messages import (
     PATH,
     PlanMessage,
 )
-from bellows_ros.files.plans import DESCRIPTION, JOINTS, read_yaml, STATES, TF
+from bellows_ros.files.plans import DESCRIPTION, JOINTS, plans_in_yaml, STATES, TF
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
 from bellows_ros.workflows.plan import (
@@ -355,11 +355,33 @@ def test_what_is_no_plan_is_refused(tmp_path):
         figures(bag_of(tmp_path / 'frames', PATH, elsewhere))
 
 
-def test_too_much_yaml_names_the_remedy(tmp_path, monkeypatch):
-    monkeypatch.setattr(safe_yaml, 'MAX_VALUES', 5000)
-    (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(plan_messages(400)['multi']))
-    with pytest.raises(BellowsError, match='ros2 bag record'):
-        read_yaml(tmp_path / 'plan.yaml')
+def test_a_printed_message_of_several_trajectories_says_which_is_used(tmp_path):
+    """As a recording of it does."""
+    joints = plan_messages()['joints']
+    later = {**joints, 'joint_names': ['other', 'slide', 'spin']}
+    content = {'trajectory': [
+        {'joint_trajectory': each, 'multi_dof_joint_trajectory': {'points': []}}
+        for each in (joints, later)]}
+    assert [each.names[0] for each in plans_in_yaml(content, 'a')] == ['turn', 'other']
+    body = plan_messages()['multi']
+    content = {'trajectory': [
+        {'joint_trajectory': {'points': []}, 'multi_dof_joint_trajectory': body}] * 2}
+    (tmp_path / 'plan.yaml').write_text(json.dumps(content))
+    assert any('has 2 plans; using the first' in note
+               for note in plan(tmp_path / 'plan.yaml', VALUES).warnings)
+
+
+@pytest.mark.parametrize('form', ['multi', 'joints', 'path'])
+def test_a_plan_without_times_is_told_how_to_get_them(tmp_path, form):
+    content = plan_messages()[form]
+    for each in content.get('points', ()):
+        each['time_from_start'] = {'sec': 0, 'nanosec': 0}
+    for each in content.get('poses', ()):
+        each['header']['stamp'] = {'sec': 0, 'nanosec': 0}
+    (tmp_path / 'plan.yaml').write_text(json.dumps(content))
+    (tmp_path / 'arm.urdf').write_text(URDF)
+    with pytest.raises(BellowsError, match='is not timed.*time parameterization'):
+        figures(tmp_path / 'plan.yaml', urdf=tmp_path / 'arm.urdf', values={'tool_link': 'tool'})
 
 
 def test_a_plan_that_begins_in_motion_says_so_and_starts_in_it(tmp_path):

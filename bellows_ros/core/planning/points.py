@@ -271,6 +271,10 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
             'holds NaN, infinity or a huge number', f'numbers below {MAX_PLAN_NUMBER:g}',
             'Leave such points out.')
     steps = np.diff(stamps_ns)
+    if not steps.any():
+        raise BellowsError(
+            f'{name} is not timed: all of its {len(stamps_ns)} points are at one time. Time it '
+            'with the planner (in MoveIt a time parameterization such as TOTG), and give that.')
     if steps.min() <= 0:
         i = int(np.argmax(steps <= 0))
         t = (stamps_ns[i:i + 2] - stamps_ns[0]) / NS_PER_S
