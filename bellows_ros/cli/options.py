@@ -54,7 +54,7 @@ def run_command(arguments: argparse.Namespace, console: Console) -> int:
     require_named_outputs(arguments)
     console.warn(*_hard_links(arguments))
     require_drawable(arguments)
-    command = importlib.import_module(f'{__package__}.{arguments.command}')
+    command = importlib.import_module(f'{__package__}.{arguments.command.replace("-", "_")}')
     with console.progress:
         done: Outcome = command.run(arguments, console)
         if done.draw:

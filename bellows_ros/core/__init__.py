@@ -4,9 +4,11 @@ Hold the numbers: model, integration, filtering, identification, prediction.
 Needs numpy and scipy, and numba where present. Reads no files, logs nothing, knows no ROS.
 """
 
+from contextlib import suppress
 import ctypes
 import gc
 import os
+from pathlib import Path
 import sys
 import warnings
 
@@ -38,3 +40,14 @@ def configure_process(is_node: bool = False) -> None:
             set_option(M_MMAP_THRESHOLD, LARGE)
             if not is_node:
                 set_option(M_ARENA_MAX, 1)
+
+
+def usable_cores() -> int:
+    """Return the number of cores that CPU affinity and the limit of a container allow."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
+        os.cpu_count() or 1)
+    limit = Path('/sys/fs/cgroup/cpu.max')
+    with suppress(OSError, ValueError):  # no container, or no limit
+        quota, period = map(int, limit.read_text().split())
+        cores = min(cores, -(-quota // period))
+    return max(cores, 1)

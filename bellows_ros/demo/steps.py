@@ -13,12 +13,9 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.cli.console import Console, NOT_USABLE, OK, Progress, run_guarded
-from bellows_ros.core.geometry.jit import compile_aside
+from bellows_ros.core.geometry.jit import IS_NEW
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.live import warm_up
-from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -27,7 +24,7 @@ from bellows_ros.files import bags, parameter_files
 from bellows_ros.nodes.command import require_ros
 from bellows_ros.plots import pictures, style
 from bellows_ros.report.text import percent, print_cup
-from bellows_ros.workflows import identification, identify
+from bellows_ros.workflows import identification, identify, warm_up
 from bellows_ros.workflows.recordings import load as load_recording
 import numpy as np
 
@@ -84,8 +81,9 @@ def run(bags: Path, out: Path, console: Console) -> int:
             f"Output folder '{out}' cannot be created: {error.strerror}. Give another with --out."
         ) from None
     package, bag = parameter_files.read_parameters(bags / PACKAGE), bags / IDENTIFICATION
-    compiler = compile_aside(  # meanwhile, as prediction and identification share no kernels
-        warm_up, Cup.thesis(), package_of(resolve(package, PACKAGE_PARAMETERS)), 9.81, 'world')
+    if IS_NEW:
+        with console.progress as progress:
+            warm_up.warm_up(('fit', 'prediction'), ((0.0, 0.0),), progress)
     console.line(f'1. Identify the cup from {bag}', 'bold')
     with console.progress as progress:
         result = identify.identify(
@@ -93,7 +91,6 @@ def run(bags: Path, out: Path, console: Console) -> int:
     identification.save(result, out / 'cup.yaml', out / 'fit.json')
     settings = resolve({**package, **result.parameters()}, PACKAGE_PARAMETERS)
     bag = bags / VALIDATION
-    compiler.wait()
     console.line(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)
     with console.progress as progress:

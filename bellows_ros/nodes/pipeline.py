@@ -81,6 +81,9 @@ class Pipeline(Predicting):
         self._compile_predictor(values)
         is_new = COMPILED and time.process_time() - begun > COMPILE_TIME
         self.compiler = compile_aside(compile_topics, values) if is_new else None
+        if is_new:
+            node.get_logger().info(
+                "Compiled; 'bellows warm-up' compiles everything once, before a start.")
         self._compiled = {_kernels_of(values)}
         self.live = LivePredictor.from_parameters(node.values)
         self.outputs = Outputs(self)

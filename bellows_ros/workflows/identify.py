@@ -11,7 +11,7 @@ from dataclasses import replace
 import os
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.geometry.jit import usable_cores
+from bellows_ros.core import usable_cores
 from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.pool import Held, here, Pool, Runner
 from bellows_ros.core.identification.quantities import as_found, payload_of

@@ -37,23 +37,29 @@ Arrays = TypeVarTuple('Arrays')
 Function = TypeVar('Function', bound=Callable[..., Any])
 
 
-def _use_folder() -> Path | None:
-    """
-    Let numba store machine code in a folder of this state of the source, and remove older ones.
-
-    numba itself notices changes in the file of an entry alone. The folder is below NUMBA_CACHE_DIR
-    or the user's cache. The function returns None if it cannot be written.
-    """
+def _folder_of_source() -> Path:
+    """Return the folder of this state of the source in the user's cache; remove older ones."""
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(CORE.rglob('*.py')):
         digest.update(path.read_bytes())
     place = hashlib.sha256(bytes(CORE)).hexdigest()[:8]
+    caches = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'bellows_ros'
+    folder = caches / f'{place}-{digest.hexdigest()[:16]}'
+    for older in caches.glob(f'{place}-*'):
+        if older != folder:
+            shutil.rmtree(older, ignore_errors=True)
+    return folder.absolute()
+
+
+def _use_folder() -> Path | None:
+    """
+    Let numba store machine code in a folder, and return it; return None if it cannot be written.
+
+    The folder is NUMBA_CACHE_DIR if set, or of the state of the source, as numba itself notices
+    changes in the file of an entry alone.
+    """
     try:
-        root = Path(os.environ.get('NUMBA_CACHE_DIR') or os.environ.get('XDG_CACHE_HOME')
-                    or Path.home() / '.cache').absolute()
-        if root.parent.name == 'bellows_ros':  # of the process that started this one
-            root = root.parent.parent
-        folder = root / 'bellows_ros' / f'{place}-{digest.hexdigest()[:16]}'
+        folder = Path(os.environ.get('NUMBA_CACHE_DIR') or _folder_of_source())
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
     except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
@@ -61,9 +67,6 @@ def _use_folder() -> Path | None:
             f'Compiled code cannot be stored ({error}): each start compiles again. Set '
             'NUMBA_CACHE_DIR to a folder that can be written.', RuntimeWarning, stacklevel=2)
         return None
-    for older in folder.parent.glob(f'{place}-*'):
-        if older != folder:
-            shutil.rmtree(older, ignore_errors=True)
     os.environ['NUMBA_CACHE_DIR'] = str(folder)
     numba.config.reload_config()
     return folder
@@ -94,13 +97,11 @@ def entry(function: Function) -> Function:
 
 
 def damage(error: BaseException) -> str:
-    """Return what to do if an error is of stored machine code, which is removed; else ''."""
+    """Return what to do if an error is of stored machine code, else ''."""
     files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
-    if FOLDER is None or not any(Path(file).match('numba/core/caching.py') for file in files):
-        return ''
-    shutil.rmtree(FOLDER, ignore_errors=True)
-    return (f"Compiled code in '{FOLDER}' cannot be used ({type(error).__name__}: {error}), and "
-            'was removed. Start again; if this recurs, set NUMBA_CACHE_DIR to another folder.')
+    return any(Path(file).match('numba/core/caching.py') for file in files) * (
+        f"Compiled code in '{FOLDER}' cannot be used ({type(error).__name__}: {error}). Remove "
+        'that folder, and start again; if this recurs, set NUMBA_CACHE_DIR to another one.')
 
 
 ASIDE = """
@@ -128,17 +129,6 @@ def compile_aside(function: Callable[..., object], *arguments: object) -> subpro
     with suppress(BrokenPipeError), process.stdin as stdin:
         stdin.write(pickle.dumps((function, arguments)))
     return process
-
-
-def usable_cores() -> int:
-    """Return the number of cores that CPU affinity and the limit of a container allow."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
-        os.cpu_count() or 1)
-    limit = Path('/sys/fs/cgroup/cpu.max')
-    with suppress(OSError, ValueError):  # no container, or no limit
-        quota, period = map(int, limit.read_text().split())
-        cores = min(cores, -(-quota // period))
-    return max(cores, 1)
 
 
 def as_inputs(*arrays: *Arrays) -> tuple[*Arrays]:

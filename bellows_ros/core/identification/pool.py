@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import uuid
 import weakref
 
-from bellows_ros.core.geometry.jit import usable_cores
+from bellows_ros.core import usable_cores
 from bellows_ros.errors import BellowsError
 
 _KEPT: dict[str, dict[int, dict[int, Any]]] = {}
