@@ -239,8 +239,9 @@ def _by_row(address: str, counts: Counts) -> Iterator[Stored]:
             "'topics')").fetchall()
         if len(tables) < 2:
             raise DamagedError("it lacks the tables 'messages' and 'topics' of a recording")
-        topics = {number: channel(*texts, '') for number, *texts in database.execute(
-            'SELECT id, name, type, serialization_format FROM topics')}
+        topics = {
+            number: channel(name, kind, encoding, '') for number, name, kind, encoding
+            in database.execute('SELECT id, name, type, serialization_format FROM topics')}
         counts.update({topic: counts.get(topic, 0) for topic in topics.values()})
         for number, log_time_ns, data in database.execute(
                 'SELECT topic_id, timestamp, data FROM messages NOT INDEXED'):

@@ -322,7 +322,7 @@ def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
             'motive_y_up')
             for body in trajectory_files.read_motive(source, min_markers)]
     stamps, values = trajectory_files.read_tum(source)
-    finite = np.isfinite(values).all(axis=1)
+    finite: Mask = np.asarray(np.isfinite(values).all(axis=1))
     kept = finite.copy()
     kept[finite] = np.diff(stamps[finite], prepend=-1) != 0
     repeated = int(finite.sum() - kept.sum())

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
+import os
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Mask
@@ -14,9 +15,9 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, File, messages
 import numpy as np
 
-SIGNALS = {'bool': (messages.BOOL, '/vacuum/held'),
-           'pressure': ('sensor_msgs/msg/FluidPressure', '/vacuum/pressure')}
-"""Message types and ends of the topics of the vacuum, by values of vacuum.signal."""
+SIGNALS = {'bool': (messages.BOOL, 'topics.held'),
+           'pressure': ('sensor_msgs/msg/FluidPressure', 'topics.pressure')}
+"""Message types of the vacuum, and parameters with its topics, by values of vacuum.signal."""
 
 MIXED_NS = 86_400 * NS_PER_S
 """Smallest distance between header stamps and times of recording of two clocks, ns: a day, beyond
@@ -25,19 +26,25 @@ any delay and time zone."""
 
 def signals_of(bag: File, values: Values) -> list[Signal]:
     """
-    Return the recorded vacuum and valve, in order; empty if vacuum.signal is none or not recorded.
+    Return the recorded vacuum and valve, in order; empty if vacuum.signal is none.
 
-    They are on the topics of the node, in any namespace.
+    Their topics may be in any namespace. A stamp is that of the header, if messages have one.
+
+    Raises
+    ------
+    BellowsError
+        If vacuum.signal is not recorded.
+
     """
     vacuum, signals, signal = Vacuum(), list[Signal](), values.vacuum.signal
     if signal == 'none':
         return []
-    kind, name = SIGNALS[signal]
+    kind, parameter = SIGNALS[signal]
     for topic, log_ns, data in bags.messages_of(bag, {kind, messages.BOOL}):
         if topic.name.endswith('/vacuum/valve'):
             is_on = messages.decode_bool(data)
             signals += [] if is_on is None else [(log_ns, 'valve', is_on, ALL)]
-        if not topic.name.endswith(name):
+        if topic.type_name != kind or not is_named(topic.name, values[parameter]):
             continue
         if signal == 'bool':
             held = messages.decode_bool(data)
@@ -50,8 +57,17 @@ def signals_of(bag: File, values: Values) -> list[Signal]:
             (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, 'vacuum', *state)
             for state in states]
     if not any(each[1] == 'vacuum' for each in signals):
-        return []
+        there = ', '.join(t.name for t in bags.topics(bag) if t.type_name == kind and t.messages)
+        raise BellowsError(
+            f"vacuum.signal is '{signal}', but recording '{os.fspath(bag)}' has no usable {kind} "
+            f'on {values[parameter]}; it has: {there or "none"}. Set {parameter} to the topic of '
+            'the vacuum, or vacuum.signal: none.')
     return sorted(signals, key=itemgetter(0))
+
+
+def is_named(topic: str, name: str) -> bool:
+    """Return whether a recorded topic has a name, in any namespace."""
+    return topic.endswith(bags.absolute(name))
 
 
 def spans_held(
@@ -66,16 +82,13 @@ def masks_held(path: File, streams: Mapping[str, Any], values: Values) -> list[M
     """
     Return masks of the messages of streams, by role, during the holds of a lifted package.
 
-    Without a recorded vacuum the package is held from start to end.
-
     Raises
     ------
     BellowsError
         If there is no such hold.
 
     """
-    if not (signals := signals_of(path, values)):
-        return [np.ones(len(stream), bool) for stream in streams.values()]
+    signals = signals_of(path, values)
     stamps = streams['tool_pose'].stamps_ns
     if signals[0][0] > stamps[-1] + MIXED_NS or signals[-1][0] < stamps[0] - MIXED_NS:
         raise BellowsError(

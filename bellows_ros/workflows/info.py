@@ -20,6 +20,7 @@ from bellows_ros.core.identification.diagnosis.commission import Check, checks_o
 from bellows_ros.core.identification.diagnosis.facts import facts_of
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
@@ -36,7 +37,7 @@ from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import DETECTIONS, read_contents
 from bellows_ros.report.sentences import finding_sentence
-from bellows_ros.workflows.holds import SIGNALS
+from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import fact_sentences, remark_sentences, within_interval
 import numpy as np
 
@@ -198,7 +199,7 @@ class Info(NamedTuple):
     def valve(self) -> str:
         """The only possible topic of the valve; otherwise ''."""
         able = [topic.name for topic in self.topics if topic.type_name == messages.BOOL
-                and not topic.name.endswith(SIGNALS['bool'][1])]
+                and not is_named(topic.name, str(PARAMETERS['topics.held'].default))]
         return able[0] if len(able) == 1 else ''
 
     def as_json(self) -> dict[str, Any]:
@@ -312,9 +313,9 @@ def _with_roles(
            (('tool_pose', tool), ('package_pose', package)) if guess},
         **({'topics.tool_twist': ''} if twist is None or in_degrees else
            {'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}),
-        **next(({'vacuum.signal': signal} for signal, (kind, name) in SIGNALS.items()
-                for topic in described if topic.type_name == kind and topic.name.endswith(name)),
-               {})}
+        **next(({'vacuum.signal': signal} for signal, (kind, parameter) in SIGNALS.items()
+                for topic in described if topic.type_name == kind
+                and is_named(topic.name, str(PARAMETERS[parameter].default))), {})}
     used = {guess.topic for guess in (tool, package, twist) if guess}
     notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
               if topic.problem]

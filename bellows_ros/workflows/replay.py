@@ -41,7 +41,7 @@ from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import detections, File, results
 from bellows_ros.report.sentences import alarm_sentence, finding_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
-from bellows_ros.workflows.holds import SIGNALS, signals_of, spans_held
+from bellows_ros.workflows.holds import signals_of, spans_held
 from bellows_ros.workflows.recordings import load, no_progress, Progress, tag_sought
 import numpy as np
 
@@ -353,11 +353,6 @@ def replay(
     values = checks.resolve(settings, checks.RECORDING_PARAMETERS)
     progress(f'reading {os.fspath(bag)}', 0.0)
     recording, signals = load(bag, values), signals_of(bag, values)
-    if observe and not signals and (signal := values.vacuum.signal) != 'none':
-        kind, name = SIGNALS[signal]
-        raise BellowsError(
-            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name[1:]}. "
-            'Record it, or set vacuum.signal: none.')
     rated, note = _held_part(bag, recording, values, signals) if signals else (recording, '')
     causes = faults_of(rated)
     if any(cause.sentence for cause in causes):  # the package is not below the tool

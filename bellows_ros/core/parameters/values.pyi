@@ -183,6 +183,8 @@ class TopicsGroup:
     tool_twist: str
     package_pose: str
     valve: str
+    held: str
+    pressure: str
 
 class Values(Mapping[str, Any]):
     bags: tuple[str, ...]
