@@ -1,8 +1,8 @@
 """
-Find sentences that are hard to read: `make lint` calls this, `--list` shows each of them.
+Find sentences that are hard to read: `make lint` calls this.
 
 Docstrings, texts of constants and comments of the package, texts of its tables, and the pages are
-searched for `PATTERNS`. More than `MOST` findings fail: lower the number as they become fewer.
+searched for `PATTERNS`.
 """
 
 import ast
@@ -16,9 +16,6 @@ import tomllib
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-
-MOST = 0
-"""Number of findings that are left; none may be added."""
 
 PATTERNS = {
     name: re.compile(pattern) for name, pattern in {
@@ -49,15 +46,12 @@ def python_texts(file: Path) -> Iterator[tuple[int, str]]:
 
 def table_texts(file: Path) -> Iterator[tuple[int, str]]:
     """Yield the texts of a table."""
-    def inside(value: Any) -> Iterator[str]:
+    pending: list[Any] = [tomllib.loads(file.read_text(encoding='utf-8'))]
+    for value in pending:
         if isinstance(value, str):
-            yield value
+            yield 0, value
         elif isinstance(value, dict | list):
-            for item in value.values() if isinstance(value, dict) else value:
-                yield from inside(item)
-
-    for text in inside(tomllib.loads(file.read_text(encoding='utf-8'))):
-        yield 0, text
+            pending += value.values() if isinstance(value, dict) else value
 
 
 def page_texts(file: Path) -> Iterator[tuple[int, str]]:
@@ -84,14 +78,7 @@ def findings() -> Iterator[str]:
                     yield f'{file.relative_to(ROOT)}:{line}: {kind}: {text[match.start():][:70]}'
 
 
-def main() -> int:
-    """Count the findings; return 1 if there are more than before."""
-    found = list(findings())
-    is_more = len(found) > MOST
-    if is_more or '--list' in sys.argv:
-        print(*found, f'{len(found)} sentences are hard to read; {MOST} may be left', sep='\n')
-    return int(is_more)
-
-
 if __name__ == '__main__':
-    sys.exit(main())
+    found = list(findings())
+    print(*found, sep='\n', end='\n' * bool(found))
+    sys.exit(bool(found))
