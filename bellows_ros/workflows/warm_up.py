@@ -21,7 +21,6 @@ from bellows_ros.core.planning.steering import steer
 from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 GRAVITY = 9.81
 PACKAGE = Package(1.0, 0.01 * np.eye(3), np.array([0.0, 0.0, -0.03]))
@@ -65,7 +64,7 @@ def _moving(duration: float) -> Trajectory:
     twist[:, 0] = 0.1 * slope
     return Trajectory(
         np.rint(1e9 * duration * s).astype(np.int64), np.outer(step, [0.1, 0.0, 0.0]),
-        Rotation.from_rotvec(np.zeros((len(s), 3))), twist)
+        np.broadcast_to(np.eye(3), (len(s), 3, 3)), twist)
 
 
 def compile_prediction(cup: Cup) -> None:
