@@ -8,7 +8,7 @@ links: results have the stamps of the moving link next to the wanted frame, at w
 are interpolated.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 import json
 from pathlib import Path
@@ -48,22 +48,19 @@ def read_transforms(path: File) -> list[Transform]:
     Raises
     ------
     BellowsError
-        If it cannot be read, or a frame has two parents.
+        If it cannot be read.
 
     """
-    transforms, parents = list[Transform](), dict[str, str]()
+    transforms = list[Transform]()
     for topic, _, data in bags.messages_of(path, (TF,)):
+        is_fixed = topic.name.endswith('/tf_static')  # in any namespace
         for each in bags.decoded(data, TF).transforms:
             child, parent = (name.lstrip('/') for name in (
                 each.child_frame_id, each.header.frame_id))
-            if parents.setdefault(child, parent) != parent:
-                raise BellowsError(
-                    f"Frame '{child}' has two parents in the transforms of '{path}', "
-                    f"'{parents[child]}' and '{parent}'. Record one of them.")
             stamp, o, q = each.header.stamp, each.transform.translation, each.transform.rotation
             transforms.append(Transform(child, parent, PoseSample(
                 stamp.sec * NS_PER_S + stamp.nanosec, (o.x, o.y, o.z), (q.x, q.y, q.z, q.w),
-            ), topic.name == '/tf_static'))
+            ), is_fixed))
     return sorted(transforms, key=lambda each: (not each.is_fixed, each.sample.stamp_ns))
 
 
@@ -96,25 +93,22 @@ def poses_in(
         If a frame is unknown, nothing connects them, or nothing moves between them.
 
     """
-    parents = {each.child: each.parent for each in transforms}
-    path = _frames_to_root(parents, frame.lstrip('/'), of)
-    world = world.lstrip('/') or path[-1]
-    path += _frames_to_root(parents, world, of)
+    path, world = _path(transforms, frame.lstrip('/'), world.lstrip('/'), of)
+    transforms = [each for each in transforms if each.child in path]
     good = [each for each in transforms if not why_no_pose(*each.sample[1:])]
     firsts = {each.child: each for each in reversed(good)}  # which form the tree
-    chain, rows = Chain(world, path[0]), list[PoseSample]()
+    chain, rows = Chain(world, frame.lstrip('/')), list[PoseSample]()
     for child, parent, sample, is_fixed in (*firsts.values(), *good):
         q = normalised(sample.quaternion_xyzw)
         chain.add(parent, child, sample._replace(quaternion_xyzw=q), is_fixed)
         rows += chain.due()
     if len(rows) < 2:
         raise BellowsError(
-            f"There are no poses of '{shown(path[0])}' in '{shown(world)}' in {of}: "
+            f"There are no poses of '{shown(frame)}' in '{shown(world)}' in {of}: "
             f'{chain.missing or "the transforms have no time in common"}. Record the transforms '
             'between them together, with stamps of one clock.')
     stamps, position, quaternion = map(np.array, zip(*rows, strict=True))
-    bad = sum(each.child in path for each in transforms) - sum(each.child in path for each in good)
-    return stamps, np.hstack([position, quaternion]), world, bad
+    return stamps, np.hstack([position, quaternion]), world, len(transforms) - len(good)
 
 
 def interpolation_noise(
@@ -126,9 +120,7 @@ def interpolation_noise(
     The middle of two neighbours deviates by h^2 a / 2 at steps h, with the acceleration a; linear
     interpolation at random times by h^2 a / sqrt(120).
     """
-    parents = {each.child: each.parent for each in transforms}
-    path, top = (_frames_to_root(parents, name.lstrip('/'), of) for name in (frame, world))
-    between = [name for name in (*path, *top) if (name in path) != (name in top)]
+    between, _ = _path(transforms, frame.lstrip('/'), world.lstrip('/'), of)
     moving, found = moving_frames(transforms), list[tuple[str, float, float]]()
     for child in [name for name in between if name in moving][1:]:
         own = [each.sample for each in transforms if each.child == child and not (
@@ -140,15 +132,55 @@ def interpolation_noise(
     return found
 
 
-def _frames_to_root(parents: Mapping[str, str], frame: str, of: str) -> list[str]:
-    """Return the frames from this one up to the root; raise for loops."""
-    if frame not in {*parents, *parents.values()}:
+class UnconnectedError(BellowsError):
+    """No transforms connect two frames."""
+
+
+Parents = Mapping[str, Mapping[str, None]]
+"""Parents of each frame, in the order of their first transforms."""
+
+
+def _path(
+    transforms: Iterable[Transform], frame: str, world: str, of: str
+) -> tuple[list[str], str]:
+    """Return the frames whose transforms lead from a frame to a world, and the world's name."""
+    parents = defaultdict[str, dict[str, None]](dict)
+    for each in transforms:
+        parents[each.child][each.parent] = None
+    up = _frames_above(parents, frame, of)
+    if not world:
+        _require_one_parent(parents, up[-1], of)
+        return up[:-1], up[-1]
+    down = _frames_above(parents, world, of)
+    shared = next((name for name in up if name in down), None)
+    if shared is not None:
+        return [*up[:up.index(shared)], *down[:down.index(shared)]], world
+    for top in (up[-1], down[-1]):
+        _require_one_parent(parents, top, of)
+    raise UnconnectedError(
+        f"There are no poses of '{shown(frame)}' in '{shown(world)}' in {of}: no transforms "
+        f"connect them, they lead up to '{shown(up[-1])}' and '{shown(down[-1])}'. Record the "
+        'transforms between them, or name another frame.')
+
+
+def connected(transforms: Iterable[Transform], frame: str, world: str) -> bool:
+    """Return whether transforms connect a frame with a world."""
+    try:
+        return bool(_path(transforms, frame.lstrip('/'), world.lstrip('/'), ''))
+    except BellowsError:
+        return False
+
+
+def _frames_above(parents: Parents, frame: str, of: str) -> list[str]:
+    """Return a frame and those above, up to the root or to one with two parents."""
+    known = {*parents, *(name for each in parents.values() for name in each)}
+    if frame not in known:
         raise BellowsError(
             f"Frame '{shown(frame)}' is not among the transforms of {of}. There are: "
             f"{shown(', '.join(sorted(parents)[:8]), 300) or 'none'}.")
     chain = [frame]
-    while frame in parents:
-        frame = parents[frame]
+    while len(parents.get(frame, ())) == 1:
+        (frame,) = parents[frame]
         if frame in chain:
             loop = ' in '.join(f"'{shown(name, 40)}'" for name in [
                 *chain[chain.index(frame):], frame])
@@ -157,6 +189,15 @@ def _frames_to_root(parents: Mapping[str, str], frame: str, of: str) -> list[str
                 'not below it; record without the publisher of one of these.')
         chain.append(frame)
     return chain
+
+
+def _require_one_parent(parents: Parents, frame: str, of: str) -> None:
+    """Raise for a frame with two parents, above which no path is unique."""
+    if len(parents.get(frame, ())) > 1:
+        first, second, *_ = parents[frame]
+        raise BellowsError(
+            f"Frame '{shown(frame)}' has two parents in the transforms of {of}, "
+            f"'{shown(first)}' and '{shown(second)}'. Record one of them.")
 
 
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'

@@ -183,14 +183,15 @@ def bodies_in_transforms(
     tool_frame, package_frame : str
         Frames of the tool tip E and of the package.
     world_frame : str
-        Frame of the returned poses; default: the farthest ancestor of the tool frame.
+        Frame of the returned poses; default: the farthest ancestor of the tool frame. A body that
+        no transforms connect with it is in the farthest ancestor of its own frame.
     names : sequence of str, optional
         Topics of tool and package; default: '/tool_arm/pose' and '/package/pose'.
 
     Raises
     ------
     BellowsError
-        If no chain of transforms leads from either frame to the world.
+        If no chain of transforms leads from either frame to a named world.
 
     """
     transforms, bodies = plans.read_transforms(bag), list[Body]()
@@ -201,15 +202,21 @@ def bodies_in_transforms(
         raise BellowsError(
             f"'{tool_frame}' is named as the frame of the tool and of the package. Name two.")
     for frame, topic in zip((tool_frame, package_frame), names, strict=True):
-        stamps, rows, world_frame, bad = plans.poses_in(transforms, frame, world_frame, f"'{bag}'")
+        try:
+            stamps, rows, world, bad = plans.poses_in(transforms, frame, world_frame, f"'{bag}'")
+        except plans.UnconnectedError:  # a body in the tree of its camera
+            if topic == names[0] and not plans.connected(transforms, package_frame, world_frame):
+                raise
+            stamps, rows, world, bad = plans.poses_in(transforms, frame, '', f"'{bag}'")
+        world_frame = world_frame or world
         bodies.append(Body(
-            bag_writer.as_messages(bags.absolute(topic), POSE, stamps, rows, world_frame),
-            f"{frame} in '{world_frame}' of {bag}",
+            bag_writer.as_messages(bags.absolute(topic), POSE, stamps, rows, world),
+            f"{frame} in '{world}' of {bag}",
             {'transforms that are no poses': bad} if bad else {}, notes=tuple(
                 f"{topic}: '{shown(link)}' comes at {rate_hz:.0f} Hz and is interpolated: an "
                 f'error of {1e3 * error:.2g} mm (RMS), which counts as noise of the poses. '
                 'Record it more often.' for link, rate_hz, error in plans.interpolation_noise(
-                    transforms, frame, world_frame, f"'{bag}'") if error > MIN_STATED_NOISE)))
+                    transforms, frame, world, f"'{bag}'") if error > MIN_STATED_NOISE)))
     return bodies
 
 

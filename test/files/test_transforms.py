@@ -36,7 +36,7 @@ def message(parent, child, T, ns):
     return made.serialized(TF, [[(made.header(ns, parent), child, pose)]])
 
 
-def recording(folder, more=(), topics=()):
+def recording(folder, more=(), topics=(), static='/tf_static'):
     """Write a rail (20 Hz), an arm (100 Hz) on it, and a camera that sees a box (60 Hz)."""
     moving = [
         (T0 + round(k / rate * 1e9), parent, child, pose(k / rate))
@@ -48,7 +48,7 @@ def recording(folder, more=(), topics=()):
     moving.sort(key=lambda each: each[0])
     fixed = [('hall', 'rail', MOUNT), ('flange', 'tool', FLANGE), ('hall', 'camera', CAMERA)]
     write_bag(folder, [
-        Encoded('/tf_static', TF, np.full(3, T0), [message(*each, 0) for each in fixed]),
+        Encoded(static, TF, np.full(3, T0), [message(*each, 0) for each in fixed]),
         Encoded('/tf', TF, np.array([each[0] for each in moving]), [
             message(parent, child, T, ns) for ns, parent, child, T in moving]), *topics])
     return folder
@@ -91,7 +91,7 @@ def test_what_interpolation_costs_is_stated(tmp_path, monkeypatch):
 
 
 def test_the_world_may_be_any_frame(tmp_path):
-    links = read_transforms(recording(tmp_path / 'tf'))
+    links = read_transforms(recording(tmp_path / 'tf', static='/robot/tf_static'))
     stamps, poses, world, bad = poses_in(links, '/box', 'tool', 'it')
     s = (stamps - T0) * 1e-9
     expected = [inverse_transform(MOUNT @ base_in_rail(x) @ flange_in_base(x) @ FLANGE)
@@ -108,10 +108,38 @@ def test_what_is_missing_is_said(tmp_path):
     ):
         with pytest.raises(BellowsError, match=named):
             poses_in(links, frame, world, 'it')
-    with pytest.raises(BellowsError, match="'box'"):
-        read_transforms(recording(tmp_path / 'two', [(T0 + 5, 'tool', 'box', CAMERA)]))
+    two = read_transforms(recording(tmp_path / 'two', [(T0 + 5, 'tool', 'box', CAMERA)]))
+    with pytest.raises(BellowsError, match="'box' has two parents"):
+        poses_in(two, 'box', 'tool', 'it')
     with pytest.raises(BellowsError, match="'tool'"):
         bodies_in_transforms(tmp_path / 'tf', 'tool', '/tool')
+
+
+def test_a_frame_with_two_parents_off_the_path_refuses_nothing(tmp_path):
+    """Two cameras see another tag, and the arm's base has a second parent above both bodies."""
+    more = [(T0 + 5, 'camera', 'other', CAMERA), (T0 + 6, 'side_camera', 'other', CAMERA),
+            (T0 + 7, 'map', 'hall', CAMERA), (T0 + 8, 'odom', 'hall', CAMERA)]
+    links = read_transforms(recording(tmp_path / 'tf', more))
+    plain = read_transforms(recording(tmp_path / 'plain'))
+    for frame in ('box', 'tool'):
+        assert_allclose(poses_in(links, frame, 'hall', 'it')[1],
+                        poses_in(plain, frame, 'hall', 'it')[1])
+    with pytest.raises(BellowsError, match="'hall' has two parents.*'map' and 'odom'"):
+        poses_in(links, 'box', '', 'it')
+
+
+@pytest.mark.parametrize('world, worlds', [
+    ('', ('hall', 'lens')), ('hall', ('hall', 'lens')), ('lens', ('hall', 'lens'))])
+def test_bodies_in_two_trees_keep_their_worlds(tmp_path, world, worlds):
+    """A tag in its camera alone, and an arm."""
+    tag = [(T0 + k * 10**7, 'lens', 'tag', box_in_camera(0.01 * k)) for k in range(100)]
+    folder = recording(tmp_path / 'tf', tag)
+    tool, box = bodies_in_transforms(folder, 'tool', 'tag', world)
+    done = to_bag([tool, box], tmp_path / 'out')
+    found = read_streams(tmp_path / 'out', {'t': '/tool_arm/pose', 'p': '/package/pose'})
+    assert (found['t'].frame_id, found['p'].frame_id) == worlds and len(done.bodies) == 2
+    with pytest.raises(BellowsError, match="'nowhere'"):
+        bodies_in_transforms(folder, 'tool', 'tag', 'nowhere')
 
 
 def test_circles_and_numbers_that_are_no_poses_are_said(tmp_path):
