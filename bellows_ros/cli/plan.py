@@ -53,8 +53,10 @@ def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
         ('largest moment', value('peak_moment', 1.0, 'N m'),
          f'{value("rigid_peak_moment", 1.0, "N m")} of the rigid load')]
     if prediction.grip:
-        _, mode, time = prediction.smallest_safety
-        rows.insert(0, ('smallest safety factor', value('smallest_safety_factor', 1.0, ''),
+        factor, mode, time = prediction.smallest_safety
+        rows.insert(0, ('smallest safety factor', 'none', 'the package presses on the cup')
+                    if math.isinf(factor) else (
+                        'smallest safety factor', value('smallest_safety_factor', 1.0, ''),
                         f'{mode}, at {time:.3f} s'))
     if prediction.ends_at_rest:
         after = figures['settled_after']

@@ -268,7 +268,7 @@ def plan(
     def figures(changed: ModelTuple) -> Array:
         numbers = run.with_model(changed).predict().summary()
         numbers['settled_after'] = min(numbers['settled_after'], MAX_TAIL)  # discontinuous there
-        return np.array(list(numbers.values()))
+        return np.nan_to_num([*numbers.values()], nan=np.nan, posinf=0.0)  # a pressed cup
 
     deviations = _deviations(values, model, figures).tolist()
     std = {name: deviation if math.isfinite(value) else math.nan for (name, value), deviation in

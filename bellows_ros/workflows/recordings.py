@@ -55,7 +55,8 @@ class Failed(NamedTuple):
 
 
 def load(
-    path: File, values: Values, name: str = '', with_digest: bool = False, held: bool = False
+    path: File, values: Values, name: str = '', with_digest: bool = False, held: bool = False,
+    accepted: str = '',
 ) -> Recording:
     """
     Read a recording and prepare it.
@@ -72,6 +73,8 @@ def load(
         Whether the digests of its files are computed.
     held : bool
         Whether only the holds are used, if vacuum.signal is set.
+    accepted : str
+        A fault of `BLOCKING` that is accepted.
 
     Raises
     ------
@@ -93,7 +96,7 @@ def load(
         from bellows_ros.workflows.holds import masks_held  # with the live predictor
 
         streams = _selected(streams, masks_held(path, streams, values))
-    recording = prepare_streams(streams, settings, values, name)
+    recording = prepare_streams(streams, settings, values, name, accepted)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(bag_folder.digests(path)) if with_digest else ()
     return replace(
@@ -161,7 +164,8 @@ def _selected(streams: Mapping[str, Any], masks: Sequence[Mask]) -> dict[str, An
 
 
 def prepare_streams(
-    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str = ''
+    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str = '',
+    accepted: str = '',
 ) -> Recording:
     """
     Return prepared streams, in one world and on one clock, with sentences on their remarks.
@@ -169,7 +173,7 @@ def prepare_streams(
     Streams are poses of tool and package, and twists of the tool, if any, by the names of their
     topics.
     """
-    recording = _prepared(streams, settings, values, name)
+    recording = _prepared(streams, settings, values, name, accepted)
     return replace(recording, report=replace(
         recording.report, warnings=remark_sentences(recording.report.remarks)))
 
@@ -180,7 +184,7 @@ def remark_sentences(remarks: Iterable[frames.Remark]) -> tuple[str, ...]:
 
 
 def _prepared(
-    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str = ''
+    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str, accepted: str
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
     streams = within_interval(streams, values)
@@ -197,7 +201,7 @@ def _prepared(
     world = values.recording.package_world
     registers = bool(values.fit.time_offset or world == checks.ESTIMATE
                      or 'package_marker' in values.fit.free)
-    _require_no_faults(tool, package, settings, registers, name)
+    _require_no_faults(tool, package, settings, registers, name, accepted)
     package = as_measured(package, values)
     if registers:
         payload, inertia = settings.payload, np.diag(settings.payload.inertia)
@@ -241,14 +245,14 @@ def marker_alignment(values: Values) -> frames.Alignment | None:
 
 def _require_no_faults(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings, registers: bool,
-    name: str,
+    name: str, accepted: str,
 ) -> None:
     """Raise for poses with a fault that no fit can correct, or that misleads a registration."""
     if min(len(tool), len(package)) < MIN_POSES:
         return
     if wrong := [
             fact for fact in facts_of(tool, package, settings.R_world_recorded)
-            if fact.code in BLOCKING or (
+            if fact.code in BLOCKING - {accepted} or (
                 fact.code == 'tool_z' and registers and not settings.align_at_rest)]:
         raise UnexplainedError(fact_sentences(wrong, tool, package, name))
 

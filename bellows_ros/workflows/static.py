@@ -1,6 +1,7 @@
 """Static recordings: the cup's length, and a check of its spring."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 import math
 import os
 from typing import Any, NamedTuple
@@ -214,7 +215,7 @@ def static_check(
 
 def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
     """Return the result with a cup's spring checked in every pose, at its length."""
-    cup = Cup(cup.stiffness, cup.damping, result.cup_length)
+    cup = replace(cup, length=result.cup_length)
     return result._replace(spring=tuple(
         statics.check_pose(cup, still, gravity) for still in result.standstills))
 

@@ -377,7 +377,8 @@ def identify_release(
             cup_of(parameters), package_of(parameters), parameters.gravity.magnitude)
         valve = _valve_times(bag, parameters)
         usable, not_used = release_fit.drops_of(
-            load(bag, parameters), model, conversion.grip_of(parameters), valve)
+            load(bag, parameters, accepted='frozen_orientation'), model,
+            conversion.grip_of(parameters), valve)
         drops += usable
         used += [bag] * len(usable)
         left_out += [f'{bag}, {text}' for text in not_used]

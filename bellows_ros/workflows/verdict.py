@@ -1,6 +1,7 @@
 """Quality of a cup, causes of a misfit, and the acceptance of the cup."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import permutations
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.identification.validation import MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.parameters.conversion import given_structure
+from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
@@ -279,9 +280,10 @@ def _judged(
         'inertia' in fit.nuisances) else 0.0
     length += float(fit.nuisances['length'][0, 0]) if 'length' in fit.nuisances else 0.0
     structure = given_structure(verdict.given)
-    cup = gripper_of(Cup(
-        fit.stiffness, fit.damping, length, fit.relaxation, stretch=fit.stretch), structure.places)
-    held = None if fit.held_out is None else _cup_of(fit, fit.held_out, cup, structure)
+    cup = gripper_of(replace(
+        one_cup_of(verdict.given), stiffness=fit.stiffness, damping=fit.damping, length=length,
+        relaxation=fit.relaxation, stretch=fit.stretch), structure.places)
+    held = None if fit.held_out is None else _cup_of(fit.held_out, cup, structure)
     return verdict._replace(
         simulated=tuple(
             _simulated(cup, as_found(recording, fit.nuisances, number),
@@ -319,13 +321,12 @@ def _found(
             for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
 
 
-def _cup_of(fit: Fit, theta: Array, cup: Cup, structure: Structure) -> Cup | None:
+def _cup_of(theta: Array, cup: Cup, structure: Structure) -> Cup | None:
     """Return a cup with other parameters (p,), None if indefinite."""
     K, P = structure.matrices(theta)
     if min(np.linalg.eigvalsh(K)[0], np.linalg.eigvalsh(P)[0]) <= 0.0:
         return None
-    return gripper_of(
-        Cup(K, P, cup.length, fit.relaxation, stretch=fit.stretch), structure.places)
+    return gripper_of(replace(cup, stiffness=K, damping=P), structure.places)
 
 
 def _simulated(

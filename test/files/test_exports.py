@@ -3,14 +3,16 @@
 from dataclasses import replace
 from xml.etree import ElementTree
 
-from bellows_ros.core.model.cup_package import Cup, Package
-from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
+from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.exports import limits, TARGETS
 import numpy as np
 import pytest
 
 CUP = Cup.thesis()
+ROUND = replace(CUP, stiffness=np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35]))
 PACKAGE = Package(2.17, np.diag([0.0087, 0.0088, 0.0173]), (0.0, 0.001, -0.03))
 K, P = (np.diag(m).tolist() for m in (CUP.stiffness, CUP.damping))
 
@@ -130,6 +132,40 @@ def test_mujoco_swings_as_the_model_does():
     assert np.ptp(ours.position[:, 0]) > 2e-3
     # 0.5 % of the amplitude: what `limits` names is of second order in it.
     np.testing.assert_allclose(theirs, ours.position, atol=1e-5)
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize(('gravity', 'most'), [(4.0, 0.015), (STANDARD_GRAVITY, 0.09)])
+def test_mujoco_on_a_wall_is_as_wrong_as_it_says(gravity, most):
+    """The package bends the cup by 6 and 15 degrees: compare the natural frequencies there."""
+    mujoco = pytest.importorskip('mujoco', reason='no MuJoCo here (pip install mujoco)')
+    package = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+    down = (gravity, 0.0, 0.0)
+    model = mujoco.MjModel.from_xml_string(
+        TARGETS['mjcf'].write(ROUND, package, down))
+    ours = model_tuple(ROUND, package, down)
+    data, tool = mujoco.MjData(model), state_row(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+    body = state_row(*map(np.array, static_equilibrium(ours, tool)[:2]))
+
+    def acceleration(q):
+        data.qpos[:], data.qvel[:] = q, 0.0
+        mujoco.mj_forward(model, data)
+        return data.qacc.copy()
+
+    def slopes(q):
+        return np.transpose([(acceleration(q + by) - acceleration(q - by)) / 2e-6
+                             for by in 1e-6 * np.eye(6)])
+
+    def frequencies(matrix):
+        return np.sqrt(np.sort(np.linalg.eigvals(-matrix).real))
+
+    q = np.zeros(6)
+    for _ in range(20):
+        q -= np.linalg.solve(slopes(q), acceleration(q))
+    assert np.degrees(np.linalg.norm(q[3:])) == pytest.approx(1.5 * gravity, abs=0.5)
+    right = frequencies(linearise(ours, tool, body).body_pose)
+    off = np.abs(frequencies(slopes(q)) / right - 1.0).max()
+    assert 0.5 * most < off < most
 
 
 @pytest.mark.extras

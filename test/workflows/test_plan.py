@@ -52,6 +52,16 @@ VALUES = plans.VALUES.replaced({
 T0 = 1_700_000_000_000_000_000
 FIGURES = ('smallest_safety_factor', 'peak_bending', 'peak_force', 'peak_moment', 'swing_left')
 
+UPSIDE_DOWN = """\
+kind: waypoints
+rest_duration: 1.0
+start: {position: [0.3, 0.0, 0.8], rpy: [3.14159265, 0.0, 0.0]}
+waypoints:
+  poses: [{position: [0.3, 0.0, 0.75], rpy: [3.14159265, 0.0, 0.0], move: 1.0, hold: 0.6}]
+tool: {rate_hz: 500.0}
+package: {rate_hz: 360.0}
+"""
+
 
 def samples(rate_hz=250):
     """Return times, poses (N, 7), and twists (N, 6) in world axes of the move."""
@@ -328,6 +338,16 @@ def test_what_lets_go_and_what_is_not_known_is_said(bag):
             'envelope.rates': [0.1] * 6, 'cup.valid_mass': [1.8, 1.8]}
     outside = figures(bag, values=seen)['outside_validity']
     assert any('bending about' in phrase for phrase in outside)
+
+
+def test_a_package_pressed_on_the_cup_needs_no_factor(tmp_path, recwarn):
+    """Upside down, without a warning of the grip or of NumPy."""
+    path = tmp_path / 'up.yaml'
+    path.write_text(UPSIDE_DOWN)
+    report = plan(path, read_parameters(ROOT / 'bags' / 'tossing.yaml'))
+    assert report.prediction.smallest_safety.factor == math.inf
+    assert not any('safety' in text for text in report.warnings)
+    assert not [each for each in recwarn if issubclass(each.category, RuntimeWarning)]
 
 
 def test_a_bad_plan_is_refused(bag, tmp_path):

@@ -644,11 +644,14 @@ def design(
     start = checks.limits.start
     at = state_row(start.position, lie.rotation_to_quaternion(start.rotation))
 
+    def model_of(x: Array) -> ModelTuple:
+        K, P = structure.matrices(x)
+        one = replace(cup, stiffness=K, damping=P, relaxation=(0.0, 0.0))
+        return model_tuple(gripper_of(one, structure.places), package, gravity)
+
     def responses_at(omega: Array) -> list[Response]:
         return [response(
-            lambda x: model_tuple(gripper_of(
-                Cup(*structure.matrices(x), cup.length), structure.places), package, gravity),
-            structure.parameters(each.stiffness, each.damping),
+            model_of, structure.parameters(each.stiffness, each.damping),
             structure.sizes(each.stiffness, each.damping), at, omega, tracking)
             for each in cups_near(cup)]
 

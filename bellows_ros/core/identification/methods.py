@@ -152,7 +152,7 @@ def fit(
             jacobian = _length_jacobian(whole_recordings(recordings), values)
         length = Length(values.cup.length, length_std, jacobian)
         result = joined_with_standstills(
-            result, standstills, length, values.gravity.magnitude, one_cup_of(values).stiffness,
+            result, standstills, length, values.gravity.magnitude, one_cup_of(values),
             given_structure(values).places)
     return Result(result, excitation)
 
@@ -262,4 +262,4 @@ def start_cup(parts: Held, given: Cup) -> Cup:
         for value, error, instead in (
             (result.stiffness, result.stiffness_std, given.stiffness),
             (result.damping, result.damping_std, given.damping)))
-    return Cup(stiffness, damping, given.length, given.relaxation)
+    return replace(given, stiffness=stiffness, damping=damping)

@@ -296,7 +296,7 @@ class Length(NamedTuple):
 
 
 def joined_with_standstills(
-    fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, typical: Array,
+    fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, given: Cup,
     places: tuple[tuple[float, ...], ...] = (),
 ) -> Fit:
     """
@@ -317,8 +317,8 @@ def joined_with_standstills(
         Cup length l0 of the fit, with its standard error, 0 if exact.
     gravity : float
         Gravitational acceleration along -z of the world, m/s^2.
-    typical : ndarray (6, 6)
-        Stiffness used in weights for unidentifiable entries.
+    given : Cup
+        One cup, whose stiffness is used in weights for unidentifiable entries.
     places : tuple of (x, y, z, index)
         Positions of the cups of a gripper (m, in E); the fit is of one cup.
 
@@ -332,9 +332,11 @@ def joined_with_standstills(
     start = np.append(x0, 0.0)
     weight, z, covariance = 1.0, start, fit.covariance
     for _ in range(4):
-        guess = _guess(structure, z[:-1], covariance, typical)
-        rows = np.concatenate([_equations(still, length.value, structure, gravity, guess)
-                               for still in standstills])
+        guess = _guess(structure, z[:-1], covariance, given.stiffness)
+        cup = replace(given, stiffness=guess, length=length.value, stretch=fit.stretch,
+                      relaxation=(0.0, 0.0))
+        rows = np.concatenate([
+            _equations(still, cup, structure, gravity) for still in standstills])
         of_K, b = rows[:, :-2], rows[:, -2]
         large = structure.sizes(guess, guess)[:structure.size]
         # a change by its size shifts no pose by 1e-3 standard errors
@@ -365,16 +367,16 @@ def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) ->
 
 
 def _equations(
-    still: Standstill, cup_length: float, structure: Structure, gravity: float, stiffness: Array
+    still: Standstill, cup: Cup, structure: Structure, gravity: float
 ) -> Array:
     """
     Return [A, b, g] (6, n + 2) of b = A k + g dl, in standard errors of the mean pose.
 
     Coordinates are of the lip; k are the n free entries of K, dl is the error of the length, m. A
-    guess of K (6, 6) converts errors of poses to errors of wrenches.
+    cup with a guess of K converts errors of poses to errors of wrenches.
     """
-    x = structure.parameters(stiffness, stiffness)
-    cup = gripper_of(Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)
+    x = structure.parameters(cup.stiffness, cup.stiffness)
+    cup = gripper_of(replace(cup, stiffness=structure.matrices(x)[0]), structure.places)
     model = model_tuple(cup, still.payload, gravity)
     tool, body = _state(still.tool), _state(still.package)
     for _ in range(6):

@@ -225,7 +225,7 @@ def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
 
 def safety_sentence(factor: float, mode: str, time: float, std: float, required: float) -> str:
     """Return a sentence about a safety factor that is too small, else ''."""
-    if factor >= 1.0 and factor - 2.0 * std >= required:
+    if math.isinf(factor) or (factor >= 1.0 and factor - 2.0 * std >= required):
         return ''
     sigma, less = (f' ± {std:.2g}', ' less two standard deviations') if std > 0.0 else ('', '')
     finding = ': the cup lets go' if factor < 1.0 else (

@@ -104,6 +104,19 @@ def test_a_wrong_spring_is_off_where_it_is_loaded(tilted, axis, wrong):
     assert [n for n, verdict in enumerate(verdicts) if verdict == 'off'] == wrong
 
 
+def test_standstills_of_a_cup_that_stiffens_confirm_its_stretch():
+    """Check and joint fit use the coefficients of the cup, and contradict a linear spring."""
+    stretchy = replace(simulated.CUP, stretch=(-1.5e5, -40.0))
+    found = standstills_of(simulated.record(
+        simulated.standstills(TILTS, hold=3.5), stretchy, **NOISE))[0]
+    for cup, agrees in ((stretchy, True), (simulated.CUP, False)):
+        off = [statics.is_off(check_pose(cup, still, G)) for still in found]
+        assert any(off) != agrees
+        fit = replace(moving(3), stretch=cup.stretch)
+        joined = statics.joined_with_standstills(fit, found, length(), G, simulated.CUP)
+        assert (joined.standstills.chi2 < 4.0) == agrees
+
+
 def test_a_cup_that_cannot_hold_a_pose_is_said_to_fall():
     """Put the package on top of a cup that is too soft to keep it there."""
     K = simulated.CUP.stiffness * np.diag([1, 1, 1, 0.01, 0.01, 1])
@@ -231,7 +244,7 @@ def test_standstills_narrow_the_errors_and_do_not_shift_the_result():
     for seed in range(6):
         fit = moving(10 + seed)
         joined = statics.joined_with_standstills(
-            fit, resting(seed), length(), G, simulated.CUP.stiffness)
+            fit, resting(seed), length(), G, simulated.CUP)
         for name, found in (('alone', fit), ('joined', joined)):
             x = ROUND.parameters(found.stiffness, found.damping)
             off[name].append((x - TRUTH) / TRUTH)
@@ -251,13 +264,14 @@ def test_what_no_motion_tells_standstills_do():
     fit = simulated.without(moving(3), ['K z', 'P z'])
     assert np.isinf(fit.stiffness_std[2, 2])
     joined = statics.joined_with_standstills(
-        fit, resting(4), length(), G, 1.4 * simulated.CUP.stiffness)
+        fit, resting(4), length(), G,
+        replace(simulated.CUP, stiffness=1.4 * simulated.CUP.stiffness))
     assert np.isfinite(joined.stiffness_std[2, 2]) and np.isinf(joined.damping_std[2, 2])
     assert joined.standstills.narrowed[1] == 0.0
     assert abs(joined.stiffness[2, 2] / TRUTH[1] - 1.0) < 0.01
     assert joined.damping[2, 2] == fit.damping[2, 2]
     uncertain = statics.joined_with_standstills(
-        fit, resting(4), length(1e-4), G, simulated.CUP.stiffness)
+        fit, resting(4), length(1e-4), G, simulated.CUP)
     # all standstills are of one mass: the error of l0 is that of the stretch, m g / k
     stretch = simulated.HELD.mass * G / TRUTH[1]
     assert_allclose(uncertain.stiffness_std[2, 2] / TRUTH[1], 1e-4 / stretch, rtol=0.25)
@@ -267,7 +281,7 @@ def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
     """Say the load was 20 % more than it was."""
     heavy = replace(simulated.HELD, mass=1.2 * simulated.HELD.mass)
     fit, heavier = moving(7), [replace(still, payload=heavy) for still in resting(0)]
-    joined = statics.joined_with_standstills(fit, heavier, length(), G, simulated.CUP.stiffness)
+    joined = statics.joined_with_standstills(fit, heavier, length(), G, simulated.CUP)
     assert joined.standstills.chi2 > 100.0
     assert 'static recordings and the motion disagree' in joined.warnings[-1]
     # the motion knows its own stiffness better than 20 %
