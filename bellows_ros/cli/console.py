@@ -20,8 +20,9 @@ import time
 import traceback
 from types import FrameType
 from typing import Any, TextIO
+import warnings
 
-from bellows_ros.errors import BellowsError, CRASHED, NotSetError, shown
+from bellows_ros.errors import BellowsError, CRASHED, NotSetError, shown, UnitWarning
 from bellows_ros.version import __version__
 
 # Exit codes.
@@ -68,6 +69,8 @@ class Console:
     ----------
     final_warnings : list of str
         Warnings printed after the work.
+    asked : list of str
+        Printed questions about numbers of package and cup.
     progress : Progress
         Progress of the work, on stderr.
 
@@ -78,6 +81,7 @@ class Console:
         self._out, self._err, self._signals = out, err, signals
         self._gap = self._begun = False
         self.final_warnings: list[str] = []
+        self.asked: list[str] = []
         self.progress = Progress(self, err)
 
     def keep_stdout_free(self) -> None:
@@ -122,10 +126,28 @@ class Console:
         self.line()
 
     def warn(self, *texts: str) -> None:
-        """Print warnings."""
+        """Print warnings, except questions that have been asked."""
         for text in texts:
-            for line in _wrapped(f'Warning: {text}', '', '  '):
+            for line in () if text in self.asked else _wrapped(f'Warning: {text}', '', '  '):
                 self._write_error(self._styled(self._err, printable(line), 'yellow'))
+
+    @contextmanager
+    def asking(self) -> Iterator[None]:
+        """Print each question about a package or a cup once, as soon as one is made of values."""
+        show = warnings.showwarning
+
+        def ask(message: Any, category: type[Warning], *more: Any, **options: Any) -> None:
+            if category is not UnitWarning:
+                show(message, category, *more, **options)
+            elif str(message) not in self.asked:
+                self.progress.clear()
+                self.warn(str(message))
+                self.asked.append(str(message))
+
+        with warnings.catch_warnings():
+            warnings.simplefilter('always', UnitWarning)
+            warnings.showwarning = ask
+            yield
 
     def note(self, text: str) -> None:
         """Print a note that is not part of the result."""
@@ -183,12 +205,16 @@ class Progress:
         self._stream.write(CLEAR_LINE + printable(shown)[:width])
         self._stream.flush()
 
-    def __exit__(self, *_: object) -> None:
+    def clear(self) -> None:
         """Clear the line on the terminal."""
         if self._shown and self._stage:
             self._stream.write(CLEAR_LINE)
             self._stream.flush()
         self._stage = ''
+
+    def __exit__(self, *_: object) -> None:
+        """End the work."""
+        self.clear()
 
 
 def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:

@@ -14,7 +14,6 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     """Write the model, and list the limitations of the format."""
     values = options.read_settings(arguments, cup_for=console)
     settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
-    console.final_warnings += checks.implausible(settings)
     cup, package = conversion.cup_of(settings), conversion.package_of(settings)
     target = exports.TARGETS[arguments.to]
     x, y, z = conversion.gravity_of(settings).tolist()

@@ -55,7 +55,7 @@ def run_command(arguments: argparse.Namespace, console: Console) -> int:
     console.warn(*_hard_links(arguments))
     require_drawable(arguments)
     command = importlib.import_module(f'{__package__}.{arguments.command.replace("-", "_")}')
-    with console.progress:
+    with console.progress, console.asking():
         done: Outcome = command.run(arguments, console)
         if done.draw:
             from bellows_ros.plots import style
@@ -63,8 +63,10 @@ def run_command(arguments: argparse.Namespace, console: Console) -> int:
             style.write_figure(done.draw, done.result.plot())
         if getattr(arguments, 'json', None):
             content = done.content or {**results.plain(done.result), 'version': __version__}
-            more = {} if done.inputs is None else {
+            more: dict[str, Any] = {} if done.inputs is None else {
                 'provenance': results.provenance(done.inputs, arguments.params)}
+            if console.asked and 'warnings' in content:
+                more = {'warnings': [*dict.fromkeys((*console.asked, *content['warnings']))], **more}
             results.write_json(arguments.json, {**content, **more})
     written = [value for key, value in sorted(
         vars(arguments).items(), key=lambda item: item[0] == 'out') if isinstance(value, Output)]

@@ -7,13 +7,16 @@ a traceback and end with 2.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 import importlib.util
 from itertools import pairwise, takewhile
+import json
 import os
 from pathlib import Path
 from pkgutil import resolve_name
 import signal
 import sys
+import tempfile
 import textwrap
 import tomllib
 import traceback
@@ -195,13 +198,43 @@ def _initialise(argv: Sequence[str]) -> None:
         if flag == '--params-file' and not Path(file).is_file():
             raise BellowsError(f"Parameter file '{file}' does not exist.")
     try:
-        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+        with tempfile.TemporaryDirectory() as folder:
+            rclpy.init(args=[_in_doubles(before, each, Path(folder))
+                             for before, each in pairwise(('', *argv))],
+                       signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # base class of all errors of rcl
         why = str(error).partition(', at /')[0].rstrip('.').removeprefix(
             'failed to initialize rcl: ')
-        hint = ' Write every number of a list as 2.0, not 2.' if 'of same type' in why else ''
         raise BellowsError(
-            f'ROS cannot start with these arguments: {shown(why, 400)}.{hint}') from None
+            f'ROS cannot start with these arguments: {shown(why, 400)}.') from None
+
+
+def _in_doubles(option: str, argument: str, folder: Path) -> str:
+    """Return an argument for ROS; lists of integers and doubles, also in its file, in doubles."""
+    from ..files.safe_yaml import load
+
+    name, _, value = argument.partition(':=')
+    is_list = option in ('-p', '--param') and value.startswith('[')
+    if not (is_list or option == '--params-file'):
+        return argument
+    copy = folder / f'{len(os.listdir(folder))}.yaml'
+    with suppress(BellowsError):  # of a fault that ROS names
+        if is_list:
+            copy.write_text(f'value: {value}')
+        content = load(copy if is_list else Path(argument))
+        if _make_doubles(content):
+            copy.write_text(json.dumps(content))
+            return f'{name}:={json.dumps(content["value"])}' if is_list else str(copy)
+    return argument
+
+
+def _make_doubles(content: Any) -> bool:
+    """Convert lists of integers and doubles to doubles; return whether there are any."""
+    if isinstance(content, list) and set(map(type, content)) == {int, float}:
+        content[:] = map(float, content)
+        return True
+    inner = content.values() if isinstance(content, dict) else ()
+    return sum(map(_make_doubles, inner)) > 0
 
 
 def predictor() -> int:

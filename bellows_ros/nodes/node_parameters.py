@@ -1,6 +1,6 @@
 """Declare the parameters of a node from the table, and change them live, all or nothing."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from rcl_interfaces import msg as interfaces
@@ -63,6 +63,8 @@ class TableNode(GuardedNode):
     ----------
     values : dict
         All values in the form of core; replaced as a whole by changes.
+    doubts : tuple of str
+        Questions about unlikely values.
     overridden : frozenset of str
         Names set by a file or the command line.
 
@@ -93,7 +95,7 @@ class TableNode(GuardedNode):
             required = [p.name for p in table.parameters_for(user) if p.default is None]
             self.values: Values = checks.resolve(
                 overridden, () if overridden.get('package.files') else required)
-            self.check_values(self.values)
+            self.doubts = self.check_values(self.values)
             for name, value in self.values.items():
                 if name not in results and user in table.lookup(name).used_by:
                     self.declare_from_table(name, value)
@@ -102,11 +104,12 @@ class TableNode(GuardedNode):
             raise
         self._parameter_service = AtomicParameterService(self)
 
-    def check_values(self, values: Values) -> None:
-        """Raise BellowsError if individually valid values contradict each other."""
+    def check_values(self, values: Values) -> tuple[str, ...]:
+        """Return doubts about values; raise BellowsError if valid values contradict each other."""
+        return ()
 
-    def on_values(self, names: list[str]) -> None:
-        """Apply new `values`; called after the named parameters have been set."""
+    def on_values(self, before: Mapping[str, object]) -> None:
+        """Apply new `values`; called with the previous values of the parameters that were set."""
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """
@@ -134,23 +137,23 @@ class TableNode(GuardedNode):
     def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult:
         """Set all parameters or none, and return the reason."""
         now = {p.name: self.get_parameter_or(p.name, Parameter(p.name)) for p in parameters}
-        changing = [p for p in map(_as_double, parameters) if not self.has_parameter(p.name) or (
-            now[p.name].get_parameter_value() != p.get_parameter_value())]
-        if not changing:
-            return SetParametersResult(successful=True)
-        ours = {p.name: p.value for p in changing if _is_ours(p)}
-        previous = self.values
+        changing, previous = list[Parameter](), self.values
         try:
-            if not all(p.name for p in changing):
-                raise BellowsError(
-                    "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
-            new = previous.replaced(
-                {name: checks.validate(name, ours[name]) for name in ours})
-            self.check_values(new)  # before rclpy, whose messages are shorter
+            changing = [p for p in map(_checked, parameters) if not self.has_parameter(p.name) or (
+                now[p.name].get_parameter_value() != p.get_parameter_value())]
+            if not changing:
+                return SetParametersResult(successful=True)
+            ours = {p.name: checks.validate(p.name, p.value) for p in changing if _is_ours(p)}
+            new = previous.replaced(ours)
+            doubts = self.check_values(new)  # before rclpy, whose messages are shorter
             result = super().set_parameters_atomically(changing)
             if result.successful and ours:
                 self.values = new
-                self.on_values(list(ours))
+                self.on_values({name: previous.get(name) for name in ours})
+                result.reason = ' '.join(set(doubts) - set(self.doubts))
+                self.doubts = doubts
+                if result.reason:
+                    self.get_logger().warning(result.reason)
             return result
         except ParameterNotDeclaredException:
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]
@@ -159,7 +162,7 @@ class TableNode(GuardedNode):
             if self.values != previous:
                 self.values = previous
                 super().set_parameters_atomically([now[p.name] for p in changing])
-                self.on_values(list(ours))
+                self.on_values(ours)
             if not isinstance(error, BellowsError):
                 self.note_failure(error)
             return _refused(str(error))
@@ -230,14 +233,11 @@ def _why_unknown(name: str, node: str) -> str:
     return f"The node '{node}' has no parameter '{name}': it belongs to the {users[0]}."
 
 
-def _as_double(parameter: Parameter) -> Parameter:
-    """Return a parameter with integers, or an empty list, as doubles if doubles are expected."""
-    if not (_is_ours(parameter) and table.lookup(parameter.name).kind.startswith('double')):
-        return parameter
-    kind, value = parameter.type_, parameter.value
-    if kind.name.endswith('_ARRAY') and not value:  # an empty list is sent as bytes
-        return ros_parameter(parameter.name, [])
-    if kind not in (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY):
-        return parameter
-    doubles = float(value) if kind == Parameter.Type.INTEGER else [float(x) for x in value]
-    return ros_parameter(parameter.name, doubles)
+def _checked(parameter: Parameter) -> Parameter:
+    """Return a parameter in the form of the table, with the type of its declaration."""
+    if not parameter.name:
+        raise BellowsError(
+            "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
+    return ros_parameter(
+        parameter.name, checks.validate(parameter.name, parameter.value)
+    ) if _is_ours(parameter) else parameter

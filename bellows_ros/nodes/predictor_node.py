@@ -1,6 +1,6 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 import time
 from typing import Any
 
@@ -210,7 +210,7 @@ class PredictorNode(ManagedNode):
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
         log(f'Package of {values.package.mass:g} kg.')
-        for sentence in checks.implausible(values):
+        for sentence in self.doubts:
             self.get_logger().warning(sentence)
         inputs = [each.topic for each in (pipeline.pose_in, pipeline.twist_in) if each]
         if not COMPILED:
@@ -237,21 +237,34 @@ class PredictorNode(ManagedNode):
             response.message = 'Starts from static equilibrium at the next tool pose.'
         return response
 
-    def check_values(self, values: Values) -> None:
-        """Raise for impossible cups and packages, and for settings without effect."""
+    def check_values(self, values: Values) -> tuple[str, ...]:
+        """Raise for impossible cups and packages, and settings without effect; return doubts."""
         name = values.cup.name
         for key in CUP_DEFAULTS if name else ():
             if values[key] != self.values[key]:
                 raise BellowsError(
                     f"{key} has no effect while cup.name is '{name}'. Set "
                     f"cups.{name}.{key.removeprefix('cup.')}, or set cup.name to ''.")
-        check_live(with_chosen_cup(values))
+        chosen = with_chosen_cup(values)
+        check_live(chosen)
+        return checks.implausible(chosen)
 
-    def on_values(self, names: list[str]) -> None:
+    def on_values(self, before: Mapping[str, object]) -> None:
         """Use the new cup and package; the state of motion is kept."""
-        self.get_logger().info(f"Set while running: {', '.join(names)}.")
+        for name, old in before.items():
+            self.get_logger().info(
+                f'Set while running: {name} from {_brief(old)} to {_brief(self.values[name])}.')
         if self.pipeline:
             self.pipeline.use_values()
+
+
+def _brief(value: object) -> str:
+    """Return a value for the log, a matrix by its diagonal."""
+    if not isinstance(value, tuple):
+        return shown(value)
+    step = 7 if len(value) == 36 else 1
+    texts = [f'{x:.6g}' if isinstance(x, float) else shown(x) for x in value[::step]]
+    return f'{"diagonal " * (step > 1)}[{", ".join(texts)}]'
 
 
 LOG_DELAY, LOG_INTERVAL = 5.0, 30.0

@@ -212,7 +212,7 @@ class PlanReport(CommandResult):
         source, prediction = self.source, self.prediction
         safety = NO_FACTOR if prediction.grip is None else safety_sentence(
             *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
-        return (*source.notes, *checks.implausible(source.values), *filter(None, (
+        return (*source.notes, *filter(None, (
             safety, flip_warning(prediction.bending),
             '' if source.begins_at_rest else sentence('planning', 'begins_in_motion'),
             '' if prediction.ends_at_rest else sentence('planning', 'ends_in_motion'),

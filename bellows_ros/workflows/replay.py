@@ -404,7 +404,6 @@ def validated(values: Values, recording: Recording) -> Replay:
         warnings.append(
             'The recording leaves the validity range of the fit: '
             f'{"; ".join(outside[:MAX_LISTED])}{more}. There the errors say little about the fit.')
-    warnings += checks.implausible(values)
     if is_worse:
         warnings += _mass_hint(values, recording)
     return Replay(recording.name, values, recording, validation, tuple(warnings))

@@ -17,7 +17,7 @@ from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
 from bellows_ros.core.parameters import conversion
-from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, levelling
@@ -149,7 +149,7 @@ def simulate_recording(
     return SimulationReport(
         bag, truth_file, recipe.motion.duration,
         {messages.topic: len(messages.stamps_ns) for messages in recorded}, _events(recipe, plans),
-        angle, worst, (*implausible(values), *warnings), _smallest_margin(values, truth, recipe),
+        angle, worst, warnings, _smallest_margin(values, truth, recipe),
         truth.tosses)
 
 

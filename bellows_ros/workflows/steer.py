@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.cup_package import mean_square
-from bellows_ros.core.parameters.checks import implausible, Settings
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.parameters.conversion import parameter_std, uncertain_of
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands, Limits, NO_LIMIT, read_rates, stretched
@@ -102,7 +102,7 @@ class SteerReport(CommandResult):
         is_short = steered.residual <= SETTLED_ANGLE
         shaping = {'zv': 'shaped_less', self.method: 'shaped', 'inverse': ''}.get(
             steered.method, 'unchanged' if is_short else 'unchanged_too_long')
-        return (*self.source.notes, *implausible(self.source.values), *(
+        return (*self.source.notes, *(
             sentence('planning', code, duration=steered.smoothed, scale=self.time_scale,
                      limit=self.limit, method=steered.method, modes=len(steered.modes),
                      residual=steered.residual, allowed=allowed)

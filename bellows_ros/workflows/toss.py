@@ -140,7 +140,7 @@ class TossResult(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        warnings = [*self.source.notes, *checks.implausible(self.source.values)]
+        warnings = [*self.source.notes]
         held, values = self.case.held, self.source.values
         lost_at = held.lost_before(self.case.switched)
         if lost_at is not None:

@@ -5,7 +5,7 @@ import time
 
 from bellows_ros.core.live import flight
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.parameters.table import parameters_for
+from bellows_ros.core.parameters.table import ANY_LENGTH, parameters_for
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.nodes import pipeline
@@ -139,7 +139,7 @@ def test_a_cup_of_a_gripper_is_opened_and_closed_live(node, caller):
 
 
 @pytest.mark.parametrize(('name', 'value', 'named'), [
-    ('', 1.0, ''), ('package.com', '[0, 0, -0.05]', '0.0, not 0'),
+    ('', 1.0, ''), ('package.com', '[0, 0, x]', "the text '[0, 0, x]'"),
     ('package.mass', '2,5', "the text '2,5'"), ('cup.name', 'a\x1b[31mb', r"'a\x1b[31mb'"),
     ('x\x1b[31m\n', 1.0, r"'x\x1b[31m\n'")])
 def test_what_is_wrong_with_a_value_is_named(name, value, named, node, caller):
@@ -150,6 +150,33 @@ def test_what_is_wrong_with_a_value_is_named(name, value, named, node, caller):
         assert not result.successful
         assert named in result.reason and result.reason.isprintable()
     assert node.values is before
+
+
+@pytest.mark.parametrize('kind', range(5, 10))
+def test_an_empty_list_is_refused_for_all_but_lists_of_any_length(kind, node, caller):
+    """Answer for each parameter and type of list, since a tool sends an empty one as bytes."""
+    names = [p.name for p in parameters_for('predictor') if p.length != ANY_LENGTH
+             and p.kind != 'string_array' and not p.read_only]
+    results = caller.set_one_by_one([
+        ParameterMessage(name=name, value=ParameterValue(type=kind)) for name in names])
+    assert len(names) > 60 and not any(result.successful for result in results)
+    assert all(name in result.reason for name, result in zip(names, results, strict=True))
+    assert not node.failures
+
+
+def test_a_list_of_integers_and_doubles_is_set_as_on_the_command_line(node, caller):
+    """`ros2 param set` sends it as a text."""
+    assert caller.set_parameters(package__com='[0.01, 0, -0.05]') == [(True, '')]
+    assert node.values.package.com == (0.01, 0.0, -0.05)
+
+
+def test_doubts_are_answered_and_logged_with_both_values(node, caller, capfd):
+    """Accept an unlikely value with a question, once."""
+    results = caller.set_parameters(package__com=[0.0, 0.0, 0.03])
+    assert results[0][0] and 'Is it -0.03?' in results[0][1]
+    assert caller.set_parameters(coast__limit=0.3) == [(True, '')]
+    log = capfd.readouterr().err
+    assert 'package.com from [0, 0, -0.03] to [0, 0, 0.03]' in log and 'Is it -0.03?' in log
 
 
 def test_malformed_requests_are_answered(node, caller):

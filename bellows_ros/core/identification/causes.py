@@ -43,6 +43,9 @@ NONE = np.empty(0)
 MAX_LIP_DEPTH = 0.3
 """Largest distance of a lip below its tool, m; beyond, tool and package are in two worlds."""
 
+MIN_UP = 0.01
+"""Least change of the lip's depth by the other sign of z of a centre of mass, m."""
+
 MIN_LENGTH_OFFSET = 0.02
 """Smallest error of cup.length detected without a fit, m. The lip must also be nearer by half of
 the length, or farther by all of it, more than by any weight."""
@@ -218,6 +221,10 @@ def wrong_length(recording: Recording, length: float) -> Finding | None:
     offset, com = float(depth) - length, np.linalg.norm(recording.payload.com)
     if abs(abs(offset) - com) < 0.5 * com:  # poses of the lip instead of the com, or vice versa
         return None
+    up = 2.0 * float(recording.payload.com[2])
+    if up > MIN_UP and abs(offset - up) < 0.5 * abs(offset):
+        sentence, *_ = structure.unit_doubts(1.0, (1e-2,) * 3, 0.5 * up)
+        return Finding('com', '', instead='length', is_fact=True, sentence=sentence)
     if abs(offset) < MIN_LENGTH_OFFSET + length * (1.0 if offset > 0.0 else 0.5) or (
             depth > MAX_LIP_DEPTH or np.hypot(x, y) + conventions.spread(below) > abs(offset)):
         return None

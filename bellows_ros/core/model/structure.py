@@ -447,6 +447,12 @@ MAX_MASS = 50.0
 GYRATION = (0.01, 0.3, 1.0)
 """Radii of gyration of packages: smallest, largest usual and largest plausible, m."""
 
+SOFT, MAX_PLAUSIBLE_LENGTH = 30.0, 0.3
+"""Smallest plausible stiffness in translation, N/m, and largest plausible length of a cup, m."""
+
+LEVER = (1e-3, 0.5)
+"""Plausible lever arms at which a cup's translational stiffness is its rotational one, m."""
+
 INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 """Other units of moments of inertia, and their number in 1 kg m^2."""
 
@@ -487,6 +493,26 @@ def unit_doubts(
             f'{GYRATION[-1]:g} m. Is it in {unit_of_inertia(gyration)} instead of kg m^2?')
     elif doubt := too_dense(mass, gyration):
         doubts.append(doubt)
+    return tuple(doubts)
+
+
+def cup_doubts(stiffness: Array, length: float) -> tuple[str, ...]:
+    """Return a question for each number of a cup, K (6, 6) and length (m), of unlikely size."""
+    diagonal = np.diag(stiffness)
+    least, radius = float(diagonal[:3].min()), float(np.sqrt(
+        diagonal[3:].max() / max(diagonal[:3].max(), 1e-12)))
+    doubts = []
+    if least < SOFT:
+        doubts.append(
+            f'cup.stiffness has {least:g} N/m in translation; cups of this kind have at least '
+            f'{SOFT:g} N/m. Is it in N/mm?')
+    elif not LEVER[0] <= radius <= LEVER[1]:
+        doubts.append(
+            f'cup.stiffness in rotation is that of a spring in translation at {radius:.3g} m from '
+            f'the axis; expected {LEVER[0]:g} to {LEVER[1]:g} m. Are both in N/m and N m/rad?')
+    if length > MAX_PLAUSIBLE_LENGTH:
+        doubts.append(f'cup.length is {length:g} m; cups of this kind have up to '
+                      f'{MAX_PLAUSIBLE_LENGTH:g} m. Is it in another unit?')
     return tuple(doubts)
 
 

@@ -2,8 +2,10 @@
 
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 import difflib
 import math
+import re
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
@@ -64,8 +66,8 @@ def validate(name: str, value: object) -> Value:
 
     """
     parameter = table.lookup(name)
-    if isinstance(value, np.ndarray):
-        value = value.ravel().tolist()
+    if isinstance(value, np.ndarray | array):
+        value = np.ravel(value).tolist()
     if name in POSE_PARAMETERS:
         value = _world_text(parameter, value, name == POSE_PARAMETERS[0])
     normal = convert(parameter, value)
@@ -119,9 +121,10 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
 
 
 def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a sentence for each allowed but unlikely value of the package."""
-    return structure.unit_doubts(
-        values['package.mass'], values['package.inertia'][:3], values['package.com'][2])
+    """Return a sentence for each allowed but unlikely value of the package or the cup."""
+    return (*structure.unit_doubts(
+        values['package.mass'], values['package.inertia'][:3], values['package.com'][2]),
+        *structure.cup_doubts(structure.matrix(values['cup.stiffness']), values['cup.length']))
 
 
 def pose_text(pose: Array) -> str:
@@ -187,10 +190,11 @@ def _items(parameter: Parameter, value: object) -> list[object]:
         return list(value.tolist())
     if isinstance(value, list | tuple | array):
         return list(value)
-    if isinstance(value, str):  # a list of 0 and 0.5 by `ros2 param set`
-        numbers = parameter.kind == 'double_array'
-        hint = '. Write every number with a decimal point: 0.0, not 0' if numbers else ''
-        raise _refuse(parameter, f"the text '{shown(value)}'{hint}")
+    if isinstance(value, str):
+        with suppress(ValueError):  # a list of 0 and 0.5 by `ros2 param set`
+            if parameter.kind == 'double_array' and re.fullmatch(r'\s*\[.*\]\s*', value):
+                return [float(part) for part in value.strip('[] ').split(',')]
+        raise _refuse(parameter, f"the text '{shown(value)}'")
     raise _refuse(parameter, shown(value))
 
 

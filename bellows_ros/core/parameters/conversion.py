@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 import math
 from typing import Any
+import warnings
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
@@ -14,7 +15,7 @@ from bellows_ros.core.model.pseudo_inertia import flatness, nearest
 from bellows_ros.core.model.structure import matrix, Structure, UPPER
 from bellows_ros.core.model.validity_range import Envelope, RANGE_PARAMETERS
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnitWarning
 import numpy as np
 
 STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
@@ -42,6 +43,8 @@ def one_cup_of(values: Values) -> Cup:
     a, b = values.get('cup.stretch', (0.0, 0.0))
     ends = [values.get(f'envelope.deflection_{end}', np.zeros(6))[2] for end in ('low', 'high')]
     structure.require_stretch(stiffness, (a, b), *(ends if any(ends) else ()))
+    for doubt in structure.cup_doubts(stiffness, values.cup.length):
+        warnings.warn(doubt, UnitWarning, stacklevel=2)
     return Cup(
         stiffness, structure.matrix(values.cup.damping),
         length=values.cup.length,
