@@ -66,7 +66,7 @@ def run_command(arguments: argparse.Namespace, console: Console) -> int:
             more: dict[str, Any] = {} if done.inputs is None else {
                 'provenance': results.provenance(done.inputs, arguments.params)}
             if console.asked and 'warnings' in content:
-                more = {'warnings': [*dict.fromkeys((*console.asked, *content['warnings']))], **more}
+                more['warnings'] = [*dict.fromkeys((*console.asked, *content['warnings']))]
             results.write_json(arguments.json, {**content, **more})
     written = [value for key, value in sorted(
         vars(arguments).items(), key=lambda item: item[0] == 'out') if isinstance(value, Output)]

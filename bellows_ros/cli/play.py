@@ -4,11 +4,14 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
+from bellows_ros.core.parameters.checks import RECORDING_PARAMETERS, resolve
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.signals.residuals import compare_recorded
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_messages
 from bellows_ros.files.results import with_units
 from bellows_ros.nodes.command import require_ros
-from bellows_ros.workflows.recordings import interval_masks
+from bellows_ros.workflows.recordings import interval_masks, load
 import numpy as np
 
 from . import options
@@ -33,9 +36,29 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     messages = [messages[k] for k in np.flatnonzero(chosen)]
     names = {m.topic.name: m.topic.name for m in messages} | renamed
     console.warn(*notes)
+    recorded = load(arguments.bag, resolve(
+        options.read_settings(arguments), RECORDING_PARAMETERS)) if arguments.plot else None
     played = play(messages, names, arguments.rate, arguments.clock, console.progress)
-    return options.Outcome(
-        played, content=with_units({'bag': str(arguments.bag), **played._asdict()}))
+    if recorded:
+        _draw(arguments.plot, recorded, played)
+    return options.Outcome(played, content=with_units({
+        'bag': str(arguments.bag), 'messages': played.messages, 'duration': played.duration,
+        'has_subscriber': played.has_subscriber}))
+
+
+def _draw(file: str, recorded: Recording, played: 'Played') -> None:
+    """Draw the poses that the predictor answered, and the recorded ones of the package."""
+    from bellows_ros.plots import pictures, style
+
+    if played.predicted is None:
+        raise BellowsError(
+            'No poses came on package/pose, so there is nothing to draw. Start the predictor '
+            'first, in the same ROS_DOMAIN_ID, and see its log.')
+    compared = compare_recorded(
+        played.predicted, recorded.measured_tool, recorded.measured_package)
+    style.write_figure(file, pictures.prediction_figure(
+        recorded.since_start(compared.stamps_ns), compared,
+        'Package: predicted live, and measured', f'relative to the tool; {recorded.name}'))
 
 
 def print_result(played: 'Played', console: Console) -> None:

@@ -5,7 +5,7 @@ Play recorded poses and twists to ROS in time, with rclpy but without `ros2 bag`
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 import importlib
 from itertools import count
@@ -119,11 +119,26 @@ def _player(
 
 
 class Played(NamedTuple):
-    """The number of messages by topic, the duration (s), and whether there was a subscriber."""
+    """
+    What was played, and what a predictor answered.
+
+    Parameters
+    ----------
+    messages : mapping of str to int
+        Number of messages by topic.
+    duration : float
+        Duration, s.
+    has_subscriber : bool
+        Whether there was a subscriber at the start.
+    predicted : Trajectory or None
+        Poses received on package/pose, if there are at least two.
+
+    """
 
     messages: Mapping[str, int]
     duration: float
     has_subscriber: bool
+    predicted: Trajectory | None
 
 
 def play(
@@ -149,7 +164,13 @@ def play(
     """
     with _player('bellows_player', messages, names) as player:
         clock_out = player.node.create_publisher(Clock, '/clock', QUEUE_LENGTH) if clock else None
-        clock_ns = 0
+        clock_ns, answers = 0, dict[bytes, bytes]()
+
+        def receive(data: bytes) -> None:
+            answers.setdefault(data[STAMP], data)
+
+        player.node.create_subscription(
+            PoseStamped, 'package/pose', receive, QUEUE_LENGTH, raw=True)
 
         def tell_time(_: str, message: Message) -> None:
             nonlocal clock_ns
@@ -165,7 +186,20 @@ def play(
         player.send_all(progress, tell_time, rate)
         for each in outlets:  # a message in transit is lost if its topic vanishes
             each.wait_for_all_acked(Duration(seconds=TIMEOUT))
-        return Played(player.counts, player.duration / rate, has_subscriber)
+        count = -1
+        while answers and count != len(answers):  # until no more follow
+            count = len(answers)
+            player.spin_until(lambda: False, 0.3)
+        return Played(player.counts, player.duration / rate, has_subscriber,
+                      _trajectory(answers.values()) if len(answers) > 1 else None)
+
+
+def _trajectory(data: Iterable[bytes]) -> Trajectory:
+    """Return poses of the package in the world from messages, in the order of their stamps."""
+    stamps_ns, _, numbers = zip(*sorted(map(reader(PoseStamped), data)), strict=True)
+    poses = np.array(numbers)
+    return Trajectory(
+        np.array(stamps_ns), poses[:, :3], quaternion_to_rotation(poses[:, 3:]))
 
 
 class Exchange(NamedTuple):
@@ -234,11 +268,8 @@ def converse(
     if not answered:
         raise BellowsError('The predictor did not answer. See its log.')
     arrived_ns, data, poses_ns = zip(*answered, strict=True)
-    stamps_ns, _, numbers = zip(*map(reader(PoseStamped), data), strict=True)
-    poses = np.array(numbers)
-    return Exchange(player.counts, Trajectory(
-        np.array(stamps_ns), poses[:, :3], quaternion_to_rotation(poses[:, 3:])),
-        np.subtract(arrived_ns, poses_ns) / NS_PER_S)
+    return Exchange(player.counts, _trajectory(data),
+                    np.subtract(arrived_ns, poses_ns) / NS_PER_S)
 
 
 def _connect(

@@ -36,7 +36,7 @@ from .outputs import Outputs, Predicting, QUEUE, Topic, Tossing
 from .planning import Planning
 from ..core.geometry.jit import compile_aside, COMPILED
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import flight, LivePredictor, Prediction, uncertainty, warm_up
+from ..core.live import flight, LivePredictor, load, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import model_tuple
 from ..core.model.kernels import ModelTuple
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
@@ -252,7 +252,7 @@ class Pipeline(Predicting):
             alarm, now_ns = self.live.alarm, time.monotonic_ns()
             self.outputs.publish_state(
                 f'alarm: {alarm.cause}' if alarm else self.live.phase(now_ns),
-                self.live.is_ok_at(now_ns))
+                abs(self.pose_in.age) <= health.MAX_AGE and self.live.is_ok_at(now_ns))
 
     # ------------------------------------------------------------- parameters
 
@@ -331,6 +331,8 @@ class SensorInput:
     ----------
     topic : str
         Full name.
+    age : float
+        Arrival minus stamp of the newest message on the node's clock, s; NaN without a stamp.
 
     """
 
@@ -339,7 +341,7 @@ class SensorInput:
         on_publishers: Callable[[int], None] | None = None, qos: QoSProfile | None = None,
     ) -> None:
         self._node, self._type = node, type_name(kind)
-        self.arrivals = health.Arrivals()
+        self.arrivals, self.age = health.Arrivals(), math.nan
         self._refused: Mapping[str, int] = {}
         self._subscription = node.create_subscription(
             kind, topic, callback,
@@ -359,8 +361,8 @@ class SensorInput:
             self._clock = self._node.get_clock()
             self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
         now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
-        age = math.nan if stamp_ns is None else (now_ns - stamp_ns) / NS_PER_S
-        self.arrivals.add(arrival_ns, age)
+        self.age = math.nan if stamp_ns is None else (now_ns - stamp_ns) / NS_PER_S
+        self.arrivals.add(arrival_ns, self.age)
         return arrival_ns
 
     def report(self, refused: Mapping[str, int]) -> health.InputReport:
@@ -377,11 +379,15 @@ class SensorInput:
 
     def _mismatch(self, publishers: int) -> str:
         """Return the reason why a publisher is incompatible, if any."""
-        if self._subscription.get_publisher_count() >= publishers:
-            return ''
         asked = self._subscription.qos_profile
+        may_miss = self._type == 'std_msgs/msg/Bool' and self.arrivals.last_ns < 0 and (
+            asked.durability == DurabilityPolicy.VOLATILE)
+        if not may_miss and self._subscription.get_publisher_count() >= publishers:
+            return ''
         for other in self._node.get_publishers_info_by_topic(self.topic):
             offered = other.qos_profile
+            if may_miss and offered.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+                return self._sentence('latched', '')
             if other.topic_type != self._type:
                 return self._sentence('type', other.topic_type)
             for name, mismatch in (
@@ -481,7 +487,9 @@ class Attachment:
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
             node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
-        self._refused = {'nan': 0, 'negative': 0, 'no_such_cup': 0}
+        self._refused = dict.fromkeys((
+            'nan', 'gauge', 'not_absolute', *(unit for unit, *_ in load.AMBIENT_IN),
+            'no_such_cup'), 0)
         self.signal = None if self._kind == 'none' else SensorInput(node, *{
             'bool': (Bool, 'vacuum/held', self._on_held),
             'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[self._kind])
@@ -516,6 +524,11 @@ class Attachment:
             live.on_pressure, message.fluid_pressure, message.header.frame_id)
         if rejected:
             self._refused[rejected] += 1
+            if live.vacuum.fault:
+                self._pipeline.node.get_logger().error(
+                    f'The package counts as not held: {health.REASONS[live.vacuum.fault]}. '
+                    f'{health.say("inputs.pressure", topic=self.signal.topic)}',
+                    throttle_duration_sec=30.0)
         elif live.vacuum.open_cups != opened:
             cups = ', '.join(map(str, live.vacuum.open_cups))
             self._pipeline.node.get_logger().warning(

@@ -209,7 +209,7 @@ def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> 
         (report.mismatch, worst, report.mismatch),
         (not report.publishers, worst, say('inputs.no_vacuum', topic=topic, state=state)),
         (any(report.refused.values()), worst,
-         f'{_refusals(report)}; {state}. Publish the absolute pressure, Pa.'),
+         f'{_refusals(report)}; {state}. {say("inputs.pressure", topic=topic)}'),
         (math.isinf(report.silent), Level.WARN, f'No message on {topic} so far: {state}.'),
         (not (report.messages or latched), worst,
          f'{topic} has been silent for {report.silent:.1f} s: {state}.'),

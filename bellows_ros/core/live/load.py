@@ -18,6 +18,15 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 
+LEAST_ABSOLUTE = 5000.0
+"""Absolute pressure below which no ejector evacuates a cup, Pa."""
+
+AMBIENT_IN = (('in_bar', 0.8, 1.1), ('in_kpa', 80.0, 110.0), ('in_mbar', 800.0, 1100.0))
+"""Units other than Pa, with the range of the ambient pressure in them."""
+
+GLITCHES = 3
+"""Number of consecutive impossible pressures after possible ones that indicate another unit."""
+
 ALL = -1
 """Index of the cup, or of all cups of a gripper together."""
 
@@ -157,6 +166,16 @@ class Load:
         return extremes
 
 
+def why_no_pressure(pressure: float) -> str:
+    """Return the reason why a number is no absolute pressure of a cup in Pa, or ''."""
+    if not math.isfinite(pressure):
+        return 'nan'
+    if pressure < 0.0:
+        return 'gauge'
+    units = (unit for unit, low, high in AMBIENT_IN if low <= pressure <= high)
+    return '' if pressure >= LEAST_ABSOLUTE else next(units, 'not_absolute')
+
+
 class Vacuum:
     """
     Absolute pressures in the cup, or in single cups of a gripper.
@@ -169,11 +188,14 @@ class Vacuum:
         Newest pressure, Pa; with single cups the highest one of the holding cups, or None.
     open_cups : tuple of int
         Cups of cup.layout without vacuum; unchanged if no cup has vacuum.
+    fault : str
+        Reason why the pressures are not absolute ones in Pa, until one shows an open cup; ''.
 
     """
 
     def __init__(self) -> None:
-        self.held = False
+        self.held, self.fault = False, ''
+        self._impossible = GLITCHES - 1  # one is enough before a possible pressure
         self.open_cups: tuple[int, ...] = ()
         self.pressure: float | None = None
         self._pressures: dict[int, float] = {}  # of the holding cups
@@ -191,10 +213,8 @@ class Vacuum:
         cups = len(values.cup.layout) // 3
         of_cup = re.search(r'cup_(\d{1,3})$', frame_id) if cups > 1 else None
         cup = int(of_cup[1]) if of_cup else ALL
-        if not math.isfinite(pressure):
-            return 'nan'
-        if pressure < 0.0:
-            return 'negative'
+        if reason := self._why_rejected(values, pressure):
+            return reason
         if cup >= cups > 1:
             return 'no_such_cup'
         was_held = self.held if cup == ALL else cup in self._pressures
@@ -213,6 +233,21 @@ class Vacuum:
             return ((False, ALL),)
         self.open_cups = tuple(sorted(self._measured - set(self._pressures)))
         return (is_held, cup), (True, ALL)
+
+    def _why_rejected(self, values: Values, pressure: float) -> str:
+        """Return the reason for the rejection of a pressure, or ''; note another unit."""
+        reason = why_no_pressure(pressure)
+        if reason in ('', 'nan'):
+            if not reason and self.fault and pressure > values.vacuum.detach_above:
+                self.fault = ''
+            self._impossible = self._impossible if reason or self.fault else 0
+            return reason or self.fault
+        self._impossible += 1
+        if self._impossible >= GLITCHES:
+            self.fault = self.fault if reason == 'not_absolute' and self.fault else reason
+            self.held, self.pressure = False, None
+            self._pressures.clear()
+        return self.fault or reason
 
 
 def check_live(values: Values) -> None:

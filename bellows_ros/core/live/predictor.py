@@ -64,6 +64,9 @@ ALARM_DURATION_NS = 5_000_000_000
 UNSAFE_DURATION_NS = 1_000_000_000
 """Duration of a false `is_ok` after a safety factor below safety.least, ns."""
 
+PROVEN_NS = 500_000_000
+"""Duration of uninterrupted prediction before `is_ok` is true, ns."""
+
 SEEN_AGAIN = 3
 """Number of used poses that indicate the next package, without vacuum and valve."""
 
@@ -172,6 +175,8 @@ class LivePredictor:
         self.future: Callable[[Prediction, float], ToolRows | None] = lambda now, deviations: None
         self.latest: Prediction | None = None
         self._unsafe_ns, self._moved_ns = -1, -STOPPED_NS
+        self._begun_ns: int | None = None
+        self._trusted_ns = -1
         self._alarms_seen = self._used_at_loss = 0
 
     @classmethod
@@ -259,10 +264,10 @@ class LivePredictor:
     @property
     def is_ok(self) -> bool:
         """
-        Whether the package is held, predicted without an alarm, and gripped safely.
+        Whether the package is held, predicted without an alarm for 0.5 s, and gripped safely.
 
-        It is also False while cup or payload in use deviate from their parameters by more than
-        allowed.
+        It is False with an unknown safety factor or vacuum, and while cup or payload in use
+        deviate from their parameters by more than allowed.
         """
         if self.latest is not None:
             self.watch(self.latest)
@@ -270,10 +275,13 @@ class LivePredictor:
 
     def is_ok_at(self, arrival_ns: int) -> bool:
         """Return `is_ok` at a time on the clock of arrivals."""
-        observer = self.package.observer
+        observer, load, latest = self.package.observer, self.load, self.latest
         return (self.state in ON_CUP and self.alarm is None and not self.is_above
+                and load is not None and load.grip is not None and not self.vacuum.fault
                 and not (observer is not None and observer.departs_from_file)
-                and self.newest_ns >= self._unsafe_ns
+                and self.newest_ns >= max(self._unsafe_ns, self._trusted_ns)
+                and latest is not None and self._begun_ns is not None
+                and latest.stamp_ns - self._begun_ns >= PROVEN_NS
                 and self.phase(arrival_ns) in ('predicting', 'settling'))
 
     @property
@@ -397,6 +405,7 @@ class LivePredictor:
             self._screen.forget_motion()
         else:
             self._screen.reset()
+            self._trusted_ns = -1
             self.pairing.expect = self._twists_expected
             if self.attached and self.state == LOST:
                 self._cycle.grip()
@@ -426,7 +435,7 @@ class LivePredictor:
         elif attached != self.attached:
             self.package.forget()
             self.arrivals.clear()
-        self.attached, self.latest = attached, None
+        self.attached, self.latest, self._begun_ns = attached, None, None
         if is_next and self.package.observer is not None:
             self.package.observer.grip()
         if attached and self.lost_cups:  # the next package may be held by them
@@ -439,6 +448,7 @@ class LivePredictor:
             self.flight.forget()
         self.package.forget(kept)
         self.latest, self._unsafe_ns, self._moved_ns = None, -1, -STOPPED_NS
+        self._begun_ns = None
         self.pairing.clear()
         self.tool.clear()
         self._twist_frame = Frame()
@@ -486,6 +496,8 @@ class LivePredictor:
         opened = self.vacuum.open_cups
         readings = self.vacuum.update(self._given, pressure, frame_id)
         if isinstance(readings, str):
+            if self.vacuum.fault:
+                self.on_vacuum(False, stamp_ns)
             return readings
         for is_held, cup in readings:
             self.on_vacuum(is_held, stamp_ns, cup)
@@ -565,6 +577,10 @@ class LivePredictor:
             raise
         if reason in self._counts:
             self._counts[reason] += 1
+            if reason in ('jump', 'millimetres'):
+                self._begun_ns = None
+            if reason == 'millimetres':
+                self._trusted_ns = stamp_ns + ALARM_DURATION_NS
             return []
         predictions: list[Prediction] = []
         if reason:
@@ -661,7 +677,7 @@ class LivePredictor:
         if prediction is None:
             return []
         self.coasted += 1
-        self.latest = prediction
+        self.latest, self._begun_ns = prediction, None
         return [prediction]
 
     # ------------------------------------------------------------- prediction
@@ -688,11 +704,14 @@ class LivePredictor:
             prediction = self.package.follow(pose.stamp_ns, before, now)
             if self.package.outcome:
                 self.restarts[self.package.outcome] += 1
+                self._begun_ns = None
             if flight is not None and flight.has_size and prediction is not None:
                 prediction = flight.follow(self.model, prediction)
         if prediction is not None:
             self.predictions += 1
             self.latest = prediction
+            if self._begun_ns is None:
+                self._begun_ns = prediction.stamp_ns
         if len(self.alarms) != self._alarms_seen:
             self._note_alarms()
         return prediction

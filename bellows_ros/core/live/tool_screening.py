@@ -14,14 +14,15 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
+from bellows_ros.core.recording.conventions import MAX_MOTION
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen
 from bellows_ros.core.signals.trajectory import NS_PER_S
 
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
-    'future_stamp', 'frame_id', 'repeated_pose', 'jump', 'twist_nan', 'twist_too_fast',
-    'twist_frame_id', 'twist_misses_pose', 'twist_unpaired')
+    'future_stamp', 'frame_id', 'repeated_pose', 'jump', 'millimetres', 'twist_nan',
+    'twist_too_fast', 'twist_frame_id', 'twist_misses_pose', 'twist_unpaired')
 """Reasons for rejecting poses and twists of the tool."""
 
 JUMP_RUN = 5
@@ -307,7 +308,11 @@ class Screen(StampScreen):
             self.suspect = step.jump if step.suspicion > limit else None
             return ''
         self._note_elsewhere(stamp_ns, o, q)
-        return 'moved' if self._elsewhere_run >= JUMP_RUN else 'jump'
+        if self._elsewhere_run >= JUMP_RUN:
+            return 'moved'
+        is_far = t3.norm(o) > MAX_MOTION and (
+            t3.norm(t3.subtract(o, last.position)) > SHIFT_TOLERANCE)
+        return 'millimetres' if is_far else 'jump'
 
     def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
         """Return whether a pose continues the last rejected rather than the last accepted pose."""

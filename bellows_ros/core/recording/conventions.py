@@ -19,6 +19,9 @@ SAMPLES = 300
 MAX_DISTANCE = 2.0
 """Largest distance of a package from the tool, m."""
 
+MAX_MOTION = 20.0
+"""Largest motion of a tool, m: a larger one is in millimetres."""
+
 REACH, MAX_CHANGE = (0.01, 0.5), 0.25
 """Range of the distance of a package on a cup (m), and largest relative variation of this
 distance."""
@@ -83,7 +86,7 @@ def _of_two_worlds(bodies: Sequence[Trajectory]) -> tuple[Convention, Convention
     """Return the conventions with which motions of two bodies agree, each in its world."""
     lengths = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
                for body in bodies]
-    units = [Convention(x > 100.0 * min(lengths) or min(lengths) > 20.0)  # no tool moves 20 m
+    units = [Convention(x > 100.0 * min(lengths) or min(lengths) > MAX_MOTION)
              for x in lengths]
     turns = [[lie.log_so3(R[len(R) // 2].T @ R) for R in (body.rotation, reordered(body.rotation))]
              for body in bodies]  # relative to the middle of the path

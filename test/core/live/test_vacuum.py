@@ -1,0 +1,56 @@
+"""Pressures in other units and of other references: named, and never taken for a held package."""
+
+import math
+
+from bellows_ros import LivePredictor
+from bellows_ros.core.live.load import Vacuum
+import pytest
+
+from .test_cycle import MS, START, UPRIGHT, VALUES
+
+OPEN, HELD = 101_325.0, 41_325.0  # Pa
+
+UNITS = {
+    'in_kpa': lambda p: p / 1e3, 'in_bar': lambda p: p / 1e5, 'in_mbar': lambda p: p / 1e2,
+    'gauge': lambda p: p - OPEN - 1.0, 'not_absolute': lambda p: OPEN - p}
+"""Readings of drivers by absolute pressure, Pa; the last is a positive vacuum."""
+
+
+@pytest.mark.parametrize('unit', UNITS)
+@pytest.mark.parametrize('first', [OPEN, HELD])
+def test_another_unit_is_named_at_an_open_cup_and_never_held_again(unit, first):
+    live = LivePredictor.from_parameters({**VALUES, 'vacuum.signal': 'pressure'})
+    states, reasons = [], []
+    for k in range(900):
+        live.on_pose(START + k * 2 * MS, 'world', (0.0, 0.0, 0.5), UPRIGHT)
+        if k % 10 == 0:
+            pressure = first if k < 300 else OPEN if k < 600 else HELD
+            reasons.append(live.on_pressure(UNITS[unit](pressure), ''))
+        states.append((live.state, live.is_ok))
+    assert not any(is_ok or state in ('gripped', 'held') for state, is_ok in states[350:])
+    assert set(reasons[35:]) == {unit}
+
+
+def test_single_glitches_lose_no_package():
+    live = LivePredictor.from_parameters({**VALUES, 'vacuum.signal': 'pressure'})
+    live.on_pose(START, 'world', (0.0, 0.0, 0.5), UPRIGHT)
+    assert [live.on_pressure(p, '') for p in (OPEN, HELD, 0.0, HELD, -1.0, 0.0, HELD)] == [
+        '', '', 'not_absolute', '', 'gauge', 'not_absolute', '']
+    assert live.state == 'gripped'
+
+
+def test_a_pressure_of_an_open_cup_ends_the_doubt():
+    values, vacuum = LivePredictor.from_parameters(VALUES).values, Vacuum()
+    assert vacuum.update(values, 3000.0, '') == vacuum.update(values, HELD, '') == 'not_absolute'
+    assert vacuum.update(values, OPEN, '') == ((False, -1),)
+    assert vacuum.update(values, HELD, '') == ((True, -1),)
+
+
+def test_poses_in_millimetres_are_named_at_their_first_motion_and_never_ok():
+    live = LivePredictor.from_parameters({**VALUES, 'vacuum.signal': 'none'})
+    oks = []
+    for k in range(3000):
+        x = 450.0 + 100.0 * math.sin(4.0 * k * 2e-3)
+        live.on_pose(START + k * 2 * MS, 'world', (x, -100.0, 600.0), UPRIGHT)
+        oks.append(live.is_ok)
+    assert live.refused['millimetres'] > 2000 and not live.refused['jump'] and not any(oks)
