@@ -444,4 +444,3 @@ def _noise_order(poses: Trajectory) -> float:
     if low < MIN_DENSITY or high > MAX_DENSITY_RATIO * low:
         return 0.0
     return -float(np.polyfit(np.log(hz[inside]), np.log(densities.mean(axis=0)), 1)[0])
-

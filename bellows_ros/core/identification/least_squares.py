@@ -304,4 +304,3 @@ def noise_bias(
     compensated = inverse @ (V[:, ~noisy] / (1.0 - share[~noisy])) @ V[:, ~noisy].T
     gain = compensated + inverse @ V[:, noisy] @ V[:, noisy].T
     return -compensated @ slope, gain, separable
-
