@@ -4,8 +4,11 @@ Count alarms and errors in pick-and-place cycles of cells that the package's for
     python -m benchmarks.cycles --hours 1        # ordinary work with three cameras
     python -m benchmarks.cycles --faults 30      # so many faults of each kind
 
-Cells are those of `test/core/observer/contact_cell.py`. Each has its own errors and twelve cycles
-of different packages. `--seed` is the seed of the first cell.
+Cells are those of `test/core/observer/contact_cell.py`, and with `--sensor rig` those of an
+independent simulator (`benchmarks/rig_cells.py`). Each has its own errors and twelve cycles of
+different packages. Errors are RMS by phase of the cycle: with the camera, without, and of the
+newest pose of the camera alone; a cell counts as worse in a phase if its error with the camera
+exceeds that without by more than 5 %. `--seed` is the seed of the first cell.
 """
 
 import argparse
@@ -14,8 +17,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from bellows_ros import LivePredictor
+from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.model.equilibrium import pose_error
 from bellows_ros.core.observer.alarms import ONSET_NS
+from benchmarks import rig_cells
 import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -30,7 +35,7 @@ CYCLES = 12
 """Number of cycles of one cell."""
 CAMERAS: dict[str, dict[str, Any]] = {
     'memory': {}, 'white': {},
-    'view': {'measured.model': 'tag', 'measured.camera': [0.5, 0.0, 1.6]}}
+    'view': {'measured.model': 'tag', 'measured.camera': [0.5, 0.0, 1.6]}, 'rig': {}}
 """Parameters of each sensor of a `ContactCell`."""
 CUP: dict[str, Any] = {
     'cup.stiffness': np.diag(STIFFNESS).ravel().tolist(), 'cup.length': LENGTH,
@@ -41,76 +46,177 @@ CUP_STD = {
     'cup.damping_std': np.diag(WRONG['damping'] * DAMPING).ravel().tolist()}
 
 
+PHASES = 'lift', 'move', 'hold', 'lower', 'touch', 'set down'
+TOUCHING = 1.5e-3
+"""Height above its rest from which a lowered package may touch the support, m."""
+WORSE = 1.05
+"""Smallest ratio of errors with and without a camera of a phase that counts as worse."""
+
+
 class Outcome(NamedTuple):
     """Alarms and errors of one cell."""
 
     alarms: list[tuple[int, float, Any]]
     """Cycle, seconds in the cycle, and alarm, as told first."""
+    phases: np.ndarray
+    """Index of the phase of each error (N,)."""
     errors: np.ndarray
     """Pose errors (N, 6) of held packages, m and rad."""
+    of_camera: np.ndarray
+    """Errors (N, 6) of the newest measured pose; NaN without one in the cycle."""
     nees: np.ndarray
-    """Normalised squared errors of these poses."""
+    """Normalised squared errors of the poses; NaN without a covariance."""
     seconds: float
 
+    def by_phase(self, errors: np.ndarray) -> np.ndarray:
+        """Return the mean squared errors of position and rotation in each phase (phases, 2)."""
+        squares = np.square(errors).reshape(-1, 2, 3).sum(axis=2)
+        return np.array([np.nanmean(squares[self.phases == k], axis=0) if (
+            np.isfinite(squares[self.phases == k]).any()) else [np.nan] * 2
+            for k in range(len(PHASES))])
 
-def followed(
-    cycles: Sequence[Any], sensor: str = 'memory', stated: bool = True, has_camera: bool = True,
-) -> Outcome:
-    """Let one predictor follow the cycles of a cell, with package.* set at each grip."""
-    packages = [{name: value for name, value in cycle.stated.items()
-                 if stated or not name.endswith('_std')} for cycle in cycles]
-    live = LivePredictor.from_parameters(
-        CUP | CAMERAS[sensor] | (CUP_STD if stated else {}) | packages[0])
-    begin, alarms, errors, nees = START_NS, list[tuple[int, float, Any]](), [], []
-    for number, cycle in enumerate(cycles):
-        held = int(np.searchsorted(cycle.times, cycle.at['grip'])), int(
-            np.searchsorted(cycle.times, cycle.at['release']))
-        seen = sorted(cycle.seen, key=lambda each: each[1]) if has_camera else []
+    def of_lifted(self, values: np.ndarray) -> np.ndarray:
+        """Return the entries of a package in the air (n, ...)."""
+        return values[(self.phases > 0) & (self.phases < 3)]
+
+
+def phases_of(cycle: Any) -> np.ndarray:
+    """Return the index of the phase at each sample; -1 outside of all."""
+    at, t, z = cycle.at, cycle.times, cycle.truth[:, 2]
+    phase = np.searchsorted(
+        [at['lift'], at['move'], at['hold'], at['lower'], at['low'], at['release']], t) - 1
+    phase[phase == 4] = 5
+    phase[(phase == 3) & (z < z[t > at['low']].min() + TOUCHING)] = 4
+    phase[t >= at['release']] = -1
+    return phase
+
+
+def cup_of(sensor: str, stated: bool) -> dict[str, Any]:
+    """Return the parameters of cup and camera of a kind of cell."""
+    of_rig = rig_cells.cup() if sensor == 'rig' else CUP_STD
+    return {**CUP, **CAMERAS[sensor],
+            **{name: of_rig[name] for name in of_rig if stated or not name.endswith('_std')}}
+
+
+class Follower:
+    """
+    One predictor that follows the cycles of a cell, with package.* set at each grip.
+
+    Parameters
+    ----------
+    cycles : sequence of Cycle
+    sensor : str
+        Kind of the cell, of `CAMERAS`.
+    stated : bool
+        Whether standard deviations are stated.
+    has_camera, has_switch : bool
+        Whether measured poses arrive, and whether the vacuum switch notices a drop.
+
+    """
+
+    def __init__(
+        self, cycles: Sequence[Any], sensor: str, stated: bool, has_camera: bool, has_switch: bool,
+    ) -> None:
+        packages = [{name: value for name, value in cycle.stated.items()
+                     if stated or not name.endswith('_std')} for cycle in cycles]
+        self.live = LivePredictor.from_parameters(cup_of(sensor, stated) | packages[0])
+        self.has_camera, self.has_switch = has_camera, has_switch
+        self.alarms: list[tuple[int, float, Any]] = []
+        self.rows: list[tuple[float, ...]] = []
+        self.begin = START_NS
+        for self.number, cycle in enumerate(cycles):
+            self._follow(cycle, packages[self.number])
+            self.begin += round(1e9 * (cycle.times[-1] + 0.01))
+
+    def _follow(self, cycle: Any, package: dict[str, Any]) -> None:
+        live, held = self.live, np.searchsorted(
+            cycle.times, [cycle.at['grip'], cycle.at['release'] if self.has_switch
+                          else cycle.at['valve'] + 0.08]).tolist()
+        seen, phases = sorted(cycle.seen, key=lambda each: each[1]), phases_of(cycle)
+        self.newest: Any = None
         for k, t in enumerate(cycle.times.tolist()):
-            stamp_ns = begin + round(1e9 * t)
+            stamp_ns = self.begin + round(1e9 * t)
             if k == held[0]:
-                live.set_parameters(packages[number])
-            if k % 5 == 0:
-                live.on_vacuum(held[0] <= k < held[1], stamp_ns)
+                live.set_parameters(package)
+            self._switch(k, held, stamp_ns)
             while seen and seen[0][1] <= t:
-                measured, arrival, position, q = seen.pop(0)
-                live.on_measured(begin + round(1e9 * measured), 'world', position, q, None,
-                                 begin + round(1e9 * arrival))
+                self._see(*seen.pop(0))
             row = cycle.tool[k].tolist()
             live.on_twist(stamp_ns, tuple(row[7:10]), tuple(row[10:]))
             live.on_pose(stamp_ns, 'world', tuple(row[:3]), tuple(row[3:7]), stamp_ns)
             for alarm in live.alarms[-3:]:
                 if all(alarm.cause != other.cause or abs(alarm.stamp_ns - other.stamp_ns) > 5e9
-                       for _, _, other in alarms):
-                    alarms.append((number, t, alarm))
-            if cycle.at['move'] < t < cycle.at['lower'] and k % 5 == 0 and live.held:
-                true = cycle.truth[k].tolist()
-                e = np.r_[pose_error(live.held.body, tuple(true[:3]), tuple(true[3:]))]
-                errors.append(e)
-                P = live.covariance(live.held.stamp_ns) if live.package.observer else None
-                nees.append(np.nan if P is None else e @ np.linalg.solve(P[:6, :6], e))
-        begin += round(1e9 * (cycle.times[-1] + 0.01))
-    return Outcome(alarms, np.array(errors), np.array(nees), 1e-9 * (begin - START_NS))
+                       for _, _, other in self.alarms):
+                    self.alarms.append((self.number, t, alarm))
+            if phases[k] >= 0 and k % 2 == 0 and live.held:
+                self._compare(int(phases[k]), cycle.truth[k], k % 10 == 0)
+
+    def _switch(self, k: int, held: list[int], stamp_ns: int) -> None:
+        """Let the switch follow the package, or the valve alone."""
+        if not self.has_switch and k in held:
+            self.live.on_valve(k == held[0], stamp_ns)
+        elif k % 5 == 0:
+            self.live.on_vacuum(held[0] <= k < held[1], stamp_ns)
+
+    def _see(self, measured: float, arrival: float, position: Any, q: Any) -> None:
+        """Let a measured pose arrive, s."""
+        self.newest = position, q
+        if self.has_camera:
+            self.live.on_measured(self.begin + round(1e9 * measured), 'world', position, q, None,
+                                  self.begin + round(1e9 * arrival))
+
+    def _compare(self, phase: int, truth: np.ndarray, with_covariance: bool) -> None:
+        """Keep the errors of the prediction and of the newest measured pose."""
+        prediction, (*o, a, b, c, d) = self.live.held, truth.tolist()
+        assert prediction is not None
+        true = tuple(o), (a, b, c, d)
+        e = np.r_[pose_error(prediction.body, *true)]
+        of_camera = np.r_[pose_error((*self.newest, ZERO, ZERO), *true)] if (
+            self.newest) else np.full(6, np.nan)
+        P = self.live.covariance(prediction.stamp_ns) if (
+            with_covariance and self.live.package.observer) else None
+        nees = np.nan if P is None else e @ np.linalg.solve(P[:6, :6], e)
+        self.rows.append((phase, *e, *of_camera, nees))
+
+
+def followed(
+    cycles: Sequence[Any], sensor: str = 'memory', stated: bool = True, has_camera: bool = True,
+    has_switch: bool = True,
+) -> Outcome:
+    """Return alarms and errors of the cycles of a cell, see `Follower`."""
+    by = Follower(cycles, sensor, stated, has_camera, has_switch)
+    rows = np.array(by.rows)
+    return Outcome(by.alarms, rows[:, 0].astype(int), rows[:, 1:7], rows[:, 7:13], rows[:, 13],
+                   1e-9 * (by.begin - START_NS))
+
+
+def cell_of(seed: int, sensor: str) -> Any:
+    """Return a cell of a kind."""
+    return rig_cells.RigCell(seed) if sensor == 'rig' else ContactCell(seed, sensor)
 
 
 def ordinary(sensor: str, cells: range, stated: bool) -> None:
-    """Print alarms an hour, errors with and without a camera, and NEES of ordinary work."""
-    causes, hours, rows, worse = Counter[str](), 0.0, [], 0
+    """Print alarms an hour and NEES of ordinary work, and errors by phase."""
+    causes, hours, nees, means = Counter[str](), 0.0, [], []
     for seed in cells:
-        cell = ContactCell(seed, sensor)
+        cell = cell_of(seed, sensor)
         cycles = [cell.cycle() for _ in range(CYCLES)]
         both, alone = (followed(cycles, sensor, stated, camera) for camera in (True, False))
         causes.update(alarm.cause for _, _, alarm in both.alarms)
         hours += both.seconds / 3600.0
-        of_cell = [np.sqrt(np.mean(np.square(run.errors[:, :3]).sum(axis=1)))
-                   for run in (both, alone)]
-        worse += of_cell[0] > of_cell[1]
-        rows.append([*np.square(of_cell), np.nanmean(both.nees)])
-    mm = 1e3 * np.sqrt(np.mean(rows, axis=0))
+        nees.append(np.nanmean(both.of_lifted(both.nees)))
+        means.append([both.by_phase(both.errors), alone.by_phase(alone.errors),
+                      both.by_phase(both.of_camera)])
+    squares = np.array(means)  # (cells, runs, phases, 2)
     print(f'| {sensor} | {"stated" if stated else "default"} | {hours:.2f} h | '
-          f'{causes.total() / hours:.1f}/h {dict(causes)} | {mm[0]:.2f} mm with, {mm[1]:.2f} '
-          f'without, worse in {worse} of {len(cells)} | NEES {np.mean(rows, axis=0)[2]:.1f} |',
-          flush=True)
+          f'{causes.total() / hours:.1f}/h {dict(causes)} | NEES {np.mean(nees):.1f} |')
+    worse = (squares[:, 0] > WORSE**2 * squares[:, 1]).sum(axis=0)
+    rms = 1e3 * np.sqrt(np.nanmean(squares, axis=0))
+    for k, phase in enumerate(PHASES):
+        print(f'| {sensor} | {"stated" if stated else "default"} | {phase} | ' + ' | '.join(
+            '{:.2f} with, {:.2f} without, {:.1f} camera alone, worse in {} of {}'.format(
+                *rms[:, k, axis], worse[k, axis], len(cells)) + unit
+            for axis, unit in enumerate((' (mm)', ' (mrad) |'))), flush=True)
 
 
 FAULTS: dict[str, list[dict[str, Any]]] = {
@@ -118,27 +224,31 @@ FAULTS: dict[str, list[dict[str, Any]]] = {
     'drop': [{'at_event': 'hold', 'after': 0.15}, {'at_event': 'hold', 'after': -0.3},
              {'at_event': 'hold', 'after': 0.1, 'gradual': 0.15},
              {'at_event': 'move', 'after': 0.05}],
+    'drop lowering': [{'at_event': 'lower', 'after': 0.1},
+                      {'at_event': 'lower', 'after': 0.25}],
     'slip': [{'size': 5e-3}],
     'swap': [{'size': 1.3}],
     'latency': [{'size': 0.04, 'at_event': 'grip', 'after': 0.0}],
     'camera': [{'size': 5e-3}],
 }
-RIGHT = {'collision': ('', 'disturbance'), 'drop': ('lost',), 'swap': ('payload',)}
+RIGHT = {'collision': ('', 'disturbance'), 'drop': ('lost',), 'drop lowering': ('lost',),
+         'swap': ('payload',)}
 TRUE_SIZE = {'slip': 5e-3, 'swap': 0.3, 'latency': 0.04, 'camera': 5e-3}
 DIRECTIONS = {'slip': 2, 'camera': 3}
 """Dimensions of the directions of faults with an ideal test."""
 
 
-def faults(kind: str, seeds: range, sensor: str) -> None:
-    """Print the first causes of faults in the third cycle of a cell, and z of the sizes."""
-    first, z, odds, found_by = Counter[str](), [], 0.0, np.zeros(2)
+def faults(kind: str, seeds: range, sensor: str, has_switch: bool = True) -> None:
+    """Print first causes and delays of faults in the third cycle of a cell, and z of the sizes."""
+    first, z, odds, found_by, delays = Counter[str](), [], 0.0, np.zeros(2), []
     for seed in seeds:
         fault = FAULTS[kind][seed % len(FAULTS[kind])]
         cycles = _with_fault(seed, sensor, kind, fault)
-        run = followed(cycles, sensor)
+        run = followed(cycles, sensor, has_switch=has_switch)
         found = [each for each in run.alarms if each[0] >= 2]
         first[found[0][2].cause if found else ''] += 1
-        if kind in DIRECTIONS:
+        delays += [t - cycles[2].at['fault'] for number, t, _ in found[:1] if number == 2]
+        if kind in DIRECTIONS and sensor != 'rig':
             sound = _with_fault(seed, sensor, kind, {**fault, 'size': 0.0})
             found_by += ideal(sound[2], cycles[2], DIRECTIONS[kind])
         for _, _, alarm in found[:1]:
@@ -147,17 +257,20 @@ def faults(kind: str, seeds: range, sensor: str) -> None:
             elif kind in TRUE_SIZE:
                 z.append((alarm.size - TRUE_SIZE[kind]) / alarm.std)
     right = sum(first[cause] for cause in RIGHT.get(kind, (kind,)))
-    print(f'| {kind} | {sensor} | {right} of {len(seeds)} {dict(first)} | largest wrong odds '
-          f'{odds:.0f} | z rms {np.sqrt(np.mean(np.square(z))):.2f} of {len(z)} |' + (
+    switch = '' if has_switch else ' without the switch'
+    print(f'| {kind}{switch} | {sensor} | {right} of {len(seeds)} {dict(first)} | largest wrong '
+          f'odds {odds:.0f} | delay {np.median(delays or [np.nan]):.2f} s, largest '
+          f'{max(delays, default=np.nan):.2f} s | z rms '
+          f'{np.sqrt(np.mean(np.square(z))):.2f} of {len(z)} |' + (
               ' ideal {:.1f}, {:.1f} with its direction |'.format(*found_by)
-              if kind in DIRECTIONS else ''), flush=True)
+              if found_by.any() else ''), flush=True)
 
 
 def _with_fault(seed: int, sensor: str, kind: str, fault: Mapping[str, Any]) -> list[Any]:
     """Return two sound cycles, and one or three with a fault."""
-    cell = ContactCell(seed, sensor)
+    cell, count = cell_of(seed, sensor), 3 if kind in ('latency', 'swap') else 1
     return [cell.cycle(), cell.cycle(), *(
-        cell.cycle(kind, **fault) for _ in range(3 if kind in ('latency', 'swap') else 1))]
+        cell.cycle(kind.split()[0], **fault) for _ in range(count))]
 
 
 def ideal(sound: Any, faulty: Any, dimensions: int) -> tuple[float, float]:
@@ -205,7 +318,9 @@ def main() -> None:
         for stated in (False, True):
             ordinary(sensor, cells, stated)
     for kind in ((given.kind,) if given.kind else FAULTS) if given.faults else ():
-        faults(kind, range(given.seed, given.seed + given.faults), given.sensor or 'memory')
+        for has_switch in (True, False) if kind.startswith('drop') else (True,):
+            faults(kind, range(given.seed, given.seed + given.faults), given.sensor or 'memory',
+                   has_switch)
 
 
 if __name__ == '__main__':

@@ -34,7 +34,14 @@ from bellows_ros.core.model.kernels import LawTuple, model_of
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
-from bellows_ros.core.observer.measurement import MeasuredPose, output_of, OUTSIDE, updated, USED
+from bellows_ros.core.observer.measurement import (
+    MeasuredPose,
+    output_of,
+    OUTSIDE,
+    rise_ratio,
+    updated,
+    USED,
+)
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -355,12 +362,16 @@ class Alarms:
         self, stamp_ns: int, gated: int, likeliest: Likeliest
     ) -> Alarm | None:
         """Return the alarm on innovations that match no signature, if any."""
-        total, _, (_, number, _), *_, none = likeliest
+        total, lead, (_, number, _), second, *_, none = likeliest
         least = TAG_BURST if self._of_tag else DISTURBED_COUNT
-        if gated < least or none < self._threshold or none < total + MIN_LEAD:
-            return None
         cause = HYPOTHESES[min(number, CUP)].name if total > -math.inf else 'slip'
-        odds = math.exp(min(none - total, CLEAR_LEAD))
+        is_push = cause == 'disturbance' and max(total, none) >= self._threshold
+        if gated < least or not (
+                is_push or none >= max(self._threshold, total + MIN_LEAD)):
+            return None
+        if is_push:
+            cause, none = ALARM_CAUSES[second].name if second >= 0 else 'slip', total + lead
+        odds = math.exp(min(max(none - total, 0.0), CLEAR_LEAD))
         return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, cause, odds)
 
     def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
@@ -443,7 +454,7 @@ def filter_step(
     Inputs are as for `model_of`, `predicted` and `updated`, and the faults: their evidence, and
     the error (n + 7, components) by each component. Cups are the holding cups of a gripper. One
     kernel, with the model as an array, is faster to call from Python. The results are a verdict,
-    the estimate, the evidence, and the result of `_assessed`.
+    the estimate, the evidence, the result of `_assessed`, and of `rise_ratio` near a support.
     """
     model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     E, statistics, distances, onsets, from_start, steps = faults
@@ -451,9 +462,12 @@ def filter_step(
     after, E, gain = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
     _, tool, body, theta, P, _ = after
-    if seen[6] > 0.0:
+    rise = 0.0
+    if seen[7] > 0.0:
         verdict, innovation, body, theta, learned = updated(
             model, after, seconds, seen, gain)
+        if seen[6] > 0.0 and verdict <= USED:
+            rise = rise_ratio(body, model[2], innovation, seen[6])
         if len(E) > 0 and verdict <= OUTSIDE:
             statistics, distances = statistics.copy(), distances.copy()
             onsets = onsets.copy()
@@ -463,7 +477,7 @@ def filter_step(
         if likeliest[0] < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
     return (verdict, (until_ns, tool, body, theta, P, memory),
-            (E, statistics, distances, onsets), likeliest)
+            (E, statistics, distances, onsets), likeliest, rise)
 
 
 @kernel

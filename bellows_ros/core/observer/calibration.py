@@ -65,7 +65,7 @@ class SoundWork(Observer):
         """Update with a new measurement, and store its noise if used."""
         used = self.counts['used']
         super()._reprocess(first)
-        if self.counts['used'] > used and not self._estimates[first + 1].is_supported:
+        if self.counts['used'] > used and not self._estimates[first + 1].support:
             self._keep_noise(first)
 
     def _keep_noise(self, first: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import ZERO
@@ -25,6 +26,7 @@ from bellows_ros.core.observer.measurement import (
     OUTSIDE,
 )
 from bellows_ros.core.observer.states import KNOWN, KNOWN_ROWS, LARGEST, STATE, Stated
+from bellows_ros.core.observer.support import CONTACT, NEAR
 from bellows_ros.core.parameters.conversion import places_of, stated_std, stiffness_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -63,9 +65,18 @@ stated."""
 UNSTATED_MASS, UNSTATED_COM = 0.02, 2e-3
 """Standard deviations of mass (relative) and centre of mass (m), if not stated."""
 
-SUPPORT_WALK, SUPPORT_ARM = 1.5, 0.05
-"""Random walk of a support's wrench in 1 s: force as a fraction of the weight, and its lever for
-the moment (m)."""
+TOUCHDOWN = 0.2
+"""Time in which a support takes over the weight of a lowered package, s."""
+
+TILT, SLIDING = 0.01, 0.03
+"""Rotation by which a support turns a lowered package flat (rad), and its force against sliding
+relative to the weight."""
+
+FLAT = 0.98
+"""Smallest cosine between the cup's axis and gravity of a package that is turned flat."""
+
+CONTACT_EVIDENCE = 2.0
+"""Log-likelihood ratio from which a contact is assumed, 7 to 1: a descent makes it likely."""
 
 MODEL_ERROR_SHARE = 3e-4
 """Initial variance of the model error, relative to the variance of the lip's displacement."""
@@ -288,10 +299,8 @@ class Correction:
         self.prior_covariance[INERTIAS, INERTIAS] = stated.inertia
         self._largest = LARGEST.copy()
         self._largest[WRENCHES] *= stated.weight
-        walk = np.square(states.each_row('walk', stated))
-        self._walks = walk, walk.copy()
-        self._walks[1][WRENCHES] = np.square(
-            SUPPORT_WALK * stated.weight * np.repeat([1.0, SUPPORT_ARM], 3))
+        self._walk = np.square(states.each_row('walk', stated))
+        self._sag = sag(model)
         self._marker, places = marker, places_of(values)
         self._cups = cups_of(model, places)
         allowed = values.alarm.false_per_hour
@@ -301,6 +310,23 @@ class Correction:
         self.first_memory = first_memory()
         noise = values.tool_noise.position, values.tool_noise.rotation
         self._tool_noise = np.repeat(np.maximum(noise, LEAST_TOOL_NOISE), 3)
+
+    def _by_support(self, body: State) -> Array:
+        """
+        Return the variances (6,) of a support's wrench on a package, in lip axes, N^2 and N^2 m^2.
+
+        The force is up to the weight along the normal, against gravity, and less across. Its
+        moment, which the stiffness of the cup balances, turns the package flat.
+        """
+        mass, gravity = self.nominal[1][0], self.nominal[2]
+        up = np.square(t3.apply_transposed(t3.rotation_matrix(body[1]), gravity))
+        weight = mass**2 * up.sum()
+        normal = up / max(up.sum(), 1e-12)
+        across = 1.0 - normal
+        moment = TILT * np.array(self.nominal[0][2][2][::4])
+        variances: Array = np.r_[
+            weight * (normal + SLIDING**2 * across), np.square(moment) * across]
+        return variances
 
     def start(
         self, stamp_ns: int, tool: State, body: State, initial: tuple[Array, Array, Array],
@@ -348,31 +374,36 @@ class Correction:
 
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
-        measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, is_supported: bool = False,
+        measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, support: int = 0,
     ) -> tuple[int, Estimate, alarms.Likeliest]:
         """Return verdict, estimate and faults by `filter_step`; with gate 0 propagate only."""
-        evidence, theta = before.evidence, before.theta.copy()
-        if is_supported:
+        evidence, theta, walk = before.evidence, before.theta.copy(), self._walk
+        if support:
             evidence = NO_EVIDENCE._replace(from_start=evidence.from_start)
+        if support == CONTACT:
+            walk = walk.copy()
+            walk[WRENCHES] += self._by_support(before.body) / TOUCHDOWN
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         theta[states.LATENCY - STATE] -= late  # correction for reading the pose earlier
-        verdict, numbers, (E, statistics, distances, onsets), likeliest = alarms.filter_step(
+        verdict, numbers, (E, statistics, distances, onsets), likeliest, rise = alarms.filter_step(
             self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
-            (self._drive, self._walks[is_supported], self._marker[3]),
+            (self._drive, walk, self._marker[3]),
             (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
-            (*measurement[1:], self._marker, self.holding_reach, self._largest, gate))
+            (*measurement[1:], self._marker, self.holding_reach, self._largest,
+             self._sag if support == NEAR else 0.0, gate))
         _, tool, body, theta, P, memory = numbers
         theta[states.LATENCY - STATE] += late
-        return verdict, Estimate(
-            stamp_ns, tool, body, theta, P, memory,
-            Evidence(E, statistics, distances, onsets, *evidence[4:]), *before[7:]), likeliest
+        return verdict, before._replace(
+            stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
+            contact=max(before.contact + rise, 0.0),
+            evidence=Evidence(E, statistics, distances, onsets, *evidence[4:])), likeliest
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
         return self._step(
-            estimate, track, stamp_ns, True, is_supported=estimate.is_supported)[1]
+            estimate, track, stamp_ns, True, support=estimate.support)[1]
 
     def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
         """
@@ -397,20 +428,21 @@ class Correction:
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
-        is_supported: bool = False, has_vacuum: bool = False,
+        support: int = 0, has_vacuum: bool = False,
     ) -> tuple[Estimate, str, alarms.Alarm | None]:
         """
         Return the estimate after a measurement, or before it if the pose is not of the package.
 
         Further results are the verdict (`used`, `flipped`, `recovered`, `gate` or `out_of_reach`),
-        and an alarm, if any. While a support may carry the package its wrench is estimated,
-        estimates of camera, cup and package are kept, and faults are not tested.
+        and an alarm, if any. While a support may be near, estimates of camera, cup and package
+        are kept, and faults are not tested. From contact on, its wrench is estimated.
         """
-        if before.is_supported and not is_supported:
+        if before.support and not support:
             before = self.released(before)
+        support = max(support, CONTACT if support and before.support == CONTACT else 0)
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         verdict, after, likeliest = self._step(
-            before, track, stamp_ns, is_recorded, measurement, GATE, is_supported)
+            before, track, stamp_ns, is_recorded, measurement, GATE, support)
         if verdict in (OUT_OF_REACH, FALLING):
             falls = verdict == FALLING and (before.falls or before.away_ns == 0)
             return before._replace(falls=falls), 'out_of_reach', None
@@ -418,10 +450,11 @@ class Correction:
         name = ('flipped' if verdict == FLIPPED else 'used') if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS
             and not self._may_be_fault(after, likeliest)) else 'gate'
-        after = Estimate(
-            *after[:8], gated, before.away_ns if gated else 0, after.falls, is_supported,
-            measurement.stamp_ns - stamp_ns)
-        if is_supported:
+        after = after._replace(
+            gated_ns=gated, away_ns=before.away_ns if gated else 0, support=support,
+            late_ns=measurement.stamp_ns - stamp_ns)
+        if support:
+            after = self._touching(after)
             after.theta[KNOWN_ROWS - STATE] = before.theta[KNOWN_ROWS - STATE]
             after.covariance[KNOWN] = before.covariance[KNOWN]
         else:
@@ -431,6 +464,35 @@ class Correction:
         if name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
         return after, name, None
+
+    def _touching(self, estimate: Estimate) -> Estimate:
+        """Return an estimate with the wrench of a support, once there is evidence of contact."""
+        if estimate.contact < CONTACT_EVIDENCE:
+            return estimate
+        if estimate.support != CONTACT:
+            P, rows = estimate.covariance.copy(), np.arange(states.ROWS)[WRENCHES]
+            P[rows, rows] += self._by_support(estimate.body)
+            estimate = estimate._replace(covariance=P, support=CONTACT)
+        elif self._pull(estimate) > 0.0:  # a support pushes only: there is no contact
+            return self._without_support(estimate)._replace(support=NEAR)
+        return self._flat(estimate)
+
+    def _pull(self, estimate: Estimate) -> float:
+        """Return the estimated force along gravity (N), at the nominal mass, times gravity."""
+        force = estimate.theta[states.WRENCH - STATE:states.WRENCH + 3 - STATE].tolist()
+        return t3.dot(self.nominal[2], t3.apply(
+            t3.rotation_matrix(estimate.body[1]), (force[0], force[1], force[2])))
+
+    def _flat(self, estimate: Estimate) -> Estimate:
+        """Return an estimate of a package that a support turns flat, as it was gripped."""
+        gravity = self.nominal[2]
+        x, y, z = t3.apply_transposed(t3.rotation_matrix(estimate.body[1]), gravity)
+        if -z < FLAT * t3.norm(gravity):
+            return estimate
+        P, rows = estimate.covariance, np.array([states.TURN, states.TURN + 1])
+        gain = np.linalg.solve(P[np.ix_(rows, rows)] + TILT**2 * np.eye(2), P[rows]).T
+        body, theta = changed_by(estimate.body, estimate.theta, gain @ np.divide([y, -x], -z))
+        return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
     def _may_be_fault(self, estimate: Estimate, likeliest: alarms.Likeliest) -> bool:
         """Return whether an alarm is imminent, whose evidence a restart would lose."""
@@ -460,7 +522,7 @@ class Correction:
             evidence, stamp_ns, likeliest, after.lost_cups, has_vacuum)
         if fault is None:
             gated = len(after.gated_ns) if (
-                evidence.onsets[0, 0] >= 2 * alarms.MIN_NOISE_COUNT) else 0
+                evidence.onsets[0, 0] >= alarms.SETTLING) else 0
             alarm = self.alarms.disturbance(stamp_ns, gated, likeliest)
             if evidence is not after.evidence:
                 after = after._replace(evidence=evidence)
@@ -485,15 +547,19 @@ class Correction:
 
     def released(self, estimate: Estimate) -> Estimate:
         """Return an estimate of a package just released by its support."""
+        return self._without_support(estimate)._replace(
+            support=0, gated_ns=(), away_ns=0,
+            evidence=self._evidence(estimate.stamp_ns, estimate.body, estimate.lost_cups,
+                                    estimate.evidence.from_start))
+
+    def _without_support(self, estimate: Estimate) -> Estimate:
+        """Return an estimate with the initial wrench."""
         rows = np.arange(states.ROWS)[WRENCHES]
         theta, P = estimate.theta.copy(), estimate.covariance.copy()
         theta[rows - STATE] = 0.0
         P[rows], P[:, rows] = 0.0, 0.0
         P[rows, rows] = np.square(self.prior[rows])
-        return estimate._replace(
-            theta=theta, covariance=P, is_supported=False, gated_ns=(), away_ns=0,
-            evidence=self._evidence(estimate.stamp_ns, estimate.body, estimate.lost_cups,
-                                    estimate.evidence.from_start))
+        return estimate._replace(theta=theta, covariance=P, contact=0.0)
 
     def rolled_back(
         self, estimate: Estimate, known: Known, rows: Any = KNOWN_ROWS
@@ -515,12 +581,11 @@ class Correction:
         theta = np.where(np.abs(estimate.theta) <= self._largest[STATE:], estimate.theta, 0.0)
         restarted = estimate._replace(
             theta=theta, covariance=P, memory=memory, evidence=NO_EVIDENCE)
-        is_supported = estimate.is_supported
         _, after, _ = self._step(
-            restarted, track, stamp_ns, True, measurement, math.inf, is_supported)
+            restarted, track, stamp_ns, True, measurement, math.inf, estimate.support)
         from_start = estimate.evidence.from_start
         # a fault this early was present from the start
         from_start &= bool(estimate.evidence.onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
         return after._replace(
-            memory=memory, gated_ns=(), away_ns=0, is_supported=is_supported,
+            memory=memory, gated_ns=(), away_ns=0,
             evidence=self._evidence(stamp_ns, after.body, estimate.lost_cups, from_start))

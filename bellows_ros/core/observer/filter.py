@@ -127,8 +127,10 @@ class Estimate(NamedTuple):
     none, -1 after their assessment."""
     falls: bool = False
     """Whether all poses out of reach are consistent with a fall."""
-    is_supported: bool = False
-    """Whether a support may have carried the package."""
+    support: int = 0
+    """Whether a support was `NEAR` or in `CONTACT`; 0 without."""
+    contact: float = 0.0
+    """Log-likelihood ratio of a contact since its likeliest begin."""
     late_ns: int = 0
     """Shift of the last measurement before its stamp, ns."""
 

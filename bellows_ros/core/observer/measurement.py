@@ -32,12 +32,12 @@ Position (m) and orientation of the measured frame, in axes of B; whether its po
 from the lip instead of B; and the errors of its poses.
 """
 
-MeasuredPose = tuple[Vector, Quaternion, Array, Marker, float, Array, float]
+MeasuredPose = tuple[Vector, Quaternion, Array, Marker, float, Array, float, float]
 """
 Position, orientation and noise of a `Measurement`, and its marker; largest displacement (m) of a
 lip from its place without load, to which uncertainties of centre of mass, camera and stamps are
-added; largest physical value of each row of the error; and largest squared Mahalanobis distance, 0
-without a measurement.
+added; largest physical value of each row of the error; the sag of the cup (m) near a support,
+otherwise 0; and largest squared Mahalanobis distance, 0 without a measurement.
 """
 
 WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 0.1
@@ -398,6 +398,24 @@ def updated_memory(
     return out
 
 
+@kernel
+def rise_ratio(body: State, gravity: Vector, innovation: Innovation, sag: float) -> float:
+    """
+    Return the log-likelihood ratio of a package that has risen by the sag of the cup (m).
+
+    From contact on, a support takes the weight off the cup, which shortens by its sag.
+    """
+    n = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
+    size, z, W, along, square = -sag / t3.norm(gravity), innovation[0], innovation[2], 0.0, 0.0
+    for i in range(6):
+        by = 0.0
+        for j in range(min(i + 1, 3)):
+            by += size * W[i, j] * n[j]
+        along += by * z[i]
+        square += by * by
+    return along - 0.5 * square
+
+
 RELATIVE_ROUNDING = 1e-12
 """
 Fraction of each variance that remains after an update: above rounding errors, so that the
@@ -485,7 +503,7 @@ def updated(
 
     """
     _, tool, body, theta, P, memory = estimate
-    seen_position, seen_q, seen_noise, marker, reach, largest, gate = seen
+    seen_position, seen_q, seen_noise, marker, reach, largest, sag, gate = seen
     model = with_theta(model, theta)
     com, sensor = model[1][1], marker[3]
     exposed = at_exposure(model, tool, body, theta)
@@ -511,9 +529,12 @@ def updated(
         P[CAMERA:CAMERA + 3, CAMERA:CAMERA + 3])
     reach += 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
     away = o[0], o[1], o[2] + model[0][1]
-    if t3.norm(away) > reach:
-        away = t3.apply(t3.rotation_matrix(tool[1]), away)
-        verdict = FALLING if _is_fall(away, model[2], reach, seconds) else OUT_OF_REACH
+    away = t3.apply(t3.rotation_matrix(tool[1]), away)
+    falls = _is_fall(away, model[2], reach, seconds)
+    # near a support a fall is short: its length does not include the cup's, as a cup that holds
+    # may be compressed by it, but not stretched
+    if t3.norm(away) > reach - (model[0][1] if falls and sag > 0.0 else 0.0):
+        verdict = FALLING if falls else OUT_OF_REACH
     elif verdict <= USED:
         possible, body, theta = posterior(body, theta, P, innovation, largest)
         verdict = verdict if possible else OUTSIDE

@@ -361,7 +361,7 @@ class Observer:
                 self._raise(again.pop(0))
             after, verdict, alarm = self._correction.updated(
                 estimates[k], self._track, measurements[k], k == first,
-                self._support.carries(measurements[k].stamp_ns), bool(self._is_held(estimates[k])))
+                self._support.at(measurements[k].stamp_ns), bool(self._is_held(estimates[k])))
             if k == first:
                 self.counts[verdict] += 1
             if verdict == 'recovered':
@@ -373,7 +373,7 @@ class Observer:
         for alarm in again:
             self._raise(alarm)
         self._lost_cups = estimates[-1].lost_cups
-        if estimates[-1].is_supported and not self._support.is_near:
+        if estimates[-1].support and not self._support.is_near:
             self._let_go()
         self._newest = None
         self._predict_with(estimates[-1].theta, self._lost_cups)
@@ -393,7 +393,7 @@ class Observer:
         self._gated += verdict == 'gate'
         if alarm is not None or verdict == 'recovered' or self._gated > MAX_GATED:
             self._since_ns, self._gated, self._candidate = stamp_ns, 0, estimate
-        elif stamp_ns - self._candidate.stamp_ns > CLEAN_NS and not estimate.is_supported:
+        elif stamp_ns - self._candidate.stamp_ns > CLEAN_NS and not estimate.support:
             if self._candidate.stamp_ns >= self._since_ns:
                 self._commit(self._candidate)
             self._candidate, self._gated = estimate, 0
@@ -441,10 +441,11 @@ class Observer:
     def _out_of_reach(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Process a pose out of reach; a package within reach before is lost after some time."""
         alarms, evidence, away_ns = self._correction.alarms, estimate.evidence, estimate.away_ns
-        if alarms is None or away_ns < 0 or estimate.is_supported:
+        if alarms is None or away_ns < 0 or (estimate.support and not estimate.falls):
             return estimate
         if away_ns == 0:
-            if evidence.from_start and evidence.onsets[0, 0] == 0:  # never within reach
+            if evidence.from_start and not evidence.onsets[0, :1].any() and (
+                    not estimate.support):  # never within reach
                 return estimate
             away_ns = min(estimate.gated_ns, default=stamp_ns)  # these were part of the fall
             estimate = estimate._replace(away_ns=away_ns)
@@ -476,10 +477,12 @@ class Observer:
         """
         Whether the last measured poses contradict a held package: out of reach, or outliers.
 
-        False near a support, which explains them.
+        A support, which explains outliers, does not explain a fall out of reach.
         """
-        last = self._estimates[-1] if self._estimates and not self._support.is_near else None
-        return last is not None and (last.away_ns != 0 or len(last.gated_ns) > 1)
+        last = self._estimates[-1] if self._estimates else None
+        return last is not None and (
+            last.falls and last.away_ns != 0 if self._support.is_near
+            else last.away_ns != 0 or len(last.gated_ns) > 1)
 
     @property
     def patience_ns(self) -> int:

@@ -7,6 +7,9 @@ import math
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Vector, ZERO
 
+NEAR, CONTACT = 1, 2
+"""A support may be near, or carries the package; 0 without."""
+
 LIFT = 8e-3
 """Height above the sag of the cup at which a package has left its support, m."""
 
@@ -27,9 +30,9 @@ class Support:
     """
     Detect when a support may carry the package.
 
-    A support may carry the package from the grip until the tool has lifted it, near the height of
-    the last grip, and from a straight descent until the tool rises again. Without a grip the
-    package is always held, and no support carries it.
+    A support carries the package from the grip until the tool has lifted it. It may be near at the
+    height of the last grip, and from a straight descent until the tool rises again. Without a grip
+    the package is always held, and no support is near.
     """
 
     def __init__(self) -> None:
@@ -39,7 +42,7 @@ class Support:
         self._top: Vector | None = None
         self._begin: Vector = ZERO
         self._low = 0.0
-        self._times: list[tuple[int, int]] = []  # first and last stamp of each support
+        self._times: list[tuple[int, int, int]] = []  # first and last stamp, and kind, of each
 
     def use(self, up: Vector, sag: float) -> None:
         """Set the direction against gravity (unit vector) and the sag of the cup (m)."""
@@ -57,10 +60,14 @@ class Support:
         """Whether a support may carry the package at the newest sample."""
         return bool(self._times) and self._times[-1][1] == 0
 
-    def carries(self, stamp_ns: int) -> bool:
-        """Return whether a support may carry the package at a stamp."""
-        return any(first <= stamp_ns and (last == 0 or stamp_ns <= last)
-                   for first, last in self._times)
+    def at(self, stamp_ns: int) -> int:
+        """Return `NEAR` or `CONTACT` at a stamp, 0 without a support."""
+        return max((kind for first, last, kind in self._times
+                    if first <= stamp_ns and (last == 0 or stamp_ns <= last)), default=0)
+
+    def _end(self, stamp_ns: int) -> None:
+        first, _, kind = self._times[-1]
+        self._times[-1] = first, stamp_ns, kind
 
     def _height(self, position: Vector) -> float:
         return t3.dot(self._up, position)
@@ -76,7 +83,7 @@ class Support:
             self._low = min(self._low, height)
             if height < self._low + self._lift and self._aside(position, self._begin) < ASIDE:
                 return False
-            self._times[-1] = self._times[-1][0], stamp_ns
+            self._end(stamp_ns)
             self._top = position
             return True
         self._may_reach |= height > self._grip_height + 2.0 * self._lift
@@ -89,15 +96,16 @@ class Support:
         is_down = drop > DESCENT and self._grip_height > -math.inf
         if not (self._is_gripping or is_low or is_down):
             return False
+        kind = CONTACT if self._is_gripping else NEAR
         if self._is_gripping:
             self._grip_height, self._may_reach = height, False
         self._is_gripping, self._begin, self._low = False, position, height
         self._times = [each for each in self._times if each[1] > stamp_ns - REMEMBERED_NS]
-        self._times.append((stamp_ns, 0))
+        self._times.append((stamp_ns, 0, kind))
         return False
 
     def release(self, stamp_ns: int) -> None:
         """End the support at a stamp, as the package has been released."""
         if self.is_near:
-            self._times[-1] = self._times[-1][0], stamp_ns
+            self._end(stamp_ns)
         self._top, self._is_gripping = None, False

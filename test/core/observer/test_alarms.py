@@ -310,7 +310,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     def processing(row, law, before, *more):
         result = processed(row, law, before, *more)
         *track, noise, _, _, seen = more
-        if seen[6] > 0.0:
+        if seen[7] > 0.0:
             model = model_of(row, law)
             F = _dense_transition(model, before, *track, noise[0])
             after, _, gain = interpreted(

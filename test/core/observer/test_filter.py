@@ -168,7 +168,7 @@ def test_innovation_is_what_it_says(of_lip):
     def seen(e):
         z, H, W, *_ = updated(
             model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03,
-            (*pose(e), noise, (*marker, BODY), 1.0, LARGEST, np.inf), np.zeros((12, 12)))[1]
+            (*pose(e), noise, (*marker, BODY), 1.0, LARGEST, 0.0, np.inf), np.zeros((12, 12)))[1]
         root = np.linalg.inv(W)
         return root @ z, H, root
 

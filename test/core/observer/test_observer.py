@@ -132,7 +132,7 @@ def test_error_is_what_the_covariance_says(runs, tool_noise):
         made.start(int(stamps[0]), tool[0], truth(tool[:1])[0])
         std = np.sqrt(np.diag(made.estimate.covariance))
         body = [moved_by(made.estimate.body, rng.normal(size=12) * std[:12])]
-        walk = made._correction._walks[0][WRENCH:WRENCH + 6]
+        walk = made._correction._walk[WRENCH:WRENCH + 6]
         theta = rng.normal(size=10) * std[12:22]
         for k in range(1, len(tool)):
             body.append(later(body[-1], theta, tool[k - 1], tool[k], 0.004))
