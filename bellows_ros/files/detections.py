@@ -9,14 +9,17 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.core.sensors.camera import CornerViews, directions, poses_of_corners
 from bellows_ros.core.signals.screening import unusable_stamps
-from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError, NoTopicError
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
+from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bags, File, messages
 from bellows_ros.files.bags import absolute, Contents
+from bellows_ros.files.plans import moving_frames, read_transforms, TF
 import numpy as np
 
 DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+
+TF_TOPIC = '/tf'
 
 ANY = -1
 """Number that stands for the only tag of a recording."""
@@ -26,10 +29,11 @@ LEAST_AREA = 1e-8
 
 
 class TagSought(NamedTuple):
-    """The detected tag on the package: its side (m; 0 if unknown) and number."""
+    """The detected tag on the package: side (m; 0 if unknown), number, and frame on /tf."""
 
     side: float = 0.0
     number: int = ANY
+    child_frame: str = ''
 
 
 NO_TAG = TagSought()
@@ -41,7 +45,8 @@ def read_contents(
     """
     Read the streams of a recording, poses also from the detected corners of a tag.
 
-    Parameters and errors are those of `bags.read_contents`; corners need the side of the tag.
+    Parameters and errors are those of `bags.read_contents`; corners need the side of the tag. The
+    topic `TF_TOPIC` stands for the poses of the tag's frame in its parent.
     """
     contents = bags.read_contents(path, wanted)
     missing = [role for role, problem in contents.problems.items()
@@ -50,13 +55,44 @@ def read_contents(
         kinds = {topic.name: topic.type_name for topic in bags.topics(path) if topic.messages}
         for role in missing:
             topic = absolute(wanted[role])
-            if kinds.get(topic) == DETECTIONS and not role.endswith('twist'):
-                del contents.problems[role]
+            if kinds.get(topic) in (DETECTIONS, TF) and not role.endswith('twist'):
                 try:
-                    contents.streams[role] = _poses(read_views(path, topic, tag.number), tag.side)
+                    contents.streams[role] = (
+                        _poses(read_views(path, topic, tag.number), tag.side)
+                        if kinds[topic] == DETECTIONS else poses_on_tf(path, tag.child_frame))
+                    del contents.problems[role]
                 except BellowsError as problem:
                     contents.problems[role] = problem
     return contents
+
+
+def poses_on_tf(path: File, child: str) -> PoseStream:
+    """
+    Return the poses of a frame in its parent, as a detector of tags publishes them on /tf.
+
+    Raises
+    ------
+    BellowsError
+        If the recording lacks the frame, or it has two parents.
+
+    """
+    name = child.lstrip('/')
+    transforms = [each for each in read_transforms(path) if not each.is_fixed]
+    own = [each for each in transforms if each.child == name]
+    parents = sorted({each.parent for each in own})
+    if len(parents) != 1:
+        moving = ', '.join(map(shown, moving_frames(transforms)))
+        what = f"has the parents {', '.join(map(shown, parents))}" if own else 'is not there'
+        raise BellowsError(
+            f"Frame '{shown(name)}' of measured.child_frame {what} on /tf in recording "
+            f"'{Path(path)}'. Frames that move: {moving or 'none'}. Name one with one parent.")
+    data = [messages.pack(messages.TRANSFORM, (parents[0], name), each.sample.stamp_ns,
+                          *each.sample.position, *each.sample.quaternion_xyzw) for each in own]
+    layout = messages.LAYOUTS[messages.TRANSFORM]
+    frames: dict[tuple[str, ...], int] = {}
+    decoded = messages.decode(
+        data, [each.sample.stamp_ns for each in own], layout, layout.pose or slice(0), frames)
+    return messages.pose_stream(f'/tf, {name}', decoded, list(frames))
 
 
 def _poses(views: CornerViews, side: float) -> Any:

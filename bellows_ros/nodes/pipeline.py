@@ -402,6 +402,18 @@ class SensorInput:
         return health.say(f'inputs.{mismatch}', topic=self.topic, name=name)
 
 
+def transforms_type(parameter: str, topic: str) -> type:
+    """Return the type of /tf, or raise BellowsError if it is not installed."""
+    if importlib.util.find_spec('tf2_msgs') is None:
+        raise BellowsError(
+            f'{parameter} is tf, but tf2_msgs is not installed. Install it (apt: '
+            f'ros-jazzy-tf2-msgs), or publish the pose on {topic}.')
+    from tf2_msgs.msg import TFMessage
+
+    kind: type = TFMessage
+    return kind
+
+
 class TransformInput(SensorInput):
     """
     The poses of the tool by tf: the chain from `frames.world` to `frames.tool`.
@@ -425,18 +437,13 @@ class TransformInput(SensorInput):
         self, node: GuardedNode, values: Values, on_pose: Callable[..., None]
     ) -> None:
         """Subscribe to transforms, and to the static ones, which are sent once."""
-        if importlib.util.find_spec('tf2_msgs') is None:
-            raise BellowsError(
-                'tool_pose.type is tf, but tf2_msgs is not installed. Install it (apt: '
-                'ros-jazzy-tf2-msgs), or publish the pose on tool_arm/pose.')
-        from tf2_msgs.msg import TFMessage
-
+        kind = transforms_type('tool_pose.type', 'tool_arm/pose')
         self._on_pose = on_pose
         transforms.warm_up()
         self._chain = Chain(values.frames.world, values.frames.tool)
-        super().__init__(node, TFMessage, '/tf', self._on_moving)
+        super().__init__(node, kind, '/tf', self._on_moving)
         self._static = SensorInput(
-            node, TFMessage, '/tf_static', partial(self._add, static=True),
+            node, kind, '/tf_static', partial(self._add, static=True),
             qos=QoSProfile(depth=QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL))
 
     def _on_moving(self, message: Any) -> None:
@@ -564,13 +571,23 @@ class Observing:
         self._pipeline, node = pipeline, pipeline.node
         self._live = pipeline.live
         kind = pipeline.values.measured.type
-        self._with_covariance = kind != 'pose'
-        message_type = TOOL_POSES[kind]
-        self._read = reader(message_type)
+        self._with_covariance = kind in ('pose_with_covariance', 'odometry')
         self._has_camera = self.is_ready = False
         self._reported = 0
-        self._measured_in = SensorInput(
-            node, message_type, 'package/measured', self._on_measured, self._on_publishers)
+        self._child_frame = pipeline.values.measured.child_frame.lstrip('/')
+        if kind == 'tf':
+            if not self._child_frame:
+                raise BellowsError(
+                    'measured.type is tf, but measured.child_frame is not set. Set it to the '
+                    'frame of the tag on /tf, such as tag36h11:7.')
+            self._measured_in = SensorInput(
+                node, transforms_type('measured.type', 'package/measured'), '/tf',
+                self._on_transforms, self._on_publishers)
+        else:
+            self._read = reader(TOOL_POSES[kind])
+            self._measured_in = SensorInput(
+                node, TOOL_POSES[kind], 'package/measured', self._on_measured,
+                self._on_publishers)
         self._estimated = Topic(InertiaStamped, 'package/estimated').advertise(node)
         self._std = Topic(InertiaStamped, 'package/estimated_std').advertise(node)
 
@@ -601,15 +618,28 @@ class Observing:
             warm_up_observer(self._pipeline.values, model)
 
     def _on_measured(self, data: bytes) -> None:
-        """Correct the prediction."""
-        live, node = self._live, self._pipeline.node
+        """Correct the prediction by a measured pose."""
         if not self.is_ready:
             return
         stamp_ns, (frame_id, *_), numbers = self._read(data)
+        covariance = np.reshape(numbers[7:43], (6, 6)) if self._with_covariance else None
+        self._correct(stamp_ns, frame_id, (numbers[:3], numbers[3:7]), covariance)
+
+    def _on_transforms(self, message: Any) -> None:
+        """Correct the prediction by the frame of a tag, in its parent."""
+        for each in message.transforms if self.is_ready else ():
+            if each.child_frame_id.lstrip('/') == self._child_frame:
+                header, transform = each.header, each.transform
+                self._correct(stamp_to_ns(header.stamp), header.frame_id, (
+                    vector(transform.translation), quaternion_xyzw(transform.rotation)))
+
+    def _correct(
+        self, stamp_ns: int, frame_id: str, pose: tuple[Vector, Quaternion],
+        covariance: Any = None,
+    ) -> None:
+        """Correct the prediction, and publish the estimated package."""
+        live, node = self._live, self._pipeline.node
         arrival_ns = self._measured_in.note(stamp_ns)
-        pose, covariance = (numbers[:3], numbers[3:7]), None
-        if self._with_covariance:
-            covariance = np.reshape(numbers[7:43], (6, 6))
         self._pipeline.change(
             live.on_measured, stamp_ns, frame_id, *pose, covariance, arrival_ns)
         if (observer := self._observer) is None:  # before the first pose of the tool

@@ -84,8 +84,10 @@ def load(
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
     roles = ('tool_pose', 'package_pose', 'tool_twist')
-    contents = detections.read_contents(
-        path, {role: values[f'topics.{role}'] for role in roles}, tag_sought(values))
+    topics = {role: values[f'topics.{role}'] for role in roles}
+    if values.measured.type == 'tf':
+        topics['package_pose'] = detections.TF_TOPIC
+    contents = detections.read_contents(path, topics, tag_sought(values))
     for problem in contents.problems.values():
         if isinstance(problem, NoTopicError) and values.bags[1:] and name in map(str, values.bags):
             problem = NoTopicError(f'{problem} If the topics of recordings differ, give each a '
@@ -106,7 +108,8 @@ def load(
 
 def tag_sought(values: Values) -> detections.TagSought:
     """Return the tag on the package of which corners are read."""
-    return detections.TagSought(values.measured.tag_size, values.measured.tag_id)
+    given = values.measured
+    return detections.TagSought(given.tag_size, given.tag_id, given.child_frame)
 
 
 def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:

@@ -4,6 +4,7 @@ from bellows_ros.core.geometry.lie import exp_se3, inverse_transform, rotation_t
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_streams
+from bellows_ros.files.detections import read_contents, TagSought
 from bellows_ros.files.plans import poses_in, read_transforms, TF
 from bellows_ros.workflows.convert import bodies_in_transforms, to_bag
 from bellows_ros.workflows.info import info
@@ -179,3 +180,19 @@ def test_info_names_the_link_of_the_tool_where_only_the_package_has_poses(tmp_pa
     (note,) = [text for text in info(recording(tmp_path / 'tf', topics=[package])).notes
                if 'bellows convert' in text]
     assert 'poses of the tool' in note and '--tool-link LINK' in note
+
+
+def test_a_tag_on_tf_alone_is_read_in_the_frame_of_its_camera(tmp_path):
+    """As measured.type: tf reads it, also where another tag has two parents."""
+    more = [(T0 + 5, 'camera', 'other', CAMERA), (T0 + 6, 'side_camera', 'other', CAMERA)]
+    folder = recording(tmp_path / 'tf', more)
+    found = read_contents(folder, {'package_pose': '/tf'}, TagSought(child_frame='/box'))
+    stream = found.streams['package_pose']
+    expected = np.array([box_in_camera(s) for s in (stream.stamps_ns - T0) * 1e-9])
+    assert stream.frame_id == 'camera' and len(stream) == 121 and not found.problems
+    assert_allclose(stream.position, expected[:, :3, 3], atol=1e-9)
+    assert_allclose(stream.rotation, expected[:, :3, :3], atol=1e-9)
+    for child, named in (('other', 'camera, side_camera'), ('tag', 'base, box, flange')):
+        problem = read_contents(
+            folder, {'package_pose': 'tf'}, TagSought(child_frame=child)).problems['package_pose']
+        assert named in str(problem) and 'measured.child_frame' in str(problem)

@@ -92,6 +92,27 @@ def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, listener):
         assert_allclose(pose.pose.position.z, 2.0 - 0.5 - 0.1 - stretched - 0.03, atol=1e-6)
 
 
+def test_a_tag_may_come_by_tf(make_partner, tf2_msgs):
+    """Correct by the frame of the tag, and by no other, in the frame of its camera."""
+    partner = make_partner({
+        **PACKAGE, 'measured.type': 'tf', 'measured.child_frame': 'tag36h11:7',
+        'recording.package_world': '0.0 0.0 0.0 0.0 0.0 0.0 1.0'}, with_twists=False)
+    observing = partner.predictor.pipeline.observing
+    tags = partner.writes(tf2_msgs.TFMessage, '/tf')
+    partner.connect()
+    partner.wait(lambda: observing.is_ready)
+    partner.send_pose(START)
+    partner.wait_for_poses(1)
+    z = partner.poses[-1].pose.position.z
+    for k in range(1, 5):
+        send(tags, tf2_msgs.TFMessage, START + k * MS, ('camera', 'tag36h11:7', z),
+             ('camera', 'tag36h11:8', 3.0))
+        partner.send_pose(START + k * MS)
+    partner.wait_for_poses(5)
+    partner.wait(lambda: sum(observing._observer.counts.values()) >= 3)
+    assert sum(observing._observer.counts.values()) <= 4
+
+
 def test_tf_can_be_left_to_others(make_predictor, tf2_msgs):
     """Advertise no /tf where frames.tf says so."""
     node = make_predictor({**PACKAGE, 'frames.tf': False})
@@ -103,5 +124,9 @@ def test_missing_tf_is_said_and_missed_by_a_tool_by_tf_only(make_predictor, make
     """Say what is missing, and predict; refuse what needs it."""
     with pytest.raises(BellowsError):
         make_predictor({**PACKAGE, 'tool_pose.type': 'tf'})
+    for frame, named in (('', 'measured.child_frame'), ('tag', 'measured.type .* tf2_msgs')):
+        with pytest.raises(BellowsError, match=named):
+            make_predictor(
+                {**PACKAGE, 'measured.type': 'tf', 'measured.child_frame': frame})
     make_partner(with_twists=False).predict(START)
     assert 'tf2_msgs is not installed' in capfd.readouterr().err

@@ -59,6 +59,7 @@ class PayloadGroup:
 
 class MeasuredGroup:
     type: str
+    child_frame: str
     tag_size: float
     tag_id: int
     model: str
