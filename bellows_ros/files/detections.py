@@ -29,11 +29,26 @@ LEAST_AREA = 1e-8
 
 
 class TagSought(NamedTuple):
-    """The detected tag on the package: side (m; 0 if unknown), number, and frame on /tf."""
+    """
+    The detected tag on the package.
+
+    Parameters
+    ----------
+    side : float
+        Side of the tag, m; 0 if unknown.
+    number : int
+        Number of the tag, or `ANY`.
+    child_frame : str
+        Frame of the tag on /tf.
+    rectified : bool
+        Whether the image was rectified before the detection.
+
+    """
 
     side: float = 0.0
     number: int = ANY
     child_frame: str = ''
+    rectified: bool = False
 
 
 NO_TAG = TagSought()
@@ -58,7 +73,7 @@ def read_contents(
             if kinds.get(topic) in (DETECTIONS, TF) and not role.endswith('twist'):
                 try:
                     contents.streams[role] = (
-                        _poses(read_views(path, topic, tag.number), tag.side)
+                        _poses(read_views(path, topic, tag.number, tag.rectified), tag.side)
                         if kinds[topic] == DETECTIONS else poses_on_tf(path, tag.child_frame))
                     del contents.problems[role]
                 except BellowsError as problem:
@@ -104,7 +119,9 @@ def _poses(views: CornerViews, side: float) -> Any:
     return views.poses(side)
 
 
-def read_views(path: File, topic: str, number: int = ANY) -> CornerViews:
+def read_views(
+    path: File, topic: str, number: int = ANY, rectified: bool = False
+) -> CornerViews:
     """
     Read the views of one tag.
 
@@ -116,6 +133,8 @@ def read_views(path: File, topic: str, number: int = ANY) -> CornerViews:
         Topic of an AprilTagDetectionArray.
     number : int
         Number of the tag; `ANY` for the only one.
+    rectified : bool
+        Whether the image was rectified before the detection.
 
     Returns
     -------
@@ -147,7 +166,7 @@ def read_views(path: File, topic: str, number: int = ANY) -> CornerViews:
             arrivals.append(log_ns)
             views.append([(corner.x, corner.y) for corner in seen[0].corners])
             places.append(place)
-    corners = directions(np.array(views).reshape(-1, 4, 2), *_calibration(path, frame))
+    corners = directions(np.array(views).reshape(-1, 4, 2), *_calibration(path, frame, rectified))
     found = CornerViews(absolute(topic), frame, number, np.array(stamps, np.int64), corners,
                         {reason: tuple(at) for reason, at in of_frame.items()})
     return _usable(found, np.array(arrivals), np.array(places), path)
@@ -167,13 +186,15 @@ def _number_of(topic: str, path: File, arrays: list[Any], number: int) -> int:
     return number
 
 
-def _calibration(path: File, frame: str) -> tuple[Any, str, Any]:
+def _calibration(path: File, frame: str, rectified: bool) -> tuple[Any, str, Any]:
     """Return camera matrix, distortion model and coefficients of the camera of a frame."""
     found: dict[tuple[Any, ...], str] = {}
     for topic, _, data in bags.messages_of(path, {CAMERA_INFO}):
         info = bags.decoded(data, CAMERA_INFO)
         if info.header.frame_id == frame:
-            found.setdefault((tuple(info.k), info.distortion_model, tuple(info.d)), topic.name)
+            camera = ((*info.p[0:3], *info.p[4:7], *info.p[8:11]), '', ()) if rectified else (
+                tuple(info.k), info.distortion_model, tuple(info.d))
+            found.setdefault(camera, topic.name)
     if not found:
         raise BellowsError(
             f"Recording '{Path(path)}' has no {CAMERA_INFO} of the frame '{frame}', in which tags "

@@ -109,7 +109,7 @@ def load(
 def tag_sought(values: Values) -> detections.TagSought:
     """Return the tag on the package of which corners are read."""
     given = values.measured
-    return detections.TagSought(given.tag_size, given.tag_id, given.child_frame)
+    return detections.TagSought(given.tag_size, given.tag_id, given.child_frame, given.rectified)
 
 
 def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:

@@ -68,12 +68,12 @@ def detections(pixels, numbers=(7,)):
     return found
 
 
-def calibration(model, k, frame=FRAME):
+def calibration(model, k, frame=FRAME, P=None):
     """Return a message of the camera."""
     region = TYPES['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False)
     return TYPES['sensor_msgs/msg/CameraInfo'](
         header(made.EPOCH_NS, frame), 720, 1280, model, np.array(k), MATRIX.ravel(),
-        np.eye(3).ravel(), np.zeros(12), 0, 0, region)
+        np.eye(3).ravel(), np.zeros(12) if P is None else P.ravel(), 0, 0, region)
 
 
 def recorded(path, arrays, *cameras):
@@ -100,6 +100,15 @@ def test_corners_are_read_without_the_distortion_of_the_lens(tmp_path, model):
     assert_allclose(stream.corners, true.reshape(-1, 8), atol=1e-8)
     assert_allclose(stream.position, position, atol=1e-5)
     assert_allclose(stream.rotation, rotation, atol=1e-4)
+
+
+def test_corners_of_a_rectified_image_have_no_distortion(tmp_path):
+    """Its camera is P, with another focal length; K and the distortion are of the raw image."""
+    true, P = views()[2], np.array([[800.0, 0, 620, 0], [0, 800.0, 350, 0], [0, 0, 1, 0]])
+    pixels = true * 800.0 + [620.0, 350.0]
+    path = recorded(tmp_path / 'b', detections(pixels), calibration(
+        'plumb_bob', LENSES['plumb_bob'], P=P))
+    assert_allclose(read_views(path, 'detections', rectified=True).corners, true, atol=1e-12)
 
 
 def test_noisy_corners_give_the_pose_of_least_squares_or_its_second_solution():

@@ -59,6 +59,7 @@ class PayloadGroup:
 
 class MeasuredGroup:
     type: str
+    rectified: bool
     child_frame: str
     tag_size: float
     tag_id: int
