@@ -379,7 +379,7 @@ def _interrupted(console: Console, ended: Sequence[int]) -> int:
 
 
 UNWRITABLE = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EPIPE))
-"""Errors of a stream that cannot be written; those of files are a BellowsError."""
+"""Errors of a stream that cannot be written; errors of files are a BellowsError."""
 
 
 def _of_stream(error: BaseException) -> bool:

@@ -186,7 +186,7 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _temporary_path(target: Path) -> Path:
-    """Return a hidden path in the folder of a target, which is freed of those of killed runs."""
+    """Return a hidden path in the folder of a target; remove the paths of killed runs."""
     for path in target.parent.glob(f'{PREFIX}*.tmp'):
         with suppress(OSError):
             if time.time() - path.lstat().st_mtime > ABANDONED:

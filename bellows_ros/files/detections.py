@@ -60,7 +60,7 @@ def read_contents(
     """
     Read the streams of a recording, poses also from the detected corners of a tag.
 
-    Parameters and errors are those of `bags.read_contents`; corners need the side of the tag. The
+    Parameters and errors are as for `bags.read_contents`; corners need the side of the tag. The
     topic `TF_TOPIC` stands for the poses of the tag's frame in its parent.
     """
     contents = bags.read_contents(path, wanted)

@@ -296,10 +296,11 @@ def to_bag(
 
     """
     notes = [note for body in bodies for note in body.notes]
-    notes += [f'{body.source} was never tracked; its topic is empty.'
-             for body in bodies if not body.poses]
+    notes += [
+        f'{body.source} was never tracked; its topic is empty.' for body in bodies
+        if not body.poses]
+    # earlier stamps are times since a start
     undated = [body.source for body in bodies
-               # earlier stamps are times since a start
                if body.poses and body.messages.stamps_ns[0] < 86400 * 10**9]
     if undated:
         notes.append(f'{", ".join(undated)}: the file has no date; the stamps start near zero.')

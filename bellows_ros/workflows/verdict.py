@@ -258,7 +258,7 @@ def verdict_of(
 
 
 def _other_sensor(recording: Recording, values: Values) -> str:
-    """Return a sentence on poses whose noise is not that of the stated kind of sensor, or ''."""
+    """Return a sentence on poses whose noise does not fit the stated kind of sensor, or ''."""
     report, body = recording.report.package, recording.tracked_package
     noise, rate_hz = noise_of(body.select(body.valid)), report.timing.rate_hz
     if not np.isfinite(noise).all():

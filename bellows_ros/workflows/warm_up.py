@@ -99,4 +99,4 @@ def compile_observer(cup: Cup) -> None:
 PARTS: dict[str, Callable[[Cup], None]] = {
     'fit': compile_fit, 'observer': compile_observer, 'plans': compile_plans,
     'prediction': compile_prediction}
-"""What is compiled together, the longest first."""
+"""Entries that are compiled together, the longest first."""

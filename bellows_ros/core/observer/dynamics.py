@@ -39,7 +39,7 @@ MAX_SUBSTEPS = 10_000
 diverged."""
 
 MAX_SHORTENING = 30.0
-"""Largest ratio of the nominal step and that of a model changed by theta: work is bounded."""
+"""Largest ratio of the nominal step and the step of a model changed by theta: it bounds work."""
 
 
 @kernel

@@ -1,7 +1,7 @@
 """
 An error-state Kalman filter on SE(3) x R^6, including the errors of an ordinary cell.
 
-The rows of the error are those of `states`. A row without uncertainty is constant until `alarms`
+The rows of the error are listed in `states`. A row without uncertainty is constant until `alarms`
 detects a fault, a step in some rows.
 
 The state is propagated through all samples of the tool with the predictor's steps. Between

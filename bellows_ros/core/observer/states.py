@@ -32,7 +32,7 @@ CAMERA_WALK_TIME = 300.0
 """Time in which a camera's frame drifts by `measured.camera_std` as its mount warms up, s."""
 
 MOTION, PACKAGE, CUP, CAMERA_SIDE, NOISE_SIDE = 'motion', 'package', 'cup', 'camera', 'noise'
-"""What a state belongs to: the present motion, or what is kept over motions and packages."""
+"""Owners of states: the present motion, or a part that stays over motions and packages."""
 
 
 class Stated(NamedTuple):

@@ -2,7 +2,7 @@
 A tracked body, measured by its pose.
 
 The residual of a view is the difference of the measured and the simulated pose of B: shift and
-rotation in body axes, as of `pose_error`, or those of a measured point in the axes of its noise.
+rotation in body axes, as of `pose_error`, or of a measured point, in the axes of its noise.
 Nuisances of the sensor are frames (com, world, marker), scale, clocks and exposure.
 """
 

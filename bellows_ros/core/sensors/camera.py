@@ -1,8 +1,8 @@
 """
 Corners of a detected tag: from pixels to directions, and the pose of a tag that shows them.
 
-Directions are coordinates (X/Z, Y/Z) in the camera's frame, those of an undistorted camera of unit
-focal length. The distortion models are those of sensor_msgs/CameraInfo, with the coefficients of
+Directions are coordinates (X/Z, Y/Z) in the camera's frame, as an undistorted camera of unit focal
+length shows them. The distortion models follow sensor_msgs/CameraInfo, with the coefficients of
 OpenCV: k1, k2, p1, p2, k3 of `plumb_bob`, and also k4, k5, k6 of `rational_polynomial`.
 """
 

@@ -30,7 +30,7 @@ def seen(values, axes):
 
 
 def residual(views, state):
-    """Return the residual (6,) of the view, and its derivative by the package's error."""
+    """Return the residual of the view (6,), and its derivative by the package's error."""
     out, M = np.zeros(6), np.zeros((6, 6))
     body.observe(MODEL, TOOL, state, views, 0, M, out)
     return out, M

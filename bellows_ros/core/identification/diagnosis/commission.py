@@ -220,7 +220,7 @@ def _speeds(tool: Trajectory, stamps_ns: Stamps) -> Array:
 
 
 def seems_tag(noise: Array, rate_hz: float, flips: float) -> bool:
-    """Return whether poses with a noise (6,), a rate and a share of flips are those of a tag."""
+    """Return whether a noise (6,), a rate and a share of flips are typical of a tag."""
     lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (noise[:2], noise[3:]))
     return rate_hz < TAG_RATE_HZ and (
         flips > MAX_FLIP_PART or rotation > TAG_ROTATION or float(noise[2]) > TAG_DEPTH * lateral)
