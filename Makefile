@@ -35,6 +35,10 @@ demo: $(VENV)/demo-ready  ## identify a cup, then predict a second recording liv
 test: $(VENV)/ready  ## run the whole suite
 	@$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
 
+.PHONY: test-lanes
+test-lanes: $(VENV)/ready  ## run the demo, installations, the commands of all pages and the benchmarks
+	@$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m 'lane and not stress' $(ARGS)
+
 .PHONY: test-oldest
 test-oldest: .venv-oldest/ready  ## run it on what Ubuntu 24.04 has, without numba
 	@$(OLDEST)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
@@ -52,7 +56,7 @@ bench-quick: $(VENV)/ready  ## whether something takes twice as long as it shoul
 	@$(BIN)/python -m benchmarks.quick
 
 .PHONY: test-long
-test-long: $(VENV)/ready  ## run what is too much for the suite: repetitions, damaged files, all short benchmarks
+test-long: $(VENV)/ready  ## run what is too much for the suite: repetitions, rates, damaged files, long benchmarks
 	@$(BIN)/python -m pytest -m stress $(ARGS)
 
 .PHONY: mutants

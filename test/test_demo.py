@@ -9,7 +9,7 @@ import sys
 from bellows_ros.demo.steps import main
 import pytest
 
-pytestmark = pytest.mark.xdist_group('demo')  # it is run once
+pytestmark = [pytest.mark.lane, pytest.mark.xdist_group('demo')]  # it is run once
 
 LARGEST_ERROR = {'mm': 0.12, 'deg': 0.034}
 LONGEST = 900.0  # s: on a busy machine where nothing is compiled yet

@@ -48,6 +48,7 @@ def wheel(copy_sources, tmp_path):
     return zipfile.ZipFile(build('wheel', unpacked, tmp_path / 'wheel'))
 
 
+@pytest.mark.lane
 def test_wheel_holds_the_package_and_its_share_and_no_tests(wheel, root, tmp_path):
     """Install every module, the launch files and the configuration; leave the tests at home."""
     names = set(wheel.namelist())

@@ -23,8 +23,9 @@ import pytest
 NEEDED = {'node': 'rclpy', 'startup': 'rclpy'}
 LONG = {'node', 'offline', 'startup'}
 
+pytestmark = pytest.mark.lane
 
-@pytest.mark.timeout(300)
+
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
 @pytest.mark.parametrize('section', [
     pytest.param(section, marks=[pytest.mark.stress] if section in LONG else [])

@@ -1,7 +1,6 @@
 """Every command on every page: run, with the output that the page shows, or at least checked."""
 
 import argparse
-from pathlib import Path
 import re
 import shlex
 import subprocess
@@ -28,15 +27,8 @@ def runnable():
     return [name for name, page in ALL.items() if with_mode(page, 'run', 'fails')]
 
 
-LONG = ('a_robot_and_a_tag', 'choosing', 'exciting', 'filter', 'formats', 'many_recordings',
-        'recording', 'several_cups', 'static_recordings', 'toss', 'tutorial', 'validation',
-        'with_a_camera')
-"""Pages of which `make test-long` runs the commands."""
-
-
-@pytest.mark.parametrize('name', [
-    pytest.param(name, marks=[pytest.mark.stress] if Path(name).stem in LONG else [])
-    for name in runnable()])
+@pytest.mark.lane
+@pytest.mark.parametrize('name', runnable())
 def test_commands_do_what_the_page_shows(name, tmp_path, user_environment):
     """Run a page's commands in order, from a checkout's bags and config."""
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
@@ -55,7 +47,7 @@ def test_commands_do_what_the_page_shows(name, tmp_path, user_environment):
                 assert PAGES.matches(command.output, done.stdout), where + done.stdout
 
 
-@pytest.mark.stress
+@pytest.mark.lane
 def test_readme_and_tutorial_follow_each_other_in_one_folder(tmp_path, user_environment):
     """Run both in order as on a first day, from an empty home; play to a predictor, too."""
     home, folder = tmp_path / 'home', tmp_path / 'folder'

@@ -6,7 +6,7 @@ import sys
 from bellows_ros import __version__
 import pytest
 
-pytestmark = pytest.mark.xdist_group('installed')
+pytestmark = [pytest.mark.lane, pytest.mark.xdist_group('installed')]
 
 
 def test_python_finds_the_installed_package(installed):

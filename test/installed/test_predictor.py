@@ -10,7 +10,7 @@ import pytest
 
 from ..nodes.conftest import MS, Peer, pose_at, START
 
-pytestmark = [pytest.mark.timeout(300), pytest.mark.xdist_group('installed')]
+pytestmark = [pytest.mark.lane, pytest.mark.xdist_group('installed')]
 
 
 class User(Peer):
