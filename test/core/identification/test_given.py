@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification import output_error as module
-from bellows_ros.core.identification.diagnosis import candidates
+from bellows_ros.core.identification.diagnosis import ranking
 from bellows_ros.core.identification.diagnosis.ranking import deviating
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import given_std, PACKAGE_STD, stated
@@ -69,7 +69,7 @@ def test_recordings_may_share_the_errors_of_a_marker():
         body = replace(own.package, rotation=own.package.rotation @ turned)
         parts.append(replace(own, package=body, recording=number))
     each, shared = (output_error(parts, AXISYMMETRIC, TRUTH, given=USUAL, common=common)
-                    for common in ((), candidates.MARKERS))
+                    for common in ((), ranking.MARKERS))
     assert [len(fit.nuisances['package_marker']) for fit in (each, shared)] == [2, 1]
     assert np.abs(off(shared)[1]).max() < 4.0
     spread = np.ptp(each.nuisances['package_marker'][:, 3:], axis=0)
@@ -227,7 +227,7 @@ def test_what_is_a_little_off_is_no_cause_where_chance_leaves_something(monkeypa
     own = measured(5, tool_hz=100.0, duration=8.0)
     aside = replace(own, payload=varied(PLATE, com=np.array([1.5e-3, 0.0, 0.0])))
     assert output_error([aside], AXISYMMETRIC, TRUTH).causes
-    for one in (module, candidates):
+    for one in (module, ranking):
         monkeypatch.setattr(one, 'is_explained', lambda *end: False)
     assert not output_error([aside], AXISYMMETRIC, TRUTH, given=USUAL).causes
 
