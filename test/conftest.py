@@ -24,8 +24,6 @@ from bellows_ros.demo import isolate
 import hypothesis
 import pytest
 
-from . import kernels
-
 configure_process()
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -92,7 +90,18 @@ def pytest_configure(config):
             f'{BOOTSTRAPPED} is set, but not by this Python ({sys.executable}): the ROS libraries '
             f'cannot be found. Start again with: env -u {BOOTSTRAPPED} {sys.executable} -m pytest')
     if config.getoption('numprocesses', None) and 'PYTEST_XDIST_WORKER' not in os.environ:
-        kernels.compile_all()
+        from bellows_ros.core.geometry.jit import COMPILED
+        from bellows_ros.workflows.warm_up import PARTS, RELAXING, warm_up
+
+        if COMPILED:
+            warm_up(PARTS, ((0.0, 0.0), RELAXING))
+
+
+def compiled(*arguments):
+    """Compile a part outside the time limit of a test; import late, as NumPy loads slowly."""
+    from bellows_ros.workflows.warm_up import compile_part
+
+    compile_part(*arguments)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -144,26 +153,27 @@ def pytest_unconfigure():
 
 @pytest.fixture(scope='session')
 def predictor_kernels():
-    """Compile the kernels of a prediction, outside the time limit of a test."""
-    kernels.compile_model()
+    """Compile predictions."""
+    compiled('prediction')
 
 
 @pytest.fixture(scope='session')
 def rubber_kernels():
-    """Compile the kernels for a cup that relaxes, outside the time limit of a test."""
-    kernels.compile_plans(kernels.RUBBER)
+    """Compile for a cup that relaxes."""
+    for part in ('prediction', 'plans'):
+        compiled(part, (0.2, 0.2))
 
 
 @pytest.fixture(scope='session')
 def plan_kernels():
-    """Compile the kernels of plans, outside the time limit of a test."""
-    kernels.compile_plans()
+    """Compile plans."""
+    compiled('plans')
 
 
 @pytest.fixture(scope='session')
 def observer_kernels():
-    """Compile the kernels of the observer, outside the time limit of a test."""
-    kernels.compile_observer()
+    """Compile the observer."""
+    compiled('observer')
 
 
 @pytest.fixture(scope='session')

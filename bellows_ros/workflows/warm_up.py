@@ -34,14 +34,15 @@ def warm_up(
 ) -> None:
     """Compile the entries of some of `PARTS` for cups with some relaxations."""
     tasks = [(part, relaxation) for part in parts for relaxation in relaxations]
+    progress('Compiling', 0.0)
     with ProcessPoolExecutor(usable_cores(), get_context('spawn')) as pool:
-        running = [pool.submit(_compile, *task) for task in tasks]
+        running = [pool.submit(compile_part, *task) for task in tasks]
         for done, future in enumerate(as_completed(running)):
             future.result()
             progress('Compiling', (done + 1) / len(tasks))
 
 
-def _compile(part: str, relaxation: tuple[float, float]) -> None:
+def compile_part(part: str, relaxation: tuple[float, float] = (0.0, 0.0)) -> None:
     """Compile a part for a cup with a relaxation."""
     PARTS[part](replace(Cup.thesis(), relaxation=relaxation))
 
