@@ -35,7 +35,7 @@ LATE = {
     'bellows_ros/library.py': ('bellows_ros.workflows',),
     'bellows_ros/files/bags.py': ('rosbags',),
     'bellows_ros/nodes/command.py': (
-        'bellows_ros.core.parameters.table', 'bellows_ros.files.parameter_files',
+        'bellows_ros.core.parameters.table', 'bellows_ros.files',
         'bellows_ros.nodes.guarding'),
     'bellows_ros/demo/steps.py': ('bellows_ros.nodes.bag_player',),
     'bellows_ros/plots/__init__.py': ('bellows_ros.plots.pictures',),
