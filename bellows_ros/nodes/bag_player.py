@@ -120,7 +120,7 @@ def _player(
 
 class Played(NamedTuple):
     """
-    What was played, and what a predictor answered.
+    Played messages, and the answers of a predictor.
 
     Parameters
     ----------
