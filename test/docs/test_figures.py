@@ -11,6 +11,7 @@ DECLARED = [(script, name) for script in PICTURES.SCRIPTS
             for name, *_ in PICTURES.declared(script)]
 
 
+@pytest.mark.lane
 @pytest.mark.parametrize(('script', 'name'), [
     pytest.param(*each, id=each[1], marks=[pytest.mark.stress] if each[1] in SLOW else [])
     for each in DECLARED])
