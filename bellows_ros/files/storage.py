@@ -5,7 +5,7 @@ rosbags reads sound files. An MCAP file whose end is missing or damaged is read 
 and a damaged database row by row. Every file is read up to its damage, with a note.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -68,32 +68,53 @@ def batches(path: Path, wanted: Wanted, counts: Counts, notes: list[str]) -> Ite
         If the file is no recording.
 
     """
-    met, before, last_ns = Counter[Channel](), dict(counts), 0
-    pending: dict[Channel, tuple[list[int], list[bytes]]] = defaultdict(lambda: ([], []))
+    before, pending = dict(counts), dict[int, _Pending]()
     try:
         for topic, log_time_ns, data in _stored(path, wanted, counts, notes):
-            met[topic] += 1
-            last_ns = max(last_ns, log_time_ns)
-            if not wanted(topic):
-                continue
-            times, messages = pending[topic]
-            times.append(log_time_ns)
-            messages.append(data)
-            if len(times) == BATCH:
-                yield topic, *pending.pop(topic)
+            own = pending.get(id(topic))  # a topic takes long to hash
+            if own is None:
+                own = pending[id(topic)] = _Pending(topic, wanted(topic))
+            own.times.append(log_time_ns)
+            own.messages.append(data)
+            if len(own.times) == BATCH:
+                yield from own.batch()
     except (DamagedError, OSError):
         raise
     except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
         reason = str(error) or type(error).__name__
+        for own in pending.values():
+            yield from own.batch()
+        total = sum(own.count for own in pending.values())
+        last_ns = max((own.last_ns for own in pending.values()), default=0)
         notes.append(
             f'its recording was not closed, or it is damaged ({reason:.200}); read were '
-            f'{met.total()} messages' + f' up to {_utc(last_ns)} UTC' * bool(met))
-    else:
-        notes += [f"its index lists {stated} messages of '{topic.name}'; read were {number}"
-                  for topic, number in met.items()
-                  if number != (stated := counts[topic] - before.get(topic, 0))]
-    for topic, (times, messages) in pending.items():
-        yield topic, times, messages
+            f'{total} messages' + f' up to {_utc(last_ns)} UTC' * bool(total))
+        return
+    met = Counter[Channel]()
+    for own in pending.values():
+        yield from own.batch()
+        met[own.topic] += own.count
+    notes += [f"its index lists {stated} messages of '{topic.name}'; read were {number}"
+              for topic, number in met.items()
+              if number != (stated := counts[topic] - before.get(topic, 0))]
+
+
+class _Pending:
+    """The messages of a topic that are not given yet, and number and last time of the others."""
+
+    def __init__(self, topic: Channel, wanted: bool) -> None:
+        self.topic, self._wanted = topic, wanted
+        self.times, self.messages = list[int](), list[bytes]()
+        self.count = self.last_ns = 0
+
+    def batch(self) -> Iterator[Batch]:
+        """Yield the messages, if any and wanted."""
+        times, messages = self.times, self.messages
+        self.times, self.messages = [], []
+        self.count += len(times)
+        self.last_ns = max(self.last_ns, *times, 0)
+        if times and self._wanted:
+            yield self.topic, times, messages
 
 
 def _utc(stamp_ns: int) -> np.datetime64:
