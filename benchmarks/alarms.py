@@ -18,6 +18,7 @@ from collections import Counter
 import math
 from typing import Any
 
+from bellows_ros.core.model.equilibrium import pose_error
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import measurement as sensor
 from bellows_ros.core.observer.alarms import ONSET_NS
@@ -97,12 +98,12 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
         body, theta, model = estimate.body, estimate.theta, cell.made.model
         com = model[1][1]
         if not noise.any():
-            noise = sensor.pose_noise(marker[3], position, (0.0, 0.0, 0.0))
+            noise = np.diag(np.square(np.repeat(marker[3][1:3], 3)))
         position, q, noise = sensor.corrected_pose(position, q, noise, marker, theta, com)
         exposed = sensor.at_exposure(model, estimate.tool, body, theta)
         whitened, _, whitener, *_ = sensor.innovation_of(
-            exposed, theta, estimate.covariance, position, q, noise, marker,
-            estimate.memory[ekf.JITTER])
+            exposed, theta, estimate.covariance, np.ravel(pose_error(exposed, position, q)), noise,
+            marker, estimate.memory[ekf.JITTER])
         stamps.append(stamp_ns)
         ys.append(np.linalg.solve(whitener, whitened))
         whiteners.append(whitener)

@@ -33,9 +33,7 @@ from test.core.observer.contact_cell import ContactCell, DAMPING, LENGTH, STIFFN
 START_NS = 1_000_000_000_000
 CYCLES = 12
 """Number of cycles of one cell."""
-CAMERAS: dict[str, dict[str, Any]] = {
-    'memory': {}, 'white': {},
-    'view': {'measured.model': 'tag', 'measured.camera': [0.5, 0.0, 1.6]}, 'rig': {}}
+CAMERAS: dict[str, dict[str, Any]] = {'memory': {}, 'white': {}, 'rig': {}}
 """Parameters of each sensor of a `ContactCell`."""
 CUP: dict[str, Any] = {
     'cup.stiffness': np.diag(STIFFNESS).ravel().tolist(), 'cup.length': LENGTH,

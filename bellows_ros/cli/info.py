@@ -30,12 +30,13 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     if arguments.write_params:
         settings = {**result.settings, **{
             name: check.settings[name] for check in result.checks
-            for name in ('tool_pose.offset', 'recording.package_frame', 'measured.model')
-            if name in check.settings}}
-        if settings.get('measured.model') == 'tag' and 'fit.free' in settings:
+            for name in ('tool_pose.offset', 'recording.package_frame') if name in check.settings}}
+        is_tag = any(check.numbers.get('kind') == 'tag' for check in result.checks)
+        if is_tag and 'fit.free' in settings:
             settings['fit.free'] = (*settings['fit.free'], 'scale')  # a tag of another size
+        unknown = UNKNOWN + ('measured.tag_size',) * is_tag
         write_text(arguments.write_params, template_with(
-            [PARAMETERS[name] for name in UNKNOWN if name not in settings], settings,
+            [PARAMETERS[name] for name in unknown if name not in settings], settings,
             [f'How to read {result.path}, as found by bellows info; check it.'],
             _commented(result, settings)))
     cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''

@@ -16,10 +16,10 @@ from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment
-from bellows_ros.core.recording.measurement_model import measurement_model
 from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.core.sensors.body import middle_of
+from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
@@ -232,8 +232,7 @@ class Identification(CommandResult):
             pose = alignment.shifted_pose(
                 world.pose, settings.R_world_recorded, middle_of(recording.tracked_package)[:3],
                 free.get('package_world', np.zeros(6)))
-            camera = settings.tag.camera if settings.tag else pose[:3]
-            pose[:3] += (scale - 1.0) * np.array(camera)
+            pose[:3] *= 1.0 if settings.tag else scale
             yield 'recording.package_world', (checks.pose_text(pose), world.std, 'm, rad')
         if 'package_marker' in self.values.fit.free or world and (
                 recording.settings.align_at_rest):
@@ -250,16 +249,14 @@ class Identification(CommandResult):
                 np.append(T[:3, 3], lie.log_so3(T[:3, :3])).tolist(),
                 std.get('package_marker', np.zeros(6)), 'm, rad')
         noise = self.fit.noise_in_motion.get(number)
-        if recording.settings.tag and noise is not None and (
-                tag := recording.with_noise(noise).settings.tag):
-            # World and marker absorb errors of the view: no standard error is below the stated
-            # one.
-            stated = measurement_model(self.values)
-            for name, found, least, unit in (
-                    ('noise', tag.at_rest, stated.at_rest, 'm, m, rad, rad'),
-                    ('blur', tag.in_motion, stated.in_motion, 's^2/m, s^2 rad/m^2')):
-                yield f'measured.{name}', (
-                    np.maximum(found, least).tolist(), np.zeros(4), unit)
+        if (tag := recording.settings.tag) and noise is not None:
+            change = 1.0 + float(free.get('exposure', np.zeros(1))[0])
+            usual = USUAL_EXPOSURE / recording.report.package.timing.rate_hz
+            exposure = (tag.exposure or usual) * abs(change)
+            yield 'measured.noise', (
+                [noise[0], noise[1] / max(change**2, 0.01)], np.zeros(2), 'rad, 1/rad')
+            yield 'measured.exposure', (exposure, (
+                tag.exposure or usual) * std.get('exposure', np.ones(1))[0], 's')
         if number < len(self.fit.delays) and abs(self.fit.delays[number]) < 0.5 and (  # s
                 math.isfinite(self.fit.delays_std[number])):
             yield 'measured.latency', (

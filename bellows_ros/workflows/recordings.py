@@ -7,7 +7,13 @@ import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Mask, Stamps
-from bellows_ros.core.geometry.lie import exp_so3, inverse_transform, transform
+from bellows_ros.core.geometry.lie import (
+    apply,
+    exp_so3,
+    inverse_transform,
+    quaternion_to_rotation,
+    transform,
+)
 from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.diagnosis.facts import BLOCKING, Fact, facts_of
 from bellows_ros.core.parameters import checks, conversion
@@ -15,7 +21,6 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import conventions
 from bellows_ros.core.recording import recording as prepared
-from bellows_ros.core.recording.measurement_model import measurement_model
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
@@ -204,8 +209,8 @@ def _prepared(
     world = values.recording.package_world
     registers = bool(values.fit.time_offset or world == checks.ESTIMATE
                      or 'package_marker' in values.fit.free)
+    package = as_measured(in_camera(package, tool.frame_id, values), values)
     _require_no_faults(tool, package, settings, registers, name, accepted)
-    package = as_measured(package, values)
     if registers:
         payload, inertia = settings.payload, np.diag(settings.payload.inertia)
         if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
@@ -223,18 +228,40 @@ def _prepared(
 
 def is_measured(values: Values) -> bool:
     """Return whether measured.* describes the recorded package: a tag, or its own world."""
-    return values.measured.model == 'tag' or (
+    return values.measured.tag_size > 0.0 or (
         values.recording.package_world not in ('', checks.ESTIMATE))
+
+
+def in_camera(package: PoseStream, world: str, values: Values) -> PoseStream:
+    """
+    Return the poses of a tag in the frame of its camera, also of poses in the world of the tool.
+
+    Raises
+    ------
+    BellowsError
+        If the camera of poses in the tool's world has no given pose there.
+
+    """
+    if not values.measured.tag_size or package.corners is not None or package.frame_id != world:
+        return package
+    if values.recording.package_world in ('', checks.ESTIMATE):
+        raise BellowsError(
+            f"The poses of '{package.name}' are in '{world}', the frame of the tool's poses. The "
+            "corners of a tag need its poses in the camera's own frame: record those, or set "
+            'recording.package_world to the pose of the camera, seven numbers (x y z qx qy qz '
+            'qw).')
+    pose = frames.pose_of(values.recording.package_world)
+    T = inverse_transform(transform(quaternion_to_rotation(pose[3:]), pose[:3]))
+    return replace(package, frame_id='camera', position=T[:3, 3] + apply(
+        T[:3, :3], package.position), rotation=T[:3, :3] @ package.rotation)
 
 
 def as_measured(package: PoseStream, values: Values) -> PoseStream:
     """Return recorded poses of the package corrected by the stated latency and scale."""
     if not is_measured(values):
         return package
-    model = measurement_model(values)
-    return replace(
-        trajectory.earlier(package, model.latency), position=model.camera + model.scale * (
-            package.position - model.camera))
+    return replace(trajectory.earlier(package, values.measured.latency),
+                   position=values.measured.scale * package.position)
 
 
 def marker_alignment(values: Values) -> frames.Alignment | None:
@@ -365,4 +392,4 @@ def prepare_settings(values: Values) -> PrepareSettings:
         package_half_window=values.filter.package.half_window,
         package_order=values.filter.package.order,
         tool_twist_frame=values.tool_twist.frame,
-        tag=measurement_model(values) if values.measured.model == 'tag' else None)
+        tag=conversion.tag_of(values))

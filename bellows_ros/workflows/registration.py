@@ -15,6 +15,7 @@ from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.sensors.body import middle_of
+from bellows_ros.core.sensors.corners import CornerNoise
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
@@ -68,18 +69,18 @@ def _registered(
         _require_world(world_std)
     (scale,), _ = estimates.get('scale', (np.zeros(1), None))
     if scale and pose is not None:  # about the camera instead of the tool's world
-        of_camera = np.array(values.measured.camera)
-        camera = pose[:3] + lie.quaternion_to_rotation(pose[3:]) @ of_camera
-        package = replace(package, position=of_camera + (1.0 + scale) * (
-            package.position - of_camera))
-        pose = np.append(pose[:3] + scale * camera, pose[3:])
+        package = replace(package, position=(1.0 + scale) * package.position)
+        pose = np.append(pose[:3] + scale * pose[:3] * (settings.tag is None), pose[3:])
+        settings = replace(settings, tag=settings.tag and replace(
+            settings.tag, side=(1.0 + scale) * settings.tag.side))
         changes['scale'] = float(1.0 + scale) * values.measured.scale
     if world is not None and pose is not None:
         middle = middle_of(recording.tracked_package)[:3]
         pose = frames.shifted_pose(pose, settings.R_world_recorded, middle, world)
         changes['package_world'] = prepared.PackageWorld(pose, world_std)
-    if settings.tag and found and found.error_factors is not None:
-        settings = replace(settings, tag=settings.tag.scaled_errors(*found.error_factors))
+    if settings.tag and found:
+        settings = replace(settings, tag=replace(
+            settings.tag, noise=CornerNoise(*found.noise_in_motion[0].tolist())))
     marker, _ = estimates.get('package_marker', (np.zeros(6), None))
     recording = filtered(_realigned(recording.alignment, marker))
     (offset,), (std,) = estimates.get('time_offset', (np.zeros(1), np.array([np.inf])))

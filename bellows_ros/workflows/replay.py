@@ -657,7 +657,7 @@ def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
 
 def _compared_poses(recording: Recording) -> tuple[Trajectory, Trajectory]:
     """Return measured tool and package at stamps of both, or of the package if that is slow."""
-    timing, package = recording.report.tool.timing, recording.sharp_package
+    timing, package = recording.report.tool.timing, recording.tracked_package
     if recording.report.package.timing.rate_hz >= LOW_RATE_HZ:
         return recording.measured_tool, recording.measured_package
     return resample(recording.aligned_tool, package.stamps_ns, timing.longest_step_ns), package

@@ -258,17 +258,14 @@ def verdict_of(
 
 
 def _other_sensor(recording: Recording, values: Values) -> str:
-    """Return a sentence on poses whose noise does not fit the stated kind of sensor, or ''."""
+    """Return a sentence on poses that seem to be of a tag of unknown size, or ''."""
     report, body = recording.report.package, recording.tracked_package
     noise, rate_hz = noise_of(body.select(body.valid)), report.timing.rate_hz
-    if not np.isfinite(noise).all():
+    if values.measured.tag_size or not np.isfinite(noise).all() or not seems_tag(
+            noise, rate_hz, report.outliers.excursions / len(report.recorded)):
         return ''
-    kind = 'tag' if seems_tag(
-        noise, rate_hz, report.outliers.flips / len(report.recorded)) else 'body'
-    return '' if kind == values.measured.model else sentence(
-        'causes', 'sensor', topic=report.recorded.name, kind=kind, rate=rate_hz,
-        stated=values.measured.model, rotation=float(np.sqrt(np.mean(noise[3:]**2))),
-        what='a detected tag' if kind == 'tag' else 'a tracked body')
+    return sentence('causes', 'sensor', topic=report.recorded.name, rate=rate_hz,
+                    rotation=float(np.sqrt(np.mean(noise[3:]**2))))
 
 
 def _judged(
@@ -299,15 +296,12 @@ def _found(
     if not fit.converged:
         return {}
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()
-                                    if name != 'exposure' or rows[0, 0] > 0.0}
-    found, rate_hz = payload_of(recording.payload, free), recording.report.package.timing.rate_hz
+                                    if name != 'exposure'}
+    found = payload_of(recording.payload, free)
     parameters = {
         'com': ('package.com', found.com), 'length': ('cup.length', np.array([length])),
         'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
-        'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1))),
-        'exposure': (
-            'exposure of the camera (ms)',
-            1e3 / rate_hz * np.sqrt(free.get('exposure', np.zeros(1))))}
+        'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1)))}
     pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
              for name in parameters if name in free and name in std}
     if max(pulls.values(), default=0.0) <= 0.5:  # standard deviations
@@ -315,8 +309,8 @@ def _found(
     changes = {name: f'{1e3 * np.linalg.norm(free[name]):.2g} mm' for name in pulls}
     if 'inertia' in pulls:
         changes['inertia'] = f'{100.0 * np.max(np.abs(np.expm1(free["inertia"]))):.2g} %'
-    changes |= {name: f'{abs(parameters[name][1][0]):.2g} {unit}' for name, unit in (
-        ('clock_rate', 'ppm'), ('exposure', 'ms')) if name in pulls}
+    if 'clock_rate' in pulls:
+        changes['clock_rate'] = f'{abs(parameters["clock_rate"][1][0]):.2g} ppm'
     return {parameters[name][0]: (parameters[name][1], changes[name], pulls[name])
             for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
 
@@ -333,7 +327,7 @@ def _simulated(
     cup: Cup, recording: Recording, noise_in_motion: Array | None = None, held: Cup | None = None,
 ) -> Simulated:
     """Return a free simulation of a recording; a failed simulation explains no motion."""
-    if recording.pose_errors and noise_in_motion is not None:
+    if recording.views and noise_in_motion is not None:
         recording, noise_in_motion = recording.with_noise(noise_in_motion), None
     try:
         result = validate(cup, recording, MAX_SIMULATED)

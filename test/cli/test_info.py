@@ -90,7 +90,7 @@ def test_checks_before_a_fit_stand_as_comments_in_the_parameter_file(
     assert 'Checks before a fit' in done.stdout
     text = (tmp_path / 'cell.yaml').read_text()
     assert '# CHECKS BEFORE A FIT' in text
-    assert '    #measured.noise: [0.0001, 0.0001, 0.0005, 0.0005]\n' in text
-    names = ['z of the tool', 'clocks', 'frames', 'marker', 'detector', 'flips', 'rate']
+    assert '    #measured.noise: [0.0001, 0.0005]\n' in text
+    names = ['z of the tool', 'clocks', 'frames', 'marker', 'detector', 'excursions', 'rate']
     places = [text.index(f'    # {name}: ') for name in names]
     assert places == sorted(places)

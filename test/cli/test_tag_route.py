@@ -31,7 +31,8 @@ def test_printed_commands_lead_from_a_recording_to_the_node(
     bags = root / 'bags'
     done = succeed('info', bags / 'tag', '--write-params', 'my_cell.yaml', cwd=tmp_path)
     done = succeed('identify', '--params', bags / 'package.yaml', *printed(
-        done, 'bellows identify'), '--json', 'fit.json', cwd=tmp_path)
+        done, 'bellows identify'), '--set', 'measured.tag_size=0.048', '--json', 'fit.json',
+        cwd=tmp_path)
     cup, cell = (read_parameters(tmp_path / name) for name in ('cup.yaml', 'cell.yaml'))
     for place, true in TRUE_K.items():
         error = cup['cup.stiffness'][place] - true

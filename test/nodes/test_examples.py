@@ -24,7 +24,7 @@ GRIPPER = {'gripper_mass': 1.5, 'gripper_com': [0.0, 0.0, 0.04], 'lip_distance':
 VALUES = {
     **PACKAGE, 'payload.estimate': True, 'coast.limit': 0.0,
     'measured.camera_std': [0.0, 0.0], 'measured.marker_std': [0.0, 0.0],
-    'measured.noise': [1e-4, 1e-4, 1e-3, 1e-3], 'cup.stiffness_std': [1e-3] * 36}
+    'measured.noise': [1e-4, 1e-3], 'cup.stiffness_std': [1e-3] * 36}
 
 
 def shaken(t):

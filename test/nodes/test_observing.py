@@ -41,7 +41,7 @@ def swinging():
 def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     """Come near where the package is seen, in a world of its own too; count what is no use."""
     partner = make_partner({
-        **PACKAGE, 'measured.type': kind, 'measured.noise': [1e-4, 1e-4, 1e-3, 1e-3],
+        **PACKAGE, 'measured.type': kind, 'measured.noise': [1e-4, 1e-3],
         'payload.estimate': True,
         'recording.package_world': ' '.join(map(str, WORLD)) if apart else ''})
     writer = partner.writes(TOOL_POSES[kind], 'package/measured')
@@ -121,7 +121,7 @@ def test_counts_begin_again_with_the_observer(make_partner):
         return observing.status('measured package')
 
     assert report(3).message.startswith('3 of 3 messages refused')
-    set_on(predictor, 'measured.noise', [1e-3] * 4)
+    set_on(predictor, 'measured.noise', [1e-3] * 2)
     assert report(2).message.startswith('2 of 2 messages refused')
     assert report(0).level == Level.ERROR
     predictor.pipeline.live.on_valve(False, start_ns)

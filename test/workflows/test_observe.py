@@ -191,8 +191,8 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
         return found.estimates['both'].scores.rms
 
     known = np.repeat(NOISE, 3)
-    even = seen('even', known, **{'measured.noise': (1.0,) * 4})
-    by_values = seen('none', 0.0 * known, **{'measured.noise': np.repeat(NOISE, 2).tolist()})
+    even = seen('even', known, **{'measured.noise': (1.0,) * 2})
+    by_values = seen('none', 0.0 * known, **{'measured.noise': list(NOISE)})
     np.testing.assert_allclose(even, by_values, rtol=1e-9)
     uneven = seen('uneven', known * [1, 5, 1, 1, 1, 1])
     assert np.abs(uneven / even - 1.0).max() > 0.03

@@ -176,13 +176,12 @@ def test_an_estimate_beyond_three_deviations_is_a_finding_of_its_own():
     assert len(found._replace(found={'package.com': (estimate[:3], '3 mm', 2.0)}).doubts) == 1
 
 
-@pytest.mark.parametrize(('stated', 'noise', 'camera_hz', 'named'), [
-    ('tag', 5e-4, 240.0, 'measured.model: body'), ('body', 6e-3, 30.0, 'measured.model: tag'),
-    ('body', 5e-4, 240.0, ''), ('tag', 6e-3, 30.0, '')])
-def test_the_wrong_kind_of_sensor_is_named(stated, noise, camera_hz, named):
+@pytest.mark.parametrize(('size', 'noise', 'camera_hz', 'named'), [
+    (0.0, 6e-3, 30.0, 'set measured.tag_size'), (0.0, 5e-4, 240.0, ''), (0.05, 6e-3, 30.0, '')])
+def test_a_tag_of_unknown_size_is_named(size, noise, camera_hz, named):
     laboratory = Laboratory(4, seconds=6.0, rate_hz=240.0)
     laboratory.noise, laboratory.camera_hz = ((3e-4, noise), laboratory.noise[1]), camera_hz
-    values = parameters(laboratory).replaced({'measured.model': stated})
+    values = parameters(laboratory).replaced({'measured.tag_size': size})
     said = verdict._other_sensor(laboratory.recording(), values)
     assert named in said and bool(named) == bool(said)
 

@@ -71,7 +71,7 @@ from bellows_ros.core.identification.segments import (
 )
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import has_coupling, require_stretch, Structure
-from bellows_ros.core.recording.recording import BodyNoise, Recording, StreamReport
+from bellows_ros.core.recording.recording import BodyNoise, Recording
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -123,14 +123,6 @@ LEAST_OF_SETTING = 4.0
 Smallest chi² per residual left by a wrong world or a frame rotated by 90 degrees.
 
 In the tests' recordings wrong settings leave 14 and more, even with a symmetric package.
-"""
-
-MAX_FLIPPED_SHARE = 0.2
-"""
-Largest fraction of flipped poses of a tag large enough in the image.
-
-Recordings of `benchmarks.tags` up to 8 % determine all or most of K, recordings from 24 %
-do not (12 seeds).
 """
 
 HELD_OUT = 5
@@ -201,7 +193,7 @@ def output_error(
     held = measured if isinstance(measured, Held) else here([
         segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
     problem = Problem.of(held, structure, start, free, common=common)
-    if any(outline.has_sensor for outline in problem.outlines) and 'com' in given:
+    if any(outline.is_tag for outline in problem.outlines) and 'com' in given:
         problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
     are_slow = problem.is_slow
     given = {name: std for name, std in given.items() if are_slow or name != 'exposure'}
@@ -702,13 +694,19 @@ def _noisier(size: float, segments: Segments, courses: Sequence[Course]) -> Segm
         draw = np.random.default_rng([SEED, own.recording, place])
         package, tool = (_with_noise(body, body_noise, size, draw) for body, body_noise in zip(
             (own.package, own.tool), noise, strict=True))
+        if own.views:
+            smear = np.zeros(len(own.views.corners))
+            sizes = np.sqrt(course.corners.variance(smear, own.views.frames))[:, None]
+            own = replace(own, views=replace(own.views, corners=own.views.corners + (
+                size * sizes * draw.standard_normal((len(smear), 8)))))
         measured.append(replace(own, tool=tool, package=package))
     return segments_of(measured, segments)
 
 
 def _begun(segments: Segments, courses: Sequence[Course]) -> tuple[Course, ...]:
     """Return the measured courses from first states and with the noise of others."""
-    return tuple(segment.first._replace(start=course.start, std=course.std)
+    return tuple(segment.first._replace(
+        start=course.start, std=course.std, corners=course.corners)
                  for segment, course in zip(segments, courses, strict=True))
 
 
@@ -744,13 +742,6 @@ def _unidentifiable(
             one_cup=', or one of one cup alone' if problem.structure.places else '')
 
 
-def _remedy(package: StreamReport) -> str:
-    """Return the remedy for a search that did not converge."""
-    share = package.outliers.flips / len(package.recorded)
-    return NOTES['flips' if share > MAX_FLIPPED_SHARE else 'wrong_package'].format(
-        share=share, most=MAX_FLIPPED_SHARE)
-
-
 def registered(
     recording: Recording, structure: Structure, start: Cup, free: Free
 ) -> Solution | None:
@@ -774,4 +765,4 @@ def registered(
         return None
     raise UndeterminedError(
         f'{", ".join(free)} cannot be found: the search did not converge. '
-        + _remedy(recording.report.package))
+        + NOTES['wrong_package'])

@@ -39,6 +39,7 @@ from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.sensors import body
+from bellows_ros.core.sensors.corners import Seen
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.errors import BellowsError, UnstableError
@@ -246,8 +247,9 @@ class WhitenedSegment(NamedTuple):
 
     Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the recording, the variance
     (N, 6) of each difference, the variance (6,) of the innovation of a pose's noise, the mask of
-    the used poses of the package, the likeliest changes of the tool's path and first state of the
-    package, and information (c, q, q) and slope (c, q) of each second.
+    the used poses of the package, the effect (6,) of a residual on a pose, 1 or of views of a tag
+    in m and rad per rad, the likeliest changes of the tool's path and first state of the package,
+    information (c, q, q) and slope (c, q) of each second, and the smear (N,) of views, rad.
     """
 
     innovations: Array
@@ -255,15 +257,18 @@ class WhitenedSegment(NamedTuple):
     variance: Array
     new_variance: Array
     used: Mask
+    scale: Array
     tool_change: Array
     start: State
     information: Array
     slope: Array
+    smear: Array
 
     @property
     def residuals(self) -> Array:
         """Differences (N, 6) without whitening, m and rad."""
-        return np.asarray(self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
+        return np.asarray(
+            self.scale * self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
 
     @property
     def is_white(self) -> bool:
@@ -598,9 +603,14 @@ class Problem:
         initial_std = INITIAL_STD[:len(mean)]
         is_correlated = segment.measured.package_noise.correlation > 0.0
         std = [initial_std, np.zeros(6), course.std][:3 if is_correlated else 2]
+        first = whitening.relaxing(model), whitening.with_inner(start)
+        poses, seen = self._poses(segment, course, nodes, free), None
+        if segment.views is not None and not self.forgetting:
+            seen = self._seen(segment, course, nodes, free, *first, path)
+            poses = poses._replace(
+                views=seen.views, white_variance=np.tile(seen.variance[:, None], 6))
         result = whitening.whiten(
-            whitening.relaxing(model), whitening.with_inner(start), mean, np.concatenate(std),
-            path, tool_noise, self._poses(segment, course, nodes, free),
+            *first, mean, np.concatenate(std), path, tool_noise, poses,
             self._unknowns(theta, segment, free, nodes.stamps),
             self.forgetting**4 * segment.period * course.std**2)
         innovations, slopes, _, _, gains, _ = result
@@ -617,11 +627,13 @@ class Problem:
             for first in range(0, len(slopes), length))]
         return WhitenedSegment(
             innovations.ravel(), slopes.reshape(innovations.size, -1), variance,
-            (1.0 - segment.measured.package_noise.correlation**2) * course.std**2,
-            nodes.used,
+            np.median(poses.white_variance, axis=0) if seen else (
+                1.0 - segment.measured.package_noise.correlation**2) * course.std**2,
+            nodes.used, seen.scale if seen else np.ones(6),
             first_order(change, segment.measured.tool_noise.correlation) + marker,
             whitening.shifted(start, correction),
-            np.array([J.T @ J for J, _ in seconds]), np.array([J.T @ r for J, r in seconds]))
+            np.array([J.T @ J for J, _ in seconds]), np.array([J.T @ r for J, r in seconds]),
+            seen.smear if seen else np.empty(0))
 
     def _integration_step(self, model: ModelTuple, segment: Segment) -> float:
         """Return the longest step (s) of the integrator, or raise for too fast a cup."""
@@ -666,15 +678,23 @@ class Problem:
     ) -> whitening.Poses:
         """Return the package's poses at the nodes, corrected by the free quantities."""
         noise, poses = segment.measured.package_noise, segment.package.select(nodes.used)
-        context = np.array(segment.measured.moves_with_com, float), segment.middle
+        white = MIN_POSE_STD if noise.correlation > 0.0 else course.std
         return whitening.Poses(
             nodes.place, body.views(
-                poses, free, self.rows, self.units, context, course.path, segment.period,
-                nodes.delays, segment.errors.axes[nodes.used[:len(segment.errors.axes)]],
-                segment.errors.point),
-            (segment.errors.std[nodes.used] * (
-                MIN_POSE_STD if noise.correlation > 0.0 else course.std)) ** 2, course.std**2,
+                poses, free, self.rows, self.units, segment.context, course.path, nodes.delays),
+            np.tile(white**2, (len(poses), 1)), course.std**2,
             noise.correlation ** (nodes.lengths / segment.period))
+
+    def _seen(
+        self, segment: Segment, course: Course, nodes: Nodes, free: Free, model: ModelTuple,
+        start: State, path: whitening.Path,
+    ) -> Seen:
+        """Return the views of a tag at the nodes about the simulated package."""
+        assert segment.views is not None
+        views = segment.views.select(nodes.used)
+        motion = np.empty((len(views.corners), 19))
+        whitening.write_motion(model, start, path, nodes.place, nodes.delays, motion)
+        return views.seen(motion, course.corners, free, self.rows, self.units, segment.context)
 
 
 def _changed(

@@ -113,7 +113,7 @@ def given_std(values: Values) -> dict[str, Array]:
     stds = {'length': np.array([values.cup.length_std]), 'package_marker': marker,
             'time_offset': np.array([values.recording.clock_std]),
             'clock_rate': np.array([CLOCK_RATE_STD if values.recording.clock_std else 0.0]),
-            'exposure': np.array([0.2**0.5])}  # RMS square of exposures from 0 to 1 period
+            'exposure': _exposure_std(values)}
     if values.recording.package_world:
         stds['package_world'] = marker
     if all(name in values for name in PACKAGE_PARAMETERS):
@@ -123,6 +123,13 @@ def given_std(values: Values) -> dict[str, Array]:
             stds[name] = stated_std(
                 values, f'package.{name}_std', PACKAGE_STD[name] * size) / size
     return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}
+
+
+def _exposure_std(values: Values) -> Array:
+    """Return the relative standard deviation of the exposure, 0 for a tracked body."""
+    exposure, std = values.measured.exposure, values.measured.exposure_std
+    is_tag = float(values.measured.tag_size > 0.0)
+    return np.array([is_tag * (std / exposure if exposure else 1.0)])
 
 
 def stated(given: Free) -> list[str]:
@@ -149,17 +156,20 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
         return recording
     free = {name: rows[number % len(rows)] for name, rows in found.items()}
     moves, tracked = np.array(recording.settings.moves_with_com, float), recording.tracked_package
-    middle = body.middle_of(tracked)
+    middle, views = body.middle_of(tracked), recording.views
+    camera = views.tag.T_world_camera[:3, 3] if views else 0.0
     offset, rate = (float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate'))
     delays = offset * NS_PER_S + rate * (tracked.stamps_ns - middle[3] * NS_PER_S)
 
     def moved(poses: Trajectory) -> Trajectory:
-        return body.poses_of(poses, free, moves, middle)
+        return body.poses_of(poses, free, moves, middle, camera)
 
     of_tool, of_package = recording.filters
     payload = payload_of(recording.payload, free)
+    stamps_ns = tracked.stamps_ns + np.rint(delays).astype(np.int64)
     return replace(
-        recording, settings=replace(recording.settings, payload=payload),
+        recording, seen=views and replace(
+            views.at(tracked.stamps_ns).corrected(free, moves, middle), stamps_ns=stamps_ns),
+        settings=replace(recording.settings, payload=payload),
         filters=(of_tool, replace(of_package, poses=moved(of_package.poses))),
-        tracked_package=replace(moved(tracked), stamps_ns=tracked.stamps_ns
-                                + np.rint(delays).astype(np.int64)))
+        tracked_package=replace(moved(tracked), stamps_ns=stamps_ns))

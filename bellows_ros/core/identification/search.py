@@ -36,9 +36,11 @@ from bellows_ros.core.identification.segments import (
 from bellows_ros.core.identification.whitening import HUBER_STD
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.sensors.corners import CornerNoise
 from bellows_ros.core.signals.resampling import MAD_TO_STD
 from bellows_ros.errors import BellowsError
 import numpy as np
+from scipy.optimize import nnls
 
 FORGETTING_RATE = 30.0
 """Rate at which an unknown acceleration makes the model forget during the approach, 1/s."""
@@ -53,8 +55,8 @@ Number of previous steps mixed into a step, the largest weight of one of them (0
 times too long), and the smallest used singular value relative to the largest.
 """
 
-NOISE_TOLERANCE, TAG_TOLERANCE = 0.03, 0.1
-"""Relative changes of the noise of slow poses, and of a tag, below which the noise is kept."""
+NOISE_TOLERANCE = 0.03
+"""Relative change of the noise of slow poses below which the noise is kept."""
 
 MAX_APPROACH_STEPS, MAX_STEPS, MAX_MISFIT_STEPS = 10, 60, 30
 """
@@ -79,8 +81,11 @@ DIVERGED = 1e3
 CHANCE = 3.0
 """Largest chance deviation of an estimated variance of noise, standard deviations."""
 
-MIN_ERRORS = 30
-"""Smallest number of poses at rest, or in motion, for estimates of a tag's errors."""
+NOISE_STEPS, MIN_CORNER = 4, 1e-6
+"""Number of steps to the noise of corners, and its smallest size, rad."""
+
+USUAL_CORNER = 1e-3
+"""Largest error of a tag's corner by noise, rad: one to two pixels."""
 
 MAX_NOISE_CHI2, MISFIT_CHI2 = 1.2, 1.5
 """Largest chi^2 per difference attributed to noise, and smallest of a certain misfit."""
@@ -338,16 +343,10 @@ class Solution:
         """
         Standard deviations (6,) of white noise in motion by recording, m and rad.
 
-        With a measurement model it is the estimated noise, possibly with memory.
+        For views of a tag it is the `CornerNoise` (2,), rad and 1/rad.
         """
         return {number: std for number, std in enumerate(self._of_each(_noise_in_motion))
                 if std is not None}
-
-    @property
-    def error_factors(self) -> Array | None:
-        """Factors (2, 6) of a measurement model's errors at rest and in motion, if any."""
-        factors: Array | None = self._of_each(_error_factors)[0]
-        return factors
 
 
 def _pose_std(segments: Segments, courses: Sequence[Course], parts: Parts) -> Array:
@@ -357,6 +356,9 @@ def _pose_std(segments: Segments, courses: Sequence[Course], parts: Parts) -> Ar
 
 def _learned(segments: Segments, courses: Sequence[Course], parts: Parts) -> float:
     """Return `Solution.learned` of a recording."""
+    if segments[0].views:
+        return max((course.corners.sigma / USUAL_CORNER) ** 2 * (not part.is_white)
+                   for course, part in zip(courses, parts, strict=True))
     return max((
         float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
         for segment, course, part in zip(segments, courses, parts, strict=True)
@@ -370,34 +372,13 @@ def _noise_in_motion(
     """Return `Solution.noise_in_motion` of a recording."""
     found = None
     for segment, course, part in zip(segments, courses, parts, strict=True):
-        sensor = segment.measured.sensor
-        if segment.is_slow and (part.is_white or sensor):
-            found = course.std if sensor and not sensor.are_known else np.maximum(
-                course.std, segment.measured.package_noise.std)
+        if segment.views:  # in full, as what uses it gives large errors no lesser weight
+            h = np.abs(np.concatenate([each.innovations for each in parts]))
+            raw = np.where(h > HUBER_STD, h**2 / HUBER_STD, h)
+            return np.asarray(np.sqrt(np.mean(raw**2)) * np.array(course.corners))
+        if segment.is_slow and part.is_white:
+            found = np.maximum(course.std, segment.measured.package_noise.std)
     return found
-
-
-def _error_factors(
-    segments: Segments, courses: Sequence[Course], parts: Parts
-) -> Array | None:
-    """Return `Solution.error_factors` of a recording."""
-    if any(segment.measured.sensor is None for segment in segments):
-        return None
-    ratios = np.concatenate([
-        part.residuals / (segment.errors.std[part.used] * segment.measured.package_noise.std)
-        for segment, part in zip(segments, parts, strict=True)])
-    moves = np.concatenate([
-        segment.errors.of_motion[part.used]
-        for segment, part in zip(segments, parts, strict=True)]) > 0.5
-    return np.array([[_clipped_rms(
-        ratios[chosen[:, axis], axis] if np.count_nonzero(chosen[:, axis]) >= MIN_ERRORS
-        else ratios[:, axis]) for axis in range(6)] for chosen in (~moves, moves)])
-
-
-def _clipped_rms(values: Array) -> Array:
-    """Return the RMS of values (N, ...) clipped at `HUBER_STD` typical sizes."""
-    limit = HUBER_STD * MAD_TO_STD * np.median(np.abs(values), axis=0)
-    return np.asarray(np.sqrt(np.mean(np.clip(values, -limit, limit) ** 2, axis=0)))
 
 
 def minimise(problem: Problem, report: Report = no_report) -> Solution:
@@ -530,14 +511,21 @@ def _refined(
     parts: Parts,
 ) -> tuple[tuple[Course, ...], tuple[float, bool]]:
     """Return `Solution.refined` of a recording: courses, squares, and convergence of the noise."""
-    settled, before = True, _pose_std(segments, courses, parts)
+    settled, before = True, _noise_sizes(courses, parts)
     if with_paths:
         courses = likeliest(segments, courses, parts)
     if with_noise:
         courses, settled = _with_noise(segments, courses, parts)
-    ratio = before / _pose_std(segments, courses, parts)
+    ratio = before / _noise_sizes(courses, parts)
     squares = [np.sum(part.innovations.reshape(-1, 6) ** 2, axis=0) for part in parts]
     return courses, (float(np.sum(squares * ratio**2)), settled)
+
+
+def _noise_sizes(courses: Sequence[Course], parts: Parts) -> Array:
+    """Return the sizes (K, 6) of the noise of differences."""
+    return np.array([
+        np.full(6, np.median(np.sqrt(course.corners.variance(part.smear, np.ones(1)))))
+        if len(part.smear) else course.std for course, part in zip(courses, parts, strict=True)])
 
 
 def likeliest(
@@ -545,7 +533,7 @@ def likeliest(
 ) -> tuple[Course, ...]:
     """Return the likeliest courses of segments, unchanged for a diverging simulation."""
     return tuple(
-        segment.course(part.tool_change, part.start, course.std)
+        segment.course(part.tool_change, part.start, course.std, course.corners)
         if all(np.isfinite(values).all() for values in (part.tool_change, *part.start)) else course
         for segment, course, part in zip(segments, courses, parts, strict=True))
 
@@ -554,25 +542,43 @@ def _with_noise(
     segments: Segments, courses: Sequence[Course], parts: Parts
 ) -> tuple[tuple[Course, ...], bool]:
     """Return courses with the estimated noise of slow poses, and whether the noise has settled."""
+    if all(len(part.smear) for part in parts):
+        return _with_corner_noise(segments, courses, parts)
     new, settled = [], True
     for segment, course, part in zip(segments, courses, parts, strict=True):
-        sensor = segment.measured.sensor
         if segment.is_slow:
             correlation = segment.measured.package_noise.correlation
-            sizes = segment.errors.std[part.used]
-            tolerance = TAG_TOLERANCE if sensor else NOISE_TOLERANCE
-            total = (MAD_TO_STD * np.median(np.abs(part.residuals / sizes), axis=0)) ** 2
-            if sensor:
-                total = _clipped_rms(part.residuals / sizes) ** 2
-            simulated = np.median(part.variance / sizes**2, axis=0) - part.new_variance
+            total = (MAD_TO_STD * np.median(np.abs(part.residuals), axis=0)) ** 2
+            simulated = np.median(part.variance, axis=0) - part.new_variance
             std = np.maximum(MIN_POSE_STD, np.sqrt(
                 np.maximum(total - simulated, 0.1 * total) / (1.0 - correlation**2)))
-            if sensor and sensor.are_known:  # up to a common factor
-                std = course.std * _clipped_rms(part.innovations)
-            if np.any(np.abs(std - course.std) > tolerance * course.std):
+            if np.any(np.abs(std - course.std) > NOISE_TOLERANCE * course.std):
                 course, settled = course._replace(std=std), False
         new.append(course)
     return tuple(new), settled
+
+
+def _with_corner_noise(
+    segments: Segments, courses: Sequence[Course], parts: Parts
+) -> tuple[tuple[Course, ...], bool]:
+    """Return courses with one noise of all corners, from clipped squares in proportion."""
+    before = courses[0].corners
+    smears = np.concatenate([part.smear for part in parts])
+    squares = np.mean(np.concatenate([
+        np.clip(part.innovations, -HUBER_STD, HUBER_STD) for part in parts
+    ]).reshape(-1, 6) ** 2, axis=1)
+    units = np.column_stack([np.ones(len(smears)), smears**4])
+    now = units @ np.square(before)
+    found = np.square(before)
+    for _ in range(NOISE_STEPS):
+        expected = np.maximum(units @ found, 1e-3 * now)
+        found = nnls(units / expected[:, None], squares * now / expected)[0]
+        found[0] = max(found[0], MIN_CORNER**2)
+    noise = CornerNoise(*np.sqrt(found).tolist())
+    changes = units @ found / now
+    if np.sqrt(np.mean(np.square(changes - 1.0))) < 2.0 * NOISE_TOLERANCE:
+        return tuple(courses), True
+    return tuple(course._replace(corners=noise) for course in courses), False
 
 
 def _moved_below(at: Solution, steps: Iterable[Array], largest: float) -> Solution | None:

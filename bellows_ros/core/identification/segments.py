@@ -18,7 +18,6 @@ from bellows_ros.core.identification import whitening
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.kernels import State
-from bellows_ros.core.recording.measurement_model import PoseErrors
 from bellows_ros.core.recording.recording import (
     BodyNoise,
     LOW_RATE_HZ,
@@ -26,6 +25,7 @@ from bellows_ros.core.recording.recording import (
     Recording,
 )
 from bellows_ros.core.sensors import body
+from bellows_ros.core.sensors.corners import CornerNoise, TagViews, USUAL_NOISE
 from bellows_ros.core.signals.resampling import subdivided
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.savgol import bridged, savgol
@@ -92,8 +92,8 @@ class MeasuredSegment:
         see `body.middle_of`.
     world : str
         World of the recording, the parameter recording.world.
-    sensor : PoseErrors or None
-        Errors of the package's poses by a measurement model; None for white noise in body axes.
+    views : TagViews or None
+        Corners of a tag on the package, at stamps of all its poses; None for a tracked body.
 
     """
 
@@ -107,7 +107,7 @@ class MeasuredSegment:
     moves_with_com: tuple[bool, bool, bool] = (False, False, False)
     middle: Array | None = None
     world: str = 'z_up'
-    sensor: PoseErrors | None = None
+    views: TagViews | None = None
 
 
 def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSegment]:
@@ -126,7 +126,7 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
     context: tuple[Any, ...] = (
         recording.payload, recording.settings.gravity, *noises, number,
         recording.settings.moves_with_com, body.middle_of(package), recording.settings.world,
-        recording.pose_errors)
+        recording.views)
     motions = []
     for start, end, _ in recording.segments:
         count = int((end - start) / NS_PER_S / MAX_SEGMENT) + 1
@@ -189,6 +189,8 @@ class Course(NamedTuple):
         First state of the package.
     std : ndarray (6,)
         Noise of the package's poses, m and rad.
+    corners : CornerNoise
+        Noise of the corners of a tag.
 
     """
 
@@ -196,6 +198,7 @@ class Course(NamedTuple):
     deviation: Array
     start: State
     std: Array
+    corners: CornerNoise = USUAL_NOISE
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,10 +230,7 @@ class Segment:
         first_ns = int(measured.tool.stamps_ns[0])  # means of equal rates have equal stamps
         tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
         package, package_noise = measured.package, measured.package_noise
-        if measured.sensor:
-            package_noise = BodyNoise(np.median(measured.sensor.at(
-                package.stamps_ns[package.valid]).std, axis=0), independent=1.0)
-        else:
+        if measured.views is None:
             package, package_noise = _means(package, package_noise, first_ns)
         smooth = bridged(tool)
         return cls(
@@ -251,7 +251,7 @@ class Segment:
     @property
     def is_slow(self) -> bool:
         """Whether the noise of the package's poses is estimated jointly with K and P."""
-        return self.period * LOW_RATE_HZ > 1.0
+        return self.measured.views is not None or self.period * LOW_RATE_HZ > 1.0
 
     @cached_property
     def variance(self) -> Array:
@@ -265,14 +265,17 @@ class Segment:
         return self.measured.package.select(self.measured.package.valid)
 
     @cached_property
-    def errors(self) -> PoseErrors:
-        """Errors of the valid poses, with standard deviations relative to the typical ones."""
-        stamps, sensor = self.package.stamps_ns, self.measured.sensor
-        if sensor is None:
-            one, zero = (np.broadcast_to(x, (len(stamps), 6)) for x in (1.0, 0.0))
-            return PoseErrors(stamps, np.empty((0, 3, 3)), one, np.zeros(3), zero)
-        errors = sensor.at(stamps)
-        return errors._replace(std=errors.std / self.measured.package_noise.std)
+    def views(self) -> TagViews | None:
+        """Views of a tag at the valid poses."""
+        views = self.measured.views
+        return None if views is None else views.at(self.package.stamps_ns)
+
+    @property
+    def context(self) -> body.Context:
+        """Context of the nuisances of poses."""
+        views = self.measured.views
+        camera = views.tag.T_world_camera[:3, 3] if views else 0.0
+        return np.array(self.measured.moves_with_com, float), self.middle, camera
 
     @cached_property
     def middle(self) -> Array:
@@ -290,8 +293,10 @@ class Segment:
     @cached_property
     def first(self) -> Course:
         """The motion as measured."""
-        return self.course(np.zeros((len(self.variance), 6)), self.expected_start,
-                           self.measured.package_noise.std)
+        views = self.measured.views
+        return self.course(
+            np.zeros((len(self.variance), 6)), self.expected_start,
+            self.measured.package_noise.std, views.tag.noise if views else USUAL_NOISE)
 
     @property
     def ends_ns(self) -> tuple[int, int]:
@@ -299,14 +304,18 @@ class Segment:
         first, last = self.tool.stamps_ns[self.inner][[0, -1]].tolist()
         return first, last
 
-    def course(self, change: Array, start: State, std: Array) -> Course:
+    def course(
+        self, change: Array, start: State, std: Array, of_corners: CornerNoise = USUAL_NOISE
+    ) -> Course:
         """Return the motion after changes (S, 6) of the tool's samples, in body axes."""
         tool, shift = self.tool, np.zeros((len(self.tool), 6))
         shift[self.inner] = change
         path = savgol(Trajectory(
             tool.stamps_ns, tool.position + lie.apply(tool.rotation, shift[:, :3]),
             tool.rotation @ lie.exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
-        return Course(path, relative_coordinates(path, tool.select(self.inner)), start, std)
+        return Course(
+            path, relative_coordinates(path, tool.select(self.inner)), start, std,
+            of_corners)
 
     def nodes(self, delay: float, rate: float = 0.0) -> Nodes:
         """Return the nodes for the delay (s) and the relative rate of the tool's clock."""
@@ -364,8 +373,8 @@ class Outline(NamedTuple):
     ----------
     payload, world, moves_with_com
         As of its segments.
-    is_slow, has_sensor : bool
-        Whether its poses come slowly, and have a measurement model.
+    is_slow, is_tag : bool
+        Whether its poses come slowly, and whether they are of a tag.
     poses : int
         Number of poses of the package.
     begin_ns : int
@@ -379,7 +388,7 @@ class Outline(NamedTuple):
     world: str
     moves_with_com: tuple[bool, bool, bool]
     is_slow: bool
-    has_sensor: bool
+    is_tag: bool
     poses: int
     begin_ns: int
     ends_ns: tuple[tuple[int, int], ...]
@@ -391,7 +400,7 @@ def outline_of(segments: Segments) -> Outline:
     return Outline(
         measured.payload, measured.world, measured.moves_with_com,
         any(segment.is_slow for segment in segments),
-        all(segment.measured.sensor is not None for segment in segments),
+        measured.views is not None,
         sum(len(segment.measured.package) for segment in segments),
         int(min(segment.package.stamps_ns[0] for segment in segments)),
         tuple(segment.ends_ns for segment in segments))

@@ -161,7 +161,10 @@ class Validation(residuals.Comparison):
             squares.append(np.subtract(*(
                 residuals.relative_coordinates(tool, each) for each in (moved, body)))**2)
         variances = np.mean(np.concatenate(squares), axis=0)
-        return np.asarray(np.sqrt(variances + self.recording.body_noise[1].std**2))
+        std = self.recording.body_noise[1].std
+        if self.recording.views:
+            std = self.recording.poses_near(self.runs[0].package)[1]
+        return np.asarray(np.sqrt(variances + std**2))
 
     @cached_property
     def whiteness(self) -> Whiteness:
@@ -321,8 +324,11 @@ def _compared(
     recording: Recording, run: Run, first: int, last: int
 ) -> residuals.Comparison:
     """Return the comparison of a free simulation with the measured poses of the package."""
-    measured = recording.sharp_package.between(
+    measured = recording.tracked_package.between(
         max(run.tool.stamps_ns[0], first), min(run.tool.stamps_ns[-1], last))
+    if recording.views:
+        predicted = resample(run.package, measured.stamps_ns)
+        measured = recording.poses_near(predicted)[0]
     return residuals.compare(
         resample(run.package, measured.stamps_ns),
         resample(recording.aligned_tool, measured.stamps_ns,

@@ -26,9 +26,9 @@ from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.equilibrium import moved_by
+from bellows_ros.core.model.equilibrium import moved, moved_by
 from bellows_ros.core.model.kernels import ModelTuple, State, Strains
-from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.model.simulation import row_state, write_row
 from bellows_ros.core.model.structure import RELAXATION_TIMES
 from bellows_ros.core.sensors.body import observe, Views
 import numpy as np
@@ -196,7 +196,7 @@ def whiten(
         Transitions, effects of the tool's samples on the previous step, and gains with the inverse
         standard deviations.
     maps : ndarray (N, 6, 6)
-        Maps of shifts and rotations from the body to the measured point, in axes of the noise.
+        Derivatives of the residuals by the package's error.
 
     """
     (rows, lengths, steps), place, views = path, poses.place, poses.views
@@ -224,7 +224,7 @@ def whiten(
         _add_tool_noise(k, tool_noise, unknowns.marker, B[k], S, P)
         i = place[k]
         if i >= 0:
-            observe(model, here, body, views, i, maps[i], out[i])
+            observe(body, views, i, maps[i], out[i])
             _update(poses.white_variance[i], maps[i], views.columns[i], m + 6, S, P, out[i],
                     slopes[i], K[i])
             if walk[0] > 0.0:
@@ -238,6 +238,32 @@ def _advanced(
 ) -> State:
     """Return the body after a step of the tool from one row to the next."""
     return kernels.advance(model, body, row_state(before), row_state(after), length, steps)
+
+
+@entry
+def write_motion(
+    model: ModelTuple, body: State, path: Path, place: Places, delays: Array, out: Any
+) -> None:
+    """
+    Write the simulated package at its views (N, 19): its state, and its acceleration.
+
+    Delays (N,) of the views after their nodes in s; the acceleration in body axes of a point, and
+    of the rate, m/s^2 and rad/s^2.
+    """
+    rows, lengths, steps = path
+    for k in range(len(rows)):
+        here = row_state(rows[k])
+        if k > 0:
+            body = _advanced(model, body, rows[k - 1], rows[k], lengths[k - 1], steps[k - 1])
+        i = place[k]
+        if i >= 0:
+            at = delays[i]
+            dv, dw = kernels.body_acceleration(model, here, body)
+            late = moved(body, t3.scale(at, body[2]), t3.scale(at, body[3]), t3.ZERO, t3.ZERO)
+            write_row(out[i][:13], (late[0], late[1], late[2], late[3]))
+            bend = t3.add(dv, t3.cross(body[3], body[2]))
+            for j in range(3):
+                out[i][13 + j], out[i][16 + j] = bend[j], dw[j]
 
 
 @entry

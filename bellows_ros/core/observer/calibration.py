@@ -15,10 +15,8 @@ from bellows_ros.core.observer.measurement import cholesky, corrected_pose
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.observer.states import NOISE, STATE
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.measurement_model import NO_GROWTH, pose_noise, sizes_of
 from bellows_ros.errors import BellowsError
 import numpy as np
-from scipy.optimize import nnls
 from scipy.special import gammaincinv
 
 MIN_POSES = 100
@@ -26,9 +24,6 @@ MIN_POSES = 100
 
 ITERATIONS = 4
 """Number of iterations of expectation maximisation, after which sizes change by less than 3 %."""
-
-MIN_NOISE_SHARE = 1e-2
-"""Smallest expected square of an error in the weights, relative to the mean square."""
 
 INITIAL_FACTOR = 3.0
 """Factor of the initial standard deviations, so that poses stay within the gate."""
@@ -49,17 +44,14 @@ class SoundWork(Observer):
 
     Attributes
     ----------
-    noise : list of array (4,)
-        Expected squares: lateral and depth (m^2), across and along the line of sight (rad^2).
-    scales : list of array (2, 4)
-        Standard deviations of the model with unit numbers, at rest and in motion.
+    noise : list of array (2,)
+        Expected mean squares of position (m^2) and rotation (rad^2).
 
     """
 
     def __init__(self, values: Values) -> None:
         super().__init__(values.replaced({'alarm.false_per_hour': 0.0}))
         self.noise: list[Array] = []
-        self.scales: list[Array] = []
 
     def _reprocess(self, first: int) -> None:
         """Update with a new measurement, and store its noise if used."""
@@ -71,67 +63,30 @@ class SoundWork(Observer):
     def _keep_noise(self, first: int) -> None:
         after, (_, position, q, noise) = self._estimates[first + 1], self._measurements[first]
         body, marker = after.body, self.sensor.marker
-        R = np.reshape(t3.rotation_matrix(body[1]), (3, 3))
-        speed = R @ (np.array(body[2]) + np.cross(body[3], R.T @ np.subtract(position, body[0])))
-        velocity = (float(speed[0]), float(speed[1]), float(speed[2]))
         if not noise.any():
-            noise = pose_noise(marker[3], position, velocity)
+            noise = np.diag(np.square(np.repeat(marker[3][1:3], 3)))
         com = self.model[1][1]
         root = cholesky(corrected_pose(position, q, noise, marker, after.theta, com)[2])[0]
         rows = slice(NOISE, NOISE + 6)
         n = after.theta[NOISE - STATE:NOISE - STATE + 6]
         squares = root @ (np.outer(n, n) + after.covariance[rows, rows]) @ root.T
-        squares *= np.repeat(np.sqrt(after.memory[11:13]), 3)[:, None] * np.repeat(
-            np.sqrt(after.memory[11:13]), 3)
-        at_tag = np.kron(np.eye(2), R)
-        at_tag[:3, 3:] = hat(np.subtract(position, body[0])).T @ R
-        squares = at_tag @ squares @ at_tag.T
-        sight = np.subtract(position, marker[3][3])
-        sight /= max(float(np.linalg.norm(sight)), 1e-9)
-        along = [float(sight @ part @ sight) for part in (squares[:3, :3], squares[3:, 3:])]
-        total = np.trace(squares[:3, :3]), np.trace(squares[3:, 3:])
-        self.noise.append(np.array([
-            0.5 * (total[0] - along[0]), along[0], 0.5 * (total[1] - along[1]), along[1]]))
-        is_tag, _, _, camera = marker[3]
-        ones = (1.0, 1.0, 1.0, 1.0)
-        self.scales.append(np.array([
-            sizes_of((is_tag, ones, NO_GROWTH, camera), position, velocity),
-            sizes_of((is_tag, NO_GROWTH, ones, camera), position, velocity)]))
+        squares *= np.sqrt(np.outer(*[np.repeat(after.memory[11:13], 3)] * 2))
+        R = np.reshape(t3.rotation_matrix(body[1]), (3, 3))
+        at_marker = np.kron(np.eye(2), R)
+        at_marker[:3, 3:] = hat(np.subtract(position, body[0])).T @ R
+        squares = np.diag(at_marker @ squares @ at_marker.T)
+        self.noise.append(squares.reshape(2, 3).mean(axis=1))
 
     def sizes(self) -> dict[str, tuple[float, ...]]:
-        """Return measured.noise and measured.blur by non-negative least squares."""
-        noise, scales = np.array(self.noise), np.array(self.scales)
-        if self.sensor.model.kind == 'body':
-            lateral, depth, across, along = np.mean(noise, axis=0)
-            pooled = np.array([(2 * lateral + depth) / 3] * 2 + [(2 * across + along) / 3] * 2)
-            return {'measured.noise': tuple(np.sqrt(pooled).tolist())}
-        found = squared_sizes(noise, np.square(scales))
-        rest, motion = np.sqrt(np.maximum(found, 1e-12)).T
-        return {'measured.noise': tuple(rest.tolist()), 'measured.blur': tuple(motion.tolist())}
+        """Return measured.noise."""
+        return {'measured.noise': tuple(np.sqrt(np.mean(self.noise, axis=0)).tolist())}
 
     def camera(self) -> dict[str, Any]:
         """Return the latency with its standard deviation."""
         last, row = self._estimates[-1] if self._estimates else self._known, states.LATENCY
         late = float(last.theta[row - STATE])
-        return {'measured.latency': self.sensor.model.latency + late,
+        return {'measured.latency': self._values.measured.latency + late,
                 'measured.latency_std': max(math.sqrt(last.covariance[row, row]), 1e-3)}
-
-
-def squared_sizes(noise: Array, units: Array) -> Array:
-    """
-    Return the squared sizes (4, 2) at rest and in motion of errors along four directions.
-
-    By non-negative least squares from the squared errors (N, 4) and the squares of the model with
-    unit sizes (N, 2, 4). The weights follow the model, as the measured squares would bias it.
-    """
-    found = np.ones((4, 2))
-    least = MIN_NOISE_SHARE * np.mean(noise, axis=0)
-    for _ in range(ITERATIONS):
-        for axis, squares in enumerate(found):
-            A = units[:, :, axis]
-            expected = np.maximum(A @ squares, least[axis])
-            found[axis] = nnls(A / expected[:, None], noise[:, axis] / expected)[0]
-    return found
 
 
 @dataclass(frozen=True)
@@ -194,13 +149,17 @@ def calibrated(run: Run, values: Values, seconds: float) -> ModelCalibration:
     Raises
     ------
     BellowsError
-        If alarms are disabled, or too few poses are used.
+        If alarms are disabled, a tag is measured, or too few poses are used.
 
     """
     if values.alarm.false_per_hour == 0.0:
         raise BellowsError(
             'alarm.false_per_hour is 0: there are no alarms to calibrate. Set the acceptable '
             'number of false alarms per hour.')
+    if values.measured.tag_size:
+        raise BellowsError(
+            "The noise of a tag's corners is found by 'bellows identify', which writes it into "
+            'the cell file. --calibrate is for tracked bodies.')
     parameters, poses = _fitted(run, values, -1)
     if poses < MIN_POSES:
         raise BellowsError(
@@ -219,9 +178,9 @@ def calibrated(run: Run, values: Values, seconds: float) -> ModelCalibration:
 
 def _fitted(run: Run, values: Values, fold: int) -> tuple[dict[str, Any], int]:
     """Return the numbers of the model from a part of the work, and its used poses."""
-    model = Observer(values).sensor.model
+    noise = Observer(values).sensor.marker[3][1:3]
     found: dict[str, Any] = {
-        'measured.noise': tuple(INITIAL_FACTOR * each for each in model.at_rest)}
+        'measured.noise': tuple(INITIAL_FACTOR * each for each in noise)}
     work = SoundWork(values.replaced(found))
     for _ in range(ITERATIONS):
         work = SoundWork(values.replaced(found))

@@ -20,7 +20,6 @@ from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FALLING,
-    FLIPPED,
     Measurement,
     OUT_OF_REACH,
     OUTSIDE,
@@ -388,7 +387,7 @@ class Correction:
         verdict, numbers, (E, statistics, distances, onsets), likeliest, rise = alarms.filter_step(
             self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
-            (self._drive, walk, self._marker[3]),
+            (self._drive, walk, self._marker[3][0]),
             (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
             (*measurement[1:], self._marker, self.holding_reach, self._largest,
@@ -433,7 +432,7 @@ class Correction:
         """
         Return the estimate after a measurement, or before it if the pose is not of the package.
 
-        Further results are the verdict (`used`, `flipped`, `recovered`, `gate` or `out_of_reach`),
+        Further results are the verdict (`used`, `recovered`, `gate` or `out_of_reach`),
         and an alarm, if any. While a support may be near, estimates of camera, cup and package
         are kept, and faults are not tested. From contact on, its wrench is estimated.
         """
@@ -447,7 +446,7 @@ class Correction:
             falls = verdict == FALLING and (before.falls or before.away_ns == 0)
             return before._replace(falls=falls), 'out_of_reach', None
         gated = (*before.gated_ns, stamp_ns) if verdict == OUTSIDE else ()
-        name = ('flipped' if verdict == FLIPPED else 'used') if not gated else 'recovered' if (
+        name = 'used' if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS
             and not self._may_be_fault(after, likeliest)) else 'gate'
         after = after._replace(

@@ -34,7 +34,6 @@ from bellows_ros.core.observer.dynamics import (
     write_losses,
 )
 from bellows_ros.core.observer.states import LENGTH, LENGTHENING, MARKER, NOISE, STATE
-from bellows_ros.core.recording.measurement_model import Sensor, sizes_of
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -60,10 +59,10 @@ NO_MATRIX: Array = np.zeros((0, 0))
 MAX_CORRELATION = 0.97
 """Largest correlation of the noise of successive measurements."""
 
-VIEW_LENGTH = 0.15
+VIEW_LENGTH = 5e-4
 """Path of a tag over which the correlation of its errors decays to 1 / e, m."""
 
-VIEW_ANGLE = 0.1
+VIEW_ANGLE = 5e-3
 """Rotation of a tag over which the correlation of its errors falls to 1 / e, rad."""
 
 STILL_TIME = 5.0
@@ -147,7 +146,7 @@ Moving = tuple[int, State, State, Array]
 EstimateTuple = tuple[int, State, State, Array, Array, Array]
 """Beginning of an `Estimate`: `Moving`, covariance and memory."""
 
-Noise = tuple[Array, Array, Sensor]
+Noise = tuple[Array, Array, bool]
 """
 Drive of `driving`, walk of `propagated_covariance`, and whether the errors of measured poses
 decorrelate with the view.
@@ -412,22 +411,11 @@ def propagated(
 
 
 @kernel
-def correlations_of_tag(
-    sensor: Sensor, before: State, after: State, age: float
-) -> tuple[float, float]:
-    """
-    Return the result of `correlations` for a tag.
-
-    Errors belong to the view, apart from blur, which the errors at rest do not share.
-    """
-    of_view = math.exp(-age * (1.0 / STILL_TIME + t3.norm(before[2]) / VIEW_LENGTH
-                               + t3.norm(before[3]) / VIEW_ANGLE))
-    _, depth0, across0, _ = sizes_of(
-        sensor, before[0], t3.apply(t3.rotation_matrix(before[1]), before[2]))
-    _, depth1, across1, _ = sizes_of(
-        sensor, after[0], t3.apply(t3.rotation_matrix(after[1]), after[2]))
-    return (of_view * min(depth0, depth1) / max(depth0, depth1),
-            of_view * min(across0, across1) / max(across0, across1))
+def correlations_of_tag(body: State, age: float) -> tuple[float, float]:
+    """Return the result of `correlations` for a tag, whose errors belong to the view."""
+    of_view = math.exp(-age * (1.0 / STILL_TIME + t3.norm(body[2]) / VIEW_LENGTH
+                               + t3.norm(body[3]) / VIEW_ANGLE))
+    return of_view, of_view
 
 
 @kernel
@@ -441,7 +429,7 @@ def predicted(
     The gain of the state is by the noise of the tool and the model error.
     """
     now_ns, tool, body, theta, P, memory = estimate
-    drive, walk, sensor = noise
+    drive, walk, is_tag = noise
     T, Q, theta = identity_transition(), np.zeros((STATE, STATE)), theta.copy()
     model_error = memory[SHARE] * MODEL_ERROR_TIME**3
     age = (until_ns - now_ns) / NS_PER_S
@@ -454,8 +442,8 @@ def predicted(
     tool, body = propagated(
         model, (now_ns, tool, body, theta), (T, Q, without_cup), samples, is_recorded, until_ns,
         max_step, drive, model_error, cups)
-    if sensor[0]:
-        correlation = correlations_of_tag(sensor, earlier, body, age)
+    if is_tag:
+        correlation = correlations_of_tag(earlier, age)
     P = propagated_covariance(P, T, Q, walk, correlation)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], correlation)
     if len(signatures) > 0:

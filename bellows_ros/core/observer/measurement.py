@@ -16,11 +16,13 @@ from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.dynamics import is_possible, with_theta, wrench_bias
 from bellows_ros.core.observer.states import CAMERA, COM, LATENCY, MARKER, NOISE, ROWS, STATE
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.measurement_model import (
-    measurement_model,
-    mirrored,
-    pose_noise,
+from bellows_ros.core.sensors.corners import (
+    CornerNoise,
+    equivalent_pose,
+    SAME_VIEW,
     Sensor,
+    USUAL_EXPOSURE,
+    write_image,
 )
 from bellows_ros.core.signals.screening import why_no_pose
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -40,14 +42,17 @@ added; largest physical value of each row of the error; the sag of the cup (m) n
 otherwise 0; and largest squared Mahalanobis distance, 0 without a measurement.
 """
 
-WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 0.1
+WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 1.0 - SAME_VIEW
 """Fraction of the noise's variance without memory, for bodies and for tags."""
 
 JITTER_RANGE = 1e-8, 4e-4
 """Bounds of the variance of the random error of a stamp, s^2."""
 
-ANY_ROTATION = 1.0
-"""Variance of an unused rotation, rad^2."""
+BODY_NOISE = 2e-3, 1e-2
+"""Default standard deviations of a tracked body, m and rad."""
+
+USUAL_PERIOD = 1.0 / 30.0
+"""Period of a usual camera, s."""
 
 OUTLIER_DISTANCE = 16.81
 """
@@ -107,11 +112,11 @@ class PoseSensor:
         a, b, c, qx, qy, qz, qw = map(float, world.split())
         self._origin: Vector = a, b, c
         self._world: Quaternion = qx, qy, qz, qw
-        self.model = measurement_model(values)
-        sensor = self.model.moved(self._origin, self._world).sensor
+        self._scale, self._late_ns = values.measured.scale, round(
+            NS_PER_S * values.measured.latency)
         self.marker: Marker = (
             (x, y, z), t3.exp_quaternion((rotation[0], rotation[1], rotation[2])),
-            values.measured.frame == 'lip', sensor)
+            values.measured.frame == 'lip', sensor_of(values, self._origin, self._world))
         self._last: tuple[Any, ...] = ()
 
     def measurement(
@@ -121,35 +126,41 @@ class PoseSensor:
         """
         Return a measured pose, or the reason of its rejection.
 
-        Its covariance (6, 6) is about axes of the world, as in ROS; the measurement model replaces
-        it if missing or zero, or if constant for a tag. A pose in a world of its own is
-        transformed to the world of the tool.
+        Its covariance (6, 6) is about axes of the world, as in ROS; measured.noise replaces it if
+        missing or zero, or of a tag. A pose in a world of its own is transformed to the world of
+        the tool.
         """
         reason = why_no_pose(position, quaternion_xyzw) or ('' if stamp_ns > 0 else 'zero_stamp')
         if reason:
             return reason
         before, noise = self._last, np.zeros((6, 6))
-        if covariance is not None and covariance.any():
+        if covariance is not None and covariance.any() and not self.marker[3][0]:
             if not np.abs(covariance).max() <= MAX_VARIANCE:
                 return 'covariance'
             noise = 0.5 * (covariance + covariance.T)
             if not np.linalg.eigvalsh(noise)[0] > 0.0:
                 return 'covariance'
-        self._last = position, quaternion_xyzw, covariance
-        if before and before[:2] == self._last[:2]:
+        self._last = position, quaternion_xyzw
+        if before == self._last:
             return 'repeated'
-        if self.model.kind == 'tag' and before and before[2] is not None and (
-                covariance is not None and (covariance == before[2]).all()):
-            noise = np.zeros((6, 6))
-        position, q = self.model.scaled(position), t3.normalised(quaternion_xyzw)
+        position, q = t3.scale(self._scale, position), t3.normalised(quaternion_xyzw)
         if self.has_own_world:
             R = t3.rotation_matrix(self._world)
             position = t3.add(self._origin, t3.apply(R, position))
             q = t3.quaternion_product(self._world, q)
             rotation = np.kron(np.eye(2), np.reshape(R, (3, 3)))
             noise = rotation @ noise @ rotation.T
-        return Measurement(
-            stamp_ns - round(NS_PER_S * self.model.latency), position, q, noise)
+        return Measurement(stamp_ns - self._late_ns, position, q, noise)
+
+
+def sensor_of(values: Values, origin: Vector, world: Quaternion) -> Sensor:
+    """Return the sensor of measured.*, with the pose of the frame of its poses in the world."""
+    given = values.measured
+    usual = CornerNoise() if given.tag_size else BODY_NOISE
+    first, second = (each or default for each, default in zip(given.noise, usual, strict=True))
+    return (given.tag_size > 0.0, first, second, origin, t3.rotation_matrix(world),
+            0.5 * given.scale * given.tag_size,
+            given.exposure or USUAL_EXPOSURE * USUAL_PERIOD)
 
 
 @entry
@@ -288,14 +299,17 @@ def output_of(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
 
 @kernel
 def innovation_of(
-    body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
-    marker: Marker, jitter: float,
+    body: State, theta: Array, P: Array, difference: Array, noise: Array, marker: Marker,
+    jitter: float,
 ) -> Innovation:
-    """Return an `Innovation`; noise is in B axes, jitter the variance of a stamp (s^2)."""
+    """
+    Return an `Innovation` of a difference (6,), see `pose_error`.
+
+    Its noise (6, 6) is in B axes, jitter the variance of a stamp (s^2).
+    """
     n, of_lip, is_tag = len(P), marker[2], marker[3][0]
     white = WHITE_SHARE_OF_TAG if is_tag else WHITE_SHARE
-    shift, rotation = pose_error(body, position, q)
-    y = np.array((shift[0], shift[1], shift[2], rotation[0], rotation[1], rotation[2]))
+    y = difference.copy()
     H = observation(body, noise, of_lip, white)
     for i in range(6):
         for j in range(i + 1):
@@ -422,8 +436,8 @@ Fraction of each variance that remains after an update: above rounding errors, s
 covariance stays positive definite, and 1e-4 of it after a month.
 """
 
-FLIPPED, USED, OUTSIDE, OUT_OF_REACH, FALLING = -1, 0, 1, 2, 3
-"""Verdicts on a pose; `FLIPPED` ones are used, `FALLING` ones are out of reach."""
+USED, OUTSIDE, OUT_OF_REACH, FALLING = 0, 1, 2, 3
+"""Verdicts on a pose; `FALLING` ones are out of reach."""
 
 FALL_ALIGNMENT, FALL_FACTOR = 0.8, 2.0
 """
@@ -442,20 +456,6 @@ def _is_fall(away: Vector, gravity: Vector, reach: float, seconds: float) -> boo
 
 
 @kernel
-def _solution(
-    solution: int, sensor: Sensor, position: Vector, q: Quaternion, noise: Array
-) -> tuple[Quaternion, Array]:
-    """Return rotation and noise of a pose, of a tag's second solution, or of a position alone."""
-    if solution == 1:
-        return mirrored(sensor[3], position, q), noise
-    if solution == 2:
-        noise = noise.copy()
-        for i in range(3, 6):
-            noise[i, i] += ANY_ROTATION
-    return q, noise
-
-
-@kernel
 def _enlarge(noise: Array, memory: Array) -> None:
     """Multiply the covariance of the noise by the estimated factors, in place."""
     for i in range(6):
@@ -464,11 +464,45 @@ def _enlarge(noise: Array, memory: Array) -> None:
 
 
 @kernel
-def _velocity_at(body: State, position: Vector) -> Vector:
-    """Return the velocity (m/s, world) of a point (m, world) of a body."""
-    R = t3.rotation_matrix(body[1])
-    turning = t3.cross(t3.apply(R, body[3]), t3.subtract(position, body[0]))
-    return t3.add(t3.apply(R, body[2]), turning)
+def tag_seen(
+    model: ModelTuple, tool: State, exposed: State, theta: Array, position: Vector, q: Quaternion,
+    marker: Marker,
+) -> tuple[Array, Array]:
+    """Return the result of `equivalent_pose` for the corners of a tag at a measured pose."""
+    seen, (offset, rotation, of_lip, sensor) = np.empty((1, 8)), marker
+    write_image((position, q, ZERO, ZERO), (
+        sensor[3], sensor[4], ZERO, jacobians.IDENTITY, sensor[5]), seen[0])
+    back = t3.rotation_matrix(t3.exp_quaternion(
+        t3.scale(-1.0, vector_at(theta, CAMERA + 3))))
+    turned = t3.rotation_matrix(t3.exp_quaternion(vector_at(theta, MARKER + 3)))
+    arm = t3.subtract(offset, model[1][1] if of_lip else ZERO)
+    sight = (
+        t3.apply(back, t3.subtract(sensor[3], vector_at(theta, CAMERA))),
+        t3.multiply(back, sensor[4]),
+        t3.add(vector_at(theta, MARKER), t3.apply(turned, arm)),
+        t3.multiply(turned, t3.rotation_matrix(rotation)), sensor[5])
+    dv, dw = kernels.body_acceleration(model, tool, exposed)
+    bend = t3.add(dv, t3.cross(exposed[3], exposed[2])), dw
+    return equivalent_pose(exposed, bend, sight, sensor, seen)
+
+
+@kernel
+def _difference(
+    model: ModelTuple, tool: State, exposed: State, theta: Array, seen: MeasuredPose,
+) -> tuple[Array, Array]:
+    """Return the difference (6,) of a measured pose from a body, and its noise in B axes."""
+    position, q, noise, marker = seen[0], seen[1], seen[2], seen[3]
+    sensor = marker[3]
+    if sensor[0]:
+        return tag_seen(model, tool, exposed, theta, position, q, marker)
+    if noise[0, 0] == 0.0:
+        noise = np.zeros((6, 6))
+        for i in range(3):
+            noise[i, i], noise[3 + i, 3 + i] = sensor[1] * sensor[1], sensor[2] * sensor[2]
+    position, q, noise = corrected_pose(position, q, noise, marker, theta, model[1][1])
+    shift, rotation = pose_error(exposed, position, q)
+    return np.array((
+        shift[0], shift[1], shift[2], rotation[0], rotation[1], rotation[2])), noise
 
 
 @kernel
@@ -503,25 +537,17 @@ def updated(
 
     """
     _, tool, body, theta, P, memory = estimate
-    seen_position, seen_q, seen_noise, marker, reach, largest, sag, gate = seen
+    marker, reach, largest, sag, gate = seen[3], seen[4], seen[5], seen[6], seen[7]
     model = with_theta(model, theta)
-    com, sensor = model[1][1], marker[3]
     exposed = at_exposure(model, tool, body, theta)
-    if seen_noise[0, 0] == 0.0:
-        seen_noise = pose_noise(sensor, seen_position, _velocity_at(body, seen_position))
+    difference, noise = _difference(model, tool, exposed, theta, seen)
+    _enlarge(noise, memory)
+    innovation = innovation_of(exposed, theta, P, difference, noise, marker, memory[ekf.JITTER])
+    spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
+    there = moved(exposed, (difference[0], difference[1], difference[2]),
+                  (difference[3], difference[4], difference[5]), ZERO, ZERO)
+    o = kernels.lip_relative_to_tool(model[1][1], tool, there)[0]
     verdict = USED
-    for solution in range(3 if sensor[0] else 1):
-        q, noise = _solution(solution, sensor, seen_position, seen_q, seen_noise)
-        position, q, noise = corrected_pose(seen_position, q, noise, marker, theta, com)
-        _enlarge(noise, memory)
-        innovation = innovation_of(
-            exposed, theta, P, position, q, noise, marker, memory[ekf.JITTER])
-        if solution == 0:
-            spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
-            o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
-        if innovation[3] <= gate:
-            verdict = FLIPPED if solution > 0 else USED
-            break
     if not innovation[3] <= gate:  # also true for NaN
         verdict = OUTSIDE
     late = 3.0 * math.sqrt(P[LATENCY, LATENCY]) + abs(theta[LATENCY - STATE])
@@ -535,10 +561,10 @@ def updated(
     # may be compressed by it, but not stretched
     if t3.norm(away) > reach - (model[0][1] if falls and sag > 0.0 else 0.0):
         verdict = FALLING if falls else OUT_OF_REACH
-    elif verdict <= USED:
+    elif verdict == USED:
         possible, body, theta = posterior(body, theta, P, innovation, largest)
-        verdict = verdict if possible else OUTSIDE
+        verdict = USED if possible else OUTSIDE
     if verdict <= OUTSIDE:
         memory = updated_memory(
-            memory, theta, seconds, innovation, gain, verdict <= USED)
+            memory, theta, seconds, innovation, gain, verdict == USED)
     return verdict, innovation, body, theta, memory

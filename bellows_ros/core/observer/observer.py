@@ -123,7 +123,7 @@ class Observer:
 
     def __init__(self, values: Values) -> None:
         self._set_values(values)
-        self.counts = dict.fromkeys(('used', 'flipped', 'recovered', *VERDICTS), 0)
+        self.counts = dict.fromkeys(('used', 'recovered', *VERDICTS), 0)
         self.alarms: list[Alarm] = []
         self._track, self._support = Track(), Support()
         self._estimates: list[Estimate] = []  # the oldest, and one after each measurement

@@ -15,6 +15,7 @@ from bellows_ros.core.model.pseudo_inertia import flatness, nearest
 from bellows_ros.core.model.structure import matrix, Structure, UPPER
 from bellows_ros.core.model.validity_range import Envelope, RANGE_PARAMETERS
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.sensors.corners import CornerNoise, Tag
 from bellows_ros.errors import BellowsError, UnitWarning
 import numpy as np
 
@@ -51,6 +52,16 @@ def one_cup_of(values: Values) -> Cup:
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
         relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES),
         stretch=(a, b))
+
+
+def tag_of(values: Values) -> Tag | None:
+    """Return the detected tag and its camera, None for a tracked body; see measured.*."""
+    given = values.measured
+    if not given.tag_size:
+        return None
+    usual = CornerNoise()
+    return Tag(given.tag_size * given.scale, CornerNoise(
+        given.noise[0] or usual.sigma, given.noise[1] or usual.growth), given.exposure)
 
 
 def package_of(values: Values) -> Package:

@@ -63,10 +63,9 @@ class MeasuredGroup:
     child_frame: str
     tag_size: float
     tag_id: int
-    model: str
     noise: tuple[float, ...]
-    blur: tuple[float, ...]
-    camera: tuple[float, ...]
+    exposure: float
+    exposure_std: float
     scale: float
     frame: str
     offset: tuple[float, ...]

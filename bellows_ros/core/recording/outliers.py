@@ -66,10 +66,6 @@ ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
 and in m or rad."""
 
 
-FLIP_PRICE, MIN_FLIP = 0.025, 0.1
-"""Rotation that a pose's second solution must save, and smallest difference of solutions, rad."""
-
-
 class LastingStep(NamedTuple):
     """A jump without a return: index of the sample before it, and its size, m and rad."""
 
@@ -90,7 +86,7 @@ class Outliers:
         step, and isolated samples between marked or missing ones.
     steps : tuple of LastingStep
         Jumps without a return.
-    flips : int
+    excursions : int
         Number of excursions.
     noise : dict of str to array (3,)
         Standard deviation of white noise per axis, 'position' in m in the world and 'rotation' in
@@ -100,7 +96,7 @@ class Outliers:
 
     good: Mask
     steps: tuple[LastingStep, ...]
-    flips: int
+    excursions: int
     noise: dict[str, Array]
 
 
@@ -153,30 +149,11 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
         len(excursions), dict(zip(QUANTITIES, jumps.typical / MEDIAN_PER_DEVIATION, strict=True)))
 
 
-def find_flips(poses: Trajectory, second: Array) -> Outliers:
-    """
-    Find the poses of a flat tag with the wrong one of two solutions, the second ones (N, 3, 3).
-
-    The right solutions form the path of least rotation, on which each second solution has a price.
-    Blurred poses are no outliers: the measurement model weighs them.
-    """
-    both = np.stack([poses.rotation, second], axis=1)
-    turns = np.linalg.norm(log_so3(
-        np.swapaxes(both[:-1, :, None], -1, -2) @ both[1:, None]), axis=-1)
-    price, before = np.array([0.0, FLIP_PRICE]), list[Array]()
-    best = price
-    for turn in turns:
-        lengths = best[:, None] + turn
-        before.append(lengths.argmin(axis=0))
-        best = lengths.min(axis=0) + price
-    chosen = [int(best.argmin())]
-    for each in reversed(before):
-        chosen.append(int(each[chosen[-1]]))
-    apart = np.linalg.norm(log_so3(np.linalg.inv(both[:, 0]) @ second), axis=1)
-    good = (np.array(chosen[::-1]) == 0) | (apart < MIN_FLIP)
-    flips = int(np.count_nonzero(~good))
+def find_repeats(poses: Trajectory) -> Outliers:
+    """Find the frozen poses of a tag, whose other errors its measurement weighs."""
+    good = np.full(len(poses), True)
     _exclude(good, _frozen(poses))
-    return Outliers(good, (), flips, dict.fromkeys(QUANTITIES, np.zeros(3)))
+    return Outliers(good, (), 0, dict.fromkeys(QUANTITIES, np.zeros(3)))
 
 
 def _jumps(poses: Trajectory) -> _Jumps:

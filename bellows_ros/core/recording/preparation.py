@@ -19,8 +19,13 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 from .alignment import aligned_at_rest, Alignment, in_world, Remark, rest_of, standstill
-from .measurement_model import MeasurementModel
-from .outliers import find_flips, find_outliers, increments_of, LastingStep, repeats_in_motion
+from .outliers import (
+    find_outliers,
+    find_repeats,
+    increments_of,
+    LastingStep,
+    repeats_in_motion,
+)
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
 # Default half window of the filter, s. With order 6 the filter reduces K and P of a cup shaken at
@@ -63,7 +68,7 @@ def prepare(
     """
     of_tool, _, tool_poses = _clean(tool, settings.R_world_recorded)
     of_package, tracked, package_poses = _clean(
-        package, settings.R_world_recorded, settings.tag)
+        package, settings.R_world_recorded, settings.tag is not None)
     if tool_twist is not None and of_tool.arrivals:
         tool_twist = replace(tool_twist, stamps_ns=_shifted_alike(
             tool_twist.stamps_ns, tool.stamps_ns, of_tool.recorded.stamps_ns))
@@ -86,7 +91,8 @@ def prepare(
     report = Report(of_tool, of_package, (*remarks, *_alignment_remarks(alignment, settings)))
     return _joined(Recording(
         settings, tool, package, tool_twist, filters, *aligned,
-        aligned[1] if of_package.timing.uniform else alignment.package(tracked),
+        aligned[1] if of_package.timing.uniform and settings.tag is None else (
+            alignment.package(tracked)),
         alignment, report))
 
 
@@ -140,16 +146,15 @@ def _alignment(
 
 
 def _clean(
-    recorded: PoseStream, R_world_recorded: Array, tag: MeasurementModel | None = None
+    recorded: PoseStream, R_world_recorded: Array, is_tag: bool = False
 ) -> tuple[StreamReport, Trajectory, Trajectory]:
     """Return the faults of a topic, and its marked poses in the world, recorded and uniform."""
     recorded, arrivals = resampling.at_sampling(recorded)
     poses = in_world(recorded.trajectory(), R_world_recorded)
     with _naming(recorded.name):
         timing = resampling.timing(poses.stamps_ns)
-        outliers = find_outliers(poses, timing.longest_step_ns) if tag is None else find_flips(
-            poses, in_world(replace(recorded.trajectory(), rotation=tag.second_solution(
-                recorded.position, recorded.rotation)), R_world_recorded).rotation)
+        outliers = find_repeats(poses) if is_tag else find_outliers(
+            poses, timing.longest_step_ns)
         marked = replace(poses, valid=outliers.good)
         good = np.flatnonzero(outliers.good)  # poses outside the recording's time are ignored
         if len(good) > 2:

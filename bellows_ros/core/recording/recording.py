@@ -11,12 +11,24 @@ from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import apply, log_so3
+from bellows_ros.core.geometry.lie import (
+    apply,
+    inverse_transform,
+    log_so3,
+    quaternion_to_rotation,
+    transform,
+)
 from bellows_ros.core.model.cup_package import Package, STANDARD_GRAVITY
 from bellows_ros.core.parameters.checks import ESTIMATE
-from bellows_ros.core.recording.alignment import Alignment, Remark, rest_of, world_rotation
-from bellows_ros.core.recording.measurement_model import MeasurementModel, PoseErrors
+from bellows_ros.core.recording.alignment import (
+    Alignment,
+    in_world,
+    Remark,
+    rest_of,
+    world_rotation,
+)
 from bellows_ros.core.recording.outliers import Outliers
+from bellows_ros.core.sensors.corners import CornerNoise, Tag, TagViews
 from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.signals.savgol import savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
@@ -304,8 +316,8 @@ class PrepareSettings:
     tool_twist_frame : str
         Axes of a recorded tool twist, 'world' or 'tool' (tool_twist.frame); its linear part is the
         velocity of the tool tip.
-    tag : MeasurementModel or None
-        Measurement model in the frame of the package's poses, for a detected tag (measured.*).
+    tag : Tag or None
+        The detected tag of which the package's poses are, and its camera (measured.*).
 
     """
 
@@ -321,7 +333,7 @@ class PrepareSettings:
     package_half_window: int = 0
     package_order: int = 6
     tool_twist_frame: str = 'world'
-    tag: MeasurementModel | None = None
+    tag: Tag | None = None
 
     @property
     def moves_with_com(self) -> tuple[bool, bool, bool]:
@@ -331,8 +343,8 @@ class PrepareSettings:
 
     def in_world(self, pose: Array) -> 'PrepareSettings':
         """Return the settings for a package whose world has a pose (7,) in the tool's world."""
-        x, y, z, *q = pose.tolist()
-        return replace(self, tag=self.tag and self.tag.moved((x, y, z), tuple(q)))
+        T = transform(quaternion_to_rotation(pose[3:]), pose[:3])
+        return replace(self, tag=self.tag and self.tag.moved(T))
 
     @cached_property
     def R_world_recorded(self) -> Array:
@@ -546,6 +558,8 @@ class Recording:
         Digest of its stored messages, independent of the path; '' if not requested.
     files : tuple of mapping
         Name, bytes and sha256 of each of its files.
+    seen : TagViews, optional
+        Views of a tag with the estimates of a fit, instead of those of the settings.
 
     """
 
@@ -562,6 +576,7 @@ class Recording:
     name: str = ''
     digest: str = ''
     files: tuple[Mapping[str, Any], ...] = ()
+    seen: TagViews | None = None
     _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:
@@ -665,11 +680,7 @@ class Recording:
             BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
                 (self.aligned_tool, self.aligned_package),
                 (max(part.correlation for part in body) for body in self.ar1_noise), strict=True))
-        if self.pose_errors:
-            valid = self.sharp_package.select(self.sharp_package.valid)
-            of_package = BodyNoise(
-                self.pose_errors.at(valid.stamps_ns).body_std(valid.rotation))
-        elif self.report.package.timing.rate_hz < LOW_RATE_HZ:
+        if self.report.package.timing.rate_hz < LOW_RATE_HZ:
             still = self._still(self.tracked_package)
             if len(still) >= MIN_SAMPLES_AT_REST:
                 of_package = noise_at_rest(still)
@@ -682,30 +693,35 @@ class Recording:
         return tool, package
 
     @cached_property
-    def pose_errors(self) -> PoseErrors | None:
-        """Errors of a tag's poses by its measurement model, with axes in the world."""
-        if self.settings.tag is None:
-            return None
-        errors = self.settings.tag.errors(self.package_pose)
-        return errors._replace(axes=self.settings.R_world_recorded @ errors.axes,
-                               point=-self.alignment.origin_to_com)
+    def views(self) -> TagViews | None:
+        """The corners of a tag at the stamps of the measurements; None for a tracked body."""
+        if self.seen is not None or self.settings.tag is None:
+            return self.seen
+        level = transform(self.settings.R_world_recorded, np.zeros(3))
+        origin = self.alignment.package(Trajectory(
+            np.zeros(1, np.int64), np.zeros((1, 3)), np.eye(3)[None]))
+        poses = in_world(self.package_pose.trajectory(), level[:3, :3])
+        return TagViews.of(
+            self.settings.tag.moved(level),
+            replace(self.package_pose, position=poses.position, rotation=poses.rotation),
+            inverse_transform(transform(origin.rotation[0], origin.position[0])))
 
-    @cached_property
-    def sharp_package(self) -> Trajectory:
-        """B as tracked; invalid if blur contributes more than half of the variance of a tag."""
-        poses, errors = self.tracked_package, self.pose_errors
-        if errors is None:
-            return poses
-        across = errors.at(poses.stamps_ns).of_motion[:, 3]
-        return replace(poses, valid=poses.valid & (across < 0.5))  # of the variance
+    def with_noise(self, noise: Array) -> 'Recording':
+        """Return the recording of a tag with another `CornerNoise` (2,)."""
+        assert self.views is not None
+        return replace(self, seen=replace(self.views, tag=replace(
+            self.views.tag, noise=CornerNoise(*noise.tolist()))))
 
-    def with_noise(self, std: Array) -> 'Recording':
-        """Return the recording of a tag with median standard deviations (6,) of `pose_errors`."""
-        if self.pose_errors is None or self.settings.tag is None:
-            return self
-        factors = std / np.median(self.pose_errors.std, axis=0)
-        tag = self.settings.tag.scaled_errors(factors, factors)
-        return replace(self, settings=replace(self.settings, tag=tag))
+    def poses_near(self, package: Trajectory) -> tuple[Trajectory, Array]:
+        """
+        Return the measured poses of B at stamps of simulated ones, with errors (6,), m and rad.
+
+        Those of a tag show its corners near the simulation, as a flat tag has two solutions.
+        """
+        if self.views:
+            return self.views.at(package.stamps_ns).poses_near(package)
+        return self.tracked_package.between(
+            *package.stamps_ns[[0, -1]]), self.body_noise[1].std
 
     def _still(self, poses: Trajectory) -> Trajectory:
         """Return the valid poses of a body while both bodies are at rest at the beginning."""

@@ -2,8 +2,8 @@
 A tracked body, measured by its pose.
 
 The residual of a view is the difference of the measured and the simulated pose of B: shift and
-rotation in body axes, as of `pose_error`, or of a measured point, in the axes of its noise.
-Nuisances of the sensor are frames (com, world, marker), scale, clocks and exposure.
+rotation in body axes, as of `pose_error`. Nuisances of the sensor are frames (com, world, marker),
+scale and clocks.
 """
 
 from collections.abc import Mapping
@@ -11,102 +11,76 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import pose_error
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import State
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 import numpy as np
 
 Values = Mapping[str, Array]
 """Values of nuisances by name, SI units."""
 
+Context = tuple[Array, Array, Array | float]
+"""Components (3,) of the com that shift B, middle (4,) and camera (3,): see `poses_of`."""
+
+CLOCKS = 'time_offset', 'clock_rate'
+"""Nuisances whose derivatives are in units of the twist."""
+
 
 class Views(NamedTuple):
     """
-    Measured poses of B.
+    Measured poses of B, or the residuals of other views about a simulated package.
 
-    The poses (N, 9) with their small delay (s) after a node, and the factor (s^2) of the
-    acceleration in a mean over the exposure; minus their derivatives (N, 6, p) in body axes by the
-    unknowns, for delay and exposure per unit of the simulated twist and acceleration; the axes (N,
-    3, 3) of the noise in the world, empty for body axes, and the measured point (3,), m, in body
-    axes; the unknowns of the clocks, and the unknown of the exposure, -1 for none.
+    The poses (N, 8) with their small delay (s) after a node; minus their derivatives (N, 6, p) in
+    body axes by the unknowns, of the clocks per unit of the simulated twist; the unknowns of the
+    clocks; and of other views the residuals (N, 6) with derivatives (N, 6, 6) by the package's
+    error, empty for poses.
     """
 
     rows: Array
     columns: Array
-    axes: Array
-    point: Array
     clocks: Places
-    exposure: int
+    residuals: Array
+    maps: Array
 
 
 @kernel
-def observe(
-    model: ModelTuple, tool: State, body: State, views: Views, i: int, M: Any, out: Any
-) -> None:
+def observe(body: State, views: Views, i: int, M: Any, out: Any) -> None:
     """
     Write the residual (6,) of view i, and its derivative (6, 6) by the package's error.
 
-    The mean pose over an exposure T differs from the pose at its middle by T^2/24 times the
-    acceleration. Columns of clocks are multiplied by the twist, the column of the exposure by the
-    acceleration, and all columns are mapped.
+    Columns of clocks are multiplied by the twist.
     """
-    pose, columns, point = views.rows[i], views.columns[i], views.point
-    _write_map(body, views, i, M)
-    acceleration = (t3.ZERO, t3.ZERO)
-    if views.exposure >= 0:
-        acceleration = kernels.body_acceleration(model, tool, body)
+    if len(views.maps) > 0:
+        for j in range(6):
+            out[j] = views.residuals[i, j]
+            for k in range(6):
+                M[j, k] = views.maps[i, j, k]
+    else:
+        _observe_pose(body, views, i, M, out)
+
+
+@kernel
+def _observe_pose(body: State, views: Views, i: int, M: Any, out: Any) -> None:
+    """Write the residual (6,) of pose i, and its derivative (6, 6)."""
+    pose, columns = views.rows[i], views.columns[i]
     shift, rotation = pose_error(
         body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
     linear, angular = body[2], body[3]
-    bend = t3.add(acceleration[0], t3.cross(angular, linear)), acceleration[1]
-    lever = (point[0], point[1], point[2])
-    # The map is linear in the rotation, but blurred tags need the second order.
-    second = t3.scale(0.5, t3.cross(rotation, t3.cross(rotation, lever)))
-    difference = np.empty((6, 1))
     for j in range(3):
-        difference[j, 0] = shift[j] + second[j] - pose[7] * linear[j] - pose[8] * bend[0][j]
-        difference[3 + j, 0] = rotation[j] - pose[7] * angular[j] - pose[8] * bend[1][j]
-        if views.exposure >= 0:
-            columns[j, views.exposure] *= bend[0][j]
-            columns[3 + j, views.exposure] *= bend[1][j]
+        M[j, j] = M[3 + j, 3 + j] = 1.0
+        out[j] = shift[j] - pose[7] * linear[j]
+        out[3 + j] = rotation[j] - pose[7] * angular[j]
     for column in views.clocks:
         for j in range(3):
             columns[j, column] *= linear[j]
             columns[3 + j, column] *= angular[j]
-    mapped = t3.product(M, difference, np.empty((6, 1)))
-    for j in range(6):
-        out[j] = mapped[j, 0]
-    if len(views.axes) > 0:
-        turned = t3.product(M, columns, np.empty(columns.shape))
-        for j in range(6):
-            for k in range(turned.shape[1]):
-                columns[j, k] = turned[j, k]
-
-
-@kernel
-def _write_map(body: State, views: Views, i: int, M: Any) -> None:
-    """Write the derivative (6, 6) of view i by the package's error."""
-    R, lever = t3.rotation_matrix(body[1]), (views.point[0], views.point[1], views.point[2])
-    for j in range(3):
-        if len(views.axes) == 0:
-            M[j, j] = M[3 + j, 3 + j] = 1.0
-        else:
-            axis = views.axes[i]
-            c = t3.apply_transposed(R, (axis[0, j], axis[1, j], axis[2, j]))
-            of_rotation = t3.cross(lever, c)
-            for k in range(3):
-                M[j, k] = M[3 + j, 3 + k] = c[k]
-                M[j, 3 + k] = of_rotation[k]
 
 
 def views(
     poses: Trajectory, values: Values, places: Mapping[str, Places], units: Array,
-    context: tuple[Array, Array], path: Trajectory, period: float, delays: Array,
-    axes: Array, point: Array,
+    context: Context, path: Trajectory, delays: Array,
 ) -> Views:
     """
     Return the views of measured poses of B, corrected by the values of the nuisances.
@@ -119,42 +93,53 @@ def views(
         Nuisances by name: values, SI units, and their places among the p unknowns.
     units : ndarray (p,)
         Units of the unknowns.
-    context : (ndarray (3,), ndarray (4,))
-        Components of the com that shift B, and middle: see `poses_of`.
+    context : tuple
+        See `Context`.
     path : Trajectory
         Smooth path of the tool.
-    period, delays, axes, point
-        Time (s) between poses, and fields of `Views`.
+    delays : ndarray (N,)
+        Delays (s) of the poses after their nodes.
 
     """
     body = poses_of(poses, values, *context)
-    columns, mean = np.zeros((len(poses), 6, len(units))), period**2 / 24.0
-    for name, place in places.items():
-        known = carried(poses, path) if name == 'scale' else poses
-        columns[:, :, place] = -pose_changes(name, len(place), known, *context)
-    columns[:, :, places.get('exposure', [])] = mean  # for an exposure as long as the period
-    exposure = mean * float(values.get('exposure', (0.0,))[0])
     return Views(
-        np.column_stack([body.position, lie.rotation_to_quaternion(body.rotation), delays,
-                         np.full(len(poses), exposure)]), columns * units, axes, point,
-        np.array([int(place) for name in ('time_offset', 'clock_rate')
-                  for place in places.get(name, ())], dtype=np.int64),
-        int(places.get('exposure', (-1,))[0]))
+        np.column_stack([body.position, lie.rotation_to_quaternion(body.rotation), delays]),
+        columns_of(poses, values, places, len(units), context, carried(poses, path)) * units,
+        np.array([int(place) for name in CLOCKS for place in places.get(name, ())],
+                 dtype=np.int64), np.empty((0, 6)), np.empty((0, 6, 6)))
+
+
+def columns_of(
+    poses: Trajectory, values: Values, places: Mapping[str, Places], count: int, context: Context,
+    scaled: Trajectory,
+) -> Array:
+    """
+    Return minus the derivatives (N, 6, p) of poses by p unknowns.
+
+    For a scale of the positions of other poses, where their noise would bias it.
+    """
+    columns = np.zeros((len(poses), 6, count))
+    for name, place in places.items():
+        known = scaled if name == 'scale' else poses
+        columns[:, :, place] = -pose_changes(name, len(place), known, *context)
+    return columns
 
 
 def poses_of(
-    package: Trajectory, values: Values, moves: Array, middle: Array | None = None
+    package: Trajectory, values: Values, moves: Array, middle: Array | None = None,
+    camera: Array | float = 0.0,
 ) -> Trajectory:
     """
     Return the poses of B, and twists if any, for given free quantities.
 
     Moves (3,) is 1 for the components of the com that shift B, else 0. The world rotates about a
-    middle, see `middle_of`; by default of the poses.
+    middle, see `middle_of`; by default of the poses. Positions are scaled about a camera (3,).
     """
     if 'com' in values:
         package = of_fixed_frame(package, np.zeros(3), moves * values['com'])
     if 'scale' in values:
-        package = replace(package, position=(1.0 + values['scale']) * package.position)
+        package = replace(
+            package, position=package.position + values['scale'] * (package.position - camera))
     if 'package_world' in values:
         middle = middle_of(package) if middle is None else middle
         R = lie.exp_so3(values['package_world'][3:])
@@ -191,7 +176,8 @@ def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
 
 
 def pose_changes(
-    name: str, size: int, package: Trajectory, moves: Array, middle: Array
+    name: str, size: int, package: Trajectory, moves: Array, middle: Array,
+    camera: Array | float = 0.0,
 ) -> Array:
     """
     Return the derivatives of poses (M, 6, size) by a nuisance, in body axes.
@@ -206,7 +192,8 @@ def pose_changes(
     elif name == 'clock_rate':
         change -= (package.stamps_ns / NS_PER_S - middle[3])[:, None, None]
     elif name == 'scale':  # of smooth poses, see `carried`
-        change[:, :3, 0] = lie.apply(np.swapaxes(package.rotation, 1, 2), package.position)
+        change[:, :3, 0] = lie.apply(
+            np.swapaxes(package.rotation, 1, 2), package.position - camera)
     elif name == 'package_marker':
         change += np.eye(6)
     elif name == 'package_world':

@@ -14,16 +14,21 @@ pose; the other two directions of a view have none.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import moved
 from bellows_ros.core.model.kernels import matrix_of, State
-from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.model.simulation import row_state, write_row
+from bellows_ros.core.sensors import body as poses
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 import numpy as np
 
 CORNERS = (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)
@@ -33,6 +38,9 @@ AprilTag library."""
 LEAST_DEPTH = 0.05
 """Smallest distance of a corner from the camera along its axis, the limit of focus, m."""
 
+LEAST_SLOPE = 1e-4
+"""Smallest derivative of a direction by which a view determines the pose, rad/m or 1."""
+
 SAME_IMAGE = 3e-4
 """Largest motion of the corners between two frames of one view, rad: a third of a pixel."""
 
@@ -41,6 +49,12 @@ SAME_VIEW = 0.8
 
 EXPOSURE_STEP = 1e-3
 """Time (s) before and after an exposure for the acceleration of the corners."""
+
+USUAL_EXPOSURE = 0.3
+"""Exposure in periods of a camera if not stated, as uncertain as it is long."""
+
+NEAR, NEAR_ITERATIONS = np.repeat([0.05, 0.1], 3), 4
+"""Standard deviations of a tag's pose about a prediction, m and rad, and number of steps to it."""
 
 Sight = tuple[Vector, Matrix, Vector, Matrix, float]
 """
@@ -121,7 +135,7 @@ def _reflect(J: Any, k: int, square: float, X: Any, j: int) -> None:
 
 @entry
 def _write_views(
-    rows: Any, accelerations: Any, sight: Sight, corners: Any, out: Any, maps: Any, smears: Any
+    rows: Any, accelerations: Any, sight: Sight, corners: Any, out: Any, maps: Any, speeds: Any
 ) -> None:
     """Write the results of `views`."""
     J, X, image, before, after = (
@@ -137,11 +151,12 @@ def _write_views(
                           t3.ZERO, t3.ZERO), sight, after)
         write_image(moved(body, t3.add_scaled(second, -h, v), t3.add_scaled(turn, -h, w),
                           t3.ZERO, t3.ZERO), sight, before)
-        smears[n] = 0.0
+        square = 0.0
         for i in range(8):
             X[i, 0] = corners[n][i] - image[i]
             X[i, 1] = (after[i] - 2.0 * image[i] + before[i]) / (h * h)
-            smears[n] += (after[i] - before[i]) ** 2 / (16.0 * h * h)
+            square += (after[i] - before[i]) ** 2 / (16.0 * h * h)
+        speeds[n] = square**0.5
         write_slopes(body, sight, J)
         reduce_view(J, X)
         for i in range(8):
@@ -180,9 +195,9 @@ def views(
 
     """
     count = len(rows)
-    out, maps, squares = np.empty((count, 8, 2)), np.empty((count, 6, 6)), np.empty(count)
-    _write_views(*as_inputs(rows, accelerations), sight, *as_inputs(corners), out, maps, squares)
-    return out, maps, np.sqrt(squares)
+    out, maps, speeds = np.empty((count, 8, 2)), np.empty((count, 6, 6)), np.empty(count)
+    _write_views(*as_inputs(rows, accelerations), sight, *as_inputs(corners), out, maps, speeds)
+    return out, maps, speeds
 
 
 def corners_of_poses(position: Array, rotation: Array, side: float) -> Array:
@@ -191,6 +206,49 @@ def corners_of_poses(position: Array, rotation: Array, side: float) -> Array:
     places = position[:, None] + np.einsum('nij,cj->nci', rotation, points)
     depth = np.maximum(places[..., 2:], LEAST_DEPTH)
     return np.asarray((places[..., :2] / depth).reshape(-1, 8))
+
+
+Sensor = tuple[bool, float, float, Vector, Matrix, float, float]
+"""
+Whether a tag is measured instead of a tracked body; standard deviations of a pose (m, rad), or of
+a corner and its growth (`CornerNoise`); of a tag position (m) and axes of the camera in the world,
+half its side (m), and exposure (s).
+"""
+
+
+@kernel
+def equivalent_pose(
+    body: State, acceleration: tuple[Vector, Vector], sight: Sight, sensor: Sensor, seen: Any
+) -> tuple[Array, Array]:
+    """
+    Return the shift and rotation (6,) from a body to the pose that one view shows.
+
+    The second result is its covariance (6, 6); both to first order, in body axes. They have all
+    information of the view: a direction that its corners hardly show is as uncertain.
+    """
+    rows, accelerations = np.empty((1, 13)), np.empty((1, 6))
+    write_row(rows[0], (body[0], body[1], body[2], body[3]))
+    for i in range(3):
+        accelerations[0, i], accelerations[0, 3 + i] = acceleration[0][i], acceleration[1][i]
+    out, maps, speed = np.empty((1, 8, 2)), np.empty((1, 6, 6)), np.empty(1)
+    _write_views(rows, accelerations, sight, seen, out, maps, speed)
+    blur, growth = sensor[6] * sensor[6], sensor[2] * sensor[6] * sensor[6] * speed[0]
+    variance = sensor[1] * sensor[1] + growth * growth
+    inverse, x, noise = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
+    for i in range(5, -1, -1):
+        diagonal = maps[0, i, i]
+        if abs(diagonal) < LEAST_SLOPE:
+            diagonal = LEAST_SLOPE
+        inverse[i, i] = 1.0 / diagonal
+        for j in range(i + 1, 6):
+            for k in range(i + 1, j + 1):
+                inverse[i, j] -= maps[0, i, k] * inverse[k, j] / diagonal
+    for i in range(6):
+        for j in range(6):
+            x[i] += inverse[i, j] * (out[0, j, 0] - blur / 24.0 * out[0, j, 1])
+            for k in range(6):
+                noise[i, k] += variance * inverse[i, j] * inverse[k, j]
+    return x, noise
 
 
 class CornerNoise(NamedTuple):
@@ -222,17 +280,183 @@ def frames_of(corners: Array) -> Array:
     return np.asarray(np.bincount(view)[view], float)
 
 
-def sight_of(T_world_camera: Array, T_package_tag: Array, side: float) -> Sight:
-    """Return the sight of a camera (4, 4) and a tag (4, 4) of a side, m."""
-    def parts(T: Array) -> tuple[Vector, Matrix]:
-        x, y, z = T[:3, 3].tolist()
-        return (x, y, z), matrix_of(T[:3, :3].ravel().tolist())
+@dataclass(frozen=True, eq=False)
+class Tag:
+    """
+    A detected tag and the camera that sees it.
 
-    return *parts(T_world_camera), *parts(T_package_tag), 0.5 * side
+    Parameters
+    ----------
+    side : float
+        Side of the tag, m.
+    noise : CornerNoise
+    exposure : float
+        Exposure time, s; 0 for `USUAL_EXPOSURE` of the camera's period.
+    T_world_camera : ndarray (4, 4)
+        Pose of the camera in the world of the tag's poses.
+
+    """
+
+    side: float
+    noise: CornerNoise = CornerNoise()
+    exposure: float = 0.0
+    T_world_camera: Array = field(default_factory=partial(np.eye, 4))
+
+    def moved(self, T: Array) -> Tag:
+        """Return the tag in a world in which its world has a pose (4, 4)."""
+        return replace(self, T_world_camera=T @ self.T_world_camera)
 
 
-def pose_in_camera(T_world_camera: Array, position: Array, rotation: Array) -> tuple[
-        Array, Array]:
-    """Return poses (N, 3), (N, 3, 3) in a world as poses in the camera (4, 4)."""
-    R = T_world_camera[:3, :3].T
-    return lie.apply(R, position - T_world_camera[:3, 3]), R @ rotation
+USUAL_NOISE = CornerNoise()
+"""Noise of the corners of an unknown detector."""
+
+
+class Seen(NamedTuple):
+    """
+    Views of a tag about a simulated package.
+
+    Residuals; variance (N,) of each, rad^2; smear (N,) by motion during the exposure, rad; and
+    effect (6,) of a residual on the pose, m and rad per rad.
+    """
+
+    views: poses.Views
+    variance: Array
+    smear: Array
+    scale: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TagViews:
+    """
+    Corners of a tag on a package.
+
+    Parameters
+    ----------
+    tag : Tag
+    stamps_ns : ndarray (N,)
+    corners : ndarray (N, 8)
+    frames : ndarray (N,)
+        Number of frames of each view, see `frames_of`.
+    T_package_tag : ndarray (4, 4)
+        Pose of the tag in B.
+
+    """
+
+    tag: Tag
+    stamps_ns: Stamps
+    corners: Array
+    frames: Array
+    T_package_tag: Array
+
+    @classmethod
+    def of(cls, tag: Tag, stream: PoseStream, T_package_tag: Array) -> TagViews:
+        """Return the views of recorded poses, of which the corners may be recorded as well."""
+        corners = stream.corners
+        if corners is None:
+            R = tag.T_world_camera[:3, :3].T
+            corners = corners_of_poses(
+                lie.apply(R, stream.position - tag.T_world_camera[:3, 3]), R @ stream.rotation,
+                tag.side)
+        return cls(tag, stream.stamps_ns, corners, frames_of(corners), T_package_tag)
+
+    def at(self, stamps_ns: Stamps) -> TagViews:
+        """Return the views nearest to some stamps."""
+        middles = self.stamps_ns[:-1] + np.diff(self.stamps_ns) // 2
+        return self.select(np.searchsorted(middles, stamps_ns))
+
+    def select(self, chosen: Places | Mask) -> TagViews:
+        """Return chosen views."""
+        return replace(self, stamps_ns=self.stamps_ns[chosen], corners=self.corners[chosen],
+                       frames=self.frames[chosen])
+
+    @property
+    def sight(self) -> Sight:
+        """Camera and tag for kernels."""
+        (o, R), (c, R_tag) = ((
+            (float(T[0, 3]), float(T[1, 3]), float(T[2, 3])), matrix_of(T[:3, :3].ravel().tolist())
+        ) for T in (self.tag.T_world_camera, self.T_package_tag))
+        return o, R, c, R_tag, 0.5 * self.tag.side
+
+    @property
+    def exposure(self) -> float:
+        """Exposure time, s."""
+        period = float(np.median(np.diff(self.stamps_ns))) / NS_PER_S
+        return self.tag.exposure or USUAL_EXPOSURE * period
+
+    def corrected(self, values: poses.Values, moves: Array, middle: Array) -> TagViews:
+        """Return the views for values of the nuisances; see `poses.poses_of`."""
+        origin = Trajectory(np.zeros(1, np.int64), np.zeros((1, 3)), np.eye(3)[None])
+        T = self.tag.T_world_camera
+        camera, package = (poses.poses_of(at, {
+            name: values[name] for name in names if name in values}, moves, middle)
+            for at, names in (
+                (replace(origin, position=T[None, :3, 3], rotation=T[None, :3, :3]),
+                 ('package_world',)), (origin, ('com', 'package_marker'))))
+        T_before_package = lie.transform(package.rotation[0], package.position[0])
+        return replace(self, tag=replace(
+            self.tag, side=self.tag.side * (1.0 + float(values.get('scale', (0.0,))[0])),
+            T_world_camera=lie.transform(camera.rotation[0], camera.position[0])),
+            T_package_tag=lie.inverse_transform(T_before_package) @ self.T_package_tag)
+
+    def seen(
+        self, motion: Array, noise: CornerNoise, values: poses.Values,
+        places: Mapping[str, Places], units: Array, context: poses.Context,
+    ) -> Seen:
+        """
+        Return the residuals of the views about a simulated package.
+
+        Parameters
+        ----------
+        motion : ndarray (N, 19)
+            The package at the views: its state, and derivatives of its velocity and its rate in
+            body axes, m/s^2 and rad/s^2.
+        noise : CornerNoise
+            Noise of the corners.
+        values, places, units, context
+            Nuisances, see `body.views`.
+
+        """
+        at = self.corrected(values, *context[:2])
+        package = Trajectory(
+            self.stamps_ns, motion[:, :3], lie.quaternion_to_rotation(motion[:, 3:7]))
+        out, maps, speed = views(motion[:, :13], motion[:, 13:], at.sight, self.corners)
+        tag = package.position + lie.apply(package.rotation, at.T_package_tag[:3, 3])
+        columns = poses.columns_of(
+            package, values, places, len(units), context, replace(package, position=tag))
+        for name in places.keys() & poses.CLOCKS:
+            columns[:, :, places[name]] *= motion[:, 7:13, None]
+        columns, exposure = maps @ columns, self.exposure
+        change = 1.0 + float(values.get('exposure', (0.0,))[0])
+        mean = exposure**2 / 24.0
+        columns[:, :, places.get('exposure', [])] = 2.0 * mean * change * out[:, :6, 1:]
+        inverse = np.linalg.inv(np.mean(np.swapaxes(maps, 1, 2) @ maps, axis=0))
+        return Seen(
+            poses.Views(np.empty((len(motion), 8)), columns * units, np.empty(0, np.int64),
+                        out[:, :6, 0] - mean * change**2 * out[:, :6, 1], maps),
+            noise.variance(exposure * speed, self.frames), exposure * speed,
+            np.sqrt(np.diag(inverse)))
+
+    def poses_near(self, package: Trajectory) -> tuple[Trajectory, Array]:
+        """
+        Return the poses of B that show the corners, near predicted ones, and RMS errors (6,).
+
+        A wide prior about the prediction decides between the two solutions of a flat tag.
+        """
+        position, rotation, still = package.position, package.rotation, np.zeros((len(package), 6))
+        twist = still if package.twist is None else package.twist
+        for _ in range(NEAR_ITERATIONS):
+            rows = np.column_stack([position, lie.rotation_to_quaternion(rotation), twist])
+            out, maps, speed = views(rows, still, self.sight, self.corners)
+            variance = self.tag.noise.variance(self.exposure * speed, self.frames)[:, None]
+            prior = variance / NEAR**2
+            back = np.hstack([
+                lie.apply(np.swapaxes(rotation, 1, 2), package.position - position),
+                lie.log_so3(np.swapaxes(rotation, 1, 2) @ package.rotation)])
+            inverse = np.linalg.inv(
+                np.swapaxes(maps, 1, 2) @ maps + prior[:, :, None] * np.eye(6))
+            step = lie.apply(inverse, lie.apply(
+                np.swapaxes(maps, 1, 2), out[:, :6, 0]) + prior * back)
+            position = position + lie.apply(rotation, step[:, :3])
+            rotation = rotation @ lie.exp_so3(step[:, 3:])
+        std = np.sqrt(np.mean(variance * np.einsum('nii->ni', inverse), axis=0))
+        return Trajectory(package.stamps_ns, position, rotation, valid=package.valid), std

@@ -82,15 +82,6 @@ def dragged(row, o, turn, way):
     return np.concatenate([p, lie.rotation_to_quaternion(R @ turn @ back), row[7:]])
 
 
-def exposed(p, R, count):
-    """Return the mean of the poses (N) before and after each, within so many steps."""
-    if not count:
-        return p, R
-    each = np.clip(np.arange(len(p))[:, None] + np.arange(count + 1) - count // 2, 0, len(p) - 1)
-    turns = lie.log_so3(np.swapaxes(R, 1, 2)[:, None] @ R[each])
-    return p[each].mean(axis=1), R @ exp_so3(turns.mean(axis=1))
-
-
 class Laboratory:
     """A cup and a package, their recording, and the stated parameters."""
 
@@ -114,7 +105,7 @@ class Laboratory:
         self.slipped, self.level, self.low_pass_hz = np.zeros(3), np.eye(3), 0.0
         self.leak, self.clock_rate, self.magnified = 0.0, 0.0, 1.0
         self.twist_unit, self.w_first, self.occluded, self.exchanged = 0.0, (), False, False
-        self.camera_hz, self.exposure, self.blur, self.pull = rate_hz, 0.0, 0.0, np.zeros(3)
+        self.camera_hz, self.blur, self.pull = rate_hz, 0.0, np.zeros(3)
         self.misread = lambda tool, package: (tool, package)
         self.motion = shake(duration=seconds, seed=int(rng.integers(1 << 30)))
         self.law = lambda when, deflection: self.K
@@ -180,7 +171,6 @@ class Laboratory:
             p = self.magnified * (p + body.seconds[:, None] * self.wander)
             speed = np.linalg.norm(np.gradient(p, axis=0), axis=1)[:, None]
             drawn *= 1.0 + self.blur * np.minimum(speed / np.quantile(speed, 0.5), 1.0)
-            p, R = exposed(p, R, round(self.exposure * self.rate_hz))
         R = R @ self.turn.get(name, np.eye(3)) @ exp_so3(noise[1] * drawn[1])
         p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
         if self.low_pass_hz:
@@ -321,8 +311,8 @@ def _quaternions(own):
     own.w_first = (('tool',), ('package',), ('tool', 'package'))[own.rng.integers(3)]
 
 
-def _camera(own, camera_hz, blur=0.0, exposure=0.0):
-    own.camera_hz, own.blur, own.exposure = camera_hz, blur, exposure
+def _camera(own, camera_hz, blur=0.0):
+    own.camera_hz, own.blur = camera_hz, blur
     own.noise = NOISES[2], own.noise[1]
 
 
@@ -413,7 +403,6 @@ FAULTS = {
     'play in torsion': (_play, 'unknown rz'),
     'side pull': (_pull, 'gravity'),
     'leak and friction': (_leak_and_friction, 'length_drift'),
-    'exposure': (lambda own: _camera(own, 30.0, exposure=0.03), 'exposure'),
     'noise in motion': (lambda own: _camera(own, 60.0, blur=4.0), 'sound'),
     'clocks 50 ppm apart': (_slow_clock, 'sound'),
     'marker of the tool': (lambda own: setattr(own, 'misread', _of_tool), 'package_on_tool'),

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.geometry.lie import apply, exp_so3
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import output_error as module
 from bellows_ros.core.identification.diagnosis import ranking
 from bellows_ros.core.identification.diagnosis.ranking import deviating
@@ -15,7 +15,6 @@ from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
@@ -314,23 +313,3 @@ def test_what_is_given_of_half_a_package_is_nothing():
     """Know no standard deviation of a package whose inertia is not given."""
     half = Values({name: value for name, value in SAID.items() if name != 'package.inertia'})
     assert not {'mass', 'com', 'inertia'} & set(given_std(half))
-
-
-def test_the_exposure_of_a_camera_is_found_and_not_taken_for_stiffness():
-    """Poses are means over 30 of 33 ms, as of a camera, of rotations in the tangent space."""
-    own, rng = measured(5, **(QUIET | {'package_hz': 30.0})), np.random.default_rng(4)
-    truth = Shake(5).trajectory(12.1, 500.0)
-    body, stamps = simulate(TRUTH, PLATE, truth, gravity=GRAVITY), own.package.stamps_ns[1:]
-    middle, near = resample(body, stamps), [
-        replace(resample(body, stamps + round(1e6 * late)), stamps_ns=stamps)
-        for late in np.linspace(-14.5, 14.5, 30)]
-    change = np.mean([relative_coordinates(middle, each) for each in near], axis=0)
-    change += rng.standard_normal(change.shape) * own.package_noise.std
-    package = Trajectory(stamps, middle.position + apply(middle.rotation, change[:, :3]),
-                         middle.rotation @ exp_so3(change[:, 3:]))
-    sharp, found = (minimise(posed(replace(own, package=package), free=free))
-                    for free in ({}, {'exposure': USUAL['exposure']}))
-    z, z_sharp = (((end.problem.units * end.theta)[:8] - NUMBERS) / (
-        end.problem.units * np.sqrt(end.information.variances))[:8] for end in (found, sharp))
-    assert np.max(np.abs(z_sharp)) > 3.0 > np.max(np.abs(z))
-    assert found.estimate('exposure')[0][0] == pytest.approx((30.0 / (1e3 / 30.0)) ** 2, rel=0.15)

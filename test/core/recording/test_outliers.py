@@ -3,9 +3,8 @@
 from dataclasses import replace
 import functools
 
-from bellows_ros.core.geometry.lie import exp_so3, log_so3
-from bellows_ros.core.recording.measurement_model import MeasurementModel
-from bellows_ros.core.recording.outliers import find_flips, find_outliers, repeats_in_motion
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.recording.outliers import find_outliers, repeats_in_motion
 from bellows_ros.core.signals.resampling import timing
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
@@ -178,34 +177,6 @@ def test_a_lasting_step_does_not_end_in_a_lost_pose(seed):
         poses, slice(len(poses) // 3, None), np.array([0.02, 0, 0]), np.zeros(3), True)
     kept = poses.select(rng.random(len(poses)) > 0.05)
     assert np.count_nonzero(~found_in(kept).good) < 0.05 * len(kept)
-
-
-@pytest.mark.parametrize('frames', [1, 6, 20])
-@pytest.mark.parametrize('seed', [6, 7])
-def test_flips_of_a_flat_tag_return(seed, frames):
-    """The second solution fits their neighbours, also in runs of many frames."""
-    rng = np.random.default_rng(seed)
-    poses = noisy(rng, shaken(rng, Shake(30.0, 30.0, 0.2, 1.5)), Noise(5e-4, 1e-2))
-    position = poses.position + [0.0, 0.0, 1.0]
-    right = poses.rotation @ exp_so3(np.array([0.3, 0.25, 0.0]))
-    mirrored = MeasurementModel('tag').second_solution(position, right)
-    flips = (np.arange(len(poses)) - 80) % 97 < frames
-    first, second = (np.where(flips[:, None, None], *pair) for pair in (
-        (mirrored, right), (right, mirrored)))
-    found = find_flips(Trajectory(poses.stamps_ns, position, first), second)
-    apart = np.linalg.norm(log_so3(np.linalg.inv(right) @ mirrored), axis=1)
-    assert_array_equal((~found.good)[apart > 0.1], flips[apart > 0.1])
-
-
-@pytest.mark.parametrize(('apart', 'is_flip'), [(0.08, False), (0.15, True)])
-def test_solutions_that_nearly_agree_are_no_flips(apart, is_flip):
-    """Keep either solution of a tag that nearly faces the camera."""
-    rng, swapped = np.random.default_rng(1), np.arange(60) // 2 == 10
-    position = [0.0, 0.0, 1.0] + 1e-4 * rng.normal(size=(60, 3))
-    tilt = 0.5 * apart * np.where(swapped, -1.0, 1.0)[:, None] * [1.0, 0.0, 0.0]
-    first, second = exp_so3(tilt), exp_so3(-tilt)
-    found = find_flips(Trajectory(np.arange(60) * 33_000_000, position, first), second)
-    assert_array_equal(~found.good, swapped & is_flip)
 
 
 def frozen(poses, run):

@@ -5,10 +5,11 @@ from bellows_ros.core.sensors.corners import (
     CornerNoise,
     corners_of_poses,
     frames_of,
-    pose_in_camera,
-    sight_of,
+    Tag,
+    TagViews,
     views,
 )
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -34,6 +35,13 @@ def drawn(rng, count=6):
     return camera, tag, np.array(seen), rows, rng.normal(0.0, 20.0, (count, 6))
 
 
+def seen_by(camera, tag, position, rotation):
+    """Return the views of tags at poses in the world."""
+    stamps = 33_000_000 * (1 + np.arange(len(position)))
+    return TagViews.of(Tag(SIDE, CornerNoise(1e-5, 0.0), T_world_camera=camera), PoseStream(
+        'tag', 'world', stamps, position, rotation), tag)
+
+
 def image(camera, tag, position, rotation, side=SIDE):
     """Return the corners (8,) of a tag on a body, by homogeneous transformations."""
     h = side / 2.0
@@ -44,9 +52,10 @@ def image(camera, tag, position, rotation, side=SIDE):
 
 def test_residual_and_derivatives_are_those_of_a_second_projection(rng):
     """Q^T (y - image), Q^T of the acceleration, and J^T J by central differences."""
-    camera, tag, _, rows, accelerations = drawn(rng)
+    camera, tag, poses, rows, accelerations = drawn(rng)
     seen = rng.normal(0.0, 0.01, (len(rows), 8))
-    out, maps, speeds = views(rows, accelerations, sight_of(camera, tag, SIDE), seen)
+    sight = seen_by(camera, tag, poses[:, :3, 3], poses[:, :3, :3]).sight
+    out, maps, speeds = views(rows, accelerations, sight, seen)
     for n, row in enumerate(rows):
         o, R = row[:3], lie.quaternion_to_rotation(row[3:7])
 
@@ -73,22 +82,42 @@ def test_residual_and_derivatives_are_those_of_a_second_projection(rng):
             np.sqrt(np.mean(np.sum(velocity.reshape(4, 2) ** 2, axis=1))), rel=1e-3)
 
 
-def test_corners_of_poses_are_the_corners_seen(rng):
-    """Also of the second solution of a distant tag, its tilt mirrored at the line of sight."""
-    camera, tag, seen, rows, _ = drawn(rng)
-    T = np.array([camera @ each for each in seen])
-    position, rotation = pose_in_camera(camera, T[:, :3, 3], T[:, :3, :3])
-    corners = corners_of_poses(position, rotation, SIDE)
-    for row, each in zip(rows, corners, strict=True):
-        assert_allclose(each, image(camera, tag, row[:3], lie.quaternion_to_rotation(row[3:7])))
-    sight = 40.0 * position / np.linalg.norm(position, axis=1)[:, None]
-    along = sight / 40.0
+def mirrored(position, rotation):
+    """Return the second solutions of distant tags, their tilt mirrored at the line of sight."""
+    along = position / np.linalg.norm(position, axis=1)[:, None]
     half_turn = 2.0 * along[:, :, None] * along[:, None, :] - np.eye(3)
-    mirrored = half_turn @ rotation @ np.diag([-1.0, -1.0, 1.0])
-    apart = np.linalg.norm(lie.log_so3(np.swapaxes(rotation, 1, 2) @ mirrored), axis=1)
+    return half_turn @ rotation @ np.diag([-1.0, -1.0, 1.0])
+
+
+def test_corners_of_poses_are_the_corners_seen_with_either_solution(rng):
+    camera, tag, seen, rows, _ = drawn(rng)
+    position, rotation = seen[:, :3, 3], seen[:, :3, :3]
+    T = camera @ seen
+    found = seen_by(camera, tag, T[:, :3, 3], T[:, :3, :3])
+    for row, each in zip(rows, found.corners, strict=True):
+        assert_allclose(each, image(camera, tag, row[:3], lie.quaternion_to_rotation(row[3:7])))
+    far, other = 40.0 * position, mirrored(position, rotation)
+    apart = np.linalg.norm(lie.log_so3(np.swapaxes(rotation, 1, 2) @ other), axis=1)
     assert apart.max() > 0.3
-    assert_allclose(corners_of_poses(sight, rotation, SIDE), corners_of_poses(
-        sight, mirrored, SIDE), atol=1e-6)  # of corners 1.2e-3 apart
+    size = np.ptp(corners_of_poses(far, rotation, SIDE).reshape(-1, 4, 2), axis=1).max()
+    assert np.abs(corners_of_poses(far, rotation, SIDE) - corners_of_poses(
+        far, other, SIDE)).max() < 2e-3 * size
+
+
+def test_poses_near_a_prediction_show_the_corners(rng):
+    """From predictions that are off by some 10 mm and 3 degrees."""
+    camera, tag, _, rows, _ = drawn(rng, 20)
+    rotation = lie.quaternion_to_rotation(rows[:, 3:7])
+    found = TagViews(
+        Tag(SIDE, CornerNoise(1e-5, 0.0), T_world_camera=camera), np.arange(20) * 33_000_000,
+        np.array([image(camera, tag, row[:3], R) for row, R in zip(rows, rotation, strict=True)]),
+        np.ones(20), tag)
+    poses, std = found.poses_near(Trajectory(
+        found.stamps_ns, rows[:, :3] + rng.normal(0.0, 5e-3, (20, 3)),
+        rotation @ lie.exp_so3(rng.normal(0.0, 0.03, (20, 3)))))
+    error = np.hstack([poses.position - rows[:, :3], lie.log_so3(
+        np.swapaxes(rotation, 1, 2) @ poses.rotation)])
+    assert np.all(np.sqrt(np.mean(error**2, axis=0)) < std)
 
 
 def test_noise_grows_with_the_smear_and_with_the_frames_of_a_view():

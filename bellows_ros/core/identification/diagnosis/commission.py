@@ -59,8 +59,8 @@ TAG_ROTATION, TAG_DEPTH, TAG_RATE_HZ = 2e-3, 2.5, 70.0
 """Limits of a tag detector: smallest noise of the orientation (rad), smallest ratio of depth noise
 to lateral noise, largest rate (Hz)."""
 
-MAX_FLIP_PART = 1e-3
-"""Largest fraction of flipped poses of a tracked body."""
+MAX_EXCURSIONS = 1e-3
+"""Largest fraction of excursions in the poses of a tracked body."""
 
 BLUR_RATIO = 2.5
 """Smallest ratio of noise in fast motion to noise at rest that indicates blur."""
@@ -143,7 +143,7 @@ def checks_of(
     first, last = (stamp + side * SPEED_STEP for stamp, side in zip(
         resampling.common_span(hand, body), (1, -1), strict=True))
     body = body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
-    return (*result, *_detector(body, _speeds(hand, body.stamps_ns), outliers.flips, package),
+    return (*result, *_detector(body, _speeds(hand, body.stamps_ns), outliers.excursions, package),
             *_motion(hand, body, pose, separate))
 
 
@@ -219,33 +219,33 @@ def _speeds(tool: Trajectory, stamps_ns: Stamps) -> Array:
         / seconds])
 
 
-def seems_tag(noise: Array, rate_hz: float, flips: float) -> bool:
-    """Return whether a noise (6,), a rate and a share of flips are typical of a tag."""
+def seems_tag(noise: Array, rate_hz: float, excursions: float) -> bool:
+    """Return whether poses with a noise (6,), a rate and a share of excursions are of a tag."""
     lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (noise[:2], noise[3:]))
     return rate_hz < TAG_RATE_HZ and (
-        flips > MAX_FLIP_PART or rotation > TAG_ROTATION or float(noise[2]) > TAG_DEPTH * lateral)
+        excursions > MAX_EXCURSIONS or rotation > TAG_ROTATION
+        or float(noise[2]) > TAG_DEPTH * lateral)
 
 
 def _detector(
-    body: Trajectory, speeds: Array, flips: int, package: PoseStream
+    body: Trajectory, speeds: Array, excursions: int, package: PoseStream
 ) -> Iterator[Check]:
-    """Yield the checks of the kind of detector, its noise, flips, rate and blur."""
+    """Yield the checks of the kind of detector, its noise, excursions, rate and blur."""
     still = np.all(speeds < STILL_SPEED, axis=1)
     fast = speeds[:, 0] > np.quantile(speeds[:, 0], FAST_PART)
     at_rest, in_motion, quick = (noise_of(body, mask) for mask in (still, ~still, fast))
     rate_hz = resampling.timing(package.stamps_ns).rate_hz
     known = np.where(np.isfinite(at_rest), at_rest, in_motion)
     lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (known[:2], known[3:]))
-    is_tag = seems_tag(known, rate_hz, flips / len(package))
+    is_tag = seems_tag(known, rate_hz, excursions / len(package))
     moving = np.where(np.isfinite(in_motion), in_motion, known)
     overall = [float(np.sqrt(np.mean(part**2))) for part in (moving[:3], moving[3:])]
     yield Check('detector', True, {
         'kind': 'tag' if is_tag else 'body', 'lateral': lateral, 'depth': float(known[2]),
         'rotation': rotation, 'position_moving': overall[0], 'rotation_moving': overall[1]},
-        {'measured.model': 'tag'} if is_tag else {
-            'measured.noise': [float(f'{x:.2g}') for x in np.repeat(overall, 2)]})
-    yield Check('flips', flips <= MAX_FLIP_PART * len(package), {
-        'flips': flips, 'poses': len(package)}, {'measured.model': 'tag'} if is_tag else {})
+        {} if is_tag else {'measured.noise': [float(f'{x:.2g}') for x in overall]})
+    yield Check('excursions', excursions <= MAX_EXCURSIONS * len(package), {
+        'excursions': excursions, 'poses': len(package)})
     slow = rate_hz < LOW_RATE_HZ
     yield Check('rate', not slow, {'rate': rate_hz, 'least': LOW_RATE_HZ},
                 {'fit.method': 'output_error'} if slow else {})

@@ -49,7 +49,7 @@ def found(*streams, **options):
         *streams, np.eye(3), DEPTH, **{'separate': True, **options})}
 
 
-ORDER = ['tool_z', 'clocks', 'frames', 'marker', 'detector', 'flips', 'rate', 'blur', 'tilts',
+ORDER = ['tool_z', 'clocks', 'frames', 'marker', 'detector', 'excursions', 'rate', 'blur', 'tilts',
          'excitation']
 
 
@@ -71,8 +71,8 @@ def test_the_cell_of_a_tag_is_found_in_order(outward):
     assert detector.numbers['kind'] == 'tag'
     assert_allclose([detector.numbers[name] for name in ('lateral', 'depth', 'rotation')],
                     [2e-4, 1.5e-3, 4e-3], rtol=0.35)
-    assert checks['flips'].numbers['flips'] == 6
-    assert not checks['flips'].passed and not checks['rate'].passed
+    assert checks['excursions'].numbers['excursions'] == 6
+    assert not checks['excursions'].passed and not checks['rate'].passed
     assert checks['rate'].settings == {'fit.method': 'output_error'}
     assert checks['blur'].passed and checks['tilts'].passed and checks['excitation'].passed
 
