@@ -21,7 +21,7 @@ from typing import Any
 from bellows_ros.core.model.equilibrium import pose_error
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import measurement as sensor
-from bellows_ros.core.observer.alarms import ONSET_NS
+from bellows_ros.core.observer.hypotheses import ONSET_NS
 import numpy as np
 from scipy.special import logsumexp
 

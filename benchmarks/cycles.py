@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from bellows_ros import LivePredictor
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.model.equilibrium import pose_error
-from bellows_ros.core.observer.alarms import ONSET_NS
+from bellows_ros.core.observer.hypotheses import ONSET_NS
 from benchmarks import rig_cells
 import numpy as np
 from scipy.optimize import brentq

@@ -14,9 +14,15 @@ from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import composition, is_single, maps, UPPER
-from bellows_ros.core.observer import alarms, dynamics, states
+from bellows_ros.core.observer import alarms, dynamics, likelihood, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE
+from bellows_ros.core.observer.hypotheses import (
+    DECIDE_NS,
+    Likeliest,
+    MIN_NOISE_COUNT,
+    SETTLING,
+)
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FALLING,
@@ -374,7 +380,7 @@ class Correction:
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, support: int = 0,
-    ) -> tuple[int, Estimate, alarms.Likeliest]:
+    ) -> tuple[int, Estimate, Likeliest]:
         """Return verdict, estimate and faults by `filter_step`; with gate 0 propagate only."""
         evidence, theta, walk = before.evidence, before.theta.copy(), self._walk
         if support:
@@ -384,7 +390,7 @@ class Correction:
             walk[WRENCHES] += self._by_support(before.body) / TOUCHDOWN
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         theta[states.LATENCY - STATE] -= late  # correction for reading the pose earlier
-        verdict, numbers, (E, statistics, distances, onsets), likeliest, rise = alarms.filter_step(
+        verdict, numbers, found, likeliest, rise = likelihood.filter_step(
             self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
             (self._drive, walk, self._marker[3][0]),
@@ -397,7 +403,8 @@ class Correction:
         return verdict, before._replace(
             stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
             contact=max(before.contact + rise, 0.0),
-            evidence=Evidence(E, statistics, distances, onsets, *evidence[4:])), likeliest
+            evidence=Evidence(
+                found[0], found[1], found[2], found[3], *evidence[4:])), likeliest
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
@@ -493,15 +500,15 @@ class Correction:
         body, theta = changed_by(estimate.body, estimate.theta, gain @ np.divide([y, -x], -z))
         return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
-    def _may_be_fault(self, estimate: Estimate, likeliest: alarms.Likeliest) -> bool:
+    def _may_be_fault(self, estimate: Estimate, likeliest: Likeliest) -> bool:
         """Return whether an alarm is imminent, whose evidence a restart would lose."""
         suspect_ns = estimate.evidence.suspect_ns
         return self.alarms is not None and bool(suspect_ns) and (
             self.alarms.is_likely(*likeliest[:2])
-            and estimate.stamp_ns - suspect_ns[0] < alarms.DECIDE_NS)
+            and estimate.stamp_ns - suspect_ns[0] < DECIDE_NS)
 
     def _judged(
-        self, before: Estimate, after: Estimate, likeliest: alarms.Likeliest, has_vacuum: bool
+        self, before: Estimate, after: Estimate, likeliest: Likeliest, has_vacuum: bool
     ) -> tuple[Estimate, alarms.Alarm | None]:
         """Return an estimate with a detected fault removed, and the alarm on it."""
         row, evidence, stamp_ns = states.LATENCY, after.evidence, after.stamp_ns
@@ -521,7 +528,7 @@ class Correction:
             evidence, stamp_ns, likeliest, after.lost_cups, has_vacuum)
         if fault is None:
             gated = len(after.gated_ns) if (
-                evidence.onsets[0, 0] >= alarms.SETTLING) else 0
+                evidence.onsets[0, 0] >= SETTLING) else 0
             alarm = self.alarms.disturbance(stamp_ns, gated, likeliest)
             if evidence is not after.evidence:
                 after = after._replace(evidence=evidence)
@@ -584,7 +591,7 @@ class Correction:
             restarted, track, stamp_ns, True, measurement, math.inf, estimate.support)
         from_start = estimate.evidence.from_start
         # a fault this early was present from the start
-        from_start &= bool(estimate.evidence.onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
+        from_start &= bool(estimate.evidence.onsets[0].max(initial=0) < MIN_NOISE_COUNT)
         return after._replace(
             memory=memory, gated_ns=(), away_ns=0,
             evidence=self._evidence(stamp_ns, after.body, estimate.lost_cups, from_start))

@@ -6,10 +6,11 @@ from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import quaternion_product, ZERO
 from bellows_ros.core.model.kernels import model_of
 from bellows_ros.core.model.structure import SINGLE
-from bellows_ros.core.observer import alarms, states
+from bellows_ros.core.observer import alarms, hypotheses, likelihood, states
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.alarms import Alarms, AT_START, HYPOTHESES
+from bellows_ros.core.observer.alarms import Alarms
 from bellows_ros.core.observer.correction import NO_CUPS
+from bellows_ros.core.observer.hypotheses import AT_START, HYPOTHESES
 from bellows_ros.core.observer.measurement import OUTSIDE, updated, USED
 from bellows_ros.report.sentences import alarm_sentence
 import numpy as np
@@ -205,7 +206,7 @@ def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shi
 def test_blurred_poses_of_a_tag_are_no_disturbance(of_tag, least):
     """Wait longer than a burst of blur lasts, which a tracked body does not have."""
     made = Alarms(1.0, False, SINGLE, of_tag)
-    likeliest = *alarms.NO_FAULT[:-1], 100.0
+    likeliest = hypotheses.NO_FAULT._replace(none=100.0)
     assert made.disturbance(1, least - 1, likeliest) is None
     assert made.disturbance(1, least, likeliest).cause == 'disturbance'
 
@@ -278,12 +279,13 @@ def _dense_total(given, place):
             E = F @ each['E']
             each['E'], made = update @ E, root @ C @ E
             each['count'] += 1
-            if count > alarms.SETTLING:
+            if count > hypotheses.SETTLING:
                 each['J'] = each['J'] + made.T @ made
                 each['d'] = each['d'] + made.T @ z
                 each['distance'] += z @ z
-        known += [begun(k, place) for k in range(AT_START, alarms.CUP) if (
-            count >= alarms.SETTLING and (count - alarms.SETTLING) % HYPOTHESES[k].every == 0)]
+        since = count - hypotheses.SETTLING
+        known += [begun(k, place) for k in range(AT_START, hypotheses.CUP)
+                  if since >= 0 and since % HYPOTHESES[k].every == 0]
     for each in known:
         cause, count = each['cause'], each['count']
         for m in cause.ends if count > 0 else ():
@@ -292,10 +294,10 @@ def _dense_total(given, place):
             A, z = np.eye(m) + s @ J @ s, s @ (d - J @ mean)
             explained = z @ np.linalg.solve(A, z) + mean @ (2.0 * d - J @ mean)
             usual = 6.0 * count + 4.0 * np.sqrt(12.0 * count)
-            if each['distance'] - explained <= usual + alarms.MAX_UNEXPLAINED * explained:
+            if each['distance'] - explained <= usual + hypotheses.MAX_UNEXPLAINED * explained:
                 ratios.append(
                     0.5 * (explained - np.linalg.slogdet(A)[1])
-                    + np.log(cause.every if each['later'] else alarms.START_WEIGHT)
+                    + np.log(cause.every if each['later'] else hypotheses.START_WEIGHT)
                     + np.log(cause.share / len(cause.ends)))
     return logsumexp(ratios)
 
@@ -304,7 +306,7 @@ def _dense_total(given, place):
 @pytest.mark.parametrize('kind', ['slip', 'drop'])
 def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""
-    processed, given, totals = alarms.filter_step, [], []
+    processed, given, totals = likelihood.filter_step, [], []
     interpreted = ekf.predicted
 
     def processing(row, law, before, *more):
@@ -321,7 +323,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
                 totals.append(result[3][0])
         return result
 
-    monkeypatch.setattr(alarms, 'filter_step', processing)
+    monkeypatch.setattr(likelihood, 'filter_step', processing)
     monkeypatch.setattr(alarms.Alarms, 'detected', lambda *given: None)
     cell = Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.32, size=1.5)
     cell.run()
@@ -336,22 +338,22 @@ def test_likeliest_onsets_keep_their_slots():
     E, statistics, distances, onsets, *_ = made.start(1, ZERO, 0)
 
     def add(k, pinned):
-        alarms._add_onset(
+        likelihood.add_onset(
             E, statistics, distances, onsets, made.steps,
-            1_000_000_000 + k * alarms.ONSET_NS, ZERO, pinned)
+            1_000_000_000 + k * hypotheses.ONSET_NS, ZERO, pinned)
 
     for k in range(ekf.ONSETS):
         add(k, 1)
     statistics[:] = np.random.default_rng(1).normal(size=statistics.shape)
-    now_ns = 1_000_000_000 + ekf.ONSETS * alarms.ONSET_NS
-    taken = alarms._free_slot(onsets[1], now_ns, 1)
+    now_ns = 1_000_000_000 + ekf.ONSETS * hypotheses.ONSET_NS
+    taken = likelihood._free_slot(onsets[1], now_ns, 1)
     before, stamp_ns = statistics.copy(), onsets[1, taken]
     E[:] = 7.0
     add(ekf.ONSETS, 1 | 1 << taken)
-    slip = alarms.HYPOTHESES.index(alarms.NAMED['slip'])
-    scores = (statistics != before)[0, alarms.COLUMNS[slip]:][:ekf.ONSETS]
+    slip = hypotheses.HYPOTHESES.index(hypotheses.NAMED['slip'])
+    scores = (statistics != before)[0, hypotheses.COLUMNS[slip]:][:ekf.ONSETS]
     assert scores.sum() == 1 and not scores[taken - 1]
-    column = alarms.COLUMNS[slip] + taken - 1
+    column = hypotheses.COLUMNS[slip] + taken - 1
     assert (E[:, column] == 7.0).all() and onsets[1, taken] == stamp_ns
     assert (onsets[1] == now_ns).sum() == 1
 
@@ -405,7 +407,7 @@ def test_fault_taken_for_another_raises_no_second_alarm(seed):
     (alarm,) = cell.made.alarms
     assert after > 0.0
     assert {cause, alarm.second} == {'camera', 'leak'}
-    assert alarm.odds < alarms.MIN_CLEAR_ODDS
+    assert alarm.odds < hypotheses.MIN_CLEAR_ODDS
 
 
 @pytest.mark.parametrize('kind', ['slip', 'camera', 'leak', 'cup', 'vacuum'])

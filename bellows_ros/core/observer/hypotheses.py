@@ -1,0 +1,192 @@
+"""The table of hypotheses: kinds of faults, their layout in the evidence, and thresholds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from pathlib import Path
+import tomllib
+from typing import NamedTuple
+
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer import states
+from bellows_ros.core.observer.filter import ONSETS
+import numpy as np
+
+CAUSES = tomllib.loads(Path(__file__).with_name('alarms.toml').read_text())
+"""Causes by name."""
+
+
+class Cause(NamedTuple):
+    """A kind of fault, as in the file alarms.toml."""
+
+    name: str
+    steps: tuple[tuple[int, ...], ...]
+    """Rows of the error that step, for each component."""
+    prior_std: Sequence[float]
+    ends: Sequence[int]
+    share: float
+    at_start: bool
+    sets_in: bool
+    parts: Sequence[tuple[int, int, bool]]
+    """First and last component of each size, and whether it is a logarithm."""
+    every: int = 1
+    """Interval of the tested onsets; each represents the onsets between."""
+    after_ns: int = 0
+    """Smallest age of an onset per component, ns: a younger fault has no reliable size, and may be
+    the begin of another."""
+    mean: float = 0.0
+    """Prior mean of the only component."""
+    least: float = 0.0
+    """Smallest reported size of the first part: smaller ones are confused with other faults (a
+    drifting camera with a small loss of force, late stamps with a larger one, a fall with late
+    stamps)."""
+    confirmed: int = 2
+    confirmed_ns: int = 80_000_000
+    """Number of measurements and time (ns) required after half the threshold: swapped markers and
+    flipped tags, unlike falls, last for a few frames."""
+
+
+_ROWS = {**states.FIRST, 'FORCE_LOSS': ekf.FORCE_LOSS}
+NAMED = {
+    name: Cause(name, **{**entry, 'steps': tuple(
+        tuple(_ROWS[row] + place for row, place in step) for step in entry['steps'])})
+    for name, entry in CAUSES.items()}
+ALARM_CAUSES = tuple(sorted(NAMED.values(), key=lambda cause: cause.name == 'cup'))
+"""
+All tested faults. The last is the loss of one cup of several, with columns of its own for each
+holding cup, after all others.
+"""
+
+OUT_OF_REACH_ODDS = 100.0
+"""Factor on the odds of a lost package by two poses out of any cup's reach."""
+
+VACUUM_ODDS = 1000.0
+"""Factor on the odds of a lost package or cup by a broken vacuum; a holding vacuum divides by
+it."""
+
+START = tuple(cause for cause in ALARM_CAUSES if cause.at_start)
+HYPOTHESES = START + tuple(cause for cause in ALARM_CAUSES if cause.sets_in)
+"""Hypotheses: first the faults present from the start, then those with an onset."""
+AT_START, CUP = len(START), len(HYPOTHESES) - 1
+"""Index of the first hypothesis with an onset, and of the loss of the first cup."""
+STEPS = tuple(rows for cause in HYPOTHESES for rows in cause.steps)
+FIRSTS = tuple(np.cumsum([0, *(len(cause.steps) for cause in HYPOTHESES)]).tolist())
+"""First component of each hypothesis, and the end of the last one."""
+IS_END = tuple(n + 1 in cause.ends for cause in HYPOTHESES for n in range(len(cause.steps)))
+"""Whether a fault may end with a component."""
+OF_CAUSE = tuple(ALARM_CAUSES.index(cause) for cause in HYPOTHESES)
+LOG_SHARES = tuple(math.log(cause.share / len(cause.ends)) for cause in ALARM_CAUSES)
+PRIOR_STD = tuple(std for cause in HYPOTHESES for std in cause.prior_std)
+MEANS = tuple(cause.mean for cause in HYPOTHESES)
+
+ONSET_NS = 30_000_000
+"""Mean spacing of the tested onsets, ns. Half of it is the smallest, so that an onset follows each
+pose of a camera of 30 Hz with jittering stamps."""
+
+DENSE_NS, OLDEST_NS = 240_000_000, 10_000_000_000
+"""
+Age up to which all onsets are tested, and age of the oldest tested onset, with growing distances
+between, ns.
+"""
+
+EVERY = tuple(cause.every for cause in HYPOTHESES)
+SLOTS = (1,) * AT_START + tuple(ONSETS // every for every in EVERY[AT_START:])
+"""Number of onsets of each hypothesis."""
+COLUMNS = tuple(np.cumsum([0, *(
+    slots * len(cause.steps) for cause, slots in zip(HYPOTHESES, SLOTS, strict=True))]).tolist())
+"""First column of each hypothesis, with one column per component and onset."""
+MAX_COMPONENTS = max(len(cause.steps) for cause in HYPOTHESES)
+
+MARGIN, GRIPPER_MARGIN = -2.0, -1.0
+"""
+Corrections of the logarithm of the threshold for one cup and for several, as only some of the
+older onsets are tested, and alarms are confirmed. By `python -m benchmarks.alarms` false alarms
+are fewer than allowed.
+"""
+
+START_WEIGHT = 100.0
+"""Prior odds of a fault from the start against an onset at one of the tested times."""
+
+SETTLING = 4
+"""Number of measurements after the start or an alarm without a test, in which the noise is
+estimated."""
+
+MIN_NOISE_COUNT, MAX_NOISE_RATIO = 33, 3.0
+"""
+Number of measurements after the start or an alarm in which the noise is estimated in any case, and
+largest log-likelihood ratio of a fault with which the noise is estimated later: a fault would
+increase the noise.
+"""
+
+MAX_COUNT = 300
+"""
+Number of measurements after which the evidence of faults from the start is reset: signatures
+contain the noise of estimates, whose products add up.
+"""
+
+DISTURBED_COUNT, TAG_BURST = 3, 7
+"""Numbers of consecutive poses outside the gate from which a disturbance is named: outliers are
+rarer, and blurred poses of a tag come in bursts of 2 to 6."""
+
+VIEW_NS = 3_000_000_000
+"""Shortest duration of a camera shift seen with a tag, ns: work changes the view within this
+time."""
+
+MIN_LEAD, DECIDE_NS = 3.0, 800_000_000
+"""
+Smallest lead in log-likelihood ratio of a reported cause (95 %), and time after half the threshold
+from which none is required, ns.
+"""
+
+MAX_UNEXPLAINED = 0.2
+"""Largest fraction of the misfit not explained by a reported cause."""
+
+SIZE_ROUNDS = 20
+"""Number of iterations in which the prior sizes of a large fault's components grow."""
+
+MIN_CLEAR_ODDS = 100.0
+CLEAR_LEAD = math.log(MIN_CLEAR_ODDS)
+"""
+Odds below which an alarm also has the sizes of the second cause, and their logarithm. A wrong
+payload has these odds against a worn cup after the cup has carried another package.
+"""
+
+ALIKE = frozenset(('wear', 'payload'))
+"""Causes distinguished by damping only: an alarm has the sizes of both at any odds."""
+
+MAX_ODDS = math.exp(14.0)
+"""Largest odds of a fault from the start, of a lost package or of a lost cup; of others 100."""
+
+LOG_SHARE_OF_NONE = math.log(0.1)
+"""Logarithm of the prior share of causes without a signature, including disturbances."""
+
+NONE, PUSH, PAYLOAD, WEAR = -1, *(
+    [cause.name for cause in ALARM_CAUSES].index(name)
+    for name in ('disturbance', 'payload', 'wear'))
+"""Indices of the cause without a signature, of an external push, of a wrong payload and of
+wear."""
+
+
+class Likeliest(NamedTuple):
+    """Likelihood ratios of faults after a measurement."""
+
+    total: float
+    """Logarithm of the sum of all ratios."""
+    lead: float
+    """Lead of the likeliest cause's logarithm over the next."""
+    best: tuple[int, int, int]
+    """Likeliest cause: slot of its onset, index in `HYPOTHESES`, number of components; cups of a
+    gripper follow all others."""
+    second: int
+    """Next likeliest cause: index in `ALARM_CAUSES`, cups last, or `NONE`; ..."""
+    runner_up: tuple[int, int, int]
+    """... and its triple like `best`."""
+    pinned: int
+    """Slots of the likeliest onset of each cause, as bits."""
+    none: float
+    """Ratio of larger innovations without a signature."""
+
+
+NO_FAULT = Likeliest(-math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, -math.inf)
+"""Result without a fault or without a test."""

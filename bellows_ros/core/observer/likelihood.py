@@ -1,0 +1,369 @@
+"""
+Causes of deviating measured poses: likelihood ratios of faults.
+
+A fault is a step in some rows of the error of `filter` at its onset. It changes all later
+innovations in a known manner up to its size: its signature, the error that the fault leaves in the
+estimate, is propagated and updated like the error. The likelihood ratio of the innovations with
+and without a fault, averaged over the prior of its size, is a martingale without faults. Summed
+over onsets, and over causes by their prior shares, it grows by 1 per onset on average, and thus
+reaches A after A onsets on average at the earliest (Shiryaev and Roberts): the threshold follows
+from the allowed rate of false alarms.
+
+Ordinary errors are part of the error and of the covariance of the innovations. A detected fault is
+removed from the estimate: the estimate changes by the signature times the likeliest size, and the
+covariance grows by the prior of the size.
+
+The error is extended by the fall of the package: the lost fraction of the cup's force, and speed
+and shift of the fall (m/s, m; world). The loss of each of several cups of a gripper is a fault,
+too: its columns follow all others, and its signature is propagated without that cup.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.jit import entry, kernel
+from bellows_ros.core.geometry.tuples import Vector
+from bellows_ros.core.model.kernels import LawTuple, model_of
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer import states
+from bellows_ros.core.observer.filter import ONSETS, predicted
+from bellows_ros.core.observer.hypotheses import (
+    AT_START,
+    COLUMNS,
+    CUP,
+    DENSE_NS,
+    EVERY,
+    FIRSTS,
+    IS_END,
+    Likeliest,
+    LOG_SHARE_OF_NONE,
+    LOG_SHARES,
+    MAX_COMPONENTS,
+    MAX_COUNT,
+    MAX_NOISE_RATIO,
+    MAX_UNEXPLAINED,
+    MEANS,
+    MIN_NOISE_COUNT,
+    NO_FAULT,
+    NONE,
+    OF_CAUSE,
+    OLDEST_NS,
+    ONSET_NS,
+    PRIOR_STD,
+    PUSH,
+    SETTLING,
+    SLOTS,
+    START_WEIGHT,
+)
+from bellows_ros.core.observer.measurement import (
+    MeasuredPose,
+    output_of,
+    OUTSIDE,
+    rise_ratio,
+    updated,
+    USED,
+)
+from bellows_ros.core.signals.trajectory import NS_PER_S
+import numpy as np
+
+
+@entry
+def filter_step(
+    row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples,
+    is_recorded: bool, until_ns: int, max_step: float, noise: ekf.Noise,
+    faults: tuple[Any, Array, Array, Stamps, bool, Array], cups: Array, seen: MeasuredPose,
+) -> Any:
+    """
+    Propagate an estimate to a later stamp, correct it with a measurement, and assess faults.
+
+    Inputs are as for `model_of`, `predicted` and `updated`, and the faults: their evidence, and
+    the error (n + 7, components) by each component. Cups are the holding cups of a gripper. One
+    kernel, with the model as an array, is faster to call from Python. The results are a verdict,
+    the estimate, the evidence, the result of `_assessed`, and of `rise_ratio` near a support.
+    """
+    model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
+    E, statistics, distances, onsets, from_start, steps = faults
+    verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
+    after, E, gain = predicted(
+        model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
+    _, tool, body, theta, P, _ = after
+    rise = 0.0
+    if seen[7] > 0.0:
+        verdict, innovation, body, theta, learned = updated(
+            model, after, seconds, seen, gain)
+        if seen[6] > 0.0 and verdict <= USED:
+            rise = rise_ratio(body, model[2], innovation, seen[6])
+        if len(E) > 0 and verdict <= OUTSIDE:
+            statistics, distances = statistics.copy(), distances.copy()
+            onsets = onsets.copy()
+            likeliest = _assessed(
+                E, statistics, distances, onsets, steps, until_ns, body[0], innovation,
+                seen[3][2], verdict <= USED, from_start)
+        if likeliest.total < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
+            memory = learned
+    return (verdict, (until_ns, tool, body, theta, P, memory),
+            (E, statistics, distances, onsets), likeliest, rise)
+
+
+@kernel
+def layout(number: int) -> tuple[int, int]:
+    """Return hypothesis and first column of a fault."""
+    h = min(number, CUP)
+    return h, COLUMNS[h] + (number - h) * ONSETS
+
+
+@kernel
+def _assessed(
+    E: Any, statistics: Array, distances: Array, onsets: Stamps, steps: Array, stamp_ns: int,
+    place: Vector, innovation: tuple[Array, Array, Array, float, Array], of_lip: bool, used: bool,
+    from_start: bool,
+) -> Likeliest:
+    """Update the evidence by the next `Innovation`, for a package at a place (m, world)."""
+    z, H, root, _, whitened = innovation
+    n, C = H.shape[1], H.astype(np.float32)
+    response = output_of(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
+    t3.add_product(  # fall, as a shift in the world
+        np.ascontiguousarray(C[:3, states.CAMERA:states.CAMERA + 3]), E[n + 4:], response[:3])
+    change = t3.product(
+        root.astype(np.float32), response, np.empty((6, E.shape[1]), np.float32))
+    counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
+    if counts[0] >= MAX_COUNT:
+        counts[0], distances[0] = MIN_NOISE_COUNT, 6.0 * MIN_NOISE_COUNT
+        statistics[:, :COLUMNS[AT_START]] = 0.0
+    for k in range(1 + ONSETS):
+        if onsets[1, k] >= 0:
+            distances[k] += (z * z).sum() if is_settled else 0.0
+            counts[k] += 1
+    faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
+    if counts[0] > SETTLING:
+        for number in range(faults):
+            _add_products(z, change, number, statistics)
+    if used:
+        t3.subtract_product(whitened.astype(np.float32), change, E)
+    likeliest = _likeliest_fault(statistics, distances, onsets, from_start, faults)
+    if counts[0] >= SETTLING and stamp_ns - onsets[1].max() >= ONSET_NS // 2:
+        add_onset(E, statistics, distances, onsets, steps, stamp_ns, place, likeliest.pinned)
+    return likeliest
+
+
+@kernel
+def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
+    """
+    Return the slot for a new onset: of the older onset nearest to its neighbour.
+
+    The likeliest onset of each cause is kept, by the bits of `pinned`: evidence of a small fault
+    grows slowly, and determines size and odds of an alarm.
+    """
+    slot, least = 0, math.inf
+    for k in range(len(onsets)):
+        before_ns, after_ns = onsets[0], stamp_ns
+        if onsets[k] < 0:
+            return k
+        if pinned >> k & 1:
+            continue
+        if stamp_ns - onsets[k] > OLDEST_NS:
+            return k
+        for other in onsets:
+            if other < onsets[k]:
+                before_ns = max(before_ns, other)
+            elif other > onsets[k]:
+                after_ns = min(after_ns, other)
+        gap = (after_ns - before_ns) / max(stamp_ns - DENSE_NS - onsets[k], 1)
+        if gap < least:
+            slot, least = k, gap
+    return slot
+
+
+@entry
+def add_onset(
+    E: Any, statistics: Array, distances: Array, onsets: Stamps, steps: Array, stamp_ns: int,
+    place: Vector, pinned: int,
+) -> None:
+    """
+    Write the error by each fault with an onset now, into a slot of `_free_slot`.
+
+    The camera rotates about the place (m, world) of the package.
+    """
+    k = _free_slot(onsets[1], stamp_ns, pinned)
+    distances[k], onsets[0, k], onsets[1, k] = 0.0, 0, stamp_ns
+    faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
+    for number in range(0 if k == 0 else AT_START, AT_START if k == 0 else faults):
+        h, column = layout(number)
+        if (k - 1) % EVERY[h] > 0 and k > 0:
+            continue
+        first, slots, slot = FIRSTS[h], SLOTS[h], max(k - 1, 0) // EVERY[h]
+        for a in range(FIRSTS[h + 1] - first):
+            signature = E[:, column + a * slots + slot]
+            statistics[:, column + a * slots + slot] = 0.0
+            for i in range(len(signature)):
+                signature[i] = steps[i, first + a]
+            x, y, z = signature[states.CAMERA + 3:states.CAMERA + 6]
+            shift = t3.cross(place, (x, y, z))
+            for i in range(3):
+                signature[states.CAMERA + i] += shift[i]
+
+
+@kernel
+def _add_products(z: Array, change: Array, number: int, statistics: Array) -> None:
+    """Add a measurement's information on the sizes of a fault."""
+    h, column = layout(number)
+    m = SLOTS[h]
+    for a in range(FIRSTS[h + 1] - FIRSTS[h]):
+        i = column + a * m
+        for k in range(m):
+            statistics[0, i + k] += (
+                z[0] * change[0, i + k] + z[1] * change[1, i + k] + z[2] * change[2, i + k]
+                + z[3] * change[3, i + k] + z[4] * change[4, i + k] + z[5] * change[5, i + k])
+        for b in range(a + 1):
+            j, J = column + b * m, statistics[1 + b, i:]
+            for k in range(m):
+                J[k] += (
+                    change[0, i + k] * change[0, j + k] + change[1, i + k] * change[1, j + k]
+                    + change[2, i + k] * change[2, j + k] + change[3, i + k] * change[3, j + k]
+                    + change[4, i + k] * change[4, j + k] + change[5, i + k] * change[5, j + k])
+
+
+@kernel
+def _likeliest_fault(
+    statistics: Array, distances: Array, onsets: Stamps, from_start: bool, faults: int
+) -> Likeliest:
+    """Return the result of `_assessed`."""
+    causes = OF_CAUSE[CUP] + faults - CUP
+    top, sums, best = np.full(causes, -math.inf), np.zeros(causes), np.zeros((causes, 3), np.int64)
+    A, z = np.empty((MAX_COMPONENTS, MAX_COMPONENTS, ONSETS)), np.empty((MAX_COMPONENTS, ONSETS))
+    explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
+    unusual = _unusual(distances, onsets[0])
+    for number in range(0 if from_start else AT_START, faults):
+        h, column = layout(number)
+        first, later = FIRSTS[h], h >= AT_START
+        weight = math.log(EVERY[h] if later else START_WEIGHT)
+        explained[:], determinant[:] = 0.0, 1.0
+        for i in range(FIRSTS[h + 1] - first):
+            _explain(statistics[:, column:], h, i, A, z, explained, determinant)
+            if IS_END[first + i]:
+                c = OF_CAUSE[h] + number - h
+                slot, top[c], sums[c] = _sum_over_onsets(
+                    unusual[later::EVERY[h]], explained[:SLOTS[h]], determinant, weight, top[c],
+                    sums[c])
+                if slot >= 0:
+                    best[c, 0], best[c, 1], best[c, 2] = slot * EVERY[h] + later, number, i + 1
+    for c in range(causes):
+        top[c] += math.log(max(sums[c], 1.0)) + LOG_SHARES[min(c, OF_CAUSE[CUP])]
+        top[c] -= math.log(faults - CUP) if c >= OF_CAUSE[CUP] else 0.0
+    leader, pinned = top.argmax(), 1
+    none = _none_of_these(distances, onsets)
+    if top[leader] == -math.inf:
+        return Likeliest(-math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, none)
+    second, rival = NONE, -math.inf if leader == PUSH else none
+    for c in range(causes):
+        pinned |= 1 << best[c, 0]
+        if c != leader and top[c] > rival:
+            second, rival = c, top[c]
+    first, other = best[leader], best[max(second, 0)]
+    total = top[leader] + math.log(np.exp(top - top[leader]).sum())
+    return Likeliest(total, top[leader] - rival, (first[0], first[1], first[2]), second,
+                     (other[0], other[1], other[2]), pinned, none)
+
+
+@kernel
+def _unusual(distances: Array, counts: Stamps) -> Array:
+    """Return the parts of the squared distances beyond their usual ones, infinite without any."""
+    unusual = np.full(len(distances), math.inf)
+    for k in range(len(distances)):
+        if counts[k] > 0:
+            unusual[k] = distances[k] - 6.0 * counts[k] - 4.0 * math.sqrt(12.0 * counts[k])
+    return unusual
+
+
+@kernel
+def _none_of_these(distances: Array, onsets: Stamps) -> float:
+    """
+    Return the log-likelihood ratio of larger innovations without a signature since an onset.
+
+    For n innovations with the sum D of squared distances, the likeliest factor of their variance
+    is D / 6 n. A cause must fit better than this: the ratio caps its odds.
+    """
+    top = -math.inf
+    for k in range(1, len(distances)):
+        expected = 6.0 * onsets[0, k]
+        if expected > 0.0 and distances[k] > expected:
+            top = max(top, 0.5 * (distances[k] - expected) - 0.5 * expected * math.log(
+                distances[k] / expected))
+    return top + LOG_SHARE_OF_NONE
+
+
+@kernel
+def _sum_over_onsets(
+    unusual: Array, explained: Array, determinant: Array, weight: float, top: float, total: float
+) -> tuple[int, float, float]:
+    """
+    Return the likeliest onset, and the sum of likelihood ratios including all onsets.
+
+    Only onsets count since which a fault explains most of the unusual squared distances. The sum
+    is relative to the largest ratio so far, whose logarithm is `top`; the onset is -1 if none is
+    larger.
+    """
+    slot, largest = -1, -math.inf
+    for k in range(len(explained)):
+        if unusual[k] <= (1.0 + MAX_UNEXPLAINED) * explained[k]:
+            largest = max(largest, explained[k])
+    if largest == -math.inf:
+        return slot, top, total
+    base = max(0.5 * largest, top - weight)
+    greatest = math.exp(top - weight - base)
+    total *= greatest
+    for k in range(len(explained)):
+        if unusual[k] <= (1.0 + MAX_UNEXPLAINED) * explained[k]:
+            ratio = math.exp(0.5 * explained[k] - base) / math.sqrt(determinant[k])
+            total += ratio
+            if ratio > greatest:
+                slot, greatest = k, ratio
+    if slot >= 0:
+        top = base + math.log(greatest) + weight
+    return slot, top, total / greatest
+
+
+@kernel
+def _explain(
+    statistics: Array, h: int, i: int, A: Array, z: Array, explained: Array, determinant: Array
+) -> None:
+    """
+    Add the squared distances explained by component i, and the cost of its freedom.
+
+    With information J and score d of a fault's sizes, for each onset: z^T A^-1 z and det A, where
+    A = I + s J s and z = s d with prior sizes s; plus the part explained by their mean. A (6, 6,
+    n) and z (6, n) hold the factors of previous components.
+    """
+    first, m = FIRSTS[h], SLOTS[h]
+    std, d, J = PRIOR_STD[first + i], statistics[0, i * m:], statistics[1:, i * m:]
+    for k in range(m):
+        z[i, k] = std * d[k]
+    if MEANS[h] != 0.0:
+        for k in range(m):
+            explained[k] = 2.0 * d[k] - J[0, k]
+            z[i, k] -= std * J[0, k]
+    for j in range(i + 1):
+        both, one = std * PRIOR_STD[first + j], 1.0 if i == j else 0.0
+        for k in range(m):
+            A[i, j, k] = both * J[j, k] + one
+    _eliminate(A, z, i, m)
+    for k in range(m):
+        explained[k] += z[i, k] ** 2 / A[i, i, k]
+        determinant[k] *= A[i, i, k]
+
+
+@kernel
+def _eliminate(A: Array, z: Array, i: int, m: int) -> None:
+    """Write row i of L and D, with A = L D L^T for each of m onsets, and of L^-1 z."""
+    for j in range(i):
+        for n in range(j):
+            for k in range(m):
+                A[i, j, k] -= A[i, n, k] * A[j, n, k] * A[n, n, k]
+        for k in range(m):
+            A[i, j, k] /= A[j, j, k]
+            A[i, i, k] -= A[i, j, k] ** 2 * A[j, j, k]
+            z[i, k] -= A[i, j, k] * z[j, k]
