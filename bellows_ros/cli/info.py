@@ -6,13 +6,12 @@ import math
 import textwrap
 from typing import Any
 
-from bellows_ros.core.identification.diagnosis.commission import Check
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.alignment import MIN_REST
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files.atomic import write_text
-from bellows_ros.report.sentences import many, sentence
-from bellows_ros.workflows.info import Info, info, TopicInfo
+from bellows_ros.report.sentences import many
+from bellows_ros.workflows.info import check_sentence, Info, info, TopicInfo
 
 from . import options
 from .console import Console
@@ -74,14 +73,7 @@ def print_result(result: Info, console: Console) -> None:
         console.line()
         console.line('Checks before a fit, in the order to settle them', 'bold')
         for check in result.checks:
-            console.paragraph(f'  {"ok" if check.passed else "- "} {_check_sentence(check)}')
-
-
-def _check_sentence(check: Check) -> str:
-    """Return a check and its result in words."""
-    name = sentence('commission', f'{check.code}.name')
-    code = f'{check.code}.{"passed" if check.passed else "failed"}'
-    return f'{name}: {sentence("commission", code, **check.numbers)}.'
+            console.paragraph(f'  {"ok" if check.passed else "- "} {check_sentence(check)}')
 
 
 def _commented(result: Info, settings: Mapping[str, Any]) -> list[str]:
@@ -89,7 +81,7 @@ def _commented(result: Info, settings: Mapping[str, Any]) -> list[str]:
     lines = list[str]()
     for check in result.checks:
         lines += textwrap.wrap(
-            _check_sentence(check), 97, initial_indent='    # ', subsequent_indent='    # ')
+            check_sentence(check), 97, initial_indent='    # ', subsequent_indent='    # ')
         lines += [f'    #{name}: {_yaml(value)}' for name, value in check.settings.items()
                   if name in PARAMETERS and settings.get(name) != value]
     return ['    # CHECKS BEFORE A FIT, in the order to settle them.', *lines] if lines else []

@@ -36,7 +36,7 @@ from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import DETECTIONS, read_contents
-from bellows_ros.report.sentences import finding_sentence
+from bellows_ros.report.sentences import finding_sentence, sentence
 from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import fact_sentences, remark_sentences, within_interval
 import numpy as np
@@ -207,6 +207,13 @@ class Info(NamedTuple):
         return results.with_units({
             **self._asdict(), 'valve': self.valve,
             'checks': [check._asdict() for check in self.checks]})
+
+
+def check_sentence(check: Check) -> str:
+    """Return a check before a fit and its result in words."""
+    name = sentence('commission', f'{check.code}.name')
+    code = f'{check.code}.{"passed" if check.passed else "failed"}'
+    return f'{name}: {sentence("commission", code, **check.numbers)}.'
 
 
 def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:

@@ -1,0 +1,25 @@
+"""Rehearse a recording."""
+
+import json
+
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.rehearse import drawn
+import numpy as np
+
+from ..conftest import ROOT
+
+
+def test_a_rehearsal_tells_errors_and_whether_the_truth_is_within_them(succeed, tmp_path):
+    """By the sensors of the file; of a cup that was drawn, not of the given one."""
+    file = tmp_path / 'rehearsal.json'
+    done = succeed('rehearse', '--params', ROOT / 'bags' / 'cup.yaml', '--runs', 1, '--json', file,
+                   '--set', 'fit.method=least_squares')
+    found = json.loads(file.read_text())
+    assert found['runs'] == 1 and not found['refused']
+    given = read_parameters(ROOT / 'bags' / 'cup.yaml')
+    true = np.reshape(drawn(resolve(given), 0)['cup.stiffness'], (6, 6))
+    numbers = {each['name']: each for each in found['numbers']}
+    assert numbers['K z']['expected'] == true[2, 2] != given['cup.stiffness'][14]
+    assert 0.0 < numbers['K z']['expected_std'] < 0.1 * true[2, 2]
+    assert 'of 1' in done.stdout and 'K z' in done.stdout
