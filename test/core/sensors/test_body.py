@@ -26,7 +26,7 @@ def seen(values):
 
 
 def residual(views, state):
-    """Give the residual (6,) of the view, and its derivative by the package's error."""
+    """Give what a pose leaves, and the derivative by the error of the package."""
     out, M = np.zeros(6), np.zeros((6, 6))
     body.observe(state, views, 0, M, out)
     return out, M
