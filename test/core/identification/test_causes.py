@@ -5,7 +5,7 @@ from functools import partial
 import re
 
 from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.core.geometry.lie import exp_so3, log_so3
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.causes import (
     _noise_order,
@@ -21,7 +21,6 @@ from bellows_ros.core.identification.quantities import as_found
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
-from bellows_ros.errors import BellowsError
 from bellows_ros.report.sentences import finding_sentence
 from bellows_ros.workflows.replay import validated
 from bellows_ros.workflows.verdict import verdict_of
@@ -32,6 +31,7 @@ from scipy.signal import butter, lfilter
 from . import laboratory
 from .laboratory import COLOUR, FAULTS, parameters
 from .simulated import record, shake
+from ...faults import outcome
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason='numba is not installed: this takes minutes interpreted')
@@ -61,99 +61,43 @@ def diagnosed(laboratory):
     return judged(laboratory)[1].diagnosis.findings
 
 
-def named(laboratory, cause):
-    """Return 'right', 'wrong' and certain, or 'silent': what is said of a laboratory first."""
-    try:
-        findings = diagnosed(laboratory)
-    except BellowsError as error:
-        return 'right' if cause in str(error) else 'other error'
-    if not findings:
-        return 'silent'
-    first = findings[0]
-    if cause in (first.name, first.instead) or cause in first.value + first.sentence:
-        return 'right'
-    if not first.certain:
-        return 'not certain'
-    return 'refused' if first.material else 'wrong'
+@pytest.mark.parametrize(('fault', 'cause', 'size'), [
+    ('scale', 'scale', lambda own: 1.0 / own.magnified - 1.0),
+    ('clocks drift', 'clock_rate', lambda own: own.clock_rate)])
+def test_a_cause_is_first_and_sized(fault, cause, size):
+    laboratory = faulty(fault, 1, **QUICK)
+    first, *_ = (own for own in diagnosed(laboratory) if own.name != 'unknown')
+    assert first.name == cause and first.share > 0.5
+    assert abs(abs(first.theta[0]) - abs(size(laboratory))) < 0.2 * abs(size(laboratory))
 
 
-@pytest.mark.parametrize(('fault', 'seed', 'options', 'cause'), [
-    # A yaw that noise nearly hides, and poses of the lip that put it above or at the tool.
-    ('yaw', 902, {'rate_hz': 480.0, 'seconds': 12.0}, 'yaw'),
-    ('package frame', 4000, QUICK, 'recording.package_frame'),
-    ('leak', 4103, QUICK, 'length_drift'),
-    ('clocks drift', 4104, QUICK, 'clock_rate'),
-    ('scale', 4105, QUICK, 'scale'),
-    *(('package frame', seed, {}, 'recording.package_frame: lip') for seed in (20271, 901))])
-def test_one_fault_is_named(fault, seed, options, cause):
-    laboratory = faulty(fault, seed, **options)
-    assert named(laboratory, cause) == 'right'
+FITTED = ('time offset', 'centre of mass along z', 'centre of mass aside', 'length', 'inertia',
+          'yaw', 'package frame', 'two worlds', 'leak', 'clocks drift', 'scale',
+          'marker frame turned', 'package slipped', 'gravity tilted', 'mass 10 %', 'side pull',
+          'friction', 'soft spring', 'structure', 'drift', 'camera drifts')
+"""Faults that only a fit shows."""
 
 
-@pytest.mark.parametrize(('fault', 'seed'), [
-    ('friction', 100), ('soft spring', 402), ('structure', 4), ('drift', 313)])
-def test_a_cup_unlike_the_model_is_an_unknown_cause(fault, seed):
-    """Describe the residual, and claim nothing."""
-    found = diagnosed(faulty(fault, seed))
-    assert found[0].name == 'unknown' and not any(finding.certain for finding in found)
-    start, end, low, high = found[0].theta
-    assert 0.0 <= start < end <= 10.1 and 0.0 <= low <= high
+@pytest.mark.stress
+def test_no_cause_is_certain_and_false_and_most_are_first():
+    """Of five fresh recordings of each kind; a cup unlike the model has an unknown cause."""
+    words = [outcome(faulty(kind, seed, rate_hz=480.0, seconds=12.0), FAULTS[kind][1])[0]
+             for kind in FITTED for seed in range(1200, 1205)]
+    assert not {'wrong and certain', 'silent and wrong'} & set(words)
+    listed = [word for word in words if word not in ('silent', 'refused without a cause')]
+    first = [word in ('right', 'first, not certain') for word in listed]
+    assert np.mean(first) >= 0.8
+    assert np.mean([own or word == 'among three' for own, word in zip(
+        first, listed, strict=True)]) >= 0.95
 
 
-@pytest.mark.parametrize(('fault', 'other'), [('friction', []), ('structure', ['inertia'])])
-def test_a_misfit_is_no_noise_of_a_slow_camera(fault, other):
-    """Nor does a negative exposure, or an inertia far off, explain it."""
-    laboratory = faulty(fault, 206, rate_hz=480.0, seconds=12.0)
-    laboratory.camera_hz = 60.0
-    found = diagnosed(laboratory)
-    assert [finding.name for finding in found] == ['unknown', *other]
-    assert not any(finding.certain for finding in found)
-
-
-def test_a_misfit_of_one_axis_is_not_averaged_with_the_others():
-    """As of play of 0.3 degrees in torsion, which changes K rz by 8 %."""
-    found = diagnosed(faulty('play in torsion', 200))
-    assert (found[0].name, found[0].value) == ('unknown', 'rz')
-
-
-@pytest.mark.parametrize('seed', [401, 403, 404])
-def test_a_soft_spring_that_is_not_noticed_leaves_a_stiffness_within_its_errors(seed):
-    """Accept no cup silently whose K is off by more than chance."""
-    laboratory = faulty('soft spring', seed)
-    fitted, verdict = judged(laboratory)
-    assert not verdict.refusals and not verdict.cause
-    off = np.diag(fitted.stiffness) - laboratory.K
-    assert np.all(np.abs(off) < 5.0 * np.diag(fitted.stiffness_std))
-
-
-@pytest.mark.parametrize(('seed', 'rate_hz'), [
-    pytest.param(502, 240.0, marks=pytest.mark.stress), (703, 480.0)])
-def test_a_centre_of_mass_aside_is_found_wherever_the_search_begins(seed, rate_hz):
-    """With K and P: it is what is off by most of its standard deviations."""
-    laboratory = faulty('centre of mass aside', seed, rate_hz=rate_hz)
-    fitted, verdict = judged(laboratory)
-    away = laboratory.package.com - laboratory.said.com
-    assert next(iter(verdict.found)) == 'package.com'
-    np.testing.assert_allclose(fitted.nuisances['com'][0], away, rtol=0.0, atol=2e-4)
-    off = np.diag(fitted.stiffness) - laboratory.K
-    assert np.all(np.abs(off) < 4.0 * np.diag(fitted.stiffness_std))
-
-
-def test_a_turn_of_the_tool_is_found_exactly_beside_a_marker_of_the_package_that_is_known():
-    """But for that about the axis of the cup, of which the package's would be as likely."""
-    laboratory = faulty('marker frame turned', 4101, **QUICK)
-    found, = diagnosed(laboratory)
-    assert (found.name, found.value) == ('package_marker', 'tool')
-    np.testing.assert_allclose(
-        found.theta[3:5], -log_so3(laboratory.turn['tool'])[:2], rtol=0.0, atol=4e-4)
-
-
-def test_what_an_inertia_shares_with_the_centre_of_mass_is_its_own():
-    """At the end of a curved valley, in which a short step is no convergence."""
-    laboratory = faulty('inertia', 4000, **QUICK)
-    found, = diagnosed(laboratory)
-    factor = laboratory.package.inertia[0, 0] / laboratory.said.inertia[0, 0]
-    assert found.name == 'inertia' and abs(found.theta[0] - np.log(factor)) < 0.03
+@pytest.mark.stress
+@pytest.mark.parametrize('coloured', [False, True])
+def test_sound_recordings_are_accepted_without_a_cause(coloured):
+    """Also noise with a memory of 26 ms."""
+    for seed in range(1300, 1320):
+        verdict = judged(Laboratory(seed, coloured=coloured))[1]
+        assert not verdict.refusals and not verdict.cause
 
 
 def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_did():
@@ -219,25 +163,10 @@ def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypat
     assert verdict.refusals and verdict.diagnosis.findings[0].name == 'yaw'
 
 
-@pytest.mark.parametrize(('heavier', 'refused'), [(0.08, False), (0.3, True)])
-def test_a_mass_that_moves_k_is_named_and_refused_where_no_inertia_is_that_far_off(
-        heavier, refused):
-    """Most inertias are known to 5 %; the recordings know their ratio to the mass."""
-    laboratory = Laboratory(902, seconds=6.0)
-    laboratory.say(mass=1.0 + heavier)
-    recordings, values = laboratory.recordings(), parameters(laboratory)
-    verdict = verdict_of(fit(recordings, values).fit, recordings, values['cup.length'], values)
-    (said, *_) = verdict.sentences
-    factor = float(said.partition('package.inertia is ')[2].split()[0])
-    assert abs(factor * (1.0 + heavier) - 1.0) < 0.03 and 'weigh' in said
-    assert bool(verdict.refusals) == refused
-
-
-@pytest.mark.parametrize('seed', [pytest.param(62000, marks=pytest.mark.stress), 62002])
-def test_worlds_that_are_metres_apart_are_found(seed):
+@pytest.mark.parametrize('seed', range(3))
+def test_worlds_that_are_far_apart_are_found(seed):
     """Find them from the closed form of a rigid cup, whether the lip is below the tool or not."""
     laboratory = faulty('two worlds far apart', seed)
-    assert np.linalg.norm(laboratory.apart[:3]) > 1.0
     first, *_ = diagnosed(laboratory)
     text = finding_sentence(first, {})
     degrees = np.degrees(np.linalg.norm(laboratory.apart[3:]))
@@ -351,9 +280,3 @@ def test_a_free_simulation_is_of_what_was_found_with_the_cup():
         for one in (found, replace(found, nuisances={})))
     assert np.max(own.rms / own.noise) < 1.3
     assert np.max(other.rms / other.noise) > 3.0
-
-
-@pytest.mark.parametrize(('seed', 'soft', 'coloured'), [
-    (4, 0.1, False), (3, 0.0, True), (8022, 0.0, True), (51058, 0.0, True), (961, 0.0, True)])
-def test_a_sound_recording_is_not_refused(seed, soft, coloured):
-    assert named(Laboratory(seed, soft, coloured), 'unknown') in ('silent', 'not certain', 'right')
