@@ -111,8 +111,11 @@ class FitVerdict(NamedTuple):
 
     @property
     def wrong(self) -> list[causes.Finding]:
-        """Findings that reject a cup."""
-        return [finding for finding in self.causing if finding.material]
+        """Findings that reject a cup: certain ones, and a likely one that changes K materially."""
+        likely = [each for each in self.causing if each.name != 'unknown'][:1]
+        return [finding for finding in self.causing if finding.material or (
+            any(finding is own for own in likely) and finding.datum
+            and finding.share >= causes.DISTINCT and finding.moved > causes.MATERIAL)]
 
     @property
     def causing(self) -> list[causes.Finding]:

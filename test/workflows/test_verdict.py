@@ -65,10 +65,12 @@ def test_an_inertia_that_was_corrected_makes_the_mass_doubtful(heavier, said):
     assert said in ' '.join(found.sentences) and bool(found.sentences) == bool(said)
 
 
-@pytest.mark.parametrize(('certain', 'datum', 'refused'), [
-    (True, True, True), (True, False, False), (False, True, False)])
-def test_a_certain_cause_refuses_a_cup(certain, datum, refused):
-    found = judged(cause('time_offset', [0.02], certain=certain)._replace(datum=datum))
+@pytest.mark.parametrize(('certain', 'datum', 'share', 'refused'), [
+    (True, True, 0.9, True), (True, False, 0.9, False), (False, True, 0.9, True),
+    (False, True, 0.4, False)])
+def test_a_certain_cause_or_a_likely_one_that_moves_k_refuses_a_cup(
+        certain, datum, share, refused):
+    found = judged(cause('time_offset', [0.02], share, certain)._replace(datum=datum))
     assert bool(found.refusals) == refused
 
 

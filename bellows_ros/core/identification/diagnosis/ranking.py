@@ -221,14 +221,14 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
     falls = scores(end, [*candidates_of(end.problem), *relaxation]) | is_off_by
     if 'slip' not in end.problem.places and not (end.fits and is_off_by):
         end, falls['slip'] = with_likeliest_slip(end)
-    names = sorted(falls, key=falls.__getitem__, reverse=True)[:MAX_TRIED]
+    names = sorted((name for name in falls if falls[name] > least.get(name, SIGNIFICANT**2)),
+                   key=falls.__getitem__, reverse=True)[:MAX_TRIED]
     if not end.is_plausible:  # scores about an implausible cup are unreliable
         names = [*dict.fromkeys([*names, 'length', 'package_world'])]
-    tried = sorted((freed(end, name) for name in names if (
-        falls.get(name, 0.0) > least.get(name, SIGNIFICANT**2) or not end.is_plausible)),
-        key=lambda one: one.gain, reverse=True)
-    tried = [one for one in tried if one.gain > least.get(one.name, SIGNIFICANT**2) * max(
-        one.found.colour, 1.0)]
+    tried = sorted((freed(end, name) for name in names),
+                   key=lambda one: one.gain, reverse=True)
+    tried = [one for one in tried if one.name in least or (
+        one.gain > SIGNIFICANT**2 * max(one.found.colour, 1.0))]
     total = max(misfit_beyond_noise(end), *(one.gain for one in tried), 1e-9) if tried else 1.0
     best = tried[0] if tried else None
     frame = best and best.name in OF_LIP and _other_frame(end, best)
@@ -236,12 +236,20 @@ def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
         return (frame,)
     findings = [_finding(end, one, one.gain / total, falls) for one in tried]
     rivals = falls | {one.name: one.gain for one in tried}
-    certain = best is not None and _is_certain(end, best, rivals, given_std)
-    if certain:
+    if best and _is_certain(end, _with_given(best, given_std), rivals, given_std):
         return (findings[0]._replace(certain=True), *findings[1:MAX_CAUSES])
     if end.fits:
         return tuple(findings[:MAX_CAUSES])
     return (unknown(end), *findings[:MAX_CAUSES])
+
+
+def _with_given(one: Alternative, given_std: Free) -> Alternative:
+    """Return a candidate with given quantities free by their standard deviations, if needed."""
+    more = {name: std for name, std in given_std.items() if name not in one.found.problem.places}
+    if one.found.fits or not one.found.is_plausible or not more:
+        return one
+    wide = settled(one.found.freed(more))
+    return one._replace(found=wide) if wide.converged else one
 
 
 def misfit_beyond_noise(found: Solution) -> float:
