@@ -34,12 +34,12 @@ def warm_up(
 ) -> None:
     """Compile the entries of some of `PARTS` for cups with some relaxations."""
     tasks = [(part, relaxation) for part in parts for relaxation in relaxations]
-    progress('Compiling', 0.0)
+    progress('Machine code', 0.0)
     with ProcessPoolExecutor(usable_cores(), get_context('spawn')) as pool:
         running = [pool.submit(compile_part, *task) for task in tasks]
         for done, future in enumerate(as_completed(running)):
             future.result()
-            progress('Compiling', (done + 1) / len(tasks))
+            progress('Machine code', (done + 1) / len(tasks))
 
 
 def compile_part(part: str, relaxation: tuple[float, float] = (0.0, 0.0)) -> None:

@@ -219,7 +219,7 @@ def find_release(
     return -1.0, body
 
 
-@kernel
+@entry
 def write_toss(
     switching: Switching, body: State, rows: Any, seconds: Any, max_step: float, out: Array
 ) -> float:
