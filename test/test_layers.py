@@ -52,6 +52,8 @@ The package itself loads nothing, so that `bellows --help` answers at once. rosb
 and only some types need it. A command of a node limits the threads of NumPy before it loads that.
 The others load ROS or matplotlib, which are optional, or what few runs need.
 """
+ONCE = {('correction.py', 'is_possible'), ('correction.py', 'one_of')}
+"""Short kernels that Python calls at most once per measured pose."""
 CORE_NEEDS = {'numpy', 'scipy', 'numba', 'bellows_ros'}
 
 
@@ -218,3 +220,28 @@ print('imported', len(set({names!r})))
 """
     done = run(code, user_environment)
     assert done.stdout == f'imported {len(names)}\n', done.stderr
+
+
+def decorated(function):
+    """Return the names of the decorators of a function."""
+    return {each.id for each in function.decorator_list if isinstance(each, ast.Name)}
+
+
+def test_python_calls_no_kernel_with_a_loop(root):
+    """Such a kernel is an entry, as Python would interpret it: twenty times slower."""
+    functions = [function for file in modules(root) for function in
+                 ast.parse(file.read_text()).body if isinstance(function, ast.FunctionDef)]
+    loops = {function.name for function in functions if 'kernel' in decorated(function) and any(
+        isinstance(node, ast.For | ast.While) for node in ast.walk(function))}
+    called = set()
+    for file in modules(root):
+        tree = ast.parse(file.read_text())
+        known = {alias.asname or alias.name for node in tree.body
+                 if isinstance(node, ast.ImportFrom) for alias in node.names}
+        for top in tree.body:
+            if not (isinstance(top, ast.FunctionDef) and decorated(top) & {'kernel', 'entry'}):
+                called |= {
+                    (file.name, name) for node in ast.walk(top) if isinstance(node, ast.Call)
+                    for path, _, name in [ast.unparse(node.func).rpartition('.')]
+                    if not path or path in known}
+    assert loops and {each for each in called if each[1] in loops} <= ONCE
