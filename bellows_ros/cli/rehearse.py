@@ -1,4 +1,4 @@
-"""Rehearse a recording: what it will tell about the cup, and which checks fire."""
+"""Rehearse a recording: its information on the cup, and the checks that fire."""
 
 import argparse
 

@@ -559,7 +559,7 @@ class Recording:
     files : tuple of mapping
         Name, bytes and sha256 of each of its files.
     seen : TagViews, optional
-        Views of a tag with the estimates of a fit, instead of those of the settings.
+        Views of a tag with the estimates of a fit, instead of the settings.
 
     """
 
