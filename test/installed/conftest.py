@@ -2,11 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-import shutil
 import subprocess
 import sys
 
-import bellows_ros
 import pytest
 
 PYTHON = f'python{sys.version_info[0]}.{sys.version_info[1]}'
@@ -40,11 +38,6 @@ def installed(tmp_path_factory, copy_sources, user_environment):
     assert 'Finished <<< bellows_ros' in done.stdout
     prefix = workspace / 'install' / 'bellows_ros'
     site_packages = prefix / 'lib' / PYTHON / 'site-packages'
-    compiled = Path(bellows_ros.__file__).parent
-    for file in compiled.rglob('*.nb[ci]'):  # of the same source; to compile it takes a minute
-        copy = site_packages / file.relative_to(compiled.parent)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(file, copy)
     environment |= {
         'AMENT_PREFIX_PATH': str(prefix),
         'PYTHONPATH': str(site_packages),
