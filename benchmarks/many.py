@@ -10,13 +10,12 @@ which is killed during the search.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-import pickle
 import sys
 import tempfile
 import time
 from typing import Any
 
-from bellows_ros.core.identification.pool import Held, Reply, Task
+from bellows_ros.core.identification.pool import Held
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.search import evaluated, measured_courses
@@ -56,8 +55,10 @@ marks = {}
 
 def own():
     for process in filter(str.isdigit, os.listdir('/proc')):
-        with contextlib.suppress(OSError), open(f'/proc/{process}/stat') as file:
-            if int(file.read().rpartition(')')[2].split()[1]) == os.getpid():
+        with contextlib.suppress(OSError), open(f'/proc/{process}/stat') as file, open(
+                f'/proc/{process}/cmdline') as line:
+            if int(file.read().rpartition(')')[2].split()[1]) == os.getpid() and (
+                    'spawn_main' in line.read()):
                 return int(process)
 
 def progress(what, part=0.0):
@@ -108,7 +109,6 @@ def scaling(folder: Path, counts: Sequence[int]) -> list[dict[str, float]]:
         jacobian = problem.local.whitened(
             problem.start[problem.index(0)], segment, segment.first).jacobian
         rows.append({'recordings': count, 'seconds': used / count,
-                     'traffic': _traffic(problem, courses) / count,
                      'unknowns': jacobian.shape[1], 'jacobian': jacobian.nbytes})
     return rows
 
@@ -118,22 +118,6 @@ def _processor(problem: Problem, courses: Held) -> float:
     begin = time.process_time()
     evaluated(problem, problem.start, courses)
     return time.process_time() - begin
-
-
-def _traffic(problem: Problem, courses: Held) -> int:
-    """Return the size of the messages of a step, bytes."""
-    pool, sizes = problem.held.pool, list[int]()
-    run = pool.run
-
-    def counted(tasks: Sequence[Task]) -> list[tuple[int, Reply]]:
-        replies = list(run(tasks))
-        sizes.append(len(pickle.dumps(tasks)) + len(pickle.dumps(replies)))
-        return replies
-
-    pool.run = counted
-    evaluated(problem, problem.start, courses)
-    pool.run = run
-    return sum(sizes)
 
 
 def fits(folder: Path, count: int) -> dict[str, dict[str, Any]]:
@@ -169,8 +153,7 @@ def main() -> None:
     found = run(count, seconds)
     for row in found['scaling']:
         print(f'{row["recordings"]:3} recordings: {row["seconds"]:.3f} s, '
-              f'{row["jacobian"] / MEBI:.2f} MiB of Jacobian with {row["unknowns"]} columns and '
-              f'{row["traffic"] / 1024:.1f} KiB of messages each')
+              f'{row["jacobian"] / MEBI:.2f} MiB of Jacobian with {row["unknowns"]} columns each')
     for name, fit in found['fits'].items():
         print(f'{name}: {fit["seconds"]:.0f} s, {fit["reading"]:.0f} s of these for reading and '
               f'{fit["search"]:.0f} s for {fit["steps"]} steps and the errors; processor '

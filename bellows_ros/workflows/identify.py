@@ -8,12 +8,13 @@ with equal results. Steps that need the recordings themselves get them here.
 from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from operator import itemgetter
 import os
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core import usable_cores
+from bellows_ros.core import configure_process, usable_cores
 from bellows_ros.core.identification import causes, methods
-from bellows_ros.core.identification.pool import Held, here, Pool, Runner
+from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import as_found, payload_of
 from bellows_ros.core.identification.reduction import (
     AnyRecording,
@@ -40,6 +41,7 @@ import numpy as np
 if TYPE_CHECKING:  # not needed by a plain identification
     from bellows_ros.workflows.compare import ComparedFits
     from bellows_ros.workflows.replay import Replay
+    from bellows_ros.workflows.workers import Cluster
 
 Poses = Mapping[str, PoseStream]
 """Poses of tool and package."""
@@ -49,12 +51,6 @@ FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 
 CAUSE_TESTS = 'testing possible causes'
 """Name of the diagnosis in the progress display."""
-
-MAX_PAGE_RECORDINGS = 20
-"""Largest number of recordings in a report."""
-
-RECORDING_USERS = ('static.length', 'output.report')
-"""Parameters of steps that need the recordings themselves, not only their statistics."""
 
 
 def identify(
@@ -111,8 +107,8 @@ def identify(
                 for file in parameter_files))
 
 
-def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager[Runner | None]:
-    """Return the runner of processes or of a cluster, None for this process."""
+def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['Cluster | None']:
+    """Return the workers of this machine or of a cluster, None for this process."""
     if jobs is None and not dask:
         return nullcontext()
     from bellows_ros.workflows.workers import cluster, processes
@@ -181,9 +177,6 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     yield (values.static.length and not values.static.bags,
            'static.length is set, but static.bags is empty: the length comes from standstills '
            'with two or more masses. Name their recordings in static.bags.')
-    yield (values.output.report and len(bags) > MAX_PAGE_RECORDINGS,
-           f'A report shows at most {MAX_PAGE_RECORDINGS} recordings, got {len(bags)}. Leave the '
-           'report out.')
     yield (repeated,
            f"'{', '.join(repeated)}' is both in bags and in validation.bags, but validation needs "
            'a recording that was not used in the fit. Remove it from one.')
@@ -248,18 +241,21 @@ def read_part(
     return pair, recording if bag in keep else part
 
 
-def _attempted(*arguments: Any) -> tuple[methods.Pair, AnyRecording]:
-    """Return the result of `read_part`, any failure being a reason to leave the recording out."""
+def _attempted(
+    keep: Container[str], number: int, bag: str, path: str, values: Values
+) -> tuple[methods.Pair | None, AnyRecording | Failed]:
+    """Return the result of `read_part`, or the reason to leave the recording out."""
+    configure_process()
     try:
-        return read_part(*arguments)
-    except BellowsError:
-        raise
+        return read_part(keep, {}, number, bag, path, values)
+    except BellowsError as error:
+        return None, Failed(bag, str(error))
     except Exception as error:  # noqa: BLE001 (of one recording)
-        raise BellowsError(f'{type(error).__name__}: {error}') from None
+        return None, Failed(bag, f'{type(error).__name__}: {error}')
 
 
 def read_all(
-    values: Values, progress: Progress, run: Runner | None = None,
+    values: Values, progress: Progress, run: 'Cluster | None' = None,
     poses: Mapping[str, Poses] | None = None,
 ) -> tuple[list[AnyRecording], Held, list[Failed]]:
     """
@@ -268,8 +264,7 @@ def read_all(
     They are read by processes or a cluster, or sequentially, in which case all must be usable.
     """
     bags = [os.fspath(bag) for bag in values.bags]
-    keep = frozenset(bags if any(values[name] for name in RECORDING_USERS) else bags[:MAX_TESTED])
-    each = reading.values_of_each(values)
+    keep, each = frozenset(bags[:MAX_TESTED]), reading.values_of_each(values)
     pairs, parts, failed = _read_elsewhere(bags, each, keep, progress, run) if run else (
         *_read_here(bags, each, keep, progress, poses or {}), [])
     return parts, pairs, failed
@@ -293,28 +288,28 @@ def _read_here(
 
 def _read_elsewhere(
     bags: Sequence[str], values: Sequence[Values], keep: Container[str], progress: Progress,
-    run: Runner,
+    run: 'Cluster',
 ) -> tuple[Held, list[AnyRecording], list[Failed]]:
     """Return recordings read by workers, and unusable recordings."""
-    pool, words = Pool(run, len(bags)), f'reading {len(bags)} recordings'
-    pairs = pool.begun(_attempted, keep, {}, *map(pool.each, (
+    words = f'reading {len(bags)} recordings'
+    read = run.keep(_attempted, keep, *map(run.each, (
         range(len(bags)), bags, list(map(os.path.abspath, bags)), values)))
-    progress(words, 0.0)
-    outcomes = dict[int, Any]()
-    for number, reply in pool.replies(pairs.calls):
-        outcomes[number] = Failed(bags[number], str(reply.error)) if reply.error else reply.result
-        progress(words, FIT_BEGINS * len(outcomes) / len(bags))
+    outcomes = run.run(itemgetter(1), read.values)
+    for number in run.ended(outcomes):
+        progress(words, FIT_BEGINS * number / len(bags))
+    outcomes = [Failed(bag, str(error)) if (error := run.error(each)) else run.gather([each])[0]
+                for bag, each in zip(bags, outcomes, strict=True)]
     done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
     digested = ((outcomes[n].name, outcomes[n].digest) for n in done)
     for place, sentence in reading.duplicates(digested):
         outcomes[done[place]] = Failed(bags[done[place]], sentence)
-    failed = [outcomes[n] for n in range(len(bags)) if isinstance(outcomes[n], Failed)]
+    failed = [each for each in outcomes if isinstance(each, Failed)]
     usable = [n for n in done if not isinstance(outcomes[n], Failed)]
     if not usable:
         raise BellowsError(
             f'None of {len(failed)} recordings can be used. The first, '
             f"'{failed[0].bag}': {failed[0].reason}")
-    return pairs.only(usable), [outcomes[n] for n in usable], failed
+    return read._replace(part=0).only(usable), [outcomes[n] for n in usable], failed
 
 
 def _identify(

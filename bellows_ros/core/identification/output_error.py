@@ -463,7 +463,7 @@ def covariance_of(
         directions = directions @ turn
     pool = problem.held.pool
     counts, squares = zip(*pool.results(
-        _influences, pool.each(list(map(H.block, range(len(pool))))),
+        _influences, pool.each(list(map(H.block, range(len(problem.outlines))))),
         pool.each([np.vstack([directions, -carried @ directions]) for carried in H.carried]),
         found.parts), strict=True)
     scatter = np.maximum(1.0, _relative_variances(sum(counts), np.sum(squares, axis=0)))

@@ -622,7 +622,7 @@ def _squared_length(at: Solution, step: Array) -> float:
 def evaluated(problem: Problem, theta: Array, courses: Held) -> Solution:
     """Return unknowns with the whitened segments about courses, and information and slope."""
     (H, g), pool, s = problem.prior(theta), problem.held.pool, problem.shared
-    indices = list(map(problem.index, range(len(pool))))
+    indices = list(map(problem.index, range(len(problem.outlines))))
     parts, found = pool.hold(
         _whitened, problem.local, pool.each([theta[index] for index in indices]), problem.held,
         courses)

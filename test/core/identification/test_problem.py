@@ -30,7 +30,7 @@ def whitened(problem, at):
     pool = problem.held.pool
     return pool.results(
         whitened_there, problem.local, pool.each([
-            at.theta[problem.index(number)] for number in range(len(pool))]),
+            at.theta[problem.index(number)] for number in range(len(problem.outlines))]),
         problem.held, at.courses)
 
 

@@ -319,8 +319,8 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
     own = np.isin(index, shifted.problem.places['slip'])
     C = shifted.information.within(
         ~np.isin(np.arange(len(shifted.theta)), shifted.problem.places['slip'])).block(number)
-    (blocks,) = shifted.problem.held.pool.only([number]).results(
-        _slip_scores, own, np.where(np.outer(~own, ~own), C, 0.0), shifted.parts)
+    (blocks,) = shifted.problem.held.pool.results(
+        _slip_scores, own, np.where(np.outer(~own, ~own), C, 0.0), shifted.parts.only([number]))
     at = [first + round(BLOCK_S * NS_PER_S * k) for first, block in zip(
         begins, blocks, strict=False) for k in range(len(block))]
     best = at[int(np.argmax(np.concatenate(blocks)))]
@@ -351,13 +351,14 @@ def _slip_scores(own: Array, C: Array, parts: Sequence[WhitenedSegment]) -> list
 
 def unknown(end: Solution) -> Finding:
     """Return axis, time span (s) and frequency band (Hz) of the largest residual."""
-    sums, pool = end.sums, end.problem.held.pool
+    sums, held = end.sums, end.problem.held.only
     axis = int(np.argmax(sum(np.sum(one.squares, axis=0) for one in sums)))
     means = [one.squares[:, axis] / one.counts for one in sums]
     number = int(np.argmax([np.max(each) for each in means]))
     begin_ns = end.problem.outlines[number].begin_ns
-    (span,) = pool.only([number]).results(
-        _span, axis, int(np.argmax(means[number])), begin_ns, end.problem.held, end.parts)
+    (span,) = end.parts.pool.results(
+        _span, axis, int(np.argmax(means[number])), begin_ns, held([number]),
+        end.parts.only([number]))
     return Finding('unknown', AXES[axis], span, np.zeros(4), share=0.0, certain=False, datum=False)
 
 
@@ -474,10 +475,9 @@ def likeliest_setting(near: Solution, cup: Cup) -> Finding | None:
     squares = [np.sum(sums.squares, axis=1) for sums in near.sums]
     order = sorted(range(len(squares)), key=lambda number: float(np.max(squares[number])))
     numbers = list({problem.outlines[number].payload.mass: number for number in order}.values())
-    pool = problem.held.pool.only(numbers)
+    held, pool = problem.held.only(numbers), problem.held.pool
     worst = problem.with_segments(*pool.hold(
-        _segment, pool.each([int(np.argmax(squares[number])) for number in numbers]),
-        problem.held))
+        _segment, pool.each([int(np.argmax(squares[number])) for number in numbers]), held))
     ends = [(approach(worst, with_couplings=False).squares, Finding('', ''))]
     for finding, change in settings_of(worst.outlines):
         with suppress(BellowsError):  # no cup explains this setting
