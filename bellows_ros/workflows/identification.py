@@ -144,14 +144,18 @@ class Identification(CommandResult):
         """
         Return the parameters of the cup file: the cup with standard errors and validity.
 
-        A small change of the length belongs to a centre of mass, which only a cell file has.
+        Without a cell file, the length places the package as the fit did, with the given centre of
+        mass and marker.
         """
         values = {
             name: value for name, value in self.cup_values().items()
             if name in ('cup.stiffness', 'cup.damping', 'cup.length')
             or name in CUP_EXTRAS and value != table.PARAMETERS[name].default}
-        if not with_cell and 'cup.length' not in (self.verdict.found if self.verdict else ()):
-            values['cup.length'] = self.cup_length
+        if not with_cell and self.recordings and self.found:
+            free = {name: rows[0] for name, rows in self.fit.nuisances.items()}
+            own = ~np.array(self.recordings[0].settings.moves_with_com)
+            values['cup.length'] += float(
+                free.get('package_marker', np.zeros(3))[2] - (own * self._com_change)[2])
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
@@ -209,6 +213,12 @@ class Identification(CommandResult):
             result |= self._frames(number)
         return result
 
+    @property
+    def _com_change(self) -> Array:
+        """Change (3,) of the given centre of mass by the fit, m."""
+        freed = [np.array(each.change) for each in self.fit.freed if each.name == 'com']
+        return np.asarray(sum(freed, self.fit.nuisances.get('com', np.zeros((1, 3)))[0]))
+
     def _final_world(self, number: int) -> PackageWorld | None:
         """Return the estimated pose of the package's world after the fit, or None."""
         world = self.parts[number].package_world
@@ -234,11 +244,8 @@ class Identification(CommandResult):
                 free.get('package_world', np.zeros(6)))
             pose[:3] *= 1.0 if settings.tag else scale
             yield 'recording.package_world', (checks.pose_text(pose), world.std, 'm, rad')
-        if 'package_marker' in self.values.fit.free or world and (
-                recording.settings.align_at_rest):
-            shift = np.array(recording.settings.moves_with_com) * np.sum([
-                free.get('com', np.zeros(3)),
-                *(freed.change for freed in self.fit.freed if freed.name == 'com')], axis=0)
+        if 'package_marker' in free or world and recording.settings.align_at_rest:
+            shift = np.array(recording.settings.moves_with_com) * self._com_change
             turn = free.get('package_marker', np.zeros(6))
             frames = recording.alignment
             R = frames.R_package_markers_lip
@@ -257,11 +264,13 @@ class Identification(CommandResult):
                 [noise[0], noise[1] / max(change**2, 0.01)], np.zeros(2), 'rad, 1/rad')
             yield 'measured.exposure', (exposure, (
                 tag.exposure or usual) * std.get('exposure', np.ones(1))[0], 's')
-        if number < len(self.fit.delays) and abs(self.fit.delays[number]) < 0.5 and (  # s
-                math.isfinite(self.fit.delays_std[number])):
+        delay, delay_std = (float(each.get('time_offset', (0.0,))[0]) for each in (free, std))
+        if number < len(self.fit.delays):
+            delay, delay_std = self.fit.delays[number], self.fit.delays_std[number]
+        if delay and abs(delay) < 0.5 and math.isfinite(delay_std):  # s
             yield 'measured.latency', (
-                is_measured(self.values) * self.values.measured.latency - self.fit.delays[number],
-                np.array(self.fit.delays_std[number]), 's')
+                is_measured(self.values) * self.values.measured.latency - delay,
+                np.array(delay_std), 's')
 
     @property
     def findings(self) -> tuple[str, ...]:

@@ -46,6 +46,9 @@ if TYPE_CHECKING:  # not needed by a plain identification
 Poses = Mapping[str, PoseStream]
 """Poses of tool and package."""
 
+MAX_LENGTH_STD = 0.02
+"""Largest standard error of a cup's length by standstills that a fit takes, m."""
+
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Fractions of the work at which the fit begins and ends, for the progress display."""
 
@@ -94,7 +97,11 @@ def identify(
     static = None
     if values.static.bags:
         static = read_standstills(values.replaced({**FULL_RANGE}), progress)
-    effective = values.replaced({'cup.length': static.cup_length}) if static else values
+    effective = values
+    if static:
+        effective = values.replaced({'cup.length': static.cup_length, **(
+            {'cup.length_std': min(static.length.total_std, MAX_LENGTH_STD)}
+            if static.length and values.static.length else {})})
     with _runner(jobs, dask, len(values.bags)) as run:
         parts, pairs, failed = read_all(effective, progress, run, poses)
         if values.fit.method == 'output_error' and not force:
@@ -329,7 +336,7 @@ def _identify(
         result = methods.fit(
             parts, effective,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-            static.standstills if static else (), length.length_std if length else 0.0, pairs)
+            static.standstills if static else (), length.total_std if length else 0.0, pairs)
     except BellowsError:
         _require_no_facts(parts, effective, progress)
         raise

@@ -227,9 +227,10 @@ def _prepared(
 
 
 def is_measured(values: Values) -> bool:
-    """Return whether measured.* describes the recorded package: a tag, or its own world."""
+    """Return whether measured.* describes the recorded package: a tag, its own world, a marker."""
     return values.measured.tag_size > 0.0 or (
-        values.recording.package_world not in ('', checks.ESTIMATE))
+        values.recording.package_world not in ('', checks.ESTIMATE)) or (
+        any(values.measured.offset) and values.get('recording.package_frame') == 'com')
 
 
 def in_camera(package: PoseStream, world: str, values: Values) -> PoseStream:

@@ -7,6 +7,7 @@ import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.identification import statics
+from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of
@@ -123,7 +124,7 @@ def length_sentence(length: statics.CupLength) -> str:
     """Return a length with its standard error, or a statement that there is no error."""
     known = math.isfinite(length.length_std)
     return sentence('static', 'length' if known else 'length_alone', length=length.length,
-                    std=length.length_std)
+                    std=length.total_std)
 
 
 def length_warnings(length: statics.CupLength) -> tuple[str, ...]:
@@ -234,9 +235,13 @@ def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress
         for _, text in reading.duplicates((each.name, each.digest) for each in recordings):
             raise BellowsError(text)
     result = StaticResult(tuple(recordings), None, '', values.cup.length)
+    com_std = max((
+        float(given_std(own).get('com', np.zeros(3))[2]) for recording, (_, own) in zip(
+            recordings, each, strict=True)
+        if not recording.settings.moves_with_com[2]), default=0.0)
     try:
         return result._replace(length=statics.cup_length_of(
-            result.standstills, values.gravity.magnitude))
+            result.standstills, values.gravity.magnitude)._replace(com_std=com_std))
     except UndeterminedError as error:
         return result._replace(no_length=str(error))
 
@@ -257,4 +262,6 @@ def save_length(result: StaticResult, path: File) -> None:
     header = [
         f'Cup length estimated by bellows_ros {__version__} from {bags}:',
         f'{length_sentence(result.length)}.']
-    parameter_files.write_parameters(path, {'cup.length': result.length.length}, header)
+    parameter_files.write_parameters(path, {
+        'cup.length': result.length.length,
+        'cup.length_std': min(result.length.total_std, 1.0)}, header)

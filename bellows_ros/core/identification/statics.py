@@ -35,6 +35,7 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError, UnstableError
 import numpy as np
 from numpy.polynomial.polynomial import polyval
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 UPRIGHT_TOLERANCE = np.radians(2.0)
@@ -73,6 +74,9 @@ class CupLength(NamedTuple):
         Coefficients of the polynomial, m, m/N, m/N^2, m/N^3.
     pick_std : float
         Standard deviation of the length between picks of one mass, m; NaN with too few picks.
+    com_std : float
+        Standard deviation of the given centre of mass along the cup, m, if its poses are measured:
+        a shift of it shifts the lip.
 
     """
 
@@ -87,6 +91,12 @@ class CupLength(NamedTuple):
     errors: Array
     coefficients: Array
     pick_std: float
+    com_std: float = 0.0
+
+    @property
+    def total_std(self) -> float:
+        """Standard error of the length with that of the centre of mass, m."""
+        return float(np.hypot(self.length_std, self.com_std))
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
@@ -283,29 +293,16 @@ MIN_STANDSTILL_STD = (1e-7, 1e-6)
 """Smallest standard error of a mean pose, by rounding and model error, m and rad."""
 
 
-class Length(NamedTuple):
-    """
-    An uncertain cup length, and its effect on a fit of motions.
-
-    They are its value and standard error (m), and the derivatives (2 n,) of the parameters by it.
-    """
-
-    value: float
-    std: float
-    jacobian: Array
-
-
 def joined_with_standstills(
-    fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, given: Cup,
-    places: tuple[tuple[float, ...], ...] = (),
+    fit: Fit, standstills: Sequence[Standstill], length: tuple[float, float], gravity: float,
+    given: Cup, places: tuple[tuple[float, ...], ...] = (),
 ) -> Fit:
     """
     Return a fit of motions combined with standstills, weighted by their covariances.
 
-    With the information J of the motions about their estimate x0 + s (l - l0), the sum of |x - x0
-    - s (l - l0)|^2 in J, |b - A x - g (l - l0)|^2, and (l - l0)^2 over its variance is minimised,
-    as in a joint fit of all equations. Chi^2 above its expectation reduces the weight of the
-    standstills.
+    With the information J of the motions about their estimate x0, the sum of |x - x0|^2 in J, |b -
+    A x - g (l - l0)|^2, and (l - l0)^2 over its variance is minimised, as in a joint fit of all
+    equations. Chi^2 above its expectation reduces the weight of the standstills.
 
     Parameters
     ----------
@@ -313,8 +310,8 @@ def joined_with_standstills(
         Fit of motions; entries that motions do not identify have infinite variances.
     standstills : sequence of Standstill
         Standstills of the same cup.
-    length : Length
-        Cup length l0 of the fit, with its standard error, 0 if exact.
+    length : (float, float)
+        Cup length l0 of the fit, with its standard error, 0 if exact; m.
     gravity : float
         Gravitational acceleration along -z of the world, m/s^2.
     given : Cup
@@ -324,16 +321,13 @@ def joined_with_standstills(
 
     """
     structure = replace(structure_named(fit.structure), places=places)
-    x0 = fit.parameters
-    moving = np.hstack([np.eye(len(x0)), -length.std * length.jacobian[:, None]])
-    J = result.information_of(fit.covariance)
-    prior = moving.T @ J @ moving
-    prior[-1, -1] += 1.0
-    start = np.append(x0, 0.0)
+    prior: Array = block_diag(result.information_of(fit.covariance), np.eye(1))
+    value, std = length
+    start = np.append(fit.parameters, 0.0)
     weight, z, covariance = 1.0, start, fit.covariance
     for _ in range(4):
         guess = _guess(structure, z[:-1], covariance, given.stiffness)
-        cup = replace(given, stiffness=guess, length=length.value, stretch=fit.stretch,
+        cup = replace(given, stiffness=guess, length=value, stretch=fit.stretch,
                       relaxation=(0.0, 0.0))
         rows = np.concatenate([
             _equations(still, cup, structure, gravity) for still in standstills])
@@ -341,20 +335,19 @@ def joined_with_standstills(
         large = structure.sizes(guess, guess)[:structure.size]
         # a change by its size shifts no pose by 1e-3 standard errors
         of_K[:, np.linalg.norm(of_K, axis=0) * large < 1e-3] = 0.0
-        A = np.hstack([of_K, np.zeros_like(of_K), length.std * rows[:, -1:]])
+        A = np.hstack([of_K, np.zeros_like(of_K), std * rows[:, -1:]])
         joint = result.covariance_of(prior + weight * A.T @ A)
         finite = np.where(np.isfinite(joint), joint, 0.0)  # other entries are unchanged
         z = start + finite @ (weight * A.T @ (b - A @ start))
         degrees = len(b) - weight * float(np.trace(A @ finite @ A.T))
         chi2 = float(np.sum((b - A @ z) ** 2)) / max(degrees, 1.0)
         weight, covariance = 1.0 / max(chi2, 1.0), joint[:-1, :-1]
-    before = fit.covariance + length.std**2 * np.outer(length.jacobian, length.jacobian)
     with np.errstate(divide='ignore', invalid='ignore'):
-        narrowed = np.sqrt(np.diag(covariance) / np.diag(before))
+        narrowed = np.sqrt(np.diag(covariance) / np.diag(fit.covariance))
     return replace(
         fit, parameters=z[:-1], covariance=covariance, standstills=result.StandstillPart(
             len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
-            length.value + length.std * float(z[-1]), length.std * float(np.sqrt(joint[-1, -1]))),
+            value + std * float(z[-1]), std * float(np.sqrt(joint[-1, -1]))),
         notes=(*fit.notes, *[NOTES['disagreement'].format(chi2=chi2)] * (chi2 > 4.0)))
 
 
