@@ -135,10 +135,26 @@ class Identification(CommandResult):
         return self.values.replaced({
             'cup.length': self.cup_length,
             **{name: checks.validate(name, value) for name, (value, *_) in self.found.items()},
-            'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
-            'cup.damping': tuple(self.fit.damping.ravel().tolist()),
+            'cup.stiffness': tuple(self._matrices[0].ravel().tolist()),
+            'cup.damping': tuple(self._matrices[1].ravel().tolist()),
             'cup.relaxation': self.fit.relaxation,
             'cup.stretch': self.fit.stretch})
+
+    @cached_property
+    def _unknown(self) -> list[str]:
+        """Names of the numbers of K and P that are not identifiable."""
+        return [label for label, variance in zip(
+            self.fit.labels, np.diag(self.fit.covariance), strict=True) if np.isinf(variance)]
+
+    @cached_property
+    def _matrices(self) -> tuple[Array, Array]:
+        """K and P, with the values of the given cup for numbers that are not identifiable."""
+        structure, given = structure_named(self.fit.structure), conversion.one_cup_of(self.values)
+        K, P = structure.matrices(np.where(
+            np.isfinite(np.diag(self.fit.covariance)), self.fit.parameters,
+            structure.parameters(given.stiffness, given.damping)))
+        usable = not self.fit.usable or min(np.linalg.eigvalsh(M)[0] for M in (K, P)) > 0.0
+        return (K, P) if usable else (self.fit.stiffness, self.fit.damping)
 
     def parameters(self, with_cell: bool = False) -> dict[str, Any]:
         """
@@ -316,7 +332,9 @@ class Identification(CommandResult):
             self.fit.misfit,)
         if self.fit.usable and self.verdict and self.verdict.refusals:
             return misfit
-        return (*self.fit.warnings, *misfit, *self.excitation.warnings)
+        kept = [f'The cup file has the given values of {", ".join(self._unknown)}.'] if (
+            self._unknown and self.fit.usable) else []
+        return (*self.fit.warnings, *misfit, *self.excitation.warnings, *kept)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -383,6 +401,7 @@ class Identification(CommandResult):
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
             *self._clock_sentences(),
+            *(f'Not identifiable, as given: {label}.' for label in self._unknown),
             *(f'REFUSED, but written all the same: {reason}' for reason in self.refusals)]
 
 
