@@ -336,7 +336,7 @@ def _identify(
         result = methods.fit(
             parts, effective,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-            static.standstills if static else (), length.total_std if length else 0.0, pairs)
+            static.standstills if static else (), length.length_std if length else 0.0, pairs)
     except BellowsError:
         _require_no_facts(parts, effective, progress)
         raise
