@@ -100,7 +100,7 @@ def identify(
     effective = values
     if static:
         effective = values.replaced({'cup.length': static.cup_length, **(
-            {'cup.length_std': min(static.length.total_std, MAX_LENGTH_STD)}
+            {'cup.length_std': min(static.length.length_std, MAX_LENGTH_STD)}
             if static.length and values.static.length else {})})
     with _runner(jobs, dask, len(values.bags)) as run:
         parts, pairs, failed = read_all(effective, progress, run, poses)

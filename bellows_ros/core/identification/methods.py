@@ -205,7 +205,8 @@ def fitted(
         {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,
         'off' if structure.places else values.fit.stretch,
-        MARKERS if values.recording.marker == 'shared' else ())
+        MARKERS if values.recording.marker == 'shared' else (),
+        values.get('static.length', False) and values.get('recording.package_frame') == 'com')
 
 
 def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:

@@ -145,6 +145,7 @@ def output_error(
     richer: Structure | None = None,
     stretch: str = 'off',
     common: tuple[str, ...] = (),
+    length_at_rest: bool = False,
 ) -> Fit:
     """
     Fit K and P so that the model, driven by the measured tool, reproduces the package's poses.
@@ -176,6 +177,8 @@ def output_error(
         Whether the coefficients of stretch are free, like `relaxation`.
     common : tuple of str, optional
         Names of quantities that all recordings share instead of having their own.
+    length_at_rest : bool
+        See `Problem`.
 
     Raises
     ------
@@ -192,7 +195,8 @@ def output_error(
 
     held = measured if isinstance(measured, Held) else here([
         segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
-    problem = Problem.of(held, structure, start, free, common=common)
+    problem = Problem.of(held, structure, start, free, common=common,
+                         length_at_rest=length_at_rest)
     if any(outline.is_tag for outline in problem.outlines) and 'com' in given:
         problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
     are_slow = problem.is_slow
@@ -571,7 +575,10 @@ def _fit(
             Freed(name, tuple(x[place].tolist()), tuple(own_std[place].tolist()))
             for name, (place, *_) in places.items() if is_result[name]),
         causes=reasons,
-        nuisances={name: x[place] for name, place in nuisances.items()},
+        nuisances={name: x[place] + (
+            x[places['com'][:, 2:]] if name == 'length' and problem.length_at_rest and (
+                'com' in places) else 0.0)
+            for name, place in nuisances.items()},
         nuisances_std={name: total_std[place] for name, place in nuisances.items()},
         relaxation=_pair(strengths),
         relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),

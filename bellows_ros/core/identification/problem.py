@@ -35,7 +35,7 @@ from bellows_ros.core.identification.segments import (
 from bellows_ros.core.model import pseudo_inertia, simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
-from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
+from bellows_ros.core.model.jacobians import BY_DAMPING, BY_LENGTH, PARAMETER_COLUMNS
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.sensors import body
@@ -309,6 +309,8 @@ class Problem:
         Names of quantities that all recordings share instead of having their own.
     forgetting : float
         Rate (1/s) at which an unknown acceleration of the package makes the model forget.
+    length_at_rest : bool
+        Whether the length is from poses of B at rest, so that a higher com means a longer cup.
 
     """
 
@@ -321,6 +323,7 @@ class Problem:
     fixing: Array | float = 0.0
     common: tuple[str, ...] = ()
     forgetting: float = 0.0
+    length_at_rest: bool = False
 
     @classmethod
     def of(
@@ -497,6 +500,8 @@ class Problem:
         cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
+        if 'com' in free and self.length_at_rest:
+            cup = replace(cup, length=cup.length + float(free['com'][2]))
         if 'relaxation' in free:
             cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
         if 'stretch' in free:
@@ -657,6 +662,8 @@ class Problem:
         for name, row in self.rows.items():
             columns[:, row] = quantities.model_columns(
                 name, payload, segment.measured.gravity, free, len(columns))
+        if 'com' in self.rows and self.length_at_rest:
+            columns[BY_LENGTH, self.rows['com'][2]] += 1.0
         columns[:, :-1] *= self.units
         used = np.flatnonzero(np.any(columns[:PARAMETER_COLUMNS], axis=1))[-1]
         first, last = segment.span_ns or segment.ends_ns
