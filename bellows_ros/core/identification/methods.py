@@ -8,6 +8,7 @@ import math
 from operator import getitem
 from typing import NamedTuple
 
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares, reduction
 from bellows_ros.core.identification.diagnosis.ranking import MARKERS
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
@@ -16,8 +17,9 @@ from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import given_std, weak_prior
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import measured_segments, Segments, segments_of
-from bellows_ros.core.identification.statics import joined_with_standstills
+from bellows_ros.core.identification.statics import joined_with_standstills, Length
 from bellows_ros.core.model.cup_package import Cup, varied
 from bellows_ros.core.model.structure import AUTO
 from bellows_ros.core.parameters.conversion import (
@@ -55,6 +57,9 @@ MIN_REST_SHARE = 0.5
 MAX_MISFIT_TO_NOISE = 2.0
 """Largest ratio of misfit and noise for output error, in free simulations and residuals."""
 
+
+LENGTH_STEP = 1e-5
+"""Step of numerical derivatives by cup.length, m."""
 
 Pair = tuple[Segments, reduction.Statistics]
 """The segments of a recording, empty for least squares, and its statistics."""
@@ -143,8 +148,10 @@ def fit(
         result = _with_offsets(result, [part.time_offset for part in parts])
     if standstills:
         result = joined_with_standstills(
-            result, standstills, (values.cup.length, length_std), values.gravity.magnitude,
-            one_cup_of(values), given_structure(values).places)
+            result, standstills, Length(values.cup.length, length_std, (
+                _length_jacobian(whole_recordings(recordings), values) if length_std > 0.0 else
+                np.zeros(len(result.labels)))),
+            values.gravity.magnitude, one_cup_of(values), given_structure(values).places)
     return Result(result, excitation)
 
 
@@ -217,6 +224,16 @@ def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
         return replace(result, delays=values, delays_std=errors)
     return replace(result, delays=tuple(
         delay + offset.value for delay, offset in zip(result.delays, removed, strict=True)))
+
+
+def _length_jacobian(recordings: Sequence[Recording], values: Values) -> Array:
+    """Return the derivatives (2 n,) of the parameters of least squares by cup.length."""
+    structure = given_structure(values)
+    ends = [
+        least_squares.least_squares(here([
+            reduction.statistics(samples_of(recording), values.cup.length + step, structure)
+            for recording in recordings])).parameters for step in (LENGTH_STEP, -LENGTH_STEP)]
+    return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
 
 def with_freed(values: Values, freed: Sequence[Freed]) -> Values:

@@ -35,7 +35,6 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError, UnstableError
 import numpy as np
 from numpy.polynomial.polynomial import polyval
-from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 UPRIGHT_TOLERANCE = np.radians(2.0)
@@ -293,16 +292,29 @@ MIN_STANDSTILL_STD = (1e-7, 1e-6)
 """Smallest standard error of a mean pose, by rounding and model error, m and rad."""
 
 
+class Length(NamedTuple):
+    """
+    An uncertain cup length, and its effect on a fit of motions.
+
+    They are its value and standard error (m), and the derivatives (2 n,) of the parameters by it.
+    """
+
+    value: float
+    std: float
+    jacobian: Array
+
+
 def joined_with_standstills(
-    fit: Fit, standstills: Sequence[Standstill], length: tuple[float, float], gravity: float,
-    given: Cup, places: tuple[tuple[float, ...], ...] = (),
+    fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, given: Cup,
+    places: tuple[tuple[float, ...], ...] = (),
 ) -> Fit:
     """
     Return a fit of motions combined with standstills, weighted by their covariances.
 
-    With the information J of the motions about their estimate x0, the sum of |x - x0|^2 in J, |b -
-    A x - g (l - l0)|^2, and (l - l0)^2 over its variance is minimised, as in a joint fit of all
-    equations. Chi^2 above its expectation reduces the weight of the standstills.
+    With the information J of the motions about their estimate x0 + s (l - l0), the sum of |x - x0
+    - s (l - l0)|^2 in J, |b - A x - g (l - l0)|^2, and (l - l0)^2 over its variance is minimised,
+    as in a joint fit of all equations. Chi^2 above its expectation reduces the weight of the
+    standstills.
 
     Parameters
     ----------
@@ -310,8 +322,8 @@ def joined_with_standstills(
         Fit of motions; entries that motions do not identify have infinite variances.
     standstills : sequence of Standstill
         Standstills of the same cup.
-    length : (float, float)
-        Cup length l0 of the fit, with its standard error, 0 if exact; m.
+    length : Length
+        Cup length l0 of the fit, with its standard error, 0 if exact.
     gravity : float
         Gravitational acceleration along -z of the world, m/s^2.
     given : Cup
@@ -321,9 +333,11 @@ def joined_with_standstills(
 
     """
     structure = replace(structure_named(fit.structure), places=places)
-    prior: Array = block_diag(result.information_of(fit.covariance), np.eye(1))
-    value, std = length
-    start = np.append(fit.parameters, 0.0)
+    value, std, x0 = length.value, length.std, fit.parameters
+    moving = np.hstack([np.eye(len(x0)), -std * length.jacobian[:, None]])
+    prior = moving.T @ result.information_of(fit.covariance) @ moving
+    prior[-1, -1] += 1.0
+    start = np.append(x0, 0.0)
     weight, z, covariance = 1.0, start, fit.covariance
     for _ in range(4):
         guess = _guess(structure, z[:-1], covariance, given.stiffness)
@@ -342,8 +356,9 @@ def joined_with_standstills(
         degrees = len(b) - weight * float(np.trace(A @ finite @ A.T))
         chi2 = float(np.sum((b - A @ z) ** 2)) / max(degrees, 1.0)
         weight, covariance = 1.0 / max(chi2, 1.0), joint[:-1, :-1]
+    before = fit.covariance + std**2 * np.outer(length.jacobian, length.jacobian)
     with np.errstate(divide='ignore', invalid='ignore'):
-        narrowed = np.sqrt(np.diag(covariance) / np.diag(fit.covariance))
+        narrowed = np.sqrt(np.diag(covariance) / np.diag(before))
     return replace(
         fit, parameters=z[:-1], covariance=covariance, standstills=result.StandstillPart(
             len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),

@@ -235,7 +235,7 @@ def moving(seed, axes=(0, 1, 2, 3, 4, 5), noise=OF_POSES):
 
 def length(std=0.0):
     """Return the true length, known so exactly."""
-    return L0, std
+    return statics.Length(L0, std, np.zeros(8))
 
 
 def test_standstills_narrow_the_errors_and_do_not_shift_the_result():
