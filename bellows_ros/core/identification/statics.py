@@ -94,7 +94,7 @@ class CupLength(NamedTuple):
 
     @property
     def total_std(self) -> float:
-        """Standard error of the length with that of the centre of mass, m."""
+        """Standard error of the length with the error of the centre of mass, m."""
         return float(np.hypot(self.length_std, self.com_std))
 
     @property
