@@ -487,7 +487,7 @@ def tag_seen(
 
 
 @kernel
-def _difference(
+def _measured_difference(
     model: ModelTuple, tool: State, exposed: State, theta: Array, seen: MeasuredPose,
 ) -> tuple[Array, Array]:
     """Return the difference (6,) of a measured pose from a body, and its noise in B axes."""
@@ -540,7 +540,7 @@ def updated(
     marker, reach, largest, sag, gate = seen[3], seen[4], seen[5], seen[6], seen[7]
     model = with_theta(model, theta)
     exposed = at_exposure(model, tool, body, theta)
-    difference, noise = _difference(model, tool, exposed, theta, seen)
+    difference, noise = _measured_difference(model, tool, exposed, theta, seen)
     _enlarge(noise, memory)
     innovation = innovation_of(exposed, theta, P, difference, noise, marker, memory[ekf.JITTER])
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
