@@ -190,6 +190,11 @@ def other_of(body: str, tool: PoseStream, package: PoseStream) -> PoseStream:
     return package if body == 'tool' else tool
 
 
+MIN_NEAR_PART = 0.9
+"""Smallest fraction of poses with the usual distance of two bodies of one clock: with 5 s between
+the clocks of bags/identification the fraction is below a half."""
+
+
 def _swapped(tool: PoseStream, package: PoseStream, one_frame: bool) -> Iterator[Fact]:
     """Yield the time in which two bodies that hang one below the other are exchanged."""
     hand, eye = tool.trajectory(), package.trajectory()
@@ -202,7 +207,10 @@ def _swapped(tool: PoseStream, package: PoseStream, one_frame: bool) -> Iterator
     above = np.einsum('ni,ni->n', offset, hand.rotation[:, :, 2]) / np.maximum(distance, 1e-9)
     if not one_frame or not 1e-3 < usual < conventions.REACH[1] or np.median(above) > -UPRIGHT:
         return
-    exchanged = (above > UPRIGHT) & (np.abs(distance - usual) < conventions.MAX_CHANGE * usual)
+    near = np.abs(distance - usual) < conventions.MAX_CHANGE * usual
+    if np.mean(near) < MIN_NEAR_PART:
+        return
+    exchanged = (above > UPRIGHT) & near
     edges = np.flatnonzero(np.diff(exchanged, prepend=False, append=False)).reshape(-1, 2)
     for begin, end in edges.tolist():
         span = eye.stamps_ns[[begin, end - 1]] - min(tool.stamps_ns[0], package.stamps_ns[0])
