@@ -66,7 +66,7 @@ def library(request, tmp_path_factory):
         pytest.skip(f'{compiler} is not installed')
     folder = tmp_path_factory.mktemp('c')
     name = 'cup.c' if compiler == 'gcc' else 'cup.cpp'
-    grip = (*GRIP, PLACES) if cup is GRIPPER else GRIP
+    grip = (*GRIP, np.column_stack([PLACES, np.ones(3)])) if cup is GRIPPER else GRIP
     (folder / 'cup.h').write_text(header(cup, PACKAGE, GRAVITY, grip))
     (folder / name).write_text(LIBRARY)
     subprocess.run(

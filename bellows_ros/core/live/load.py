@@ -1,5 +1,6 @@
 """Vacuum, safety factor and distance from the validity range, live; checks of values."""
 
+from collections.abc import Mapping
 import math
 import re
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from bellows_ros.core.model.validity_range import Distance, distance
 from bellows_ros.core.observer.correction import stated_by
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import ESTIMATE
+from bellows_ros.core.parameters.conversion import NO_CUPS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -87,6 +89,8 @@ class Load:
         envelope.*.
     pressure : float, optional
         Last measured absolute pressure in the cup, Pa.
+    of_cups : mapping of int to float
+        Last measured absolute pressures in single cups of a gripper, Pa.
 
     Attributes
     ----------
@@ -99,9 +103,11 @@ class Load:
 
     """
 
-    def __init__(self, values: Values, pressure: float | None = None) -> None:
+    def __init__(
+        self, values: Values, pressure: float | None = None, of_cups: Mapping[int, float] = NO_CUPS
+    ) -> None:
         self._values = values
-        self.set_pressure(pressure)
+        self.set_pressure(pressure, of_cups)
         self.required = float(values.safety.least)
         self._envelope = conversion.parameter_envelope(values)
         self._clear()
@@ -111,11 +117,14 @@ class Load:
         self._distance: Distance | None = None
         self._bending = 0.0
 
-    def set_pressure(self, pressure: float | None) -> None:
-        """Store the absolute pressure (Pa) in the cup, if measured."""
-        self.pressure = pressure
-        below = None if pressure is None else self._values.vacuum.ambient - pressure
-        self.grip = conversion.grip_of(self._values, below)
+    def set_pressure(
+        self, pressure: float | None, of_cups: Mapping[int, float] = NO_CUPS
+    ) -> None:
+        """Store the absolute pressure (Pa) in the cup, if measured, and those in single cups."""
+        self.pressure, ambient = pressure, self._values.vacuum.ambient
+        self.grip = conversion.grip_of(
+            self._values, None if pressure is None else ambient - pressure,
+            {cup: ambient - of_cup for cup, of_cup in of_cups.items()})
 
     @property
     def has_envelope(self) -> bool:
@@ -186,6 +195,8 @@ class Vacuum:
         Whether the package is held, by at least one cup.
     pressure : float or None
         Newest pressure, Pa; with single cups the highest one of the holding cups, or None.
+    of_cups : dict of int to float
+        Newest pressures of the single cups that hold, Pa.
     open_cups : tuple of int
         Cups of cup.layout without vacuum; unchanged if no cup has vacuum.
     fault : str
@@ -198,7 +209,7 @@ class Vacuum:
         self._impossible = GLITCHES - 1  # one is enough before a possible pressure
         self.open_cups: tuple[int, ...] = ()
         self.pressure: float | None = None
-        self._pressures: dict[int, float] = {}  # of the holding cups
+        self.of_cups: dict[int, float] = {}
         self._measured: set[int] = set()  # cups with a sensor
 
     def update(
@@ -217,21 +228,21 @@ class Vacuum:
             return reason
         if cup >= cups > 1:
             return 'no_such_cup'
-        was_held = self.held if cup == ALL else cup in self._pressures
+        was_held = self.held if cup == ALL else cup in self.of_cups
         is_held = bool(pressure <= values.vacuum.detach_above if was_held
                        else pressure < values.vacuum.attach_below)
         if cup == ALL:
             self.held, self.pressure = is_held, pressure
             return ((is_held, ALL),)
         self._measured.add(cup)
-        self._pressures.pop(cup, None)
+        self.of_cups.pop(cup, None)
         if is_held:
-            self._pressures[cup] = pressure
-        self.held = bool(self._pressures)
-        self.pressure = max(self._pressures.values(), default=None)
+            self.of_cups[cup] = pressure
+        self.held = bool(self.of_cups)
+        self.pressure = max(self.of_cups.values(), default=None)
         if not self.held:  # the whole package is lost
             return ((False, ALL),)
-        self.open_cups = tuple(sorted(self._measured - set(self._pressures)))
+        self.open_cups = tuple(sorted(self._measured - set(self.of_cups)))
         return (is_held, cup), (True, ALL)
 
     def _why_rejected(self, values: Values, pressure: float) -> str:
@@ -246,7 +257,7 @@ class Vacuum:
         if self._impossible >= GLITCHES:
             self.fault = self.fault if reason == 'not_absolute' and self.fault else reason
             self.held, self.pressure = False, None
-            self._pressures.clear()
+            self.of_cups.clear()
         return self.fault or reason
 
 

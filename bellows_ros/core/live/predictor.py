@@ -387,7 +387,8 @@ class LivePredictor:
         if self.package.observer is not None:
             self.package.observer.use_values(values)
         self.package.set_model(cup_of(values), package_of(values))
-        self.load = load = Load(values, self.load.pressure if self.load else None)
+        self.load = load = Load(
+            values, self.load.pressure if self.load else None, self.vacuum.of_cups)
         self.uncertainty = Uncertainty(self.model, values)
         self.coast_limit_ns = round(values.coast.limit * NS_PER_S)
         if self.flight is None or not self.flight.state:
@@ -502,7 +503,7 @@ class LivePredictor:
         for is_held, cup in readings:
             self.on_vacuum(is_held, stamp_ns, cup)
         if self.load is not None and self.vacuum.pressure is not None:
-            self.load.set_pressure(self.vacuum.pressure)
+            self.load.set_pressure(self.vacuum.pressure, self.vacuum.of_cups)
         if self.vacuum.open_cups != opened:
             self.use(self._given)
         return ''

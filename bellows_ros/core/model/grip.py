@@ -23,7 +23,8 @@ import numpy as np
 
 Grip = tuple[float, float, float, *tuple[Array, ...]]
 """Suction force V (N), radius of the lip r (m) and friction between lip and package, of one cup;
-for a gripper of several cups also the cups that hold, as `places_of` returns them."""
+for a gripper of several cups those of the cup with the least suction, and an array (n, 5) of the
+cups that hold: rows of `places_of`, and each cup's suction force relative to V."""
 
 MODES = ('peel', 'slip')
 """Failure modes of the grip; an elastic lip peels before it tips."""
@@ -150,7 +151,7 @@ def least_factors(
     peel, slip, peeling, slipping = math.inf, math.inf, 0, 0
     for k in range(len(places)):
         f, m = wrench_at(one, (places[k, 0], places[k, 1], places[k, 2]), o, R, v, w, strains)
-        factors = safety_factors((grip[0], grip[1], grip[2]), f, m)
+        factors = safety_factors((grip[0] * places[k, 4], grip[1], grip[2]), f, m)
         if factors[0] < peel:
             peel, peeling = factors[0], k
         if factors[1] < slip:
@@ -160,7 +161,7 @@ def least_factors(
 
 @kernel
 def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -> float:
-    """Return the smallest suction force (N) of each cup at which no cup peels."""
+    """Return the smallest V (N) of the grip at which no cup peels."""
     cup, package, _ = model
     o, R, v, w = kernels.lip_relative_to_tool(package[1], tool, body)
     if len(grip) == 3:
@@ -170,7 +171,7 @@ def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -
     one, load = cup_of_gripper(cup, places), -math.inf
     for k in range(len(places)):
         f, m = wrench_at(one, (places[k, 0], places[k, 1], places[k, 2]), o, R, v, w, body[4:])
-        load = max(load, peel_load(grip[1], f, m))
+        load = max(load, peel_load(grip[1], f, m) / places[k, 4])
     return load
 
 
@@ -195,7 +196,7 @@ def mode_name(grip: Grip, mode: int, row: int) -> str:
     if len(grip) == 3:
         return MODES[mode]
     (places,) = grip[3:]
-    x, y, z, index = places[row].tolist()
+    x, y, z, index, _ = places[row].tolist()
     height = f', z {z:g} m' if z else ''
     return f'{MODES[mode]} of cup {index:.0f} at x {x:g} m, y {y:g} m{height}'
 

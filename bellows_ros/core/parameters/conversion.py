@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 import math
+from types import MappingProxyType
 from typing import Any
 import warnings
 
@@ -21,6 +22,9 @@ import numpy as np
 
 STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
 """Relative change of the diagonal of K per vacuum, for finite-element bellows, 1/Pa."""
+
+NO_CUPS: Mapping[int, float] = MappingProxyType({})
+"""Quantities of single cups, none of them measured."""
 
 EXTRAPOLATION = 2.0
 """Relative growth of the law's standard deviations per factor e of mass beyond its range, from
@@ -193,7 +197,9 @@ def fitted_structure(values: Values) -> Structure:
     return given
 
 
-def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
+def grip_of(
+    values: Values, vacuum: float | None = None, of_cups: Mapping[int, float] = NO_CUPS
+) -> Grip | None:
     """
     Return the grip in parameter values, or None if it is incomplete.
 
@@ -203,6 +209,9 @@ def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
         Parameters by name: cup.lip_radius, cup.suction_area, cup.friction, vacuum.holding.
     vacuum : float, optional
         Measured pressure below ambient (Pa), instead of vacuum.holding.
+    of_cups : mapping of int to float
+        Measured pressure below ambient (Pa) in single cups of a gripper; others have `vacuum`,
+        which is the least of them.
 
     """
     radius = float(values.cup.lip_radius)
@@ -211,7 +220,11 @@ def grip_of(values: Values, vacuum: float | None = None) -> Grip | None:
         return None
     area = float(values.cup.suction_area) or math.pi * radius * radius
     grip, places = (pressure * area, radius, float(values.cup.friction)), places_of(values)
-    return grip if structure.is_single(places) else (*grip, places)
+    if structure.is_single(places):
+        return grip
+    relative = [max(of_cups.get(int(index), pressure), 1.0) / pressure if pressure > 0.0 else 1.0
+                for index in places[:, 3]]  # at least 1 Pa, for a finite ratio
+    return *grip, np.column_stack([places, relative])
 
 
 def parameter_envelope(values: Values) -> Envelope | None:

@@ -39,6 +39,17 @@ def test_single_glitches_lose_no_package():
     assert live.state == 'gripped'
 
 
+def test_each_cup_holds_by_its_own_vacuum():
+    layout = [0.06, 0.0, 0.0, -0.06, 0.0, 0.0, 0.0, 0.06, 0.0]
+    live = LivePredictor.from_parameters({
+        **VALUES, 'vacuum.signal': 'pressure', 'cup.layout': layout, 'cup.lip_radius': 0.02})
+    for cup, pressure in enumerate((41_325.0, 56_325.0)):
+        assert not live.on_pressure(pressure, f'gripper/cup_{cup}')
+    weakest, *_, cups = live.load.grip
+    assert weakest == pytest.approx(4.5e4 * math.pi * 4e-4)
+    assert cups[:, 4].tolist() == pytest.approx([4 / 3, 1.0, 1.0])  # the last has no sensor
+
+
 def test_a_pressure_of_an_open_cup_ends_the_doubt():
     values, vacuum = LivePredictor.from_parameters(VALUES).values, Vacuum()
     assert vacuum.update(values, 3000.0, '') == vacuum.update(values, HELD, '') == 'not_absolute'
