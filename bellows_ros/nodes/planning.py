@@ -107,7 +107,12 @@ class Answers:
         """Compile once a possible publisher appears."""
         if count and not self.is_warm:
             self.is_warm = True
-            self.worker.submit('warm up', self._warm_up)
+            self.worker.submit('warm up', self._compile_ahead)
+
+    def _compile_ahead(self) -> None:
+        """Compile unless the cup cannot hold the package; the first answer then compiles."""
+        with suppress(BellowsError):
+            self._warm_up()
 
 
 class Planning:

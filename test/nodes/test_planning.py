@@ -18,7 +18,7 @@ import pytest
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from .conftest import MS, overrides_of, pose_at, stamp_ns, START
+from .conftest import MS, overrides_of, pose_at, set_on, stamp_ns, START
 from ..core import plans
 from ..core.planning.test_steering import Smooth
 from ..core.plans import CUP, GRIP, Move, PACKAGE
@@ -294,3 +294,17 @@ def test_a_motion_that_takes_too_long_is_not_steered_live(planner):
     planner.steer_out.publish(encode_multi_dof(still))
     status = planner.status()
     assert status.level == 1 and '61 s' in status.message
+
+
+def test_a_package_too_heavy_for_its_cup_does_not_fail_the_warm_up(partner):
+    """Refuse its plan, and answer as soon as the package can be held."""
+    predictor = partner.predictor
+    usual = predictor.values.package.mass
+    set_on(predictor, 'package.mass', 1000.0 * usual)
+    planner = Planner(partner)
+    planner.send(message())
+    planner.wait(lambda: (status := predictor.pipeline.planning.status) and status.level)
+    assert not predictor.failures
+    set_on(predictor, 'package.mass', usual)
+    planner.send(message())
+    planner.wait(lambda: planner.plans)

@@ -774,7 +774,8 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
             live.on_twist(arrival_ns + 50_000, still, still)
     live.on_twist(arrival_ns + 500_000, still, still)
     live.on_twist(arrival_ns + 1_500_000, still, still)
-    live.on_pose(arrival_ns + 1_000_000, 'world', (1e-6, 0.0, 0.0), upright, arrival_ns)
+    for k, x in enumerate((1e-6, 1.0, 2e-6), 1):  # with a jump, and back
+        live.on_pose(arrival_ns + k * 1_000_000, 'world', (x, 0.0, 0.0), upright, arrival_ns)
     live.flush()
     live.coast(arrival_ns + live.coast_limit_ns)
 
