@@ -44,7 +44,7 @@ test-oldest: .venv-oldest/ready  ## run it on what Ubuntu 24.04 has, without num
 	@$(OLDEST)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
 
 .PHONY: soak
-soak: $(VENV)/ready  ## predict for 5 minutes at 1 kHz; fails on a loss or a growing memory
+soak: $(VENV)/ready  ## attack a predictor for 12 minutes beside a twin (ARGS='--seconds 60': short)
 	@$(BIN)/python -m test.soak $(ARGS)
 
 .PHONY: bench
