@@ -1,6 +1,7 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
 from collections.abc import Callable, Iterable, Mapping
+import gc
 import time
 from typing import Any
 
@@ -111,6 +112,9 @@ class PredictorNode(ManagedNode):
 
     def configure(self) -> None:
         """Make the pipeline: model, inputs and outputs."""
+        gc.unfreeze()  # the pipeline before, a cycle, which the warm-up has frozen
+        gc.collect()
+        gc.freeze()
         self.create_service(Trigger, '~/reset', self._on_reset)
         with self.noticed('Compiling the model: the first start on a machine takes 5 to 10 s.'):
             self.pipeline = Pipeline(self)
