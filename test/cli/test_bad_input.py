@@ -23,8 +23,7 @@ SHORT = {
     f'toss {BAGS}/throw.yaml --params {BAGS}/tossing.yaml --json new.json', 'STEER':
     'steer --params cup.yaml --json new.json --out new --method', 'PLAN':
     'plan --params cup.yaml --json new.json --out new', 'STATIC': 'static --params package.yaml',
-    'IDENTIFY': 'identify recording --params package.yaml',
-    'MANY': ' '.join(f'r{number}' for number in range(21))}
+    'IDENTIFY': 'identify recording --params package.yaml'}
 """What lines begin with or share; the cell is what stands in the folder."""
 
 
@@ -135,7 +134,6 @@ NOT_ALLOWED = [
     ('plan transport.yaml', 'package.mass ... bellows info ... --params FILE'),
     ('IDENTIFY --set fit.structur=full', "--set fit.structur: ... 'fit.structure'"),
     ('STATIC m0 m1 --mass 1', '1 masses ... 2 recordings ... --mass'),
-    ('identify MANY CELL --jobs 1 --report new.html', '20 recordings ... 21'),
     ('info recording --from soon', '--from: recording.start'),
     ('STEER zv transport.yaml --limits safe.yaml', 'cup.lip_radius'),
     ('EXCITE misspelt.yaml --time 6', "'bendig' ... 'bending'"),
