@@ -32,7 +32,7 @@ def print_result(report: PlanReport, console: Console) -> None:
         console.paragraph(
             f'The limit {report.driven[2]} of the arm needs '
             f'{report.driven[0].seconds[-1]:.3f} s; --out writes that motion.')
-    if not report.warnings:
+    if not (report.warnings or console.asked):
         console.line('The grip holds' + (
             ', within the validity range.' if any(source.values.envelope.rates) else
             '. The validity range of the cup is unknown.'), 'green')

@@ -45,7 +45,7 @@ FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 MIN_POSES = 20
 """Smallest number of poses of each body for a search for their faults."""
 
-NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+NO_INERTIA = (0.0101, 0.0101, 0.0101, 0.0, 0.0, 0.0)
 """Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
 
 FILES_OF = {'bags': 'package.files', 'static.bags': 'static.files'}
@@ -285,7 +285,7 @@ def _require_no_faults(
             fact for fact in facts_of(tool, package, settings.R_world_recorded)
             if fact.code in BLOCKING - {accepted} or (
                 fact.code == 'tool_z' and registers and not settings.align_at_rest)]:
-        raise UnexplainedError(fact_sentences(wrong, tool, package, name))
+        raise BellowsError(fact_sentences(wrong, tool, package, name))
 
 
 def fact_sentences(

@@ -137,7 +137,7 @@ def check_node(rest):
     for option, value in zip(rest, rest[1:], strict=False):
         if option == '-p':
             name = value.partition(':=')[0]
-            assert name in PARAMETERS or name.startswith('qos_overrides.'), value
+            assert name in PARAMETERS or name.startswith(('qos_overrides.', 'use_sim_time')), value
 
 
 def test_pages_are_found_and_hold_commands():

@@ -81,7 +81,10 @@ def test_why_a_cup_is_refused_comes_first_and_nothing_that_follows_from_it(resul
     """As that something is hardly identifiable, where the fit explains nothing."""
     fit = dataclasses.replace(result.fit, notes=('K z is not identifiable.',))
     assert 'K z is not identifiable.' in dataclasses.replace(result, fit=fit).warnings
-    refused = dataclasses.replace(result, fit=fit, verdict=result.verdict._replace(chi2=9.0))
+    wrong = tuple(each._replace(rms=9.0 * (each.noise + each.motion), held_out=None)
+                  for each in result.verdict.simulated)
+    verdict = result.verdict._replace(simulated=wrong)
+    refused = dataclasses.replace(result, fit=fit, verdict=verdict)
     assert refused.warnings == ()
     html = identification_report(refused)
     assert html.index(refused.refusals[0][:40]) < html.index('No cup identified')

@@ -354,8 +354,7 @@ def test_noise_of_the_first_state_does_not_ring_in_the_derivatives(stiffness, da
         problem = posed(measured(0, package_noise=noise, silent=silent, cup=cup), cup,
                         {'package_world': np.full(6, 0.2)})
         _, course = settled(problem, 1)
-        at = evaluated(problem, problem.start, problem.held.pool.keep(
-            tuple, [course]))
+        at = evaluated(problem, problem.start, problem.held.pool.each([(course,)]))
         return np.sqrt(at.information.variances[:8])
 
     assert_allclose(spread(False), spread(True), rtol=0.1)
