@@ -389,7 +389,7 @@ class Identification(CommandResult):
     def require_usable(self, force: bool = False) -> None:
         """Raise BellowsError for a rejected cup; with force, only if prediction is impossible."""
         if self.refusals and not (force and self.fit.usable):
-            causes = self.verdict.sentences[:1] if self.verdict else ()
+            causes = self.verdict.cause if self.verdict else ()
             more = () if self.fit.usable else (*self.assumed, *self._fit_warnings())
             raise BellowsError(' '.join([*causes, *self.refusals, *more]))
 
