@@ -23,8 +23,8 @@ import numpy as np
 
 Grip = tuple[float, float, float, *tuple[Array, ...]]
 """Suction force V (N), radius of the lip r (m) and friction between lip and package, of one cup;
-for a gripper of several cups those of the cup with the least suction, and an array (n, 5) of the
-cups that hold: rows of `places_of`, and each cup's suction force relative to V."""
+for a gripper, V, r and friction of the cup with the least suction, and an array (n, 5) of the cups
+that hold: rows of `places_of`, and each cup's suction force relative to V."""
 
 MODES = ('peel', 'slip')
 """Failure modes of the grip; an elastic lip peels before it tips."""
