@@ -97,6 +97,7 @@ def is_idle(node):
     return not any(worker.is_busy for worker in node.workers)
 
 
+@pytest.mark.stress
 def test_no_text_of_a_message_reaches_log_diagnostics_or_outputs(graph, capfd):
     """Escaped and shortened, or refused; the node predicts as before. Frames missing: one line."""
     partner, inputs, heard = graph
@@ -125,6 +126,7 @@ def test_no_text_of_a_message_reaches_log_diagnostics_or_outputs(graph, capfd):
     assert len(log) < 300_000 and not node.failures
 
 
+@pytest.mark.stress
 def test_messages_without_a_frame_are_told_once(graph, capfd):
     """With the remedy, of each topic whose frame counts."""
     partner, inputs, _ = graph

@@ -116,6 +116,7 @@ def test_packages_in_files_are_enough_and_an_absent_predictor_is_named(ros, root
     assert node.has_parameter('cup.stiffness')
 
 
+@pytest.mark.stress
 def test_a_forgotten_length_is_among_the_reasons(ros, root, tmp_path):
     """Take the thesis' length for a cup 2.1 mm shorter: say so, and that it was not set."""
     stated = read_parameters(root / 'bags/package.yaml')
