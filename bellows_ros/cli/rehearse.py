@@ -1,10 +1,11 @@
-"""Rehearse a recording: its information on the cup, and the checks that fire."""
+"""Rehearse a recording: errors of the cup to expect, checks that fire, and what to change."""
 
 import argparse
+import math
 
 from bellows_ros.files.safe_yaml import load
 from bellows_ros.report.text import with_error
-from bellows_ros.workflows.rehearse import Rehearsal, rehearse
+from bellows_ros.workflows.rehearse import counted, Rehearsal, rehearse
 
 from . import options
 from .console import Console
@@ -20,15 +21,16 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 def print_result(result: Rehearsal, console: Console) -> None:
     """Print the expected errors, the checks that fire, and what to change."""
     console.line(f'{result.runs - len(result.refused)} of {result.runs} simulated recordings '
-                 'identified', 'bold')
-    console.table([('number', 'expected', 'std. error', 'truth within 2 std. errors'), *(
-        (each.name, with_error(each.expected, each.expected_std, each.unit),
-         f'{each.expected_std / abs(each.expected):.1%}' if each.expected else '',
-         f'{each.inside} of {each.runs}') for each in result.numbers)])
-    for text, count in result.checks.items():
+                 'identified; medians of cups drawn near the given one:', 'bold')
+    if result.numbers:
+        console.table([('number', 'truth ± std. error', 'relative', 'truth within 2 errors'), *(
+            (each.name, with_error(each.expected, each.expected_std, each.unit),
+             f'{each.error:.1%}' if math.isfinite(each.error) else '',
+             f'{each.inside} of {each.runs}') for each in result.numbers)])
+    for text, count in {
+            **result.checks, **counted(f'not identified: {reason}' for reason in result.refused),
+    }.items():
         console.paragraph(f'{count} of {result.runs}: {text}')
-    for text in result.refused:
-        console.paragraph(f'Not identified: {text}')
     console.warn(*result.advice)
-    if not result.advice and result.passed:
-        console.line('Nothing to change: all errors are below 10 %.')
+    if not result.advice and not result.checks and result.passed:
+        console.line('Nothing to change: all standard errors are below 10 %.')

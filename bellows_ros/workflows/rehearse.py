@@ -1,25 +1,29 @@
 """A rehearsal: the reader's own sensors and motion, simulated with cups near the given one."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+import math
 from pathlib import Path
+import re
 import tempfile
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.result import parameter_units
+from bellows_ros.core.identification.result import NOTE_TEXTS, parameter_units
 from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import one_cup_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import results
+from bellows_ros.report.sentences import sentence
 from bellows_ros.workflows.identification import Identification
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.info import check_sentence, info
 from bellows_ros.workflows.recordings import no_progress, Progress
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
+from scipy.stats import binom, norm
 
 USUAL_MOTION: Mapping[str, Any] = {
     'kind': 'multi_sine', 'duration': 20.0, 'rest_duration': 2.0, 'ramp_duration': 1.0,
@@ -45,9 +49,37 @@ SIGMAS = 2.0
 MAX_RELATIVE_STD = 0.1
 """Largest relative standard error that needs no other motion."""
 
+MAX_RATIO = 3.0
+"""Largest ratio of an error to `MAX_RELATIVE_STD` that a longer recording removes: nine times."""
+
+COUPLING = 'Coupling', 'move both axes at once, each at its own frequencies'
+"""Remedy for a coupling, as the remedies of the axes in `NOTE_TEXTS`."""
+
+
+NUMBERS = re.compile(r'[-+]?\d[\d.e+-]*')
+"""Numbers in a sentence."""
+
+RARE = 0.01
+"""Probability below which too few intervals with the truth are no coincidence."""
+
 
 class Number(NamedTuple):
-    """A number of the cup: relative standard error (median), and how often its interval holds."""
+    """
+    A number of the cup.
+
+    Parameters
+    ----------
+    name : str
+        As 'K x'; two axes for a coupling.
+    unit : str
+        Unit of the number.
+    expected, expected_std : float
+        Medians over the runs of the true number and of its standard error.
+    inside, runs : int
+        Number of runs with the truth within two standard errors, and of all runs in which the
+        number is identifiable.
+
+    """
 
     name: str
     unit: str
@@ -55,6 +87,28 @@ class Number(NamedTuple):
     expected_std: float
     inside: int
     runs: int
+
+    @property
+    def error(self) -> float:
+        """Return the relative standard error; infinite if the number is not identifiable."""
+        return self.expected_std / abs(self.expected) if self.expected else 0.0
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """Return what to change, if the standard error is large or wrong."""
+        found = []
+        ratio = self.error / MAX_RELATIVE_STD
+        if not ratio <= 1.0:
+            code = ('weak' if ratio < MAX_RATIO else
+                    'hidden' if math.isfinite(ratio) else 'unknown')
+            how = NOTE_TEXTS['directions'].get(self.name[2:], COUPLING)[1]
+            found.append(sentence(
+                'rehearsal', code, name=self.name, error=self.error, most=MAX_RELATIVE_STD,
+                how=how, times=ratio**2, noise=1.0 / ratio))
+        if binom.cdf(self.inside, self.runs, norm.cdf(SIGMAS) - norm.cdf(-SIGMAS)) < RARE:
+            found.append(sentence(
+                'rehearsal', 'outside', name=self.name, inside=self.inside, runs=self.runs))
+        return tuple(found)
 
 
 class Rehearsal(NamedTuple):
@@ -68,8 +122,8 @@ class Rehearsal(NamedTuple):
     numbers : tuple of Number
         Numbers of the cup, of the runs that were identified.
     checks : mapping
-        Failed checks of `info`, refusals and warnings of `identify`, with the number of runs in
-        which they occur.
+        Failed checks of `info`, refusals and warnings of `identify` on the recording and the fit,
+        with the number of runs in which they occur.
     refused : tuple of str
         Reasons of runs that were not identified.
 
@@ -88,18 +142,7 @@ class Rehearsal(NamedTuple):
     @property
     def advice(self) -> tuple[str, ...]:
         """Return what to change."""
-        errors = {each.name: each.expected_std / abs(each.expected)
-                  for each in self.numbers if each.expected}
-        weak = [name for name, error in errors.items() if not error <= MAX_RELATIVE_STD]
-        if not weak:
-            return ()
-        worst = max(errors[name] for name in weak)
-        longer = (worst / MAX_RELATIVE_STD)**2
-        return (
-            f'{", ".join(weak)}: errors above {MAX_RELATIVE_STD:.0%}. '
-            + (f'Record {longer:.1f} times as long' if longer < 10.0 else 'Drive these axes')
-            + ', faster or in more axes (bellows excite designs the motion), or with a larger '
-            'tag or a camera with less noise.',)
+        return tuple(text for each in self.numbers for text in each.advice)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
@@ -137,7 +180,7 @@ def rehearse(
         raise BellowsError(f'--runs must be at least 1, got {runs}.')
     values = resolve(settings, PACKAGE_PARAMETERS)
     found = list[tuple[Values, Identification]]()
-    checks, refused = Counter[str](), list[str]()
+    remarks, refused = list[str](), list[str]()
     with tempfile.TemporaryDirectory() as folder:
         for run in range(runs):
             progress(f'run {run + 1} of {runs}', run / runs)
@@ -145,17 +188,32 @@ def rehearse(
             truth = drawn(values, run)
             simulate_recording(truth, {**(motion or USUAL_MOTION), 'seed': run}, bag)
             described = info(bag)
-            checks.update(check_sentence(each) for each in described.checks if not each.passed)
+            remarks.extend(check_sentence(each) for each in described.checks if not each.passed)
             try:
                 result = identify({**settings, **described.settings, 'bags': (str(bag),)})
             except BellowsError as error:
                 refused.append(str(error).replace(str(bag), bag.name))
                 continue
             found.append((truth, result))
-            checks.update(text.replace(str(bag), 'the recording') for text in dict.fromkeys(
-                (*result.refusals, *result.warnings)))
+            remarks.extend(text.replace(str(bag), 'the recording') for text in _remarks(result))
     progress('done', 1.0)
-    return Rehearsal(runs, _numbers(found), dict(checks.most_common()), tuple(refused))
+    return Rehearsal(runs, _numbers(found), counted(remarks), tuple(refused))
+
+
+def _remarks(result: Identification) -> dict[str, None]:
+    """Return the refusals and warnings on the recording and the fit, each once."""
+    misfit = (result.fit.misfit,) if result.fit.misfit else ()
+    return dict.fromkeys((
+        *result.refusals, *result.fit.warnings, *misfit, *result.excitation.warnings,
+        *(text for part in result.parts for text in part.report['warnings'])))
+
+
+def counted(texts: Iterable[str]) -> dict[str, int]:
+    """Count sentences that differ in numbers alone; the first stands for all, frequent first."""
+    first, counts = dict[str, str](), Counter[str]()
+    for text in texts:
+        counts[first.setdefault(NUMBERS.sub('#', text), text)] += 1
+    return dict(counts.most_common())
 
 
 def drawn(values: Values, seed: int) -> Values:
@@ -178,10 +236,11 @@ def _numbers(found: list[tuple[Values, Identification]]) -> tuple[Number, ...]:
     fits, std, truths = (np.array(part) for part in zip(*[
         (fit.parameters, np.sqrt(np.diag(fit.covariance)), _truth(structure, truth))
         for truth, fit in alike], strict=True))
-    inside = np.sum(np.abs(fits - truths) <= SIGMAS * std, axis=0)
+    known = np.isfinite(std)
+    inside = np.sum(known & (np.abs(fits - truths) <= SIGMAS * std), axis=0)
     return tuple(
         Number(label, unit, float(np.median(truths[:, k])), float(np.median(std[:, k])),
-               int(inside[k]), len(alike))
+               int(inside[k]), int(np.sum(known[:, k])))
         for k, (label, unit) in enumerate(zip(
             structure.labels, parameter_units(structure), strict=True)))
 

@@ -184,6 +184,7 @@ RESULTS = (
     *(f'plot {what} bags/validation --params bags/tossing.yaml --out {{folder}}/{what}.svg'
       for what in ('motion', 'spectra', 'deflection', 'margin', 'prediction')),
     'rehearse --params bags/cup.yaml --runs 1 --set fit.method=least_squares',
+    'warm-up',
     'play bags/static --rate 50',
     'convert bags/validation --topic /package/pose --out {folder}/package.tum',
     'export bags/cup.yaml --to c --out {folder}/cup.h',

@@ -71,7 +71,7 @@ def test_results_are_documented_with_their_units(root):
     commands = (root / 'docs' / 'reference' / 'commands.md').read_text()
     verbs = {f'## {part.split()[0]}' for part in commands.split('\n## bellows ')[1:]
              if '--json FILE' in part}
-    assert verbs == set(re.findall(r'^## \w+$', page, re.M))
+    assert verbs == set(re.findall(r'^## [\w-]+$', page, re.M))
     settings = read_parameters(root / 'bags' / 'tossing.yaml')
     found = plain(plan(root / 'bags' / 'transport.yaml', settings, seek_fastest=True))
     rows = set(reference.result_rows(found, ''))
