@@ -83,7 +83,8 @@ setup(
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: [
         'py.typed', '**/*.toml', '**/*.pyi', 'files/bellows_cup.h', 'files/cup.mjcf',
-        'files/cup.sdf', 'files/motion.script', 'report/page.html', 'report/style.css']},
+        'files/cup.sdf', 'files/motion.script', 'files/parameters.schema.json',
+        'report/page.html', 'report/style.css']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
     install_requires=[
