@@ -96,7 +96,8 @@ setup(
         (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
         (f'share/{PACKAGE}/security', ['security/policies.xml']),
         (f'share/{PACKAGE}/config', sorted(
-            glob('config/*.yaml') + glob('config/*.rviz') + glob('config/*.json'))),
+            glob('config/*.yaml') + glob('config/*.rviz') + glob('config/*.json')
+            + glob('config/*.xml'))),
     ],
     entry_points={
         'console_scripts': [
