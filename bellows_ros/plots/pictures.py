@@ -603,7 +603,8 @@ def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
         for panel in (side, above):
             panel.set_aspect('equal', adjustable='datalim')
         figure.legend(*above.get_legend_handles_labels(), loc='upper right',
-                      bbox_to_anchor=(0.99, 0.985), ncols=3, fontsize=8.5)
+                      bbox_to_anchor=(0.99, 0.985), ncols=4, fontsize=8,
+                      columnspacing=0.8, handlelength=1.1, handletextpad=0.5)
     return figure
 
 
@@ -626,7 +627,7 @@ def _draw_landing(above: Any, close: Any, result: toss.TossResult, colours: styl
         if result.aim is not None:
             panel.plot(*(scale * (result.aim.target - origin)), '+', color=colours.text,
                        markersize=12, label='target')
-    close.set_title('landing from above (scales differ)', fontsize=10)
+    close.set_title('landing from above\n(scales differ)', fontsize=9)
     close.set_xlabel('x from the prediction (mm)')
     close.set_ylabel('y from the prediction (mm)')
 

@@ -45,13 +45,14 @@ def found(theme: Theme) -> Any:
     with drawing(theme) as figures:
         figure = figures.Figure(figsize=(7.6, 5.4), layout='constrained')
         panels = figure.subplots(2, 4, sharex=True)
-        for order, colour in zip(ORDERS[1:], _colours(theme)[1:], strict=True):
+        for order, colour, line in zip(
+                ORDERS[1:], _colours(theme)[1:], ('o-', 's--'), strict=True):
             ratios = np.array([_ratios(n, order) for n in WINDOWS])
             for row in range(2):
                 for column, axis in enumerate(picks):
                     panels[row, column].plot(
-                        1e3 * np.array(WINDOWS) / RATE_HZ, ratios[:, row, axis], 'o-',
-                        color=colour, markersize=3.5, label=f'order {order}')
+                        1e3 * np.array(WINDOWS) / RATE_HZ, ratios[:, row, axis], line,
+                        color=colour, markersize=3.5, markerfacecolor='none', label=f'order {order}')
         for row, (quantity, span) in enumerate((('stiffness', 0.03), ('damping', 0.25))):
             for column, name in enumerate(names):
                 panel = panels[row, column]
@@ -71,7 +72,7 @@ def _ratios(half_window: int, order: int) -> Any:
     """Return the diagonals of K and P (2, 6) found with a filter, over the true ones."""
     truth = read_parameters(ROOT / 'bags' / 'cup.yaml')
     settings = {**read_parameters(ROOT / 'bags' / 'package.yaml'),
-
+                'fit.method': 'least_squares',
                 'bags': [str(ROOT / 'bags' / 'identification')],
                 'filter.tool.half_window': round(half_window * 500.0 / RATE_HZ),
                 'filter.package.half_window': half_window,

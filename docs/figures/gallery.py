@@ -79,6 +79,7 @@ def filmed(path: Path, theme: str) -> None:
 
 
 FILES = {
+    'prediction.png': plotted('prediction', 'bags/validation'),
     'deflection.png': plotted('deflection', 'bags/identification'),
     'replay.gif': plotted('animation', 'bags/validation', '--from', '3', '--to', '4'),
     'steer.gif': filmed,
