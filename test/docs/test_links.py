@@ -99,3 +99,12 @@ def test_guides_name_every_command(root):
     docs = root / 'docs'
     text = ''.join(page.read_text() for page in [root / 'README.md', *docs.glob('*.md')])
     assert [name for name in COMMANDS if f'bellows {name}' not in text] == []
+
+
+def test_links_of_the_first_page_are_called_as_the_sidebar_calls_the_pages(root):
+    """Compare the text of each link with the title of the page that it leads to."""
+    docs = root / 'docs'
+    links = re.findall(r'\[([^\]]+)\]\((\w+\.md)\)', (docs / 'index.md').read_text())
+    titles = {name: (docs / name).read_text().partition('\n')[0][2:] for _, name in links}
+    assert len(titles) > 20
+    assert [pair for pair in links if pair[0].lower() != titles[pair[1]].lower()] == []
