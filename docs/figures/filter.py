@@ -52,7 +52,8 @@ def found(theme: Theme) -> Any:
                 for column, axis in enumerate(picks):
                     panels[row, column].plot(
                         1e3 * np.array(WINDOWS) / RATE_HZ, ratios[:, row, axis], line,
-                        color=colour, markersize=3.5, markerfacecolor='none', label=f'order {order}')
+                        color=colour, markersize=3.5, markerfacecolor='none',
+                        label=f'order {order}')
         for row, (quantity, span) in enumerate((('stiffness', 0.03), ('damping', 0.25))):
             for column, name in enumerate(names):
                 panel = panels[row, column]
