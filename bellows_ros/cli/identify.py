@@ -87,7 +87,7 @@ def _release(
 
 
 def print_result(result: 'Identification | ReleaseResult', console: Console) -> None:
-    """Print the cup, or the law of the valve."""
+    """Print the cup, or with --release the law of the valve."""
     if isinstance(result, Identification):
         print_identification(result, console)
         console.line()

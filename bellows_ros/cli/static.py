@@ -17,8 +17,11 @@ from bellows_ros.workflows.static import StaticBag, StaticResult
 from . import options
 from .console import Console
 
-MILLIMETRES, DEGREES = (*display_unit('m'), 'position'), (*display_unit('rad'), 'rotation')
-"""Factor from SI and name of a unit, and the standard error of a standstill in it."""
+MILLIMETRES = (*display_unit('m'), 'position')
+"""Factor from m and name of its unit, and the standard error of a position at rest."""
+
+DEGREES = (*display_unit('rad'), 'rotation')
+"""Factor from rad and name of its unit, and the standard error of a rotation at rest."""
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:

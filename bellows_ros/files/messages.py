@@ -234,8 +234,8 @@ def same_layout(
     """
     Return messages that agree in everything but the stamp and the doubles.
 
-    They agree in size, head and the bytes of their strings. Each group has the strings, and
-    indices of its messages; messages with damaged strings are omitted.
+    Messages of a group agree in size, head and the bytes of their strings. Each group has the
+    strings and the indices of the messages; messages with damaged strings are omitted.
     """
     groups: dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]] = {}
     if messages and len(set(map(len, messages))) == 1:

@@ -271,8 +271,11 @@ def _brief(value: object) -> str:
     return f'{"diagonal " * (step > 1)}[{", ".join(texts)}]'
 
 
-LOG_DELAY, LOG_INTERVAL = 5.0, 30.0
-"""Duration of a fault before it is logged, and before it is logged again, s."""
+LOG_DELAY = 5.0
+"""Duration of a fault before it is logged, s."""
+
+LOG_INTERVAL = 30.0
+"""Time before a fault is logged again, s."""
 
 
 class Diagnostics:

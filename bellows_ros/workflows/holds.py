@@ -28,7 +28,7 @@ def signals_of(bag: File, values: Values) -> list[Signal]:
     """
     Return the recorded vacuum and valve, in order; empty if vacuum.signal is none.
 
-    Their topics may be in any namespace. A stamp is taken from the header, if messages have one.
+    Topics may be in any namespace. A stamp is taken from the header, if messages have one.
 
     Raises
     ------

@@ -49,8 +49,11 @@ Poses = Mapping[str, PoseStream]
 MAX_LENGTH_STD = 0.02
 """Largest standard error of a cup's length by standstills that a fit takes, m."""
 
-FIT_BEGINS, FIT_ENDS = 0.2, 0.9
-"""Fractions of the work at which the fit begins and ends, for the progress display."""
+FIT_BEGINS = 0.2
+"""Fraction of the work at which the fit begins, for the progress display."""
+
+FIT_ENDS = 0.9
+"""Fraction of the work at which the fit ends, for the progress display."""
 
 CAUSE_TESTS = 'testing possible causes'
 """Name of the diagnosis in the progress display."""

@@ -41,18 +41,26 @@ from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import fact_sentences, remark_sentences, within_interval
 import numpy as np
 
-MIN_HOLD, MIN_TILT = 4.0, 0.1
-"""Shortest hold (s) in which creep of rubber is observable, and its smallest tilt (rad)."""
+MIN_HOLD = 4.0
+"""Shortest hold in which creep of rubber is observable, s."""
 
-IMPLAUSIBLE_DISTANCE, MAX_CHANGE = (0.3, 10.0), 0.05
-"""Range of implausible distances from tool to package (m), if they also change by more than a
-limit (m)."""
+MIN_TILT = 0.1
+"""Smallest tilt of a hold in which creep of rubber is observable, rad."""
+
+IMPLAUSIBLE_DISTANCE = (0.3, 10.0)
+"""Range of implausible distances from tool to package, m."""
+
+MAX_CHANGE = 0.05
+"""Largest change of a plausible distance from tool to package, m."""
 
 MAX_FRAMES = 20
 """Largest number of frames of transforms that are named."""
 
-HOLD_STEP, STILL_SPEED = 0.25, (0.01, 0.04)
-"""Time between the compared poses (s), and largest speeds of a standstill (m/s, rad/s)."""
+HOLD_STEP = 0.25
+"""Time between the compared poses of a hold, s."""
+
+STILL_SPEED = (0.01, 0.04)
+"""Largest speeds of a standstill, m/s and rad/s."""
 
 TOOL_WORDS = frozenset('tool tcp ee eef effector flange arm robot gripper tip'.split())
 PACKAGE_WORDS = frozenset(

@@ -39,8 +39,11 @@ TAIL_SHOWN = 1.5
 STANDSTILL_STEP = 0.005
 """Spacing of the points after the end, s."""
 
-START_WINDOW, MIN_START_POSES = 0.2, 8
-"""Duration of the fit of the initial twist in a recording (s), and smallest number of poses."""
+START_WINDOW = 0.2
+"""Duration of the fit of the initial twist in a recording, s."""
+
+MIN_START_POSES = 8
+"""Smallest number of poses for the initial twist."""
 
 START_DEVIATIONS = 3.0
 """Largest fitted twist of a tool at rest, standard errors; false-alarm rate 0.3 %."""

@@ -30,24 +30,38 @@ clock, and the plan begins with the tool."""
 MAX_DEVIATION = 0.05
 """Largest distance of a tool that follows the plan, m."""
 
-POSE_STD, TWIST_STD = 5e-5, 0.005
-"""Standard deviations of the tool's pose (m) and twist (m/s) from the driven plan."""
+POSE_STD = 5e-5
+"""Standard deviation of the tool's pose from the driven plan, m and rad."""
+
+TWIST_STD = 0.005
+"""Standard deviation of the tool's twist from the driven plan, m/s and rad/s."""
 START_STD = 0.5
 """Standard deviation of a driver's rate before its first motion, relative to the plan."""
 GATE = 4.0
 """Squared innovation relative to its variance above which the driver has changed its rate, or the
 tool is elsewhere on the plan: two standard deviations."""
-PAUSE_RATE, MAX_RATE = 0.1, 2.0
-"""Rate below which a driver pauses, and highest rate, relative to the plan."""
+PAUSE_RATE = 0.1
+"""Rate relative to the plan below which a driver pauses."""
 
-SEARCH_TIME, SEARCH_STEP, MAX_SEARCH_STEPS = 0.1, 2.5e-3, 400
-"""Smallest range of a search to both sides (s of the plan), its step (s), and largest number of
-steps."""
+MAX_RATE = 2.0
+"""Highest rate of a driver relative to the plan."""
+
+SEARCH_TIME = 0.1
+"""Smallest range of a search to each side, s of the plan."""
+
+SEARCH_STEP = 2.5e-3
+"""Step of a search, s of the plan."""
+
+MAX_SEARCH_STEPS = 400
+"""Largest number of steps of a search."""
 ITERATIONS = 4
 """Number of linearisations of the plan about the corrected progress."""
 
-JOIN_SPEED, MAX_JOIN_TIME = 0.05, 0.1
-"""Speed of the tool's return to the plan (m/s), and its longest duration (s)."""
+JOIN_SPEED = 0.05
+"""Speed of the tool's return to the plan, m/s."""
+
+MAX_JOIN_TIME = 0.1
+"""Longest duration of the tool's return to the plan, s."""
 SPACING = 0.01
 """Shortest time between points of the remaining plan, s."""
 
@@ -124,8 +138,8 @@ def corrected(
     """
     Return the time (s) corrected by the tool's pose, and its prior variance, s^2.
 
-    A tool too far along the plan for its variance has changed its rate: the prior variance is
-    increased accordingly.
+    If the tool is further along the plan than the variance allows, the driver has changed its
+    rate: the prior variance is increased by the square of the shift in time.
     """
     at = t
     for i in range(ITERATIONS):

@@ -32,15 +32,23 @@ JUMP_RUN = 5
 """Number of consecutive poses, near to each other but far from the last accepted one, that are a
 new place."""
 
-SHIFT_TOLERANCE, ROTATION_TOLERANCE = 0.05, 0.3
-"""Tolerance of a pose about the reach of an arm's motion, m and rad."""
+SHIFT_TOLERANCE = 0.05
+"""Tolerance of a position about the reach of an arm's motion, m."""
 
-MAX_ACCELERATION, JUMP_TOLERANCE = (100.0, 1000.0), (0.02, 0.2)
-"""Acceleration of an arm (m/s^2, rad/s^2), and additional tolerance of a pose (m, rad)."""
+ROTATION_TOLERANCE = 0.3
+"""Tolerance of a rotation about the reach of an arm's motion, rad."""
 
-SUSPECT_ACCELERATION, SUSPECT_TOLERANCE = (40.0, 400.0), (0.015, 0.15)
-"""Suspicious acceleration of an arm (m/s^2, rad/s^2), and additional tolerance of a pose (m,
-rad)."""
+MAX_ACCELERATION = (100.0, 1000.0)
+"""Largest acceleration of an arm, m/s^2 and rad/s^2."""
+
+JUMP_TOLERANCE = (0.02, 0.2)
+"""Tolerance of a pose in addition to the largest acceleration, m and rad."""
+
+SUSPECT_ACCELERATION = (40.0, 400.0)
+"""Suspicious acceleration of an arm, m/s^2 and rad/s^2."""
+
+SUSPECT_TOLERANCE = (0.015, 0.15)
+"""Tolerance of a pose in addition to the suspicious acceleration, m and rad."""
 
 SUSPICION_AFTER_JUMPS = 0.2
 """Fraction of the suspicious limit at which doubt begins after rejected poses."""
@@ -48,8 +56,11 @@ SUSPICION_AFTER_JUMPS = 0.2
 JITTER = 0.025
 """Largest error of stamps, s; stamps of arrival come in bursts."""
 
-MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
-"""Deceleration to a stop within one sample (m/s^2, rad/s^2), and its noise (m, rad)."""
+MAX_DECELERATION = (30.0, 300.0)
+"""Largest deceleration of an arm to a stop within one sample, m/s^2 and rad/s^2."""
+
+STOP_TOLERANCE = (3e-4, 1.5e-3)
+"""Noise of a pose at a stop, m and rad."""
 
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""

@@ -273,11 +273,17 @@ LAG_RANGE = 1e-3, 2e-2
 LAG_DEVIATIONS = 5.0
 """Smallest significant lag, standard deviations."""
 
-MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
-"""Largest jerk of an arm (m/s^3), and additional tolerance of a position (m)."""
+MAX_JERK = 5e3
+"""Largest jerk of an arm, m/s^3."""
 
-MAX_ANGULAR_JERK, ANGLE_TOLERANCE = 5e4, 0.15
-"""Largest angular jerk of an arm (rad/s^3), and additional tolerance of a rotation (rad)."""
+SHIFT_TOLERANCE = 0.015
+"""Tolerance of a position in addition to the largest jerk, m."""
+
+MAX_ANGULAR_JERK = 5e4
+"""Largest angular jerk of an arm, rad/s^3."""
+
+ANGLE_TOLERANCE = 0.15
+"""Tolerance of a rotation in addition to the largest angular jerk, rad."""
 
 
 @entry

@@ -31,9 +31,14 @@ THESIS_LENGTH = 0.0481
 """Length l0 of the cup in chapter 3 of the thesis, m; diagonals of K (4.78), N/m and N m/rad, and
 of P (4.79), N s/m and N m s/rad."""
 
-MAX_CUPS, REACH, CLEARANCE = 32, 2.0, 5e-3
-"""Largest number of cups; largest distance of a cup from E and smallest distance of two cups,
-m."""
+MAX_CUPS = 32
+"""Largest number of cups."""
+
+REACH = 2.0
+"""Largest distance of a cup from E, m."""
+
+CLEARANCE = 5e-3
+"""Smallest distance of two cups, m."""
 
 UPPER = np.triu_indices(6)
 SINGLE = np.zeros((1, 4))
@@ -447,8 +452,11 @@ MAX_MASS = 50.0
 GYRATION = (0.01, 0.3, 1.0)
 """Radii of gyration of packages: smallest, largest usual and largest plausible, m."""
 
-SOFT, MAX_PLAUSIBLE_LENGTH = 30.0, 0.3
-"""Smallest plausible stiffness in translation, N/m, and largest plausible length of a cup, m."""
+SOFT = 30.0
+"""Smallest plausible stiffness in translation, N/m."""
+
+MAX_PLAUSIBLE_LENGTH = 0.3
+"""Largest plausible length of a cup, m."""
 
 LEVER = (1e-3, 0.5)
 """Plausible lever arms at which a cup's translational stiffness is its rotational one, m."""

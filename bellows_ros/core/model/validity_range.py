@@ -35,8 +35,11 @@ OVERTURN_ANGLE = 1.5
 MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
 """Smallest width of a validity range, above the noise (m, rad; m/s, rad/s)."""
 
-MIN_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
-"""Smallest upper end of a frequency band (Hz), and ratio by which a frequency exceeds a band."""
+MIN_FREQUENCY = 1.0
+"""Smallest upper end of a frequency band, Hz."""
+
+FREQUENCY_MARGIN = 1.25
+"""Ratio of a frequency to the end of a band, above which the frequency is outside."""
 
 DOWN, UP = (Context(prec=6, rounding=mode) for mode in (ROUND_FLOOR, ROUND_CEILING))
 ROUNDING_MODES = {

@@ -455,7 +455,7 @@ class Settings:
             name, f"Setting '{self.name(name)}' must be {expected}, got {shown(repr(got), 60)}.")
 
     def error(self, name: str, message: str) -> BellowsError:
-        """Return an error on a setting; its message begins with file and line."""
+        """Return an error on a setting, with file and line before the message."""
         return BellowsError(self._where(tuple(self.name(name).split('.'))) + message)
 
     def _get(self, name: str, default: object, kind: Kind, **constraint: Any) -> Any:

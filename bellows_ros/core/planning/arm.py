@@ -15,11 +15,16 @@ import numpy as np
 MAX_URDF_SIZE = 10_000_000
 """Largest number of characters in a URDF."""
 
-POSE_TOLERANCE, MAX_ITERATIONS = 1e-9, 30
-"""Largest error of the tool pose by inverse kinematics (m, rad), and largest number of
-iterations."""
-MAX_JOINT_STEP, MIN_RATIO = 0.5, 1e-4
-"""Longest step (rad, m), and smallest used ratio of a singular value to the largest."""
+POSE_TOLERANCE = 1e-9
+"""Largest error of the tool pose by inverse kinematics, m and rad."""
+
+MAX_ITERATIONS = 30
+"""Largest number of iterations of the inverse kinematics."""
+MAX_JOINT_STEP = 0.5
+"""Longest step of the joints in an iteration, rad or m."""
+
+MIN_RATIO = 1e-4
+"""Smallest used ratio of a singular value to the largest."""
 
 TURNING = 'revolute', 'continuous'
 

@@ -25,8 +25,14 @@ RATES = {
     'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3'}
 """Limited quantities and their units."""
 
-MAX_STRETCH, MIN_STRETCH, STRETCH_RESOLUTION = 20.0, 1.02, 1.001
-"""Largest factor on time, smallest relative step of the search, and its resolution."""
+MAX_STRETCH = 20.0
+"""Largest factor on the time of a plan."""
+
+MIN_STRETCH = 1.02
+"""Smallest relative step of the search for the factor on the time."""
+
+STRETCH_RESOLUTION = 1.001
+"""Resolution of the factor on the time, as a ratio."""
 STEEPNESS = 4
 """Largest additional power of the time in the decrease of demands on the tool, relative to a rigid
 package: the inverse has two more derivatives of the package's motion, and smooths it."""
@@ -146,8 +152,11 @@ def stretched(
     return scale, reason
 
 
-MAX_TIME_SCALE, MIN_TIME_SCALE = 10.0, 0.02
-"""Range of the search over time scales."""
+MAX_TIME_SCALE = 10.0
+"""Largest time scale of the search."""
+
+MIN_TIME_SCALE = 0.02
+"""Smallest time scale of the search."""
 
 SCAN_STEP = 0.006
 """Relative spacing of the time scales in the scan."""

@@ -25,8 +25,11 @@ import numpy as np
 
 SETTLED_ANGLE = math.radians(0.5)
 """Largest rotation from rest of a settled package, rad."""
-SETTLING_TIME, MAX_TAIL = 2.0, 30.0
-"""Duration of a settled state, and longest wait for it after the end, s."""
+SETTLING_TIME = 2.0
+"""Duration of a settled state, s."""
+
+MAX_TAIL = 30.0
+"""Longest wait for a settled state after the end of a plan, s."""
 
 COARSE_STEP_FACTOR = 3.0
 """Ratio of coarse and normal integration steps; accurate to 1e-4."""
@@ -206,7 +209,7 @@ class PlanSimulation:
                               self._grip, self._tail > 0.0)
 
     def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
-        """Fill in the arrays along the plan; return whether all loads were below the ceiling."""
+        """Store states and loads along the plan; return whether all loads are below the ceiling."""
         n, no_sample = len(self._rows), np.full((len(PEAKS), 4), math.inf)
         self._samples = np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2))
         self._extremes = (np.zeros((len(PEAKS), 3)), no_sample,

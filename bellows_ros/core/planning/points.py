@@ -20,8 +20,11 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 import scipy  # whose parts are loaded as they are used: the predictor starts without
 
-MAX_POINTS, MAX_TIME = 100_000, 600.0
-"""Largest number of points of a plan, and its longest duration (s)."""
+MAX_POINTS = 100_000
+"""Largest number of points of a plan."""
+
+MAX_TIME = 600.0
+"""Longest duration of a plan, s."""
 
 MAX_PLAN_NUMBER = 1e9
 """Bound of the numbers of a plan, against overflows of its polynomials, SI units."""

@@ -34,9 +34,14 @@ METHODS = ('inverse', 'zv', 'zvd')
 GRID = 0.001
 """Spacing of the resulting motion, s."""
 
-SPACING, SNAP_TOLERANCE, RELATIVE_SNAP_TOLERANCE = 0.005, 100.0, 0.1
-"""Spacing of evaluations of the fourth derivative, s; its largest continuous change, m/s^4, and
-relative to its size."""
+SPACING = 0.005
+"""Spacing of evaluations of the fourth derivative, s."""
+
+SNAP_TOLERANCE = 100.0
+"""Largest change of a continuous fourth derivative between evaluations, m/s^4."""
+
+RELATIVE_SNAP_TOLERANCE = 0.1
+"""Largest change of a continuous fourth derivative relative to its size."""
 SUBDIVISION = 5
 """Ratio of the spacings of a motion and of its points for smoothing."""
 

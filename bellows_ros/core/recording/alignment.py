@@ -313,9 +313,11 @@ def levelling(direction: ArrayLike) -> Array:
     return np.asarray(lie.exp_so3(axis / sine * np.arctan2(sine, cosine)))
 
 
-ROTATION_RATE_HZ, ROTATION_SAMPLES = 50.0, 15
-"""Rate at which rotations of the bodies are compared (Hz), and number of samples of each
-rotation."""
+ROTATION_RATE_HZ = 50.0
+"""Rate at which rotations of the bodies are compared, Hz."""
+
+ROTATION_SAMPLES = 15
+"""Number of samples of each compared rotation."""
 
 MIN_CORRELATION = 0.3
 """Smallest correlation of the rotations of two aligned clocks; other recordings have less than

@@ -49,8 +49,11 @@ MAX_EXCURSION = 2.0
 MIN_EXCURSION_SAMPLES = 15
 """Number of samples that an excursion may have irrespective of the rate."""
 
-LONG_GAP, LONG_GAP_SAMPLES = 0.05, 5
-"""Longest gap over which a jump is estimated, s and samples."""
+LONG_GAP = 0.05
+"""Longest gap over which a jump is estimated, s."""
+
+LONG_GAP_SAMPLES = 5
+"""Longest gap over which a jump is estimated, samples."""
 
 MIN_RUN = 3
 """Smallest number of consecutive good samples; shorter runs are marked."""
@@ -61,9 +64,11 @@ SIDE_SAMPLES = 6
 SIDES = slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)
 """Samples before and after a jump."""
 
-ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
-"""Smallest step of a moving body, as a multiple of the smallest nonzero step, which is rounding,
-and in m or rad."""
+ROUNDING_FACTOR = 4.0
+"""Smallest step of a moving body over the smallest nonzero step, which is rounding."""
+
+MIN_STEP = 1e-9
+"""Smallest step of a moving body, m or rad."""
 
 
 class LastingStep(NamedTuple):

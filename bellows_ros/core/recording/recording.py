@@ -35,8 +35,11 @@ from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, shown, UndeterminedError
 import numpy as np
 
-HALF_WINDOW, ORDER = 4, 4
-"""Half window and order of a polynomial that follows the motion of a package up to noise."""
+HALF_WINDOW = 4
+"""Half window of a polynomial that follows the motion of a package up to noise, samples."""
+
+ORDER = 4
+"""Order of a polynomial that follows the motion of a package up to noise."""
 
 NOISE_SAMPLES = 20_000
 """Number of windows or samples that determine the noise to 1 %; slightly more are used."""
@@ -58,13 +61,17 @@ PLACES = 8
 LOW_RATE_HZ = 100.0
 """Rate of poses below which polynomials do not follow the motion on a cup, Hz."""
 
-REST_PART, MIN_SAMPLES_AT_REST = 0.9, 10
-"""Fraction of a standstill whose poses count as at rest, and smallest number of poses for their
-noise."""
+REST_PART = 0.9
+"""Fraction of a standstill whose poses count as at rest."""
 
-MIN_STILL, MIN_CORRELATION = 100, 0.2
-"""Smallest number of poses of a body at rest, and smallest correlation of neighbours that counts
-as memory of the noise."""
+MIN_SAMPLES_AT_REST = 10
+"""Smallest number of poses at rest for their noise."""
+
+MIN_STILL = 100
+"""Smallest number of poses of a body at rest for the memory of the noise."""
+
+MIN_CORRELATION = 0.2
+"""Smallest correlation of neighbours that counts as memory of the noise."""
 
 
 class Noise(NamedTuple):

@@ -32,8 +32,11 @@ CREEP_CHI2, MAX_SPREAD = 45.0, 8.0
 """Smallest chi^2 of significant creep with 6 degrees of freedom (false-alarm rate 5e-8), and
 largest ratio of the standard errors of the rest pose and the mean pose."""
 
-BLOCK_SECONDS, MIN_BLOCK_SAMPLES = 0.1, 3
-"""Duration (s) of the blocks, shorter than a period of swing, and smallest number of samples."""
+BLOCK_SECONDS = 0.1
+"""Duration of a block, shorter than a period of swing, s."""
+
+MIN_BLOCK_SAMPLES = 3
+"""Smallest number of samples of a block."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,9 +32,11 @@ MAD_TO_STD = 1.4826
 MAX_RELATIVE_JITTER = 0.1
 """Jitter above which a warning is given, as a fraction of the period."""
 
-MIN_CLOCK_STEP, CLOCK_WINDOW = 0.02, 1.0
-"""Smallest step of a clock that is found (s), beyond ordinary delays of messages; time before and
-after it that is compared (s), as long as ordinary stalls of a recorder."""
+MIN_CLOCK_STEP = 0.02
+"""Smallest step of a clock that is found, s: larger than ordinary delays of messages."""
+
+CLOCK_WINDOW = 1.0
+"""Time compared before and after a step, s: as long as ordinary stalls of a recorder."""
 
 MAX_CLOCK_STEPS = 20
 """Number of jumps of the delay that are examined, the largest ones."""
