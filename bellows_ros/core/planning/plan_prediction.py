@@ -209,7 +209,7 @@ class PlanSimulation:
                               self._grip, self._tail > 0.0)
 
     def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
-        """Store states and loads along the plan; return whether all loads are below the ceiling."""
+        """Store states and loads along the plan; return whether all are below the ceiling."""
         n, no_sample = len(self._rows), np.full((len(PEAKS), 4), math.inf)
         self._samples = np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2))
         self._extremes = (np.zeros((len(PEAKS), 3)), no_sample,
