@@ -4,6 +4,7 @@ from collections.abc import Callable
 from contextlib import chdir
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from bellows_ros import plan, read_parameters, steer
@@ -71,6 +72,15 @@ def plotted(*arguments: str) -> Callable[[Path, str], None]:
     return write
 
 
+def tutorial(path: Path, theme: str) -> None:
+    """Write the prediction of the second recording with the cup that the tutorial identifies."""
+    with chdir(ROOT), TemporaryDirectory() as folder:
+        cup, known = f'{folder}/cup.yaml', ('--params', 'bags/package.yaml')
+        assert bellows(['identify', 'bags/identification', *known, '--out', cup]) == 0
+        assert bellows(['plot', 'prediction', 'bags/validation', *known, '--params', cup,
+                        '--theme', theme, '--out', str(path)]) == 0
+
+
 def filmed(path: Path, theme: str) -> None:
     """Write the film of the transport as planned and as steered."""
     with chdir(ROOT):
@@ -79,7 +89,7 @@ def filmed(path: Path, theme: str) -> None:
 
 
 FILES = {
-    'prediction.png': plotted('prediction', 'bags/validation'),
+    'prediction.png': tutorial,
     'deflection.png': plotted('deflection', 'bags/identification'),
     'replay.gif': plotted('animation', 'bags/validation', '--from', '3', '--to', '4'),
     'steer.gif': filmed,
