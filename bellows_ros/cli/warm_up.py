@@ -21,10 +21,10 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     begun = time.monotonic()
     with console.progress as progress:
         warm_up.warm_up(warm_up.PARTS, ((0.0, 0.0), warm_up.RELAXING), progress)
-    found = {'folder': str(FOLDER), 'seconds': time.monotonic() - begun}
+    found = {'folder': str(FOLDER), 'duration_s': time.monotonic() - begun}
     return options.Outcome(found, content=found)
 
 
 def print_result(found: dict[str, Any], console: Console) -> None:
     """Print the folder, and the time."""
-    console.line(f'Compiled in {found["seconds"]:.0f} s, and stored in {found["folder"]}.')
+    console.line(f'Compiled in {found["duration_s"]:.0f} s, and stored in {found["folder"]}.')

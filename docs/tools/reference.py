@@ -191,6 +191,7 @@ RESULTS = (
     'convert bags/validation --topic /package/pose --out {folder}/package.tum',
     'export bags/cup.yaml --to c --out {folder}/cup.h',
     'parameters cup.length',
+    'warm-up',
     'compare {folder}/0_identify.json {folder}/0_identify.json',
 )
 """Commands that write every kind of result; the last needs what the first writes."""

@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 from tempfile import TemporaryFile
+import time
 import traceback
 from typing import Any, TypeVar, TypeVarTuple
 import warnings
@@ -31,6 +32,9 @@ COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 """Whether entries are compiled."""
 
 CORE = Path(__file__).parents[1]
+UNUSED = 86_400.0
+"""Age from which a folder of another state of the source is removed, s."""
+
 OPTIONS = {'error_model': 'numpy', 'nogil': True, 'no_cfunc_wrapper': True}
 
 Arrays = TypeVarTuple('Arrays')
@@ -38,7 +42,11 @@ Function = TypeVar('Function', bound=Callable[..., Any])
 
 
 def _folder_of_source() -> Path:
-    """Return the folder of this state of the source in the user's cache; remove older ones."""
+    """
+    Return the folder of this state of the source in the user's cache; remove unused older ones.
+
+    A folder of the last day stays: a process of another state of the source may use it.
+    """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(CORE.rglob('*.py')):
         digest.update(path.read_bytes())
@@ -46,8 +54,9 @@ def _folder_of_source() -> Path:
     caches = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'bellows_ros'
     folder = caches / f'{place}-{digest.hexdigest()[:16]}'
     for older in caches.glob(f'{place}-*'):
-        if older != folder:
-            shutil.rmtree(older, ignore_errors=True)
+        with suppress(OSError):
+            if older != folder and older.stat().st_mtime < time.time() - UNUSED:
+                shutil.rmtree(older)
     return folder.absolute()
 
 
@@ -62,6 +71,7 @@ def _use_folder() -> Path | None:
         folder = Path(os.environ.get('NUMBA_CACHE_DIR') or _folder_of_source())
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
+        os.utime(folder)
     except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
         warnings.warn(
             f'Compiled code cannot be stored ({error}): each start compiles again. Set '

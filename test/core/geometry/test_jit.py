@@ -6,6 +6,7 @@ from pathlib import Path
 import shutil
 import subprocess
 import sys
+import time
 
 from bellows_ros.core.geometry import jit
 from numpy.testing import assert_allclose
@@ -57,7 +58,7 @@ def test_interpreted_code_gives_the_same_numbers():
 
 
 @compiled
-def test_a_change_in_any_file_compiles_again_and_removes_what_was_stored(copy):
+def test_a_change_in_any_file_compiles_again_and_removes_what_is_unused_for_a_day(copy):
     cache = {'XDG_CACHE_HOME': str(copy / 'cache')}
     (first, hits, folder), err = run(MOVED, copy, **cache)
     assert hits == 0 and err == ''
@@ -68,6 +69,9 @@ def test_a_change_in_any_file_compiles_again_and_removes_what_was_stored(copy):
     tuples.write_text(text.replace(line, 'return (a[0] + 5 * b[0], a[1] + b[1], a[2] + b[2])'))
     (second, hits, other), _ = run(MOVED, copy, **cache)
     assert second != first and hits == 0
+    assert set((copy / 'cache/bellows_ros').iterdir()) == {Path(folder), Path(other)}
+    os.utime(folder, (0, time.time() - 90_000))
+    assert run(MOVED, copy, **cache) == ([second, 1, other], '')
     assert list((copy / 'cache/bellows_ros').iterdir()) == [Path(other)]
 
 

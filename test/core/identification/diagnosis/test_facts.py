@@ -11,7 +11,7 @@ from bellows_ros.core.identification.diagnosis.facts import Fact, facts_of
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.resampling import clock_steps
 from bellows_ros.core.signals.trajectory import PoseStream
-from bellows_ros.errors import UnexplainedError
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.recordings import load
 from benchmarks.offline import make_recording
@@ -268,5 +268,5 @@ def test_reported_faults_stop_a_fit_before_any_physical_cause(root, tmp_path, na
     if not make.exists():
         pytest.skip('no ../shared')
     subprocess.run([sys.executable, make, root, tmp_path, name], check=True)
-    with pytest.raises(UnexplainedError, match=said):
+    with pytest.raises(BellowsError, match=said):
         load(tmp_path / name, resolve(read_parameters(root / 'bags/package.yaml'), ()))
