@@ -23,7 +23,6 @@ import warnings
 
 numba: Any
 try:
-    import numba
     import numba.extending
 except ImportError:
     numba = None
@@ -47,9 +46,8 @@ def _folder_of_source() -> Path:
 
     A folder of the last day stays: a process of another state of the source may use it.
     """
-    digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(CORE.rglob('*.py')):
-        digest.update(path.read_bytes())
+    source = b''.join(path.read_bytes() for path in sorted(CORE.rglob('*.py')))
+    digest = hashlib.sha256(numba.__version__.encode() + source)
     place = hashlib.sha256(bytes(CORE)).hexdigest()[:8]
     caches = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'bellows_ros'
     folder = caches / f'{place}-{digest.hexdigest()[:16]}'
@@ -116,8 +114,7 @@ def damage(error: BaseException) -> str:
 
 ASIDE = """
 import ctypes, os, pickle, sys
-ctypes.CDLL(None).prctl(1, 15)
-os.nice(5)
+ctypes.CDLL(None).prctl(1, 15), os.nice(5)
 function, arguments = pickle.load(sys.stdin.buffer)
 function(*arguments)
 """
