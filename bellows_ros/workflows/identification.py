@@ -172,10 +172,19 @@ class Identification(CommandResult):
             own = ~np.array(self.recordings[0].settings.moves_with_com)
             values['cup.length'] += float(
                 free.get('package_marker', np.zeros(3))[2] - (own * self._com_change)[2])
-        errors = {
+        errors: dict[str, Any] = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
+        if np.isfinite(std := self._length_std):
+            errors['cup.length_std'] = min(std, 1.0)
         return {**values, **errors, **self.envelope.parameters()}
+
+    @property
+    def _length_std(self) -> float:
+        """Standard error of an estimated cup length, m; nan where the length was given."""
+        if 'cup.length' in self.found:
+            return float(self.found['cup.length'][1])
+        return self.static.length.total_std if self.static and self.static.length else np.nan
 
     def cell_parameters(self) -> dict[str, Any]:
         """Return the parameters of the cell file: the given cell and package, and estimates."""

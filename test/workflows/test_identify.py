@@ -203,6 +203,8 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path
     save(joined, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
     values = read_parameters(tmp_path / 'cup.yaml')
     assert values['cup.length'] == joined.cup_length
+    length = joined.static.length
+    assert values['cup.length_std'] == length.total_std > length.com_std > 0.0
     assert not any(name.startswith('static.') for name in values)
     content = read_result(tmp_path / 'fit.json')
     assert content['with_standstills']['standstills'] == 9
@@ -376,6 +378,7 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
     value, std = content['value'], content['std']
     assert abs(value - 0.046) < 4.0 * std < 4e-4 and content['units']['std'] == 'm'
     assert result.parameters()['cup.length'] == pytest.approx(result.cup_length, abs=1e-8)
+    assert result.parameters()['cup.length_std'] == pytest.approx(std)
     assert value == pytest.approx(result.cup_length, abs=1e-8)
     error = result.fit.stiffness[2, 2] - 9200.0
     assert abs(error) < 4.0 * result.fit.stiffness_std[2, 2] < 0.05 * 9200.0
