@@ -122,9 +122,8 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
         f'at {speed:.2f} m/s, the fastest release, that is {milli * fit.scatter[0] * speed:.1f} '
         'mm along the flight.',
         f'The law leaves {milli * fit.position:.2f} mm of the positions (rms); chi2 per pose: '
-        f'{fit.chi2:.3g} (1 if model and noise are right). {milli * fit.common:.2f} mm of it is '
-        f'alike in all drops of a mass, {fit.lack:.3g} times the mean square that their scatter '
-        'explains; the standard errors include it.')
+        f'{fit.chi2:.3g} (1 if model and noise are right). Standard errors come from the '
+        'scatter between drops, and between masses.')
     console.warn(*result.warnings)
 
 

@@ -338,8 +338,6 @@ class ReleaseResult(NamedTuple):
             'not_identifiable': [RELEASE_NAMES[k] for k in fit.not_identifiable],
             'scatter': {RELEASE_NAMES[k]: fit.scatter[k] for k in fit.free},
             'chi2': fit.chi2,
-            'lack_of_fit': fit.lack,
-            'in_common': fit.common,
             'drops': [{'bag': bag, **drop._asdict()}
                       for bag, drop in zip(self.used, fit.drops, strict=True)],
             'left_out': self.left_out,

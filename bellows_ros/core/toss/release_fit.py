@@ -2,13 +2,11 @@
 Identification of the law of release from drops and tosses of packages of one or more masses.
 
 The poses from before each valve until the package has fallen are compared with the law's
-prediction: the law's free numbers are common to all drops; each drop has its own instant, and its
+prediction: the law's free numbers are common to all drops; each drop has its own delay, and its
 own offset of the package on the lip at rest, or else its own initial state. The sum of squared
-residuals of positions, of velocities by local polynomials, and of rotations is minimised
-(Gauss-Newton with damping; the numbers of each drop are eliminated). Standard errors follow from
-the scatter between drops, by the gradient of each, and from the model error across masses: the
-errors by scatter are enlarged so that they match the deviations of the drops of each mass from a
-fit to the others.
+residuals of positions, of velocities by local polynomials, and of rotations is minimised by
+`scipy.optimize.least_squares`. The covariance is the sum of two, with drops and with masses as
+clusters: H^-1 (sum of g g^T) H^-1 with the gradients g of the clusters and the Hessian H.
 """
 
 from collections.abc import Sequence
@@ -23,16 +21,18 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step, moved_by
 from bellows_ros.core.model.grip import Grip, Law, NO_FLIGHT, NO_LAW, RELEASE_NAMES
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
-from bellows_ros.core.parameters.conversion import distance_of, EXTRAPOLATION
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.toss import release as tossing
 from bellows_ros.core.toss.landing import as_law
-from bellows_ros.core.toss.release import LAW_STEP, NO_GRIP
+from bellows_ros.core.toss.release import NO_GRIP
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
+from scipy import sparse
+from scipy.optimize import approx_fprime, least_squares
+from scipy.signal import savgol_filter
+from scipy.special import ndtri, stdtrit
 
 MIN_DROPS = 3
 """Smallest number of drops."""
@@ -51,25 +51,22 @@ MIN_NOISE = (1e-4, 5e-4)
 VELOCITY_SCALE = 40.0
 """Ratio of the standard deviations of velocities and positions, 1/s."""
 
-PRIOR_SCATTER = {0: 2.5e-3, 2: 0.01}
-"""Prior standard deviation between drops of the delay (s) and of the impulse (N s), by index."""
+DELAY_STD = 2.5e-3
+"""Prior standard deviation of the delay between drops, s."""
 
-STATE_STD = np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
-"""Prior standard deviations of the first state: pose and twist, m, rad, m/s and rad/s."""
+OFFSET_STD = (1e-3, 0.02)
+"""Prior standard deviations of the offset of a package at rest, m and rad."""
 
 MAX_RMS = 1e-3
 """Largest RMS residual of the positions with which a law explains drops, m."""
-MAX_CHI2 = 2.0
+MAX_CHI2 = 1.5
 """Largest chi^2 per pose with which a law explains drops within their noise."""
 
 LINEAR_TAU = 0.5
 """Time constant with which the suction falls linearly during a release, s."""
 
-MAX_COMMON_RESIDUAL = 4.0
-"""Largest ratio of the common residual of drops of one mass to their scatter."""
-
 MAX_SQUARES_RATIO = 0.8
-"""Largest ratio of chi^2 with and without a further number of the law that is kept."""
+"""Largest ratio of mean square residuals with and without an opening cup that is kept."""
 
 OPENING = (0, 3, 4, 5, 6, 7)
 """Indices of the free numbers of an opening cup: all but tau and impulse."""
@@ -82,19 +79,34 @@ MAX_RELATIVE_STD, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 
 """Largest relative standard error of an identifiable number, and default of a given one's standard
 deviation; and smallest scales of the numbers."""
 
-MAX_ITERATIONS = 20
-"""Largest number of Gauss-Newton steps of a fit."""
-
-MAX_NUISANCE = 30.0
-"""Largest nuisance parameter of a drop, prior standard deviations."""
+MAX_EVALUATIONS = 16
+"""Largest number of evaluations of a fit, for each free number of the law."""
 
 LAW_MIN = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
 LAW_MAX = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
 """Bounds of the numbers of a law; the lower bound of `opening` holds if the cup opens."""
 
 SCALES = np.array([1e-3, 1e-2, 1e-2, 1.0, 1.0, 1e-3, 1.0, 0.1])
-"""Scales of the law's numbers for the damping of Gauss-Newton steps; the steps of differences are
-1e-3 of them."""
+"""Units of the law's numbers in the fit."""
+
+MAX_OWN = 5.0
+"""Largest deviation of a drop's law from the common one, prior standard deviations."""
+
+OWN_STD = np.array([DELAY_STD, 0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+"""Prior standard deviations of the law's numbers between drops: of the delay and the impulse."""
+
+START_STD = np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
+"""Prior standard deviations of the first state: pose and twist, m, rad, m/s and rad/s."""
+
+COMMON, OWN_LAW, OWN_START = slice(8), slice(8, 16), slice(16, 28)
+"""The numbers of a drop (28,) in a fit: of the common law, in `SCALES`, and its own of the law and
+of the first state, in prior standard deviations."""
+
+EXACT_STEPS = {'regularize': False, 'atol': 1e-12, 'btol': 1e-12, 'conlim': 0.0, 'maxiter': 2000}
+"""Options of LSMR: the law's numbers are too correlated for inexact steps."""
+
+DIFFERENCE = 1e-3
+"""Step of the derivatives, in units of the numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,40 +147,67 @@ class Drop:
         return float(self.model[1][0])
 
     @cached_property
-    def _inputs(self) -> tuple[Array, Array, float, Array, Array]:
-        """
-        Inputs of the prediction: tool for the kernels, longest integration step, orientations.
-
-        Then the package's orientations, and the matrix from positions to velocities of local
-        polynomials.
-        """
-        seconds = self.tool.seconds
-        return (
-            tool_rows(self.tool), seconds, largest_step(self.model),
-            lie.rotation_to_quaternion(self.package.rotation),
-            _derivative(np.eye(len(seconds)), seconds, 1, 'constant'))
+    def _inputs(self) -> tuple[Array, Array, float, Array]:
+        """Tool for the kernels, times, longest integration step, the package's orientations."""
+        return (tool_rows(self.tool), self.tool.seconds, largest_step(self.model),
+                lie.rotation_to_quaternion(self.package.rotation))
 
     def predicted(self, law: Law, change: Array | None = None) -> tuple[float, Array]:
         """
         Return the time of release (s since the first stamp, -1 without), and states (N, 13).
 
-        The start may be changed (12,), in units of `STATE_STD`.
+        The start may be changed (12,), in units of `START_STD`.
         """
-        rows, seconds, max_step, *_ = self._inputs
+        rows, seconds, max_step, _ = self._inputs
         start = adapted(self.model, row_state(rows[0]), self.start)
         if change is not None:
-            start = moved_by(start, STATE_STD * change)
+            start = moved_by(start, START_STD * change)
         states = np.empty((len(seconds), 13))
         switching = self.model, self.grip, NO_FLIGHT._replace(law=law), self.valve
         released = tossing.write_toss(switching, start, rows, seconds, max_step, states)
         return float(released), states
 
-    def errors(self, states: Array) -> Array:
-        """Return measured minus predicted position (m), velocity (m/s), rotation (rad), (9, N)."""
-        position, (*_, orientation, slopes) = self.package.position - states[:, :3], self._inputs
-        rotation = lie.log_quaternion(lie.quaternion_product(
-            lie.quaternion_conjugate(states[:, 3:7]), orientation))
-        return np.hstack([position, slopes @ position, rotation]).T
+    @cached_property
+    def sizes(self) -> Array:
+        """Standard deviations in the fit of positions, velocities and rotations (9, 1)."""
+        position, rotation = np.maximum(self.noise, MIN_NOISE)
+        return np.repeat([position, VELOCITY_SCALE * position, rotation], 3)[:, None]
+
+    def explained_by(self, numbers: Array) -> tuple[float, Array, Array]:
+        """
+        Return the release (s), states (N, 13), and residuals (9, N) in m, m/s and rad.
+
+        The likeliest offset of a package at rest is subtracted.
+        """
+        released, states = self.predicted(
+            as_law(SCALES * numbers[COMMON] + OWN_STD * numbers[OWN_LAW]),
+            None if self.stands else numbers[OWN_START])
+        _, seconds, _, orientation = self._inputs
+        errors, n = np.zeros((9, len(seconds))), half_window(seconds)
+        position = self.package.position - states[:, :3]
+        errors[:3], errors[3:6, n:-n] = position.T, _derivative(position, seconds, 1).T
+        errors[6:] = lie.log_quaternion(lie.quaternion_product(
+            lie.quaternion_conjugate(states[:, 3:7]), orientation)).T
+        if self.stands:
+            for rows, std in zip((slice(3), slice(6, 9)), OFFSET_STD, strict=True):
+                gain = len(states) * (std / self.sizes[rows])**2
+                errors[rows] -= (1.0 - (1.0 + gain)**-0.5) * errors[rows].mean(1, keepdims=True)
+        return released, states, errors
+
+    def residuals(self, numbers: Array) -> Array:
+        """Return the whitened residuals of numbers (28,), and the own numbers."""
+        errors = self.explained_by(numbers)[2] / self.sizes
+        return np.concatenate([
+            np.nan_to_num(errors, nan=1e6).clip(-1e6, 1e6).ravel(), numbers[8:]])
+
+    def slopes(self, numbers: Array, places: Any) -> Array:
+        """Return the derivatives of the residuals by the numbers in some places."""
+        def changed(part: Array) -> Array:
+            trial = numbers.copy()
+            trial[places] = part
+            return self.residuals(trial)
+
+        return np.asarray(approx_fprime(numbers[places], changed, DIFFERENCE))
 
 
 class Explained(NamedTuple):
@@ -207,11 +246,6 @@ class ReleaseFit(NamedTuple):
         Standard deviations between drops; 0 for common numbers.
     drops : tuple of Explained
         Residuals in the order of the given drops.
-    lack : float
-        Ratio of the common mean square residual of drops of one mass to its expectation by
-        scatter.
-    common : float
-        RMS of the common residual of positions, m.
 
     """
 
@@ -220,8 +254,6 @@ class ReleaseFit(NamedTuple):
     covariance: Array
     scatter: Array
     drops: tuple[Explained, ...]
-    lack: float
-    common: float
 
     @property
     def std(self) -> Array:
@@ -247,9 +279,8 @@ class ReleaseFit(NamedTuple):
     def explains(self) -> bool:
         """Whether the law explains the drops."""
         latest = max(abs(drop.own_delay) for drop in self.drops)
-        return latest <= 5.0 * PRIOR_SCATTER[0] and (self.position <= MAX_RMS or (
-            self.chi2 <= MAX_CHI2
-            and (self.lack <= MAX_COMMON_RESIDUAL or self.common <= MAX_RMS)))
+        return latest < MAX_OWN * DELAY_STD and (
+            self.position <= MAX_RMS or self.chi2 <= MAX_CHI2)
 
 
 def release_parameters(fit: ReleaseFit) -> dict[str, Any]:
@@ -272,8 +303,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     """
     Return the smallest law that explains drops.
 
-    Laws are tried in this order: a cup that keeps its length, a cup that opens, a cup that opens
-    with tau.
+    Laws are tried in this order: a cup that keeps its length, a cup that opens.
 
     Parameters
     ----------
@@ -300,30 +330,19 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     closed[[0, 1]] = (max(fall - 0.02, 1e-3), 0.01) if has_grip else (fall, 0.0)
     closed[3:] = 0.0
     best = _fitted(subset, closed, (0, 1, 2) if has_grip else (0, 2))
-    if has_grip and best.std[1] > 0.5 * best.law[1]:
-        closed[1] = given[1]
-        best = _fitted(subset, closed, (0, 2))
-    if not best.explains or best.lack > MAX_COMMON_RESIDUAL:
-        openings = [_fitted(subset, start, OPENING) for start in _openings(subset, fall)]
-        opened = min(openings, key=_squares)
-        if not best.explains or _squares(opened) < MAX_SQUARES_RATIO * _squares(best):
-            best = opened
-    if best.free == OPENING:
-        shorter = np.array(best.law)
-        shorter[[1, 3]] = 0.15, max((1.0 + best.law[3]) * 0.15 / best.law[1] - 1.0, 0.0)
-        further = _fitted(subset, shorter, (1, *OPENING))
-        if _squares(further) < MAX_SQUARES_RATIO * _squares(best) and (
-                further.std[1] < MAX_RELATIVE_STD * further.law[1] or not best.explains):
-            best = further
+    opened = min((_fitted(subset, start, OPENING) for start in _openings(subset, fall)),
+                 key=lambda fit: fit.position)
+    if opened.position**2 < MAX_SQUARES_RATIO * best.position**2:
+        best = opened
     if len(subset) < len(drops):
         best = _fitted(drops, np.array(best.law), best.free)
     if best.explains:
-        return _calibrated(drops, _identifiable(drops, best, given, given_std))
+        return _identifiable(drops, best, given, given_std)
     raise UnexplainedError(
         f'No law of release explains the drops: it leaves {1e3 * best.position:.2g} mm of their '
-        f'positions (rms, chi2 per pose {best.chi2:.3g}), {1e3 * best.common:.2g} mm of it in all '
-        f'drops of a mass alike, with instants that scatter by {1e3 * best.scatter[0]:.2g} ms; '
-        f'expected less than {1e3 * MAX_RMS:g} mm, and {1e3 * PRIOR_SCATTER[0]:g} ms. The '
+        f'positions (rms, chi2 per pose {best.chi2:.3g}), with instants that scatter by '
+        f'{1e3 * best.scatter[0]:.2g} ms; '
+        f'expected less than {1e3 * MAX_RMS:g} mm, and {1e3 * DELAY_STD:g} ms. The '
         'likeliest cause is a wrong package.mass, cup.stiffness or cup.length, or a valve stamped '
         'by another clock; check the first with bellows static.')
 
@@ -356,12 +375,6 @@ def _identifiable(
                 'from half to twice this mass, or give the number.')
 
 
-def _squares(fit: ReleaseFit) -> float:
-    """Return the mean square residual of positions and scaled velocities, m^2."""
-    return float(np.mean([
-        drop.position**2 + (drop.velocity / VELOCITY_SCALE)**2 for drop in fit.drops]))
-
-
 def _fall(drop: Drop) -> float:
     """Return the time at which a package finally begins to fall, s since the first stamp."""
     position, seconds = drop.package.position, drop.package.seconds
@@ -373,12 +386,11 @@ def half_window(seconds: Array) -> int:
     return max(2, round(1.0 / 60.0 / float(np.median(np.diff(seconds)))))  # s
 
 
-def _derivative(values: Array, seconds: Array, order: int, ends: Any) -> Array:
-    """Return a derivative (N, M) of local polynomials; `ends` is the padding of `np.pad`."""
+def _derivative(values: Array, seconds: Array, order: int) -> Array:
+    """Return a derivative (N - 2 n, M) of local polynomials, without half windows at the ends."""
     n = half_window(seconds)
-    row = weights(n, ORDER, 1.0 / float(np.median(np.diff(seconds))))[order]
-    windows = np.lib.stride_tricks.sliding_window_view(values, 2 * n + 1, axis=0)
-    return np.pad(windows @ row, ((n, n), (0, 0)), ends)
+    return np.asarray(savgol_filter(
+        values, 2 * n + 1, ORDER, order, float(np.median(np.diff(seconds))), axis=0)[n:-n])
 
 
 def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[int, int]:
@@ -400,7 +412,8 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
     """
     n = half_window(seconds)
     if len(seconds) > 2 * n:
-        felt = np.linalg.norm(_derivative(position, seconds, 2, 'edge') - gravity, axis=1)
+        felt = np.pad(np.linalg.norm(
+            _derivative(position, seconds, 2) - gravity, axis=1), n, 'edge')
         impact = np.flatnonzero(felt > 80.0)  # m/s^2; an opening cup has 30
         free = felt[:max(impact[0] - n, 0) if len(impact) else None] < 3.0  # m/s^2
         edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0)).reshape(-1, 2)
@@ -425,237 +438,95 @@ def _openings(drops: Sequence[Drop], fall: float) -> list[Array]:
 def _fitted(
     drops: Sequence[Drop], start: Array, free: tuple[int, ...], fixed_std: Array | None = None
 ) -> ReleaseFit:
-    """Return the fit of some numbers of a law, from a start; others have `fixed_std` (8,)."""
-    problem = [_DropFit(drop, free) for drop in drops]
-    law, chosen = start.copy(), list(free)
-    damping, cost = 1e-2, math.inf
-    for _ in range(MAX_ITERATIONS):
-        H, gradients = _reduced(problem, law)
-        cost, lower = sum(one.cost for one in problem), math.inf
-        while lower >= cost and damping < 1e6:
-            step = np.linalg.solve(
-                H + damping * np.diag(np.diag(H) + 1e-12), gradients.sum(axis=0))
-            trial = law.copy()
-            trial[chosen] = np.clip(
-                law[chosen] + step * SCALES[chosen], LAW_MIN[chosen], LAW_MAX[chosen])
-            lower = sum(one.trial(trial, step) for one in problem)
-            damping *= 4.0 if lower >= cost else 1.0
-        if lower >= cost:
-            break
-        for one in problem:
-            one.accept()
-        law, damping = trial, max(damping / 6.0, 1e-6)
-        if cost - lower < 1e-5 * cost:
-            break
-    H, _ = _reduced(problem, law)
-    inverse = np.linalg.pinv(H)
-    lack, common = _in_common(problem, law)
-    placed = SCALES[:, None] * np.eye(8)[:, chosen]
-    noise = len(free) / len(drops) * cost / sum(
-        one.residuals(law, one.nuisance).size for one in problem) * inverse
-    covariance = max(lack, 1.0) * _by_scatter(problem, law) + placed @ noise @ placed.T
-    if fixed_std is not None:
-        covariance += _of_fixed(problem, law, inverse, fixed_std)
-    scatter = np.sqrt(np.maximum(
-        np.var([one.law_offset for one in problem], axis=0, ddof=1)
-        - np.mean([one.noise for one in problem], axis=0), 0.0))
+    """Return the law with some free numbers, from a start; others have `fixed_std` (8,)."""
+    count, common = len(free), list(free)
+    is_own = np.zeros((len(drops), 28), bool)
+    is_own[:, [8 + k for k in free if OWN_STD[k]]] = True
+    is_own[[not drop.stands for drop in drops], OWN_START] = True
+    total = count + int(is_own.sum())
+    index = np.full(is_own.shape, total)  # of each number among the unknowns
+    index[:, common], index[is_own] = range(count), np.arange(count, total)
+    places = [np.flatnonzero(row < total) for row in index]
+    chosen = sparse.eye(total, format='csr')[index[index < total]]
+    most = np.where(np.nonzero(is_own)[1] < OWN_START.start, MAX_OWN, np.inf)
+    first, low, high = (np.concatenate([(part / SCALES)[common], own]) for part, own in (
+        (start, 0.0 * is_own[is_own]), (LAW_MIN, -most), (LAW_MAX, most)))
+    fixed = np.zeros(28)
+    fixed[COMMON] = np.where(np.isin(range(8), common), 0.0, start / SCALES)
+
+    def numbers(x: Array) -> Array:
+        """Return a row (28,) for each drop."""
+        return np.asarray(fixed + np.append(x, 0.0)[index])
+
+    def residuals(x: Array) -> Array:
+        return np.concatenate([*map(Drop.residuals, drops, numbers(x))])
+
+    def slopes(x: Array) -> Any:
+        return sparse.block_diag([*map(Drop.slopes, drops, numbers(x), places)]) @ chosen
+
+    found = least_squares(residuals, first.clip(low, high), slopes, (low, high), x_scale='jac',
+                          ftol=1e-6, max_nfev=MAX_EVALUATIONS * count, tr_options=EXACT_STEPS)
+    return _as_fit(drops, numbers(found.x), is_own, free, fixed_std)
+
+
+def _as_fit(
+    drops: Sequence[Drop], rows: Array, is_own: Array, free: tuple[int, ...],
+    fixed_std: Array | None,
+) -> ReleaseFit:
+    """Return a fit from the numbers (28,) of each drop, of which some are its own."""
+    hessians, gradients, variances = (np.array(part) for part in zip(
+        *map(_eliminated, drops, rows, is_own), strict=True))
+    results = [drop.explained_by(row) for drop, row in zip(drops, rows, strict=True)]
+    masses, at, total = np.array([drop.mass for drop in drops]), list(free), sum(hessians)
+    inverse, covariance = np.linalg.pinv(total[np.ix_(at, at)]), np.zeros((8, 8))
+    clusters = [np.eye(len(drops)), np.equal.outer(np.unique(masses), masses)]
+    covariance[np.ix_(at, at)] = sum(_clustered(of_drop @ gradients[:, at], inverse)
+                                     for of_drop in clusters if len(of_drop) > 2)
+    if fixed_std is not None:  # the free numbers follow
+        moves = np.diag(fixed_std / SCALES)
+        moves[at] = -inverse @ total[at] @ moves
+        covariance += moves @ moves.T
+    scatter = OWN_STD * np.sqrt(np.maximum(
+        np.var(rows[:, OWN_LAW], axis=0, ddof=1) - variances.mean(axis=0), 0.0))
     return ReleaseFit(
-        as_law(law), free, covariance, scatter,
-        tuple(one.explained(law) for one in problem), lack, common)
+        as_law(SCALES * rows[0, COMMON]), free, np.outer(SCALES, SCALES) * covariance, scatter,
+        tuple(map(_explained, drops, rows, results)))
 
 
-def _by_scatter(problem: Sequence['_DropFit'], law: Array) -> Array:
-    """Return the covariance (8, 8) of the free numbers by the scatter between drops."""
-    H, gradients = _reduced(problem, law)
-    inverse = SCALES[:, None] * np.eye(8)[:, list(problem[0].free)] @ np.linalg.pinv(H)
-    moves, count = gradients @ inverse.T, len(problem)
-    return np.asarray(count / max(count - gradients.shape[1], 1) * moves.T @ moves)
+def _eliminated(drop: Drop, row: Array, is_own: Array) -> tuple[Array, Array, Array]:
+    """Return matrix and gradient of the law without a drop's own numbers, and their variances."""
+    places = np.flatnonzero(is_own)
+    J = drop.slopes(row, [*range(8), *places])
+    matrix, gradient, variances = J.T @ J, J.T @ drop.residuals(row), np.zeros(28)
+    inverse = np.linalg.inv(matrix[8:, 8:])
+    gain, variances[places] = matrix[:8, 8:] @ inverse, np.diag(inverse)
+    return (matrix[:8, :8] - gain @ matrix[8:, :8], gradient[:8] - gain @ gradient[8:],
+            variances[OWN_LAW])
 
 
-def _calibrated(drops: Sequence[Drop], fit: ReleaseFit) -> ReleaseFit:
+def _clustered(gradients: Array, inverse: Array) -> Array:
     """
-    Return a fit whose covariance explains the errors of held-out masses.
+    Return the covariance (n, n) from gradients (G, n) of clusters, by an inverse Hessian.
 
-    The stated variance equals the mean square deviation of height and velocity at the end of the
-    drops of each mass, predicted by a fit to the others. With fewer than three others, the
-    common residual of drops enlarges the covariance instead.
+    Its 95 % intervals are those of Student's t with G - 1 degrees of freedom.
     """
-    ratios = list[Array]()
-    for mass in sorted({drop.mass for drop in drops if drop.stands}):
-        own, others = ([drop for drop in drops if drop.stands and (drop.mass == mass) is is_own]
-                       for is_own in (True, False))
-        if len(ranges := {drop.mass for drop in others}) < 3:
-            continue
-        part = _fitted(others, np.array(fit.law), fit.free)
-        problem = [_DropFit(drop, fit.free) for drop in others]
-        by_scatter = _end_variance(own[0], part.law, _by_scatter(problem, np.array(part.law)))
-        of_drops = _end_variance(own[0], part.law, np.diag(part.scatter**2))
-        wider = 1.0 + EXTRAPOLATION * distance_of(mass, (min(ranges), max(ranges)))
-        squares = np.mean([_end_error(drop, part.law)**2 for drop in own], axis=0) / wider**2
-        ratios.append(np.maximum(squares - of_drops, 0.0) / by_scatter)
-    if not ratios:
-        return fit
-    factor = max(1.0, float(np.mean(ratios, axis=0).max()))
-    by_scatter = _by_scatter([_DropFit(drop, fit.free) for drop in drops], np.array(fit.law))
-    return fit._replace(
-        covariance=fit.covariance + (factor - max(fit.lack, 1.0)) * by_scatter)
+    moves = (gradients - gradients.mean(axis=0)) @ inverse
+    degrees = len(moves) - 1.0
+    factor = stdtrit(degrees, 0.975) / ndtri(0.975)
+    return np.asarray(factor**2 * len(moves) / degrees * moves.T @ moves)
 
 
-def _end_error(drop: Drop, law: Law) -> Array:
-    """Return measured minus predicted height (m) and velocity (m/s) at the end of a drop."""
-    errors = drop.errors(drop.predicted(law)[1])
-    before = slice(0, max(1, int(np.searchsorted(drop.package.seconds, drop.valve))))
-    at, up = -1 - half_window(drop.package.seconds), np.array(drop.model[2])
-    shift = errors[:3, at] - errors[:3, before].mean(axis=1)
-    return np.array([up @ shift, up @ errors[3:6, at]]) / float(np.linalg.norm(up))
-
-
-def _end_variance(drop: Drop, law: Law, covariance: Array) -> Array:
-    """Return the variances (2,) of `_end_error` by a covariance (8, 8) of the law."""
-    sizes, axes = np.linalg.eigh(covariance)
-    factor = axes * np.sqrt(np.maximum(sizes, 0.0))
-    slopes = [(_end_error(drop, as_law(np.array(law) + LAW_STEP * column))
-               - _end_error(drop, as_law(np.array(law) - LAW_STEP * column))) / (2.0 * LAW_STEP)
-              for column in factor.T]
-    return np.asarray(np.sum(np.square(slopes), axis=0))
-
-
-def _reduced(problem: Sequence['_DropFit'], law: Array) -> tuple[Array, Array]:
-    """Return the matrix of the free numbers, and the gradient of each drop."""
-    matrices, gradients = zip(*[one.reduced(law) for one in problem], strict=True)
-    return np.sum(matrices, axis=0), np.array(gradients)
-
-
-def _of_fixed(problem: Sequence['_DropFit'], law: Array, inverse: Any, fixed_std: Array) -> Array:
-    """Return the covariance (8, 8) by fixed numbers with a std (8,), by their effect on others."""
-    free, fixed = problem[0].free, np.flatnonzero(fixed_std).tolist()
-    both = [_DropFit(one.drop, (*free, *fixed), one.nuisance) for one in problem]
-    H, _ = _reduced(both, law)
-    moves = np.zeros((8, len(fixed)))
-    moves[list(free)] = -inverse @ H[:len(free), len(free):]
-    moves[fixed] = np.eye(len(fixed))
-    moves *= SCALES[:, None] * (fixed_std / SCALES)[fixed]
-    return np.asarray(moves @ moves.T)
-
-
-def _in_common(problem: Sequence['_DropFit'], law: Array) -> tuple[float, float]:
-    """
-    Return the common residual of drops of one mass, relative to their scatter, and its RMS (m).
-
-    The model error is common to drops, unlike noise, even with memory. The results are 1 and 0
-    without two drops of one mass.
-    """
-    between, within, common = 0.0, 0.0, 0.0
-    masses = {one.drop.mass for one in problem}
-    for mass in masses:
-        group = [one for one in problem if one.drop.mass == mass]
-        seconds = [one.drop.package.seconds - one.drop.valve for one in group]
-        at = seconds[0][(seconds[0] >= max(s[0] for s in seconds))
-                        & (seconds[0] <= min(s[-1] for s in seconds))]
-        errors = np.array([[np.interp(at, s, row) for row in one.errors(law)]
-                           for one, s in zip(group, seconds, strict=True)])
-        mean = errors.mean(axis=0)
-        between += len(group) * float(np.sum(mean**2))
-        within += float(np.sum((errors - mean)**2))
-        common += len(group) * float(
-            np.sum(np.mean((mean[:3] * group[0].sizes[:3])**2, axis=1)))
-    degrees = len(problem) - len(masses)
-    if not (degrees and within):
-        return 1.0, 0.0
-    return (between / len(masses)) / (within / degrees), math.sqrt(common / len(problem))
-
-
-class _DropFit:
-    """
-    A drop, and its contribution to the fit.
-
-    Its nuisance parameters, in units of their prior scatter, are the scattering numbers of the
-    law, then the offset of a package at rest, or else the state at the start.
-    """
-
-    def __init__(
-        self, drop: Drop, free: tuple[int, ...], nuisance: Array | None = None
-    ) -> None:
-        self.drop, self.free = drop, free
-        noise = np.maximum(drop.noise, MIN_NOISE)
-        self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
-        self._scatter = np.transpose(
-            [PRIOR_SCATTER[k] * np.eye(8)[k] for k in free if k in PRIOR_SCATTER])
-        count = self._scatter_count = self._scatter.shape[1]
-        self.nuisance = (
-            np.zeros(count + (6 if drop.stands else 12)) if nuisance is None else nuisance)
-        self._count = 0
-
-    @property
-    def law_offset(self) -> Array:
-        """Deviation of the drop's law from the common law (8,)."""
-        return np.asarray(self._scatter @ self.nuisance[:self._scatter_count])
-
-    def _predicted(self, law: Array, nuisance: Array) -> tuple[float, Array]:
-        """Return the result of `Drop.predicted`."""
-        return self.drop.predicted(
-            as_law(law + self._scatter @ nuisance[:self._scatter_count]),
-            None if self.drop.stands else nuisance[self._scatter_count:])
-
-    def residuals(self, law: Array, nuisance: Array) -> Array:
-        """Return errors relative to their sizes, and the nuisance parameters."""
-        errors = self.drop.errors(self._predicted(law, nuisance)[1])
-        if self.drop.stands:
-            errors[[0, 1, 2, 6, 7, 8]] -= (np.repeat([1e-3, 0.02], 3) * nuisance[-6:])[:, None]
-        return np.concatenate([
-            np.nan_to_num(errors / self.sizes, nan=1e6).clip(-1e6, 1e6).ravel(), nuisance])
-
-    def reduced(self, law: Array) -> tuple[Array, Array]:
-        """Return matrix and gradient of the free numbers, with nuisance parameters eliminated."""
-        residuals = self.residuals(law, self.nuisance)
-        self.cost = float(residuals @ residuals)
-        n, m, scatter_count = len(self.free), len(self.nuisance), self._scatter_count
-        J = np.zeros((len(residuals), n + m))
-        for i, k in enumerate(self.free):
-            changed = law + 1e-3 * SCALES * np.eye(8)[k]
-            J[:, i] = (self.residuals(changed, self.nuisance) - residuals) / 1e-3
-        J[:, n:n + scatter_count] = J[:, :n] @ (self._scatter / SCALES[:, None])[list(self.free)]
-        if self._count % 5 == 0:  # derivatives by the state hardly change
-            self._by_state = np.transpose([
-                (self.residuals(law, self.nuisance + change) - residuals) / 1e-3
-                for change in 1e-3 * np.eye(m)[scatter_count:]])
-        self._count += 1
-        J[:, n + scatter_count:] = self._by_state
-        J[-m:, n:] = np.eye(m)
-        A, B, C = J[:, :n].T @ J[:, :n], J[:, :n].T @ J[:, n:], J[:, n:].T @ J[:, n:]
-        gradient = -J.T @ residuals
-        self.noise = self._scatter**2 @ np.diag(np.linalg.inv(C))[:scatter_count]
-        self._follows = np.linalg.solve(C, B.T)
-        self._newton_step = np.linalg.solve(C, gradient[n:])
-        return A - B @ self._follows, gradient[:n] - B @ self._newton_step
-
-    def trial(self, law: Array, step: Array) -> float:
-        """Return the squares at another law, a step away, with adapted nuisance parameters."""
-        self._trial = np.clip(self.nuisance + self._newton_step - self._follows @ step,
-                              -MAX_NUISANCE, MAX_NUISANCE)
-        residuals = self.residuals(law, self._trial)
-        return float(residuals @ residuals)
-
-    def accept(self) -> None:
-        self.nuisance = self._trial
-
-    def errors(self, law: Array) -> Array:
-        """Return the residuals of the law relative to their sizes (9, N)."""
-        return self.residuals(law, self.nuisance)[:-len(self.nuisance)].reshape(9, -1)
-
-    def explained(self, law: Array) -> Explained:
-        drop = self.drop
-        released, states = self._predicted(law, self.nuisance)
-        errors = self.errors(law) * self.sizes
-        n = half_window(drop.package.seconds)
-        up = np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
-        after = int(np.searchsorted(drop.package.seconds[:-1], max(released, 0.0)))
-        noise = np.repeat(np.maximum(drop.noise, 0.1 * np.array(MIN_NOISE)), 3)[:, None]
-        return Explained(
-            drop.mass, released - drop.valve if released >= 0.0 else math.nan,
-            float(self.law_offset[0]), _rms(up @ errors[:3]), _rms(up @ errors[3:6, n:-n]),
-            float(np.linalg.norm(states[after, 7:10])),
-            _rms(errors[[0, 1, 2, 6, 7, 8]] / noise)**2)
+def _explained(drop: Drop, row: Array, result: tuple[float, Array, Array]) -> Explained:
+    """Return the residuals of a drop with numbers (28,), and what `explained_by` returns."""
+    released, states, errors = result
+    seconds, up = drop.package.seconds, np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
+    n, after = half_window(seconds), int(np.searchsorted(seconds[:-1], max(released, 0.0)))
+    noise = np.repeat(np.maximum(drop.noise, 0.1 * np.array(MIN_NOISE)), 3)[:, None]
+    return Explained(
+        drop.mass, released - drop.valve if released >= 0.0 else math.nan,
+        DELAY_STD * float(row[OWN_LAW][0]), _rms(up @ errors[:3]), _rms(up @ errors[3:6, n:-n]),
+        float(np.linalg.norm(states[after, 7:10])),
+        _rms(errors[[0, 1, 2, 6, 7, 8]] / noise)**2)
 
 
 def _rms(values: Array) -> float:
