@@ -7,25 +7,27 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Mask
-from bellows_ros.core.sensors.camera import CornerViews, directions, poses_of_corners
+from bellows_ros.core.sensors.camera import (
+    ANY,
+    Camera,
+    camera_of,
+    CornerViews,
+    directions,
+    pixels_of,
+    show_tags,
+)
 from bellows_ros.core.signals.screening import unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bags, File, messages
 from bellows_ros.files.bags import absolute, Contents
+from bellows_ros.files.messages import DETECTIONS
 from bellows_ros.files.plans import moving_frames, read_transforms, TF
 import numpy as np
 
-DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
 TF_TOPIC = '/tf'
-
-ANY = -1
-"""Number that stands for the only tag of a recording."""
-
-LEAST_AREA = 1e-8
-"""Smallest area of a tag at unit distance, a hundredth of a pixel."""
 
 
 class TagSought(NamedTuple):
@@ -155,7 +157,7 @@ def read_views(
     of_frame: dict[str, list[int]] = defaultdict(list)
     views, stamps, arrivals, places = [], [], [], []
     for place, (log_ns, array) in enumerate(arrays):
-        seen = [each for each in array.detections if each.id == number]
+        seen = pixels_of(array, number)
         if array.header.frame_id != frame:
             of_frame['frame_id'].append(place)
         elif len(seen) > 1:
@@ -164,7 +166,7 @@ def read_views(
             stamp = array.header.stamp
             stamps.append(stamp.sec * NS_PER_S + stamp.nanosec)
             arrivals.append(log_ns)
-            views.append([(corner.x, corner.y) for corner in seen[0].corners])
+            views.append(seen[0])
             places.append(place)
     corners = directions(np.array(views).reshape(-1, 4, 2), *_calibration(path, frame, rectified))
     found = CornerViews(absolute(topic), frame, number, np.array(stamps, np.int64), corners,
@@ -186,15 +188,13 @@ def _number_of(topic: str, path: File, arrays: list[Any], number: int) -> int:
     return number
 
 
-def _calibration(path: File, frame: str, rectified: bool) -> tuple[Any, str, Any]:
-    """Return camera matrix, distortion model and coefficients of the camera of a frame."""
-    found: dict[tuple[Any, ...], str] = {}
+def _calibration(path: File, frame: str, rectified: bool) -> Camera:
+    """Return the camera of a frame."""
+    found: dict[Camera, str] = {}
     for topic, _, data in bags.messages_of(path, {CAMERA_INFO}):
         info = bags.decoded(data, CAMERA_INFO)
         if info.header.frame_id == frame:
-            camera = ((*info.p[0:3], *info.p[4:7], *info.p[8:11]), '', ()) if rectified else (
-                tuple(info.k), info.distortion_model, tuple(info.d))
-            found.setdefault(camera, topic.name)
+            found.setdefault(camera_of(info, rectified), topic.name)
     if not found:
         raise BellowsError(
             f"Recording '{Path(path)}' has no {CAMERA_INFO} of the frame '{frame}', in which tags "
@@ -204,22 +204,15 @@ def _calibration(path: File, frame: str, rectified: bool) -> tuple[Any, str, Any
             f"Recording '{Path(path)}' has {len(found)} calibrations of the frame '{frame}', on "
             f'{", ".join(sorted(set(found.values())))}. Record the one of the image in which tags '
             'are detected.')
-    ((matrix, model, coefficients),) = found
-    return np.array(matrix), model, np.array(coefficients)
+    (camera,) = found
+    return camera
 
 
 def _usable(views: CornerViews, arrivals: Any, places: Any, path: File) -> CornerViews:
     """Return the usable views, with the others by reason."""
     refused = dict(views.refused)
-    edges = np.roll(views.corners, -1, axis=1) - views.corners
-    after = np.roll(edges, -1, axis=1)  # turns of one sign are a tag's; NaN is none
-    turns = edges[..., 0] * after[..., 1] - edges[..., 1] * after[..., 0]
-    shown = (np.abs(turns).min(axis=1) > LEAST_AREA) & (np.abs(np.sign(turns).sum(axis=1)) == 4)
-    if shown.any():
-        position, rotation = poses_of_corners(views.corners[shown], 1.0)
-        shown[shown] = (position[:, 2] > 0.0) & np.isfinite(rotation).all(axis=(1, 2))
     tests: dict[str, Mask] = {
-        'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~shown}
+        'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~show_tags(views.corners)}
     kept = np.arange(len(views.stamps_ns))
     for reason, bad in tests.items():
         if bad[kept].any():

@@ -50,6 +50,7 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 TRANSFORM = 'geometry_msgs/msg/TransformStamped'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
+DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'
 
 _STAMP_AT, _STRINGS_AT = 4, 12
 _MAX_PADDING = 3  # at the end, to a multiple of four

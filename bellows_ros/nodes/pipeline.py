@@ -18,13 +18,13 @@ from typing import Any
 from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.conversion import gravity_of
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.files.messages import LAYOUTS, TRANSFORMS
+from bellows_ros.files.messages import DETECTIONS, LAYOUTS, TRANSFORMS
 from geometry_msgs.msg import InertiaStamped, TwistStamped
 import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import FluidPressure
+from sensor_msgs.msg import CameraInfo, FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -34,6 +34,7 @@ from .guarding import COMPILE_TIME, GuardedNode
 from .node_parameters import ManagedNode
 from .outputs import Outputs, Predicting, QUEUE, Topic, Tossing
 from .planning import Planning
+from ..core.geometry import lie
 from ..core.geometry.jit import compile_aside, COMPILED
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import flight, LivePredictor, load, Prediction, uncertainty, warm_up
@@ -41,6 +42,7 @@ from ..core.model.cup_package import model_tuple
 from ..core.model.kernels import ModelTuple
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
 from ..core.parameters.conversion import cup_of, package_of
+from ..core.sensors.camera import TagCamera
 from ..core.signals import transforms
 from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S
@@ -402,16 +404,15 @@ class SensorInput:
         return health.say(f'inputs.{mismatch}', topic=self.topic, name=name)
 
 
-def transforms_type(parameter: str, topic: str) -> type:
-    """Return the type of /tf, or raise BellowsError if it is not installed."""
-    if importlib.util.find_spec('tf2_msgs') is None:
+def optional_type(name: str, setting: str, topic: str) -> type:
+    """Return a type of messages, or raise BellowsError if its package is not installed."""
+    package, _, kind = name.partition('/msg/')
+    if importlib.util.find_spec(package) is None:
         raise BellowsError(
-            f'{parameter} is tf, but tf2_msgs is not installed. Install it (apt: '
-            f'ros-jazzy-tf2-msgs), or publish the pose on {topic}.')
-    from tf2_msgs.msg import TFMessage
-
-    kind: type = TFMessage
-    return kind
+            f'{setting}, but {package} is not installed. Install it (apt: '
+            f'ros-jazzy-{package.replace("_", "-")}), or publish the pose on {topic}.')
+    found: type = getattr(importlib.import_module(f'{package}.msg'), kind)
+    return found
 
 
 class TransformInput(SensorInput):
@@ -437,7 +438,7 @@ class TransformInput(SensorInput):
         self, node: GuardedNode, values: Values, on_pose: Callable[..., None]
     ) -> None:
         """Subscribe to transforms, and to the static ones, which are sent once."""
-        kind = transforms_type('tool_pose.type', 'tool_arm/pose')
+        kind = optional_type(TRANSFORMS, 'tool_pose.type is tf', 'tool_arm/pose')
         self._on_pose = on_pose
         transforms.warm_up()
         self._chain = Chain(values.frames.world, values.frames.tool)
@@ -573,7 +574,7 @@ class Observing:
         kind = pipeline.values.measured.type
         self._with_covariance = kind in ('pose_with_covariance', 'odometry')
         self._has_camera = self.is_ready = False
-        self._reported = 0
+        self._reported, self._tag, self._no_view = 0, TagCamera(), Counter[str]()
         self._child_frame = pipeline.values.measured.child_frame.lstrip('/')
         if kind == 'tf':
             if not self._child_frame:
@@ -581,8 +582,17 @@ class Observing:
                     'measured.type is tf, but measured.child_frame is not set. Set it to the '
                     'frame of the tag on /tf, such as tag36h11:7.')
             self._measured_in = SensorInput(
-                node, transforms_type('measured.type', 'package/measured'), '/tf',
+                node, optional_type(TRANSFORMS, 'measured.type is tf', 'package/measured'), '/tf',
                 self._on_transforms, self._on_publishers)
+        elif kind == 'detections':
+            if not pipeline.values.measured.tag_size:
+                raise BellowsError(
+                    'measured.type is detections, but measured.tag_size is not set. Set it to '
+                    'the side of the black square of the tag, in m.')
+            self._measured_in = SensorInput(
+                node, optional_type(DETECTIONS, 'measured.type is detections', 'package/measured'),
+                'package/measured', self._on_detections, self._on_publishers)
+            SensorInput(node, CameraInfo, 'package/camera_info', self._on_camera_info)
         else:
             self._read = reader(TOOL_POSES[kind])
             self._measured_in = SensorInput(
@@ -633,6 +643,32 @@ class Observing:
                 self._correct(stamp_to_ns(header.stamp), header.frame_id, (
                     vector(transform.translation), quaternion_xyzw(transform.rotation)))
 
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        """Note the calibration of a camera."""
+        try:
+            self._tag.calibrate(message, self._pipeline.values.measured.rectified)
+        except BellowsError as error:
+            self._pipeline.node.get_logger().error(str(error), throttle_duration_sec=30.0)
+
+    def _on_detections(self, message: Any) -> None:
+        """Correct the prediction by the corners of a tag, in its camera."""
+        if not self.is_ready:
+            return
+        given, stamp_ns = self._pipeline.values.measured, stamp_to_ns(message.header.stamp)
+        seen = self._tag.pose(message, given.tag_size, given.tag_id)
+        if not isinstance(seen, str):
+            position, rotation = seen
+            self._correct(stamp_ns, message.header.frame_id, (
+                tuple(position.tolist()), tuple(lie.rotation_to_quaternion(rotation).tolist())))
+        elif seen:
+            self._measured_in.note(stamp_ns)
+            self._no_view[seen] += 1
+            self._pipeline.node.get_logger().warning(
+                f'Corners on {self._measured_in.topic} are not used: {health.REASONS[seen]} '
+                f'(tags {", ".join(map(str, sorted(self._tag.numbers)))}, frame '
+                f"'{shown(message.header.frame_id)}', calibration on package/camera_info).",
+                throttle_duration_sec=10.0)
+
     def _correct(
         self, stamp_ns: int, frame_id: str, pose: tuple[Vector, Quaternion],
         covariance: Any = None,
@@ -681,7 +717,8 @@ class Observing:
                 more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
         more |= Counter(f'alarm: {alarm.cause}' for alarm in live.alarms)
         status = health.input_status(
-            name, self._measured_in.report({verdict: counts[verdict] for verdict in VERDICTS}))
+            name, self._measured_in.report(
+                {**{verdict: counts[verdict] for verdict in VERDICTS}, **self._no_view}))
         status.values.update({key: str(value) for key, value in more.items()})
         if alarm := live.alarm:
             return status._replace(level=health.Level.ERROR, message=alarm_sentence(alarm))

@@ -35,7 +35,8 @@ from bellows_ros.core.signals.trajectory import (
 from bellows_ros.errors import shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
-from bellows_ros.files.detections import DETECTIONS, read_contents
+from bellows_ros.files.detections import read_contents
+from bellows_ros.files.messages import DETECTIONS
 from bellows_ros.report.sentences import finding_sentence, sentence
 from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import fact_sentences, remark_sentences, within_interval

@@ -1,10 +1,11 @@
 """Corners of tags that apriltag_ros records, through the lens of the camera."""
 
-from bellows_ros.core.sensors.camera import directions, poses_of_corners
+from bellows_ros.core.sensors.camera import directions, poses_of_corners, TagCamera
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import message_types
-from bellows_ros.files.detections import DETECTIONS, read_contents, read_views, TagSought
+from bellows_ros.files.detections import read_contents, read_views, TagSought
+from bellows_ros.files.messages import DETECTIONS
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -173,3 +174,26 @@ def test_the_corners_of_the_cell_are_read(root):
     found = read_views(path, '/detections')
     assert_array_equal(found.stamps_ns, truth['stamps'])
     assert_allclose(found.corners, (truth['corners'] - [640.0, 360.0]) / truth['f'], atol=1e-12)
+
+
+def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
+    """One message at a time; without a pose, with the reason."""
+    pixels = np.apply_along_axis(pixel, -1, views()[2], LENSES['plumb_bob'])
+    pixels[5] = pixels[5, 0]  # a point
+    arrays, camera = detections(pixels), calibration('plumb_bob', LENSES['plumb_bob'])
+    arrays[8] = detections(pixels, (7, 7))[8]
+    arrays[9].detections.clear()
+    stream = read_views(recorded(tmp_path / 'b', arrays, camera), 'detections').poses(SIDE)
+    live = TagCamera()
+    assert live.pose(arrays[0], SIDE) == 'no_calibration'
+    live.calibrate(camera, is_rectified=False)
+    seen = [live.pose(array, SIDE) for array in arrays]
+    assert (seen[5], seen[8], seen[9]) == ('tag_no_pose', 'tag_twice', '')
+    position, rotation = zip(*(each for each in seen if not isinstance(each, str)), strict=True)
+    assert_allclose(position, stream.position, atol=1e-7)
+    assert_allclose(rotation, stream.rotation, atol=1e-6)
+    both = detections(pixels, (3, 7))[0]
+    assert live.pose(both, SIDE) == live.pose(arrays[0], SIDE) == 'several_tags'
+    assert_allclose(live.pose(both, SIDE, 7)[0], position[0])
+    with pytest.raises(BellowsError, match='fisheye'):
+        live.calibrate(calibration('fisheye', (0.1,)), is_rectified=False)

@@ -42,8 +42,8 @@ def test_a_ur_gets_the_total_payload_at_its_flange(make_partner, root, ros, tmp_
     if missing := tf2_interface.missing():
         pytest.skip(f'ur_msgs cannot be built: {missing}')
     built = tf2_interface.build(
-        tmp_path, 'ur_msgs', 'srv/SetPayload.srv',
-        'float32 mass\ngeometry_msgs/Vector3 center_of_gravity\n---\nbool success\n')
+        tmp_path, {'ur_msgs/srv/SetPayload.srv':
+                   'float32 mass\ngeometry_msgs/Vector3 center_of_gravity\n---\nbool success'})
     monkeypatch.syspath_prepend(str(built))
     from ur_msgs.srv import SetPayload
 

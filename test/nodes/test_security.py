@@ -8,7 +8,7 @@ from .conftest import GIVEN, overrides_of, PACKAGE
 from .test_command import run
 
 ROS_OPTIONAL = {'/tf', '/tf_static', '/clock', '/parameter_events', '/vacuum/held',
-                '/vacuum/pressure', '/rosout'}
+                '/vacuum/pressure', '/rosout', '/package/camera_info'}
 ENCLAVE = ('identity_ca.cert.pem', 'cert.pem', 'key.pem', 'permissions_ca.cert.pem',
            'governance.p7s', 'permissions.p7s')
 

@@ -1,14 +1,18 @@
-"""The package's frame on tf, with the real message where its definition can be built."""
+"""Tags and frames on tf, and detected corners, with real messages if they can be built."""
 
+from contextlib import contextmanager
+from functools import cache
 import importlib.util
 import sys
 
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import TAG_TYPES
 from bellows_ros.nodes.conversions import vector
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.testing import assert_allclose
 import pytest
+from sensor_msgs.msg import CameraInfo
 
 from . import tf2_interface
 from .conftest import ERROR, LATCHED, MS, PACKAGE, stamped, START
@@ -17,24 +21,42 @@ pytestmark = pytest.mark.timeout(600)  # tf2_msgs may have to be built
 
 
 @pytest.fixture(scope='module')
-def built(tmp_path_factory):
-    """Build tf2_msgs once."""
-    if missing := tf2_interface.missing():
-        pytest.skip(f'tf2_msgs is not here and cannot be built: {missing}')
-    return tf2_interface.build(tmp_path_factory.mktemp('tf2'))
+def build(tmp_path_factory):
+    """Build a package of messages once."""
+    @cache
+    def built(package):
+        if missing := tf2_interface.missing():
+            pytest.skip(f'{package} is not here and cannot be built: {missing}')
+        types = {'apriltag_msgs': {f'{name}.msg': text for name, text in TAG_TYPES.items()},
+                 'tf2_msgs': tf2_interface.TF}[package]
+        return tf2_interface.build(tmp_path_factory.mktemp(package), types)
+
+    return built
+
+
+@contextmanager
+def messages(package, build, monkeypatch):
+    """Give the messages of a package: installed ones, or those that are built."""
+    if importlib.util.find_spec(package) is None:
+        monkeypatch.syspath_prepend(str(build(package)))
+    yield importlib.import_module(f'{package}.msg')
+    monkeypatch.undo()
+    for name in [name for name in sys.modules if name.partition('.')[0] == package]:
+        del sys.modules[name]
 
 
 @pytest.fixture
-def tf2_msgs(request, monkeypatch):
-    """Give the messages of tf: installed ones, or those that are built, for one test."""
-    if importlib.util.find_spec('tf2_msgs') is None:
-        monkeypatch.syspath_prepend(str(request.getfixturevalue('built')))
-    import tf2_msgs.msg
+def tf2_msgs(build, monkeypatch):
+    """Give the messages of tf for one test."""
+    with messages('tf2_msgs', build, monkeypatch) as found:
+        yield found
 
-    yield tf2_msgs.msg
-    monkeypatch.undo()
-    for name in [name for name in sys.modules if name.partition('.')[0] == 'tf2_msgs']:
-        del sys.modules[name]
+
+@pytest.fixture
+def apriltag_msgs(build, monkeypatch):
+    """Give the messages of apriltag_ros for one test."""
+    with messages('apriltag_msgs', build, monkeypatch) as found:
+        yield found
 
 
 def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
@@ -111,6 +133,51 @@ def test_a_tag_may_come_by_tf(make_partner, tf2_msgs):
     partner.wait_for_poses(5)
     partner.wait(lambda: sum(observing._observer.counts.values()) >= 3)
     assert sum(observing._observer.counts.values()) <= 4
+
+
+def test_a_tag_may_come_by_its_corners(make_partner, apriltag_msgs):
+    """Use no view before the calibration, and see the tag where its pose has it afterwards."""
+    partner = make_partner({
+        **PACKAGE, 'measured.type': 'detections', 'measured.tag_size': 0.05,
+        'recording.package_world': '0.0 0.0 0.0 1.0 0.0 0.0 0.0'}, with_twists=False)
+    observing = partner.predictor.pipeline.observing
+    tags = partner.writes(apriltag_msgs.AprilTagDetectionArray, 'package/measured')
+    cameras = partner.writes(CameraInfo, 'package/camera_info')
+    partner.connect()
+    partner.wait(lambda: observing.is_ready)
+    partner.send_pose(START)
+    partner.wait_for_poses(1)
+    depth = -partner.poses[-1].pose.position.z  # the camera looks down
+
+    def see(stamp_ns, shift=0.0):
+        one = apriltag_msgs.AprilTagDetection(id=7)
+        for corner, (x, y) in zip(one.corners, ((-1, 1), (1, 1), (1, -1), (-1, -1)), strict=True):
+            corner.x = 640.0 + shift + 900.0 * 0.025 * x / depth
+            corner.y = 360.0 - 900.0 * 0.025 * y / depth
+        tags.publish(stamped(apriltag_msgs.AprilTagDetectionArray(detections=[one]),
+                             stamp_ns, 'optical'))
+
+    see(START)
+    partner.wait(lambda: observing._no_view == {'no_calibration': 1})
+    info = stamped(CameraInfo(distortion_model='plumb_bob'), START, 'optical')
+    info.k = [900.0, 0.0, 640.0, 0.0, 900.0, 360.0, 0.0, 0.0, 1.0]
+    cameras.publish(info)
+    partner.wait(lambda: observing._tag._cameras)
+    for k in range(1, 5):
+        see(START + k * MS, 1e-3 * k)  # an equal view is that of a lost tag
+        partner.send_pose(START + k * MS)
+    partner.wait_for_poses(5)
+    partner.wait(lambda: observing._observer and observing._observer.counts['used'])
+    counts = observing._observer.counts
+    assert counts['used'] + counts['late'] == sum(counts.values())  # late: before the observer
+
+
+@pytest.mark.skipif(importlib.util.find_spec('apriltag_msgs') is not None, reason='it is here')
+def test_corners_without_their_messages_or_the_size_of_the_tag_are_refused(make_predictor):
+    """Name the missing package, or the missing parameter."""
+    for size, named in ((0.0, 'measured.tag_size'), (0.05, 'ros-jazzy-apriltag-msgs')):
+        with pytest.raises(BellowsError, match=named):
+            make_predictor({**PACKAGE, 'measured.type': 'detections', 'measured.tag_size': size})
 
 
 def test_tf_can_be_left_to_others(make_predictor, tf2_msgs):

@@ -1,7 +1,7 @@
 """
-Build the message of tf, or another one, from its definition, with the generators of ROS.
+Build the messages of a package from their definitions, with the generators of ROS.
 
-The wheels of ROS bring rosidl, headers and libraries, but no tf2_msgs.
+The wheels of ROS bring rosidl, headers and libraries, but no tf2_msgs and no apriltag_msgs.
 """
 
 import os
@@ -14,7 +14,7 @@ from unittest import mock
 
 import numpy as np
 
-TF = 'tf2_msgs', 'msg/TFMessage.msg', 'geometry_msgs/TransformStamped[] transforms\n'
+TF = {'tf2_msgs/msg/TFMessage.msg': 'geometry_msgs/TransformStamped[] transforms'}
 PREFIX = Path(sys.prefix)
 PYTHON_HEADERS = Path(sysconfig.get_paths()['include'])
 
@@ -43,14 +43,17 @@ def missing():
     return ', '.join(f'no {path}' for path in headers if not path.exists())
 
 
-def build(folder, package=TF[0], file=TF[1], text=TF[2]):
-    """Return a folder below the given one, from which Python imports a package of one type."""
-    definition = folder / package / file
-    definition.parent.mkdir(parents=True)
-    definition.write_text(text)
+def build(folder, types=TF):
+    """Return a folder below the given one, from which Python imports a package of some types."""
+    package, files = next(iter(types)).partition('/')[0], []
+    for name, text in types.items():
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(f'{text}\n')
+        files.append(f'{folder / package}:{file.relative_to(folder / package)}')
     sources = folder / 'sources'
     with mock.patch.dict(os.environ, AMENT_PREFIX_PATH=str(PREFIX)):
-        _generate(package, f'{definition.parents[1]}:{file}', sources)
+        _generate(package, files, sources)
     module, objects = sources / 'py' / package, _compile(sources)
     libraries = [f'lib{package}__rosidl_{kind}.so' for kind in KINDS]
     for k, kind in enumerate(KINDS):
@@ -60,7 +63,7 @@ def build(folder, package=TF[0], file=TF[1], text=TF[2]):
     return module.parent
 
 
-def _generate(package, definition, into):
+def _generate(package, definitions, into):
     """Write C and Python as for any other package of messages, each kind into its folder."""
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
@@ -77,7 +80,7 @@ def _generate(package, definition, into):
         ('py', GeneratePython('py', typesupport_implementations=['rosidl_typesupport_c'])),
     ):
         generator.generate(
-            package, [definition], [str(PREFIX / 'share')], into / kind / package)
+            package, definitions, [str(PREFIX / 'share')], into / kind / package)
 
 
 def _compile(sources):

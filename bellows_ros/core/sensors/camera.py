@@ -8,13 +8,15 @@ OpenCV: k1, k2, p1, p2, k3 of `plumb_bob`, and also k4, k5, k6 of `rational_poly
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.sensors.corners import CORNERS
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 import numpy as np
+from numpy.typing import ArrayLike
 
 DISTORTIONS = {'': 0, 'plumb_bob': 5, 'rational_polynomial': 8}
 """Distortion models with their number of coefficients."""
@@ -23,6 +25,20 @@ UNDISTORTION_STEPS, UNDISTORTED = 50, 1e-9
 """Largest number of steps to a direction, and its largest error, 1."""
 POSE_STEPS = 10
 """Number of Gauss-Newton steps to the pose of a tag; an error of the start falls by 10 in each."""
+
+LEAST_AREA = 1e-8
+"""Smallest area of a tag at unit distance, a hundredth of a pixel."""
+
+ANY = -1
+"""Number that stands for the only tag."""
+
+
+class Camera(NamedTuple):
+    """Camera matrix (9), distortion model and coefficients of the image of a detector."""
+
+    matrix: tuple[float, ...]
+    model: str
+    coefficients: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +77,73 @@ class CornerViews:
                           self.refused, corners=self.corners.reshape(-1, 8))
 
 
-def directions(pixels: Array, matrix: Array, model: str, coefficients: Array) -> Array:
+class TagCamera:
+    """
+    The poses of a tag in the messages of a camera, one at a time.
+
+    Messages are those of sensor_msgs and apriltag_msgs, or objects with the same fields.
+    """
+
+    def __init__(self) -> None:
+        self._cameras = dict[str, Camera]()
+        self.numbers = set[int]()
+
+    def calibrate(self, info: Any, is_rectified: bool) -> None:
+        """Use a CameraInfo for the images of its frame; raise BellowsError if it has no camera."""
+        camera = camera_of(info, is_rectified)
+        if self._cameras.get(info.header.frame_id) != camera:
+            directions(np.zeros((1, 2)), *camera)
+            self._cameras[info.header.frame_id] = camera
+
+    def pose(self, array: Any, side: float, number: int = ANY) -> tuple[Array, Array] | str:
+        """
+        Return position (3,) and rotation (3, 3) of a tag with a side (m) in the camera.
+
+        Without a pose, the result is the reason, '' if the tag is not seen.
+        """
+        self.numbers |= {int(each.id) for each in array.detections}
+        if number == ANY and len(self.numbers) > 1:
+            return 'several_tags'
+        seen = pixels_of(array, number)
+        if len(seen) != 1:
+            return 'tag_twice' if seen else ''
+        if (camera := self._cameras.get(array.header.frame_id)) is None:
+            return 'no_calibration'
+        corners = directions(np.array(seen), *camera)
+        if not show_tags(corners)[0]:
+            return 'tag_no_pose'
+        position, rotation = poses_of_corners(corners, side)
+        return position[0], rotation[0]
+
+
+def camera_of(info: Any, is_rectified: bool) -> Camera:
+    """Return the camera of a CameraInfo: P of the rectified image, or K with the distortion."""
+    if is_rectified:
+        return Camera((*info.p[0:3], *info.p[4:7], *info.p[8:11]), '', ())
+    return Camera(tuple(info.k), info.distortion_model, tuple(info.d))
+
+
+def pixels_of(array: Any, number: int = ANY) -> list[list[tuple[float, float]]]:
+    """Return the corners of all tags of a number in an AprilTagDetectionArray, in pixels."""
+    return [[(corner.x, corner.y) for corner in each.corners] for each in array.detections
+            if number in (ANY, each.id)]
+
+
+def show_tags(corners: Array) -> Mask:
+    """Return which directions (N, 4, 2) show a tag before the camera; NaN does not."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    after = np.roll(edges, -1, axis=1)
+    turns = edges[..., 0] * after[..., 1] - edges[..., 1] * after[..., 0]
+    shown = (np.abs(turns).min(axis=1) > LEAST_AREA) & (np.abs(np.sign(turns).sum(axis=1)) == 4)
+    if shown.any():
+        position, rotation = poses_of_corners(corners[shown], 1.0)
+        shown[shown] = (position[:, 2] > 0.0) & np.isfinite(rotation).all(axis=(1, 2))
+    return np.asarray(shown)
+
+
+def directions(
+    pixels: Array, matrix: ArrayLike, model: str, coefficients: ArrayLike
+) -> Array:
     """
     Return the coordinates X/Z and Y/Z that pixels show, NaN where there are none.
 
@@ -86,15 +168,15 @@ def directions(pixels: Array, matrix: Array, model: str, coefficients: Array) ->
         raise BellowsError(
             f"The camera's distortion model is '{model:.40}'; known are plumb_bob and "
             'rational_polynomial. Detect tags in the rectified image, and record its camera_info.')
-    matrix = np.asarray(matrix, float).reshape(3, 3)
-    if not (np.isfinite(matrix).all() and matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
-        raise BellowsError(f'The camera is not calibrated: its camera_info has fx {matrix[0, 0]:g}'
-                           f' and fy {matrix[1, 1]:g}. Calibrate it, and record again.')
+    K = np.asarray(matrix, float).reshape(3, 3)
+    if not (np.isfinite(K).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0):
+        raise BellowsError(f'The camera is not calibrated: its camera_info has fx {K[0, 0]:g}'
+                           f' and fy {K[1, 1]:g}. Calibrate it, and record again.')
     k = np.zeros(8)
     given = np.ravel(coefficients)[:DISTORTIONS[model]]
     k[:len(given)] = given
-    seen = (np.asarray(pixels, float) - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
-    seen[..., 0] -= matrix[0, 1] / matrix[0, 0] * seen[..., 1]
+    seen = (np.asarray(pixels, float) - K[:2, 2]) / K[[0, 1], [0, 1]]
+    seen[..., 0] -= K[0, 1] / K[0, 0] * seen[..., 1]
     found = seen.copy()
     with np.errstate(all='ignore'):
         for _ in range(UNDISTORTION_STEPS):
