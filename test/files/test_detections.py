@@ -129,7 +129,7 @@ def refusal(path, tag=TAG):
     return str(read_contents(path, {'package_pose': '/detections'}, tag).problems['package_pose'])
 
 
-def test_several_tags_are_listed_and_one_is_chosen_by_its_number(tmp_path):
+def test_tag_several_are_listed_and_one_is_chosen_by_its_number(tmp_path):
     pixels = views()[2] * 900.0 + 600.0
     path = recorded(tmp_path / 'b', detections(pixels, (3, 7)), calibration('plumb_bob', ()))
     assert '3 (40 views), 7 (40 views)' in refusal(path) and 'measured.tag_id' in refusal(path)
@@ -185,7 +185,7 @@ def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     arrays[9].detections.clear()
     stream = read_views(recorded(tmp_path / 'b', arrays, camera), 'detections').poses(SIDE)
     live = TagCamera()
-    assert live.pose(arrays[0], SIDE) == 'no_calibration'
+    assert live.pose(arrays[0], SIDE) == 'tag_no_camera'
     live.calibrate(camera, is_rectified=False)
     seen = [live.pose(array, SIDE) for array in arrays]
     assert (seen[5], seen[8], seen[9]) == ('tag_no_pose', 'tag_twice', '')
@@ -193,7 +193,7 @@ def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     assert_allclose(position, stream.position, atol=1e-7)
     assert_allclose(rotation, stream.rotation, atol=1e-6)
     both = detections(pixels, (3, 7))[0]
-    assert live.pose(both, SIDE) == live.pose(arrays[0], SIDE) == 'several_tags'
+    assert live.pose(both, SIDE) == live.pose(arrays[0], SIDE) == 'tag_several'
     assert_allclose(live.pose(both, SIDE, 7)[0], position[0])
     with pytest.raises(BellowsError, match='fisheye'):
         live.calibrate(calibration('fisheye', (0.1,)), is_rectified=False)

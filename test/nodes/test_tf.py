@@ -158,7 +158,7 @@ def test_a_tag_may_come_by_its_corners(make_partner, apriltag_msgs):
                              stamp_ns, 'optical'))
 
     see(START)
-    partner.wait(lambda: observing._no_view == {'no_calibration': 1})
+    partner.wait(lambda: observing._no_view == {'tag_no_camera': 1})
     info = stamped(CameraInfo(distortion_model='plumb_bob'), START, 'optical')
     info.k = [900.0, 0.0, 640.0, 0.0, 900.0, 360.0, 0.0, 0.0, 1.0]
     cameras.publish(info)

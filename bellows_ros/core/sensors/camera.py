@@ -81,7 +81,7 @@ class TagCamera:
     """
     The poses of a tag in the messages of a camera, one at a time.
 
-    Messages are those of sensor_msgs and apriltag_msgs, or objects with the same fields.
+    Messages are of sensor_msgs and apriltag_msgs, or objects with the same fields.
     """
 
     def __init__(self) -> None:
@@ -103,12 +103,12 @@ class TagCamera:
         """
         self.numbers |= {int(each.id) for each in array.detections}
         if number == ANY and len(self.numbers) > 1:
-            return 'several_tags'
+            return 'tag_several'
         seen = pixels_of(array, number)
         if len(seen) != 1:
             return 'tag_twice' if seen else ''
         if (camera := self._cameras.get(array.header.frame_id)) is None:
-            return 'no_calibration'
+            return 'tag_no_camera'
         corners = directions(np.array(seen), *camera)
         if not show_tags(corners)[0]:
             return 'tag_no_pose'
