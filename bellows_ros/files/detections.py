@@ -14,7 +14,7 @@ from bellows_ros.core.sensors.camera import (
     CornerViews,
     directions,
     pixels_of,
-    show_tags,
+    tags_shown,
 )
 from bellows_ros.core.signals.screening import unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
@@ -212,7 +212,7 @@ def _usable(views: CornerViews, arrivals: Any, places: Any, path: File) -> Corne
     """Return the usable views, with the others by reason."""
     refused = dict(views.refused)
     tests: dict[str, Mask] = {
-        'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~show_tags(views.corners)}
+        'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~tags_shown(views.corners)[0]}
     kept = np.arange(len(views.stamps_ns))
     for reason, bad in tests.items():
         if bad[kept].any():

@@ -1,6 +1,6 @@
 """Corners of tags that apriltag_ros records, through the lens of the camera."""
 
-from bellows_ros.core.sensors.camera import directions, poses_of_corners, TagCamera
+from bellows_ros.core.sensors.camera import directions, MAX_KEPT, poses_of_corners, TagCamera
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import message_types
@@ -129,7 +129,7 @@ def refusal(path, tag=TAG):
     return str(read_contents(path, {'package_pose': '/detections'}, tag).problems['package_pose'])
 
 
-def test_tag_several_are_listed_and_one_is_chosen_by_its_number(tmp_path):
+def test_several_tags_are_listed_and_one_is_chosen_by_its_number(tmp_path):
     pixels = views()[2] * 900.0 + 600.0
     path = recorded(tmp_path / 'b', detections(pixels, (3, 7)), calibration('plumb_bob', ()))
     assert '3 (40 views), 7 (40 views)' in refusal(path) and 'measured.tag_id' in refusal(path)
@@ -197,3 +197,24 @@ def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     assert_allclose(live.pose(both, SIDE, 7)[0], position[0])
     with pytest.raises(BellowsError, match='fisheye'):
         live.calibrate(calibration('fisheye', (0.1,)), is_rectified=False)
+
+
+@pytest.mark.parametrize(('model', 'coefficients'), [
+    ('', ()), ('plumb_bob', LENSES['plumb_bob']), ('plumb_bob', (np.nan,) * 5),
+    ('rational_polynomial', (1e9,) * 8)])
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+def test_hostile_corners_and_cameras_neither_raise_nor_grow(model, coefficients):
+    """Corners of any size, infinite or NaN, and each message with another frame and tag."""
+    rng, camera = np.random.default_rng(4), TagCamera()
+    info = calibration(model, coefficients)
+    square = np.array([[300.0, 200], [350, 200], [350, 250], [300, 250]])
+    for trial in range(500):
+        info.header.frame_id = f'camera {trial}'
+        camera.calibrate(info, False)
+        corners = square + 10.0**rng.uniform(-3, 307) * rng.standard_normal((4, 2))
+        corners[trial % 4] *= (1.0, np.inf, np.nan)[trial % 3]
+        array = detections(corners[None], (trial,))[0]
+        array.header.frame_id = info.header.frame_id
+        seen = camera.pose(array, SIDE, trial)
+        assert seen == 'tag_no_pose' or np.isfinite(seen[0]).all()
+    assert len(camera.numbers) <= MAX_KEPT and len(camera._cameras) <= MAX_KEPT

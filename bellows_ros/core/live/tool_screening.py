@@ -33,7 +33,7 @@ JUMP_RUN = 5
 new place."""
 
 SHIFT_TOLERANCE = 0.05
-"""Tolerance of a position about the reach of an arm's motion, m."""
+"""Largest displacement of an arm beyond its largest speed times the duration, m."""
 
 ROTATION_TOLERANCE = 0.3
 """Tolerance of a rotation about the reach of an arm's motion, rad."""
@@ -42,13 +42,13 @@ MAX_ACCELERATION = (100.0, 1000.0)
 """Largest acceleration of an arm, m/s^2 and rad/s^2."""
 
 JUMP_TOLERANCE = (0.02, 0.2)
-"""Tolerance of a pose in addition to the largest acceleration, m and rad."""
+"""Largest displacement and rotation without a jump of an arm without acceleration, m and rad."""
 
 SUSPECT_ACCELERATION = (40.0, 400.0)
 """Suspicious acceleration of an arm, m/s^2 and rad/s^2."""
 
 SUSPECT_TOLERANCE = (0.015, 0.15)
-"""Tolerance of a pose in addition to the suspicious acceleration, m and rad."""
+"""Largest unsuspicious displacement and rotation of an arm without acceleration, m and rad."""
 
 SUSPICION_AFTER_JUMPS = 0.2
 """Fraction of the suspicious limit at which doubt begins after rejected poses."""

@@ -29,8 +29,14 @@ POSE_STEPS = 10
 LEAST_AREA = 1e-8
 """Smallest area of a tag at unit distance, a hundredth of a pixel."""
 
+MAX_DIRECTION = 100.0
+"""Largest coordinate X/Z or Y/Z that a camera sees: 89.4 degrees from its axis."""
+
 ANY = -1
 """Number that stands for the only tag."""
+
+MAX_KEPT = 8
+"""Largest numbers of cameras and of tags that a live input remembers."""
 
 
 class Camera(NamedTuple):
@@ -94,6 +100,8 @@ class TagCamera:
         if self._cameras.get(info.header.frame_id) != camera:
             directions(np.zeros((1, 2)), *camera)
             self._cameras[info.header.frame_id] = camera
+            if len(self._cameras) > MAX_KEPT:
+                del self._cameras[next(iter(self._cameras))]
 
     def pose(self, array: Any, side: float, number: int = ANY) -> tuple[Array, Array] | str:
         """
@@ -101,7 +109,8 @@ class TagCamera:
 
         Without a pose, the result is the reason, '' if the tag is not seen.
         """
-        self.numbers |= {int(each.id) for each in array.detections}
+        seen_now = {int(each.id) for each in array.detections}
+        self.numbers = set(sorted(self.numbers | seen_now)[:MAX_KEPT])
         if number == ANY and len(self.numbers) > 1:
             return 'tag_several'
         seen = pixels_of(array, number)
@@ -109,11 +118,8 @@ class TagCamera:
             return 'tag_twice' if seen else ''
         if (camera := self._cameras.get(array.header.frame_id)) is None:
             return 'tag_no_camera'
-        corners = directions(np.array(seen), *camera)
-        if not show_tags(corners)[0]:
-            return 'tag_no_pose'
-        position, rotation = poses_of_corners(corners, side)
-        return position[0], rotation[0]
+        is_shown, position, rotation = tags_shown(directions(np.array(seen), *camera))
+        return (side * position[0], rotation[0]) if is_shown[0] else 'tag_no_pose'
 
 
 def camera_of(info: Any, is_rectified: bool) -> Camera:
@@ -129,16 +135,20 @@ def pixels_of(array: Any, number: int = ANY) -> list[list[tuple[float, float]]]:
             if number in (ANY, each.id)]
 
 
-def show_tags(corners: Array) -> Mask:
-    """Return which directions (N, 4, 2) show a tag before the camera; NaN does not."""
+def tags_shown(corners: Array) -> tuple[Mask, Array, Array]:
+    """
+    Return which directions (N, 4, 2) show a tag before the camera, and the poses of these (M).
+
+    Positions are of tags with a side of 1 m; NaN shows no tag.
+    """
     edges = np.roll(corners, -1, axis=1) - corners
     after = np.roll(edges, -1, axis=1)
     turns = edges[..., 0] * after[..., 1] - edges[..., 1] * after[..., 0]
     shown = (np.abs(turns).min(axis=1) > LEAST_AREA) & (np.abs(np.sign(turns).sum(axis=1)) == 4)
-    if shown.any():
-        position, rotation = poses_of_corners(corners[shown], 1.0)
-        shown[shown] = (position[:, 2] > 0.0) & np.isfinite(rotation).all(axis=(1, 2))
-    return np.asarray(shown)
+    position, rotation = poses_of_corners(corners[shown], 1.0)
+    before = (position[:, 2] > 0.0) & np.isfinite(rotation).all(axis=(1, 2))
+    shown[shown] = before
+    return np.asarray(shown), position[before], rotation[before]
 
 
 def directions(
@@ -175,16 +185,17 @@ def directions(
     k = np.zeros(8)
     given = np.ravel(coefficients)[:DISTORTIONS[model]]
     k[:len(given)] = given
-    seen = (np.asarray(pixels, float) - K[:2, 2]) / K[[0, 1], [0, 1]]
-    seen[..., 0] -= K[0, 1] / K[0, 0] * seen[..., 1]
-    found = seen.copy()
     with np.errstate(all='ignore'):
+        seen = (np.asarray(pixels, float) - K[:2, 2]) / K[[0, 1], [0, 1]]
+        seen[..., 0] -= K[0, 1] / K[0, 0] * seen[..., 1]
+        found = seen.copy()
         for _ in range(UNDISTORTION_STEPS):
             error = distorted(found, k) - seen
             if not k.any() or np.nanmax(np.abs(error), initial=0.0) < UNDISTORTED:
                 break
             found -= error
-        wrong = ~(np.abs(distorted(found, k) - seen) < UNDISTORTED).all(axis=-1)
+        wrong = ~((np.abs(distorted(found, k) - seen) < UNDISTORTED)
+                  & (np.abs(found) < MAX_DIRECTION)).all(axis=-1)
     found[wrong] = np.nan
     return np.asarray(found)
 
