@@ -373,7 +373,7 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
     """Start 2 mm off, where K would be several times too large, with all else as it is."""
     result = identify({
         **settings, 'fit.free': ['length'], 'cup.length': 0.048, 'recording.end': 8.0,
-        'package.com_std': (1e-5,) * 3, 'recording.marker_std': (0.0, 0.0)})
+        'package.com_std': (0.0,) * 3, 'recording.marker_std': (0.0, 0.0)})
     content = json.loads(format_json(result.as_json()))['found_parameters']['cup.length']
     value, std = content['value'], content['std']
     assert abs(value - 0.046) < 4.0 * std < 4e-4 and content['units']['std'] == 'm'

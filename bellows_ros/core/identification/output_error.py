@@ -1,19 +1,18 @@
 """
 Output error: K and P by simulation, with their uncertainty and the causes of a misfit.
 
-Near the minimum, given quantities are estimated jointly with K and P; for quick poses from the
-start of the search. Directions that the recordings determine better than the given standard
-deviations are estimated. The others keep their given values, whose errors add to the covariance of
-K and P: mass, inertia, K and P scaled by one factor give equal motion, so that K is as uncertain
-as the mass.
+From the minimum on, given quantities are estimated jointly with K and P, with their standard
+deviations as priors. Their errors are part of the covariance: mass, inertia, K and P scaled by one
+factor give equal motion, so that K is as uncertain as the mass.
 
 Two clocks, two worlds and a marker anywhere on the package are also estimated, from one recording.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 from operator import attrgetter
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
@@ -21,9 +20,8 @@ from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.diagnosis.ranking import (
     is_explained,
     likeliest_setting,
+    misfit,
     rank,
-    scores,
-    SIGNIFICANT,
 )
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
@@ -56,6 +54,7 @@ from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
     minimise,
     MISFIT_CHI2,
+    no_report,
     Parts,
     Report,
     root,
@@ -77,9 +76,6 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
-Ends = tuple[Solution, list[Solution]]
-"""Solution of a search, and the solutions that are searched for causes."""
-
 MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
 """Largest share of noise in the information for which errors are corrected; largest share of noise
 in the error of an identifiable number, if this error exceeds a fraction of its limit."""
@@ -90,9 +86,6 @@ OF_SPRING = ('relaxation', 'stretch')
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Seed of the noise that is added to test the information, its size relative to the noise of the
 poses, and its smallest size."""
-
-FIXED_INFORMATION = 1e8
-"""Information that fixes directions of given quantities undetermined by the recordings."""
 
 MAX_REMAINING_SHARE = 0.2
 """Largest share of the chi² beyond noise that remains with relaxation."""
@@ -168,9 +161,10 @@ def output_error(
         Whether the strengths of relaxation are free: 'off'; 'auto' if significant; 'on' with an
         error if insignificant.
     given : mapping, optional
-        Standard deviations of given quantities; see `with_given`.
+        Standard deviations of given quantities, the priors with which they are free from the
+        minimum on.
     other_start : Cup, optional
-        Second initial guess, for a search of quick poses with a misfit.
+        Second initial guess, for a search with an implausible end.
     richer : Structure, optional
         Structure that replaces the first one if its couplings are significant.
     stretch : str
@@ -199,50 +193,92 @@ def output_error(
                          length_at_rest=length_at_rest)
     if any(outline.is_tag for outline in problem.outlines) and 'com' in given:
         problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
-    are_slow = problem.is_slow
-    given = {name: std for name, std in given.items() if are_slow or name != 'exposure'}
-    near = approach(problem, record, with_couplings=are_slow)
+    given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
+    near = approach(problem, record, with_couplings=problem.is_slow)
     if near.squares > LEAST_OF_SETTING * near.residual_count and (
             setting := likeliest_setting(near, other_start or start)):
         return _fit(near, iterations, named, given, (setting,))
-    near = _extended(near, given, richer, stretch, record)
-    found, ends = _from_slow_poses(
-        near, given, relaxation, record) if are_slow else _from_quick_poses(
-        near, given, relaxation, record, other_start or start)
-    reasons = () if is_explained(ends[0], given) else rank(ends, given)
-    return _fit(found, iterations, named, given, reasons)
+    first = _plausible_root(near, given, other_start or start, record)
+    found = _extended(first, given, _extensions(richer, stretch, relaxation), record)
+    end = tested = with_given(found, given, record)
+    if not (end.is_plausible and end.robust_chi2 < MISFIT_CHI2):  # given quantities hide the cause
+        tested = found if first.problem is problem else minimise(problem)
+    reasons = () if is_explained(tested, given) else rank(tested, given)
+    return _fit(end, iterations, named, given, reasons)
+
+
+def _plausible_root(
+    near: Solution, given: Free, other_start: Cup, report: Report
+) -> Solution:
+    """
+    Return the root near the end of an approach, with given quantities free if it is implausible.
+
+    They are first held while the search approaches from another cup, as least squares takes them
+    as exact; then free from the start, as their errors may be large. A misfit of quick poses, of
+    known noise, makes the first root useless.
+    """
+    problem = near.problem
+    more = {name: std for name, std in given.items() if name not in problem.places}
+    found = near
+    if problem.is_slow or near.squares < MISFIT_CHI2 * near.residual_count:
+        found = root(near, report)
+    for held, cup in ((more, other_start), ((), problem.first_cup)):
+        if found.is_plausible:
+            break
+        near = approach(problem.freed(problem.unknowns(cup), more), report, held)
+        found = root(near, report)
+    return found if found.converged else near  # a search without convergence may have diverged
+
+
+class Extension(NamedTuple):
+    """
+    An extension of the spring by free quantities or by a structure.
+
+    The condition on the solutions with and without it must hold; the note is the error of a
+    requested extension that is not significant.
+    """
+
+    free: Free
+    structure: Structure | None
+    holds: Callable[[Solution, Solution], bool]
+    refusal: str = ''
+
+
+def _extensions(richer: Structure | None, stretch: str, relaxation: str) -> Iterator[Extension]:
+    """Yield the extensions to be tested; those that are 'on' need not extrapolate."""
+    if richer is not None:
+        yield Extension({}, richer, lambda end, _: has_coupling(end.cup.stiffness))
+    if stretch != 'off':
+        yield Extension(weak_prior(['stretch']), None, *(
+            (_is_passive, 'not_stretching') if stretch == 'on' else (_extrapolates,)))
+    if relaxation != 'off':
+        yield Extension(weak_prior(['relaxation']), None, _explains_most,
+                        'not_relaxing' if relaxation == 'on' else '')
 
 
 def _extended(
-    near: Solution, given: Free, richer: Structure | None, stretch: str, report: Report
+    found: Solution, given: Free, extensions: Iterable[Extension], report: Report
 ) -> Solution:
-    """Return the search with couplings and with stretch, each if significant."""
-    if richer is None and stretch == 'off':
-        return near
-    found = root(near, report)
-    if richer is not None and found.converged:
-        found = _tried(found, given, {}, richer, report)
-    if stretch != 'off' and found.converged:
-        end = _tried(found, given, weak_prior(['stretch']), found.problem.structure, report)
-        found = end if stretch == 'on' or _extrapolates(end, found) else found
-    if stretch == 'on' and 'stretch' not in found.problem.places:
-        raise UndeterminedError(NOTES['not_stretching'])
-    return found if found.converged else near
+    """Return the solution of nested models, each extension kept if significant."""
+    for extension in extensions:
+        before = found
+        found = _tried(found, given, extension, report) if found.converged else found
+        if extension.refusal and found is before:
+            raise UndeterminedError(NOTES[extension.refusal])
+    return found
 
 
-def _tried(
-    found: Solution, given: Free, more: Free, structure: Structure, report: Report
-) -> Solution:
+def _tried(found: Solution, given: Free, extension: Extension, report: Report) -> Solution:
     """
     Return the solution with an extension of the spring if significant, else without.
 
     The score allows for errors of the given quantities; the covariance is from a jackknife, so
     that held-out motion confirms the extension.
     """
-    problem = found.problem
+    problem, (more, structure, holds, _) = found.problem, extension
 
     def place(wide: Problem) -> Places:
-        couplings = structure.couplings if structure is not problem.structure else []
+        couplings = structure.couplings if structure else []
         return np.asarray([*couplings, *(row for name in more for row in wide.places[name][0])])
 
     near = found.freed({**more, **{
@@ -252,26 +288,15 @@ def _tried(
     if H.fall(g, rest | True) - H.fall(g, rest) <= MIN_SQUARED_DISTANCE:
         return found
     end = settled(found.freed(more, structure), report)
-    if end.converged and end.squares < found.squares:
+    if end.converged and misfit(end) < misfit(found) and holds(end, found):
         x, tested = end.problem.units * end.theta, place(end.problem)
         C = covariance_of(end)[0][np.ix_(tested, tested)]
-        is_material = structure is problem.structure or has_coupling(end.cup.stiffness)
-        if is_material and _is_passive(end) and (
-                float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE):
+        if float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE:
             return end
     return found
 
 
-def _extrapolates(end: Solution, without: Solution) -> bool:
-    """Return whether two masses determine the stretch, or stretch explains most of the misfit."""
-    masses = [outline.payload.mass for outline in end.problem.outlines]
-    misfit, before = (each.squares / each.residual_count - 1.0 for each in (end, without))
-    chance = 3.0 * (2.0 / end.residual_count) ** 0.5
-    return max(masses) >= MIN_MASS_RATIO * min(masses) or (
-        chance < before - misfit and misfit <= MAX_MISFIT_SHARE * before + chance)
-
-
-def _is_passive(found: Solution) -> bool:
+def _is_passive(found: Solution, _: Solution) -> bool:
     """Return whether the energy is positive definite in the usual range of stretch."""
     try:
         require_stretch(found.cup.stiffness, found.problem.stretch(found.theta))
@@ -280,126 +305,35 @@ def _is_passive(found: Solution) -> bool:
     return True
 
 
-def _from_quick_poses(
-    near: Solution, given: Free, relaxation: str, report: Report, other_start: Cup
-) -> Ends:
+def _extrapolates(end: Solution, without: Solution) -> bool:
+    """Return whether two masses determine the stretch, or stretch explains most of the misfit."""
+    masses = [outline.payload.mass for outline in end.problem.outlines]
+    excess, before = (each.squares / each.residual_count - 1.0 for each in (end, without))
+    chance = 3.0 * (2.0 / end.residual_count) ** 0.5
+    return _is_passive(end, without) and (max(masses) >= MIN_MASS_RATIO * min(masses) or (
+        chance < before - excess and excess <= MAX_MISFIT_SHARE * before + chance))
+
+
+def _explains_most(end: Solution, without: Solution) -> bool:
+    """Return whether relaxation explains most of the misfit."""
+    noise = MAX_NOISE_CHI2 * end.residual_count
+    return end.squares - noise <= max(MAX_REMAINING_SHARE * (without.squares - noise), 0.0)
+
+
+def with_given(found: Solution, given: Free, report: Report = no_report) -> Solution:
     """
-    Return the ends of a search from quick poses, with given quantities free if a misfit remains.
+    Return the minimum near another with given quantities free, by the priors of their deviations.
 
-    If a misfit remains, given quantities are freed: first held while the search approaches from
-    another cup, as least squares takes them as exact; then free from the start, as their errors
-    may be large.
+    Without convergence the priors are propagated from the minimum with the given values.
     """
-    base = problem = near.problem
-    more = {name: std for name, std in given.items() if name not in base.places}
-    found = near
-    if near.squares < MISFIT_CHI2 * near.residual_count:
-        found = root(near, report)
-    for held, cup in ((more, other_start), ((), base.first_cup)):
-        if found.is_plausible:
-            break
-        problem = problem.freed(problem.unknowns(cup), more)
-        near = approach(problem, report, held)
-        found = root(near, report)
-    # a search without convergence may have diverged
-    found = _with_relaxation(found, relaxation, report) if found.converged else near
-    end = near_with_given(found, more, report)
-    ends = _open_ends(found, end)
-    if problem is not base and not _explains(end):  # free given quantities hide the cause
-        ends = [minimise(base)]
-    return end, ends
-
-
-def _from_slow_poses(near: Solution, given: Free, relaxation: str, report: Report) -> Ends:
-    """Return the ends of a search from slow poses, whose noise is estimated as well."""
-    stiff = found = end = root(near, report)
-    is_open = True
-    if given and relaxation != 'on' and not found.is_plausible:
-        end = with_given(found, given, report)
-        is_open = not end.converged or end.squares > MAX_NOISE_CHI2 * end.residual_count
-    if is_open:  # possibly relaxation
-        found = _with_relaxation(found, relaxation, report)
-        if end is stiff or found is not stiff:
-            end = with_given(found, given, report)
-    return end, _open_ends(found, end)
-
-
-def with_given(found: Solution, given: Free, report: Report) -> Solution:
-    """
-    Return the minimum near another with given quantities free, by their standard deviations.
-
-    If a misfit remains, the minimum from the start with all given quantities free is returned,
-    provided that chi² is smaller and no deviation exceeds `SIGNIFICANT` standard deviations, or
-    that the first cup is implausible (`Solution.is_plausible`).
-    """
-    problem = found.problem
-    more = {name: std for name, std in given.items() if name not in problem.places}
-    near = near_with_given(found, more, report)
-    if not more or is_explained(near, given):
-        return near
-    wide = problem.freed(problem.start, more)
-    again = minimise(wide, report)
-    is_small = all(
-        np.all(np.abs(again.theta[place]) * np.sqrt(wide.weights[place]) < SIGNIFICANT)
-        for place in map(wide.places.__getitem__, more))
-    is_better = not near.is_plausible or is_small and again.squares <= near.squares
-    return again if again.converged and is_better else near
-
-
-def near_with_given(found: Solution, more: Free, report: Report) -> Solution:
-    """
-    Return the minimum near another with the part of `more` free that recordings determine better.
-
-    Other shared quantities keep their given values, which add `Solution.from_given`.
-    """
-    if not found.is_plausible:
+    more = {name: std for name, std in given.items() if name not in found.problem.places}
+    if not more or not found.is_plausible:
         return found
-    problem = found.problem
-    start = found.freed({
-        name: std for name, std in more.items() if name not in problem.places})
-    if not start.is_finite:  # derivatives diverge for very wrong given quantities
+    near = found.freed(more)
+    if not near.is_finite:  # derivatives diverge for very wrong given quantities
         return replace(found, converged=False)
-    wide = start.problem
-    shared, H = np.arange(wide.shared), start.information
-    tested = np.concatenate([np.empty(0, dtype=np.int64), *(
-        wide.places[name].ravel() for name in more if not wide.is_own(name))])
-    rest, std = np.setdiff1d(shared, tested), wide.weights[tested] ** -0.5
-    known = H.plus(-wide.prior(start.theta)[0].shared).reduced
-    S = known[np.ix_(tested, tested)] - known[np.ix_(tested, rest)] @ np.linalg.lstsq(
-        known[np.ix_(rest, rest)], known[np.ix_(rest, tested)], rcond=None)[0]
-    values, vectors = np.linalg.eigh(std[:, None] * S * std)  # given information is 1
-    is_held = values <= 1.0
-    fixed, fixing = vectors[:, is_held] / std[:, None], np.zeros((wide.shared,) * 2)
-    fixing[np.ix_(tested, tested)] = FIXED_INFORMATION * fixed @ fixed.T
-    slope = start.slope.copy()
-    slope[shared] += fixing @ (wide.start - start.theta)[shared]
-    with_fixed = replace(wide, fixing=fixing)
-    again = settled(replace(
-        start, problem=with_fixed, information=H.plus(fixing), slope=slope), report)
-    everything, used = np.eye(len(slope)), np.full(len(slope), True)
-    if again.converged:
-        directions = everything[shared]
-        directions[np.ix_(tested, tested)] = std[:, None] * vectors
-        held = everything[:, tested] @ directions[np.ix_(tested, tested[is_held])]
-        free = directions[:, np.append(rest, tested[~is_held])]
-        moved = _following(again.information.plus(-fixing), held, free, used) * (
-            wide.units[:, None])
-        return replace(again, from_given=moved @ moved.T)
-    if len(wide.units) == len(problem.units):
-        return found
-    by_given = np.concatenate([wide.places[name].ravel() for name in more])
-    used[by_given] = False
-    held = everything[:, by_given] * wide.weights[by_given] ** -0.5
-    moved = _following(H, held, everything[np.ix_(shared, rest)], used) * wide.units[:, None]
-    moved = np.pad(moved[:problem.count], ((0, len(problem.units) - problem.count), (0, 0)))
-    return replace(found, from_given=moved @ moved.T)
-
-
-def _following(H: Arrow, held: Array, free: Array, used: Mask) -> Array:
-    """Return changes (m, h) of held unknowns, with others following along free directions."""
-    moved = held - np.transpose([
-        H.step_by(H.times(column), free, used) for column in held.T]).reshape(held.shape)
-    return np.asarray(moved)
+    end = settled(near, report)
+    return end if end.converged else replace(near, converged=True)
 
 
 def _of_given(found: Solution, given: Free) -> Array:
@@ -413,34 +347,6 @@ def _of_given(found: Solution, given: Free) -> Array:
     moved = H.carried @ C
     return np.asarray(C.T @ (weights[:len(C), None] * C) + np.einsum(
         'ros,ro,rot->st', moved, weights[problem.own], moved))
-
-
-def _open_ends(found: Solution, end: Solution) -> list[Solution]:
-    """Return the solutions searched for causes, first the one with given quantities free."""
-    return [end, found] if _explains(end) and end.problem is not found.problem else [found]
-
-
-def _explains(found: Solution) -> bool:
-    """Return whether a solution has no misfit."""
-    return found.robust_chi2 < MISFIT_CHI2
-
-
-def _with_relaxation(found: Solution, relaxation: str, report: Report) -> Solution:
-    """Return the solution with relaxation if it explains most of the misfit, else without."""
-    if relaxation == 'off':
-        return found
-    (score,) = scores(found, ['relaxation']).values()
-    if score > MIN_SQUARED_DISTANCE:
-        relaxed = settled(found.freed(weak_prior(['relaxation'])), report)
-        noise = MAX_NOISE_CHI2 * relaxed.residual_count
-        limit = max(MAX_REMAINING_SHARE * (found.squares - noise), 0.0)
-        if relaxed.converged and relaxed.squares - noise <= limit:
-            r, covariance = _strengths(relaxed, covariance_of(relaxed)[0])
-            if r @ np.linalg.solve(covariance, r) > MIN_SQUARED_DISTANCE:
-                return relaxed
-    if relaxation == 'on':
-        raise UndeterminedError(NOTES['not_relaxing'])
-    return found
 
 
 def _strengths(found: Solution, covariance: Array) -> tuple[Array, Array]:
@@ -545,7 +451,7 @@ def _fit(
     is_result = {name: name in named and not KINDS[name].each for name in places}
     nuisances = {name: place for name, place in places.items()
                  if name not in OF_SPRING and not is_result[name]}
-    total_std = np.sqrt(own_std**2 + np.diag(from_given))
+    total_std = np.sqrt(own_std**2 + np.pad(np.diag(from_given), (0, problem.own.size)))
     information = found.information.shared[:size, :size]
     scale = np.sqrt(np.diag(information))
     used = found.residual_count // 6
@@ -598,7 +504,7 @@ def _identifiable(
     found: Solution, given: Free, named: Sequence[str]
 ) -> tuple[Array, Array, Array, Mask, list[str]]:
     """
-    Return the covariance (s, s) by recordings alone, and the part (m, m) by given quantities.
+    Return the covariances (s, s) by recordings alone and by given quantities.
 
     Further results are standard errors (m,) by recordings alone, SI units, the mask of
     identifiable numbers, and notes on the others.
@@ -607,8 +513,7 @@ def _identifiable(
     covariance, variances, shares = covariance_of(
         found, noise_information(found) if found.converged else None)
     of_given = _of_given(found, given)
-    from_free = np.pad(of_given, (0, problem.own.size))
-    from_given, by_given = found.from_given + from_free, np.diag(from_free)
+    by_given = np.pad(np.diag(of_given), (0, problem.own.size))
     largest = np.full(len(variances), np.inf)
     largest[:size] = MAX_RELATIVE_ERROR * problem.structure.sizes(
         found.cup.stiffness, found.cup.damping)
@@ -629,7 +534,7 @@ def _identifiable(
         errors = std / (largest / MAX_RELATIVE_ERROR)
         identifiable &= std <= largest
     notes = list(_unidentifiable(problem, errors, shares, is_overdamped, identifiable[:size]))
-    total = np.sqrt(std[:size]**2 + np.diag(from_given)[:size]) / largest[:size]
+    total = np.sqrt(std[:size]**2 + by_given[:size]) / largest[:size]
     vague = identifiable[:size] & (total > 1.0)
     notes += [NOTES['vague'].format(
         label=label, total=100.0 * MAX_RELATIVE_ERROR * both, alone=100.0 * error,
@@ -637,7 +542,7 @@ def _identifiable(
         for label, both, error, is_vague in zip(
             problem.structure.labels, total, errors, vague, strict=False) if is_vague]
     identifiable[:size] &= ~vague
-    return covariance - of_given, from_given, std, identifiable, notes
+    return covariance - of_given, of_given, std, identifiable, notes
 
 
 def _ordinary_damping(found: Solution) -> Array:

@@ -8,7 +8,7 @@ logarithms of its pseudo-inertia. These priors are negligible for entries that t
 determine.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -303,8 +303,6 @@ class Problem:
         Standard deviations, SI units, of other free quantities, by names of `KINDS`.
     slip_ns : int
         Stamp of a slip of the package, if free.
-    fixing : ndarray (s, s), optional
-        Additional information about the start of the shared unknowns.
     common : tuple of str
         Names of quantities that all recordings share instead of having their own.
     forgetting : float
@@ -320,7 +318,6 @@ class Problem:
     guess: Cup
     free: Free
     slip_ns: int = 0
-    fixing: Array | float = 0.0
     common: tuple[str, ...] = ()
     forgetting: float = 0.0
     length_at_rest: bool = False
@@ -368,7 +365,7 @@ class Problem:
     def freed(self, theta: Array, more: Free, structure: Structure | None = None) -> 'Problem':
         """Return the problem from the cup of unknowns, with more free quantities."""
         return replace(self, structure=structure or self.structure, guess=self.cup(theta),
-                       free={**self.free, **more}, fixing=0.0)
+                       free={**self.free, **more})
 
     def is_own(self, name: str) -> bool:
         """Return whether each recording has its own value of a quantity."""
@@ -559,36 +556,46 @@ class Problem:
     def prior(self, theta: Array) -> tuple[Arrow, Array]:
         """Return information (m, m) and slope (m,) of the prior."""
         weights, own = self.weights[:self.shared], self.weights[self.own]
-        H, (recordings, count) = np.diag(weights) + self.fixing, self.own.shape
+        H, (recordings, count) = np.diag(weights), self.own.shape
         g = self.weights * (self.start - theta)
-        g[:len(H)] = H @ (self.start - theta)[:len(H)]
-        size = self.count // 2
-        K, P = self._matrices(theta)
-        means = self._matrices(self.start)[0], self.ordinary_damping(K)
-        stds = PRIOR_LOG_STD[0], APPROACH_LOG_STD if self.forgetting else PRIOR_LOG_STD[1]
-        for first, M, mean, std in zip((0, size), (K, P), means, stds, strict=True):
-            index = slice(first, first + size)
-            unit = np.array(self.structure.basis) * self.units[index, None, None]
-            root, inverse = symmetric_roots(M)
-            slopes = inverse @ unit @ inverse
-            values, vectors = np.linalg.eigh(inverse @ mean @ inverse)
-            difference = (vectors * np.log(values)) @ vectors.T
-            H[index, index] += np.einsum('aij,bji->ab', slopes, slopes) / std**2
-            g[index] = np.einsum('aij,ji->a', slopes, difference) / std**2
-        for place in self.places.get('relaxation', ()):  # the prior on the ratio of r2 and r1
-            r = self.strengths(theta)
-            std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
-            slope = np.array([-DEFAULT_RATIO, 1.0]) * self.units[place] / std
-            H[np.ix_(place, place)] += np.outer(slope, slope)
-            g[place] -= slope * (r[1] - DEFAULT_RATIO * r[0]) / std
-        for place in self.places.get('inertia', ()):  # a wide prior on the stretch
-            plate, moments = self.flattest, (self.units * theta)[place]
-            slope = pseudo_inertia.by_moments(pseudo_inertia.with_moments(plate, moments)) * (
-                self.units[place] / STRETCH_STD)
-            H[np.ix_(place, place)] += slope.T @ slope
-            g[place] -= slope.T @ pseudo_inertia.stretch_of(plate, moments) / STRETCH_STD
+        for place, J, deviation in self._wide_priors(theta):
+            H[np.ix_(place, place)] += J.T @ J
+            g[place] -= J.T @ deviation
         return Arrow(H, np.zeros((recordings, count, len(H))), own[:, :, None] * np.eye(count),
                      self.own), g
+
+    def _wide_priors(self, theta: Array) -> Iterator[tuple[Places, Array, Array]]:
+        """
+        Yield places (k,), derivatives (n, k) and sizes (n,) of deviations in standard deviations.
+
+        They are of K, P, relaxation and inertia. Sizes are relative to the mass: K, P, inertia and
+        mass scaled by one factor give equal motion, and only the given mass determines the factor.
+        """
+        mass = self.rows.get('mass', np.empty(0, dtype=np.int64))
+        heavier, by_mass = float(np.sum((self.units * theta)[mass])), self.units[mass]
+        size, (K, P) = self.count // 2, self._matrices(theta)
+        for first, M, mean, std in (
+                (0, K, np.exp(heavier) * self._matrices(self.start)[0], PRIOR_LOG_STD[0]),
+                (size, P, np.exp(0.5 * heavier) * self.ordinary_damping(K),
+                 APPROACH_LOG_STD if self.forgetting else PRIOR_LOG_STD[1])):
+            place = np.arange(first, first + size)
+            inverse = symmetric_roots(M)[1]
+            slopes = inverse @ (self.structure.basis * self.units[place, None, None]) @ inverse
+            values, vectors = np.linalg.eigh(inverse @ mean @ inverse)
+            yield np.append(place, mass), np.hstack([
+                slopes.reshape(size, -1).T, -np.reshape(np.eye(6), (-1, 1)) * by_mass]) / std, (
+                vectors * -np.log(values) @ vectors.T).ravel() / std
+        for place in self.places.get('relaxation', ()):  # the ratio of r2 and r1
+            r = self.strengths(theta)
+            std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
+            slope = np.array([-DEFAULT_RATIO, 1.0])
+            yield place, slope[None] * self.units[place] / std, slope[None] @ r / std
+        for place in self.places.get('inertia', ()):  # the thickness
+            plate, moments = self.flattest, (self.units * theta)[place] - heavier
+            slope = pseudo_inertia.by_moments(pseudo_inertia.with_moments(plate, moments))
+            yield np.append(place, mass), np.hstack([
+                slope * self.units[place], -slope.sum(axis=1)[:, None] * by_mass
+            ]) / STRETCH_STD, pseudo_inertia.stretch_of(plate, moments) / STRETCH_STD
 
     def whitened(self, theta: Array, segment: Segment, course: Course) -> WhitenedSegment:
         """Return a segment's whitened differences, linearised about a course; theta is local."""

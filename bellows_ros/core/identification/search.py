@@ -218,8 +218,6 @@ class Solution:
         Information on the unknowns, and slope.
     converged : bool
         Whether it is a minimum.
-    from_given : ndarray (m, m)
-        Covariance of the unknowns by given quantities that are not free, SI units; 0 for none.
 
     """
 
@@ -231,7 +229,6 @@ class Solution:
     information: Arrow
     slope: Array
     converged: bool = False
-    from_given: Array | float = 0.0
 
     @property
     def is_finite(self) -> bool:

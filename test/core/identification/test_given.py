@@ -234,7 +234,7 @@ def test_what_is_a_little_off_is_no_cause_where_chance_leaves_something(monkeypa
 def test_what_would_be_off_by_many_standard_deviations_is_named(off, named):
     """With all that was given free, the fit explains the poses."""
     longer = replace(TRUTH, length=TRUTH.length + off)
-    found = ranking.rank([minimise(posed(measured(6, duration=8.0), longer, USUAL))], USUAL)
+    found = ranking.rank(minimise(posed(measured(6, duration=8.0), longer, USUAL)), USUAL)
     assert bool(found) == bool(named)
     for own in found[:1]:
         assert own.name in ('length', 'com', 'package_marker')
@@ -290,12 +290,16 @@ def test_what_is_not_known_with_what_was_given_is_no_number():
     assert len(told) == 8 and all('% with exact package' in text for text in told)
 
 
-def test_what_the_recording_does_not_know_better_stays_as_given():
-    own = measured(10, tool_hz=125.0)
-    exact, found = (output_error([own], AXISYMMETRIC, TRUTH, given=given)
-                    for given in ({}, {'mass': np.array([0.003])}))
-    std = np.sqrt(np.diag(exact.covariance))
-    assert np.all(np.abs(found.parameters - exact.parameters) < 0.1 * std)
+def test_a_given_quantity_and_its_estimate_are_weighted_by_their_precisions():
+    """Of a mass that the recording knows from the inertia, which is exact."""
+    own, given = measured(10, tool_hz=125.0), 3e-3
+    alone, both = (output_error([own], AXISYMMETRIC, TRUTH, given={'mass': np.array([std])})
+                   for std in (0.7, given))
+    estimate, std = (float(each['mass'][0, 0]) for each in (alone.nuisances, alone.nuisances_std))
+    share = given**2 / (given**2 + std**2)
+    assert 0.1 < share < 0.9
+    assert_allclose(both.nuisances['mass'][0, 0], share * estimate, atol=0.05 * std)
+    assert_allclose(both.nuisances_std['mass'][0, 0], np.sqrt(share) * std, rtol=0.1)
 
 
 def test_what_is_stated_wins_over_the_ordinary():

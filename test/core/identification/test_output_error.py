@@ -179,7 +179,7 @@ def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):
         return np.full((len(tool), 13), np.nan)
 
     monkeypatch.setattr(module_of_problem.simulation, 'simulate_rows', diverging)
-    assert rank([found], {}) == ()
+    assert rank(found, {}) == ()
 
 
 def settled(problem, steps=2, theta=None):

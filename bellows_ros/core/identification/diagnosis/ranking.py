@@ -127,7 +127,7 @@ def pulls(found: Solution, given: Free) -> dict[str, tuple[float, float]]:
     only the ratio is observable.
     """
     problem = found.problem
-    information = found.information.plus(-problem.fixing)
+    information = found.information
 
     def pull(value: Array, prior: Array, variance: Array) -> float:
         """Return the largest deviation of values, by their variances before and after the fit."""
@@ -201,19 +201,18 @@ def freed(before: Solution, name: str) -> Alternative:
         found.problem, name, misfit(before) - misfit(found)))
 
 
-def rank(ends: Sequence[Solution], given_std: Free) -> tuple[Finding, ...]:
+def rank(end: Solution, given_std: Free) -> tuple[Finding, ...]:
     """
     Return up to three causes of a misfit, the likeliest first, after an unknown one if none fits.
 
     Parameters
     ----------
-    ends : sequence of Solution
-        Ends of a search, first with given quantities free, then as given.
+    end : Solution
+        End of a search.
     given_std : mapping
         Standard deviations of the given quantities, SI units.
 
     """
-    end = next((each for each in ends if each.is_plausible), ends[0])
     off = {name: pair for name, pair in pulls(end, given_std).items() if pair[0] > pair[1]}
     least = {name: limit**2 for name, (_, limit) in off.items()}
     is_off_by = {name: z**2 for name, (z, _) in off.items()}
