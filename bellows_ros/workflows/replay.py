@@ -692,7 +692,7 @@ def _last_measured(
         measured = observer.sensor.measurement(1, position, q)
         assert not isinstance(measured, str)
         rows.append(np.concatenate(at_com(
-            *measured[1:], observer.sensor.marker, tuple(com.tolist()))[:2]))
+            *measured[1:4], observer.sensor.marker, tuple(com.tolist()))[:2]))
     chosen = np.array(rows)[newest[inside]]
     return Trajectory(
         at.stamps_ns[inside], chosen[:, :3], lie.quaternion_to_rotation(chosen[:, 3:]))

@@ -61,7 +61,8 @@ class SoundWork(Observer):
             self._keep_noise(first)
 
     def _keep_noise(self, first: int) -> None:
-        after, (_, position, q, noise) = self._estimates[first + 1], self._measurements[first]
+        after = self._estimates[first + 1]
+        _, position, q, noise, _ = self._measurements[first]
         body, marker = after.body, self.sensor.marker
         if not noise.any():
             noise = np.diag(np.square(np.repeat(marker[3][1:3], 3)))

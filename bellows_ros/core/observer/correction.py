@@ -396,7 +396,7 @@ class Correction:
             (self._drive, walk, self._marker[3][0]),
             (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
-            (*measurement[1:], self._marker, self.holding_reach, self._largest,
+            (*measurement[1:4], self._marker, self.holding_reach, self._largest,
              self._sag if support == NEAR else 0.0, gate))
         _, tool, body, theta, P, memory = numbers
         theta[states.LATENCY - STATE] += late
@@ -470,6 +470,41 @@ class Correction:
         if name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
         return after, name, None
+
+    def met(self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool) -> Estimate:
+        """
+        Return an estimate of a package that a stop of the tool puts on a support, or does not.
+
+        Both are equally likely: the estimate has their mean and variance.
+        """
+        after = self._step(before, track, stamp_ns, is_recorded, support=NEAR)[1]
+        if before.support == CONTACT:
+            return after
+        half = 0.5 * self._put_down(after)
+        body, theta = changed_by(after.body, after.theta, half)
+        return after._replace(
+            body=body, theta=theta, covariance=after.covariance + half[:, None] * half,
+            support=NEAR)
+
+    def _put_down(self, estimate: Estimate) -> Array:
+        """
+        Return the error (n,) of an estimate in the air, if a support keeps the package flat.
+
+        The package turns about the middle of the bending cup. The moment balances the weight.
+        """
+        cup, (mass, com, _, _), gravity = dynamics.model_at(
+            self.row(estimate.lost_cups), self.law, estimate.theta)
+        x, y, z = t3.apply_transposed(t3.rotation_matrix(estimate.body[1]), gravity)
+        error, weight = np.zeros(states.ROWS), self.nominal[1][0] * t3.norm(gravity)
+        if -z < FLAT * t3.norm(gravity):
+            return error
+        arm, (a, b, _) = t3.subtract(com, (0.0, 0.0, 0.5 * cup[1])), estimate.body[3]
+        turn, spin = (-y / z, x / z, 0.0), (-a, -b, 0.0)
+        error[:STATE] = *t3.cross(turn, arm), *turn, *t3.cross(spin, arm), *spin
+        moment = weight * com[1], -weight * com[0]
+        rows = slice(states.WRENCH + 3, states.WRENCH + 5)
+        error[rows] = moment - estimate.theta[rows.start - STATE:rows.stop - STATE]
+        return error
 
     def _touching(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the wrench of a support, once there is evidence of contact."""

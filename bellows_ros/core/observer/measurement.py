@@ -85,6 +85,8 @@ class Measurement(NamedTuple):
     noise: Array
     """Covariance (6, 6) about axes of the world (m^2, rad^2); zero for the covariance of the
     model."""
+    meets_support: bool = False
+    """Whether, instead of a pose, the tool stops on its way down."""
 
 
 class PoseSensor:

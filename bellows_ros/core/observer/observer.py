@@ -8,7 +8,7 @@ again, with a result independent of the order of arrival.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left, bisect_right, insort
 from collections import deque
 import math
 from typing import Any, NamedTuple
@@ -21,7 +21,13 @@ from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.correction import Correction, INERTIAS, Known, Track
+from bellows_ros.core.observer.correction import (
+    Correction,
+    INERTIAS,
+    Known,
+    NO_MEASUREMENT,
+    Track,
+)
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
 from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
@@ -267,7 +273,7 @@ class Observer:
         if hung_ns:
             self._estimates[0] = self._correction.after_hanging(self._estimates[0], hung_ns)
         self.body, self._candidate, self._since_ns = body, self._estimates[0], stamp_ns
-        self._support.follow(stamp_ns, tool[0])
+        self._support.follow(stamp_ns, tool)
 
     def follow(
         self, stamp_ns: int, start: State, end: State
@@ -286,8 +292,14 @@ class Observer:
         assert prediction is not None
         self.body = prediction[0]
         track.advance(stamp_ns)
-        if self._support.follow(stamp_ns, end[0]):
+        event = self._support.follow(stamp_ns, end)
+        if event == 'leaves':
             self._let_go()
+        elif event == 'meets':
+            insort(self._measurements, NO_MEASUREMENT._replace(
+                stamp_ns=stamp_ns, meets_support=True))
+            self._reprocess(bisect_left(self._measurements, (stamp_ns,)))
+            prediction = None
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
             self._measurements.append(self._pending.pop(0))
@@ -359,6 +371,10 @@ class Observer:
         for k in range(first, len(measurements)):
             while again and again[0].stamp_ns < measurements[k].stamp_ns:
                 self._raise(again.pop(0))
+            if measurements[k].meets_support:
+                estimates.append(self._correction.met(
+                    estimates[k], self._track, measurements[k].stamp_ns, k == first))
+                continue
             after, verdict, alarm = self._correction.updated(
                 estimates[k], self._track, measurements[k], k == first,
                 self._support.at(measurements[k].stamp_ns), bool(self._is_held(estimates[k])))

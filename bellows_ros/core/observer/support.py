@@ -6,6 +6,8 @@ import math
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Vector, ZERO
+from bellows_ros.core.model.kernels import State
+from bellows_ros.core.signals.trajectory import NS_PER_S
 
 NEAR, CONTACT = 1, 2
 """A support may be near, or carries the package; 0 without."""
@@ -21,6 +23,9 @@ DESCENT = 0.03
 
 STRAIGHT = 0.3
 """Largest ratio of the horizontal part of a straight descent."""
+
+FASTEST = 0.95
+"""Fraction of the largest speed of a descent above which the tool does not yet stop."""
 
 REMEMBERED_NS = 2_000_000_000
 """Age of the oldest support that a late pose may meet, ns."""
@@ -42,6 +47,8 @@ class Support:
         self._top: Vector | None = None
         self._begin: Vector = ZERO
         self._low = 0.0
+        self._fastest, self._fastest_ns = 0.0, 0
+        self._stop_height: float | None = None
         self._times: list[tuple[int, int, int]] = []  # first and last stamp, and kind, of each
 
     def use(self, up: Vector, sag: float) -> None:
@@ -67,7 +74,7 @@ class Support:
 
     def _end(self, stamp_ns: int) -> None:
         first, _, kind = self._times[-1]
-        self._times[-1] = first, stamp_ns, kind
+        self._times[-1], self._stop_height = (first, stamp_ns, kind), None
 
     def _height(self, position: Vector) -> float:
         return t3.dot(self._up, position)
@@ -76,33 +83,50 @@ class Support:
         way = t3.subtract(position, since)
         return t3.norm(t3.add_scaled(way, -t3.dot(self._up, way), self._up))
 
-    def follow(self, stamp_ns: int, position: Vector) -> bool:
-        """Process a sample of the tool (m, world); return whether a package leaves a support."""
-        height = self._height(position)
+    def _way_to_stop(self, stamp_ns: int, down: float) -> float:
+        """Return the distance (m) to the stop of a descent (m/s), once it slows down."""
+        if down >= FASTEST * self._fastest:
+            self._fastest, self._fastest_ns = max(down, self._fastest), stamp_ns
+            return math.inf
+        seconds = (stamp_ns - self._fastest_ns) / NS_PER_S
+        return 0.5 * max(down, 0.0)**2 * seconds / (self._fastest - down)
+
+    def follow(self, stamp_ns: int, tool: State) -> str:
+        """Process a sample of the tool; return whether a package 'leaves' or 'meets' a support."""
+        position = tool[0]
+        height, down = self._height(position), -t3.dot(
+            self._up, t3.apply(t3.rotation_matrix(tool[1]), tool[2]))
+        way = self._way_to_stop(stamp_ns, down)
         if self.is_near:
             self._low = min(self._low, height)
-            if height < self._low + self._lift and self._aside(position, self._begin) < ASIDE:
-                return False
-            self._end(stamp_ns)
-            self._top = position
-            return True
+            rises = height > self._low + self._lift or self._aside(position, self._begin) > ASIDE
+            if rises:
+                self._top = position
+            if rises or (self._stop_height is not None
+                         and height < self._stop_height - self._lift):
+                self._end(stamp_ns)
+                return 'leaves'
+            if self._times[-1][2] == NEAR and self._stop_height is None and way < self._lift:
+                self._stop_height = height - way
+                return 'meets'
+            return ''
         self._may_reach |= height > self._grip_height + 2.0 * self._lift
         top = position if self._top is None else self._top
         drop = self._height(top) - height
         if drop <= 0.0 or self._aside(position, top) > STRAIGHT * drop + 1e-3:
-            top, drop = position, 0.0
+            top, drop, self._fastest = position, 0.0, 0.0
         self._top = top
         is_low = self._may_reach and height < self._grip_height + self._lift
         is_down = drop > DESCENT and self._grip_height > -math.inf
         if not (self._is_gripping or is_low or is_down):
-            return False
+            return ''
         kind = CONTACT if self._is_gripping else NEAR
         if self._is_gripping:
             self._grip_height, self._may_reach = height, False
         self._is_gripping, self._begin, self._low = False, position, height
         self._times = [each for each in self._times if each[1] > stamp_ns - REMEMBERED_NS]
         self._times.append((stamp_ns, 0, kind))
-        return False
+        return ''
 
     def release(self, stamp_ns: int) -> None:
         """End the support at a stamp, as the package has been released."""

@@ -1,6 +1,7 @@
 """Contact with a support, and what must not outlive a package or a camera's mistake."""
 
 from bellows_ros.core.live.payload import prepared
+from bellows_ros.core.model.kernels import ORIGIN
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.calibration import calibrated
 from bellows_ros.core.observer.states import CAMERA_ROWS, KNOWN_ROWS
@@ -25,7 +26,8 @@ def carried(heights, aside=0.0, grips=False):
         support.grip()
     near = []
     for k, height in enumerate(heights):
-        support.follow(k + 1, (aside * k, 0.0, height))
+        still = (aside * k, 0.0, height), *ORIGIN[1:]
+        support.follow(k + 1, still)
         near.append(support.is_near)
     assert [support.at(k + 1) > 0 for k in range(len(near))][-1] == near[-1]
     return near
@@ -53,6 +55,35 @@ def test_package_that_is_held_all_the_time_needs_no_support():
     assert not any(carried(np.linspace(0.3, 0.1, 200)))
 
 
+def events(heights):
+    """Return the samples at which a tool meets or leaves a support, with heights each 10 ms."""
+    support, found = Support(), {}
+    support.use((0.0, 0.0, 1.0), 2e-3)
+    support.grip()
+    for k, height in enumerate(heights):
+        speed = np.gradient(heights, 0.01)[k]
+        if event := support.follow(10_000_000 * k + 1, (
+                (0.0, 0.0, height), ORIGIN[1], (0.0, 0.0, speed), ORIGIN[3])):
+            found.setdefault(event, []).append(k)
+    return found
+
+
+def moved_up(by, samples):
+    """Return a smooth rise (m) from 0 within some samples."""
+    s = np.linspace(0.0, 1.0, samples)
+    return by * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+def test_tool_that_stops_on_its_way_down_meets_a_support():
+    """Meet it less than 10 mm above the stop; leave it as the tool continues downwards."""
+    way = [*moved_up(0.3, 50), *0.3 - moved_up(0.2, 50), *[0.1] * 20]
+    found = events(way)
+    (k,) = found['meets']
+    assert 2e-3 < way[k] - 0.1 < 12e-3
+    assert events([*way, *0.1 - moved_up(0.05, 30), *[0.05] * 9])['leaves'][1] > 120
+    assert len(events([*way, *0.1 - moved_up(0.05, 30), *[0.05] * 9])['meets']) == 2
+
+
 class Later(Support):
     """A support from a stamp (ns) on."""
 
@@ -63,10 +94,10 @@ class Later(Support):
         super().__init__()
         self.first_ns = first_ns
 
-    def follow(self, stamp_ns, position):
+    def follow(self, stamp_ns, tool):
         """Begin when it is time."""
         self.is_near = stamp_ns > self.first_ns
-        return False
+        return ''
 
     def at(self, stamp_ns):
         """Compare with its beginning."""

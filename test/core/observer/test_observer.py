@@ -222,7 +222,7 @@ def test_marker_anywhere_on_the_package_says_where_its_centre_of_mass_is():
     rng = np.random.default_rng(6)
     root = rng.normal(size=(6, 6)) * 1e-3
     seen = sight.measurement(1, at[0], at[1], root @ root.T)
-    position, q, noise = at_com(*seen[1:], sight.marker, com)
+    position, q, noise = at_com(*seen[1:4], sight.marker, com)
     found = (position, q, *body[5][2:])
     np.testing.assert_allclose(pose_error(found, *body[5][:2]), 0.0, atol=1e-12)
     columns = []
@@ -230,7 +230,7 @@ def test_marker_anywhere_on_the_package_says_where_its_centre_of_mass_is():
         still = (tuple(at[0]), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         turned = quaternion_product(shifted(still, 0.0, 0.0, 0.0, *turn)[1], at[1])
         moved = sight.measurement(1, tuple((at[0] + shift).tolist()), turned)
-        there = at_com(*moved[1:], sight.marker, com)
+        there = at_com(*moved[1:4], sight.marker, com)
         columns.append(np.concatenate(pose_error(found, *there[:2])) * 1e3)
     np.testing.assert_allclose(noise, np.transpose(columns) @ columns, rtol=1e-3, atol=1e-10)
 
