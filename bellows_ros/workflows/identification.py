@@ -112,8 +112,7 @@ class Identification(CommandResult):
     @property
     def cup_length(self) -> float:
         """Cup length of the fit, m: given or estimated."""
-        standstills = self.fit.standstills
-        return standstills.length if standstills else self.parts[0].cup_length
+        return self.parts[0].cup_length
 
     @cached_property
     def envelope(self) -> validity_range.Envelope:
@@ -416,20 +415,15 @@ class Identification(CommandResult):
 
 def _standstill_sentences(result: Identification) -> Iterator[str]:
     """Yield sentences on the contribution of standstills to a fit, and on their cup length."""
-    standstills, static = result.fit.standstills, result.static
-    if standstills is None or static is None:
+    static = result.static
+    if static is None:
         return
-    ratios = sorted(zip(standstills.narrowed.tolist(), result.fit.labels, strict=True))[:6]
-    parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in ratios if ratio < 0.95]
-    narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}' if parts
-                else 'they change no standard error')
-    yield (f'{standstills.count} standstills are part of the fit (chi^2 per degree of freedom '
-           f'{standstills.chi2:.2g}): {narrowed}.')
+    if result.fit.standstills:
+        count, chi2 = result.fit.standstills
+        yield (f'{count} standstills are part of the fit (chi^2 of their mean poses {chi2:.2g}, '
+               'expected 1).')
     if static.length:
         yield f'Cup length by the loads alone: {length_sentence(static.length)}.'
-    if result.values.static.length:
-        yield (f'Cup length with the fit: {1e3 * standstills.length:.3f} ± '
-               f'{1e3 * standstills.length_std:.3f} mm.')
 
 
 def save(
@@ -460,7 +454,7 @@ def save(
 
 def fit_json(fit: Fit) -> dict[str, Any]:
     """Return the JSON content on a fit."""
-    units, standstills = parameter_units(structure_named(fit.structure)), fit.standstills
+    units = parameter_units(structure_named(fit.structure))
     exact = fit.exactly_given
     return {
         **results.attributes(
@@ -482,12 +476,8 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'time_offsets_std': fit.delays_std,
         'iterations': [results.attributes(iteration, 'chi2', 'stiffness', 'damping')
                        for iteration in fit.iterations],
-        'with_standstills': standstills and {
-            'standstills': standstills.count,
-            'chi2': standstills.chi2,
-            'cup_length': standstills.length,
-            'cup_length_std': standstills.length_std,
-            'narrowed': dict(zip(fit.labels, standstills.narrowed.tolist(), strict=True))},
+        'with_standstills': fit.standstills and {
+            'standstills': fit.standstills[0], 'chi2': fit.standstills[1]},
         'units': {
             'weight': _products([f'1/({unit})' for unit in fit.residual_units]),
             'residual_rms': fit.residual_units}}

@@ -46,9 +46,6 @@ if TYPE_CHECKING:  # not needed by a plain identification
 Poses = Mapping[str, PoseStream]
 """Poses of tool and package."""
 
-MAX_LENGTH_STD = 0.02
-"""Largest standard error of a cup's length by standstills that a fit takes, m."""
-
 FIT_BEGINS = 0.2
 """Fraction of the work at which the fit begins, for the progress display."""
 
@@ -102,9 +99,7 @@ def identify(
         static = read_standstills(values.replaced({**FULL_RANGE}), progress)
     effective = values
     if static:
-        effective = values.replaced({'cup.length': static.cup_length, **(
-            {'cup.length_std': min(static.length.length_std, MAX_LENGTH_STD)}
-            if static.length and values.static.length else {})})
+        effective = values.replaced({'cup.length': static.cup_length})
     with _runner(jobs, dask, len(values.bags)) as run:
         parts, pairs, failed = read_all(effective, progress, run, poses)
         if values.fit.method == 'output_error' and not force:
@@ -334,12 +329,11 @@ def _identify(
     of the package or the cup's length replace the given values, also in the recordings.
     """
     progress('fitting', FIT_BEGINS)
-    length = static.length if static and values.static.length else None
     try:
         result = methods.fit(
             parts, effective,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-            static.standstills if static else (), length.length_std if length else 0.0, pairs)
+            static.standstills if static else (), pairs)
     except BellowsError:
         _require_no_facts(parts, effective, progress)
         raise
@@ -356,9 +350,7 @@ def _identify(
             for n, part in enumerate(parts)]
     recordings = whole_recordings(parts)
     progress(CAUSE_TESTS, FIT_ENDS)
-    verdict = verdict_of(
-        fit, recordings, fit.standstills.length if fit.standstills else effective.cup.length,
-        effective)
+    verdict = verdict_of(fit, recordings, effective.cup.length, effective)
     identified = identification.Identification(
         fit, result.excitation, values,
         tuple(reduced(part, effective.cup.length) for part in parts),

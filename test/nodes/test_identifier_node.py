@@ -92,7 +92,8 @@ def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
     package = [str(root / 'bags/package.yaml')]
     node = make(
         ros, PACKAGE | read_parameters(package[0]), bags=[str(root / 'bags/identification')],
-        package__files=package, static__bags=[str(root / 'bags/static')], static__files=package,
+        fit__method='output_error', package__files=package,
+        static__bags=[str(root / 'bags/static')], static__files=package,
         validation__bags=[str(root / 'bags/validation')], **TOPICS,
         output__json=str(tmp_path / 'fit.json'), output__report=str(tmp_path / 'page.html'),
         exit_when_done=True)

@@ -8,7 +8,6 @@ import math
 from operator import getitem
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import least_squares, reduction
 from bellows_ros.core.identification.diagnosis.ranking import MARKERS
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
@@ -17,9 +16,7 @@ from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import given_std, weak_prior
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
-from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import measured_segments, Segments, segments_of
-from bellows_ros.core.identification.statics import joined_with_standstills, Length
 from bellows_ros.core.model.cup_package import Cup, varied
 from bellows_ros.core.model.structure import AUTO
 from bellows_ros.core.parameters.conversion import (
@@ -57,9 +54,8 @@ MIN_REST_SHARE = 0.5
 MAX_MISFIT_TO_NOISE = 2.0
 """Largest ratio of misfit and noise for output error, in free simulations and residuals."""
 
-
-LENGTH_STEP = 1e-5
-"""Step of numerical derivatives by cup.length, m."""
+MAX_STANDSTILL_CHI2 = 4.0
+"""Largest chi^2 per deviation of standstills without a note."""
 
 Pair = tuple[Segments, reduction.Statistics]
 """The segments of a recording, empty for least squares, and its statistics."""
@@ -86,7 +82,6 @@ def fit(
     values: Values,
     progress: Progress | None = None,
     standstills: Sequence[Standstill] = (),
-    length_std: float = 0.0,
     pairs: Held | None = None,
 ) -> Result:
     """
@@ -103,9 +98,7 @@ def fit(
     progress : callable, optional
         Callback with the current step and its completed fraction (0 to 1).
     standstills : sequence of Standstill
-        Standstills of the cup, whose balance is included.
-    length_std : float
-        Standard error of cup.length, m.
+        Standstills of the cup, whose balance is part of a fit by output error.
     pairs : Held, optional
         Pairs of `pair_of`, necessary for reduced recordings.
 
@@ -115,7 +108,7 @@ def fit(
         If the recordings do not determine the cup.
 
     """
-    result = fitted(recordings, values, progress, pairs)
+    result = fitted(recordings, values, progress, pairs, standstills=standstills)
     if values.fit.structure == AUTO:
         values = values.replaced({'fit.structure': result.structure})
     parts = [reduced(recording, values.cup.length) for recording in recordings]
@@ -146,12 +139,9 @@ def fit(
         result = replace(result, notes=(*result.notes, *_noise_warning(recordings)))
     if values.fit.time_offset:
         result = _with_offsets(result, [part.time_offset for part in parts])
-    if standstills:
-        result = joined_with_standstills(
-            result, standstills, Length(values.cup.length, length_std, (
-                _length_jacobian(whole_recordings(recordings), values) if length_std > 0.0 else
-                np.zeros(len(result.labels)))),
-            values.gravity.magnitude, one_cup_of(values), given_structure(values).places)
+    if result.standstills and result.standstills[1] > MAX_STANDSTILL_CHI2:
+        result = replace(result, notes=(
+            *result.notes, NOTES['disagreement'].format(chi2=result.standstills[1])))
     return Result(result, excitation)
 
 
@@ -185,10 +175,10 @@ def _report(progress: Progress, iteration: Iteration) -> None:
 
 def fitted(
     recordings: Sequence[AnyRecording], values: Values, progress: Progress | None = None,
-    pairs: Held | None = None, exactly: bool = False,
+    pairs: Held | None = None, exactly: bool = False, standstills: Sequence[Standstill] = (),
 ) -> Fit:
     """
-    Return the fit to recordings alone, without standstills and prior knowledge.
+    Return the fit to recordings.
 
     By simulation all uncertain quantities are estimated jointly with K and P; or given quantities
     are exact, as in least squares, so that causes are found.
@@ -212,8 +202,7 @@ def fitted(
         {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,
         'off' if structure.places else values.fit.stretch,
-        MARKERS if values.recording.marker == 'shared' else (),
-        values.get('static.length', False) and values.get('recording.package_frame') == 'com')
+        MARKERS if values.recording.marker == 'shared' else (), standstills)
 
 
 def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
@@ -224,16 +213,6 @@ def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
         return replace(result, delays=values, delays_std=errors)
     return replace(result, delays=tuple(
         delay + offset.value for delay, offset in zip(result.delays, removed, strict=True)))
-
-
-def _length_jacobian(recordings: Sequence[Recording], values: Values) -> Array:
-    """Return the derivatives (2 n,) of the parameters of least squares by cup.length."""
-    structure = given_structure(values)
-    ends = [
-        least_squares.least_squares(here([
-            reduction.statistics(samples_of(recording), values.cup.length + step, structure)
-            for recording in recordings])).parameters for step in (LENGTH_STEP, -LENGTH_STEP)]
-    return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
 
 def with_freed(values: Values, freed: Sequence[Freed]) -> Values:

@@ -71,6 +71,7 @@ from bellows_ros.core.identification.segments import (
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import has_coupling, require_stretch, Structure
 from bellows_ros.core.recording.recording import BodyNoise, Recording
+from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -138,7 +139,7 @@ def output_error(
     richer: Structure | None = None,
     stretch: str = 'off',
     common: tuple[str, ...] = (),
-    length_at_rest: bool = False,
+    standstills: Sequence[Standstill] = (),
 ) -> Fit:
     """
     Fit K and P so that the model, driven by the measured tool, reproduces the package's poses.
@@ -171,8 +172,8 @@ def output_error(
         Whether the coefficients of stretch are free, like `relaxation`.
     common : tuple of str, optional
         Names of quantities that all recordings share instead of having their own.
-    length_at_rest : bool
-        See `Problem`.
+    standstills : sequence of Standstill
+        Standstills of the cup, whose balance is part of the fit.
 
     Raises
     ------
@@ -190,7 +191,7 @@ def output_error(
     held = measured if isinstance(measured, Held) else here([
         segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
     problem = Problem.of(held, structure, start, free, common=common,
-                         length_at_rest=length_at_rest)
+                         standstills=tuple(standstills))
     if any(outline.is_tag for outline in problem.outlines) and 'com' in given:
         problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
     given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
@@ -481,10 +482,9 @@ def _fit(
             Freed(name, tuple(x[place].tolist()), tuple(own_std[place].tolist()))
             for name, (place, *_) in places.items() if is_result[name]),
         causes=reasons,
-        nuisances={name: x[place] + (
-            x[places['com'][:, 2:]] if name == 'length' and problem.length_at_rest and (
-                'com' in places) else 0.0)
-            for name, place in nuisances.items()},
+        nuisances={name: x[place] for name, place in nuisances.items()},
+        standstills=(len(problem.standstills), problem.local.at_rest(
+            found.theta[problem.index(0)])[2]) if problem.standstills else None,
         nuisances_std={name: total_std[place] for name, place in nuisances.items()},
         relaxation=_pair(strengths),
         relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),

@@ -32,12 +32,14 @@ from bellows_ros.core.identification.segments import (
     Segments,
     segments_of,
 )
+from bellows_ros.core.identification.statics import balance, MIN_STANDSTILL_STD
 from bellows_ros.core.model import pseudo_inertia, simulation
-from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
+from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
-from bellows_ros.core.model.jacobians import BY_DAMPING, BY_LENGTH, PARAMETER_COLUMNS
+from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
+from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import Seen
 from bellows_ros.core.signals.resampling import resample
@@ -307,8 +309,8 @@ class Problem:
         Names of quantities that all recordings share instead of having their own.
     forgetting : float
         Rate (1/s) at which an unknown acceleration of the package makes the model forget.
-    length_at_rest : bool
-        Whether the length is from poses of B at rest, so that a higher com means a longer cup.
+    standstills : tuple of Standstill
+        Standstills of the same cup, with the marker and the world of the first recording.
 
     """
 
@@ -320,7 +322,7 @@ class Problem:
     slip_ns: int = 0
     common: tuple[str, ...] = ()
     forgetting: float = 0.0
-    length_at_rest: bool = False
+    standstills: tuple[Standstill, ...] = ()
 
     @classmethod
     def of(
@@ -492,19 +494,63 @@ class Problem:
 
     def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
         """Return the model of a segment, and its free quantities, SI units."""
+        measured, free = segment.measured, self._values(theta)
+        payload = quantities.payload_of(measured.payload, free)
+        return model_tuple(self._gripper(theta), payload, quantities.gravity_of(
+            measured.gravity, free)), free
+
+    def _values(self, theta: Array) -> Free:
+        """Return the free quantities of a recording, SI units."""
         values = self.units * theta
-        free = {name: values[row] for name, row in self.rows.items()}
-        cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
+        return {name: values[row] for name, row in self.rows.items()}
+
+    def _gripper(self, theta: Array) -> Cup:
+        """Return the cup or cups with their free quantities."""
+        cup, free = gripper_of(self.cup(theta), self.structure.places), self._values(theta)
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
-        if 'com' in free and self.length_at_rest:
-            cup = replace(cup, length=cup.length + float(free['com'][2]))
         if 'relaxation' in free:
             cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
         if 'stretch' in free:
             cup = replace(cup, stretch=self.stretch(theta))
-        payload = quantities.payload_of(measured.payload, free)
-        return model_tuple(cup, payload, quantities.gravity_of(measured.gravity, free)), free
+        return cup
+
+    def at_rest(self, theta: Array) -> tuple[Array, Array, float]:
+        """
+        Return derivatives (n, q) and residuals (n,) of the standstills, in standard errors.
+
+        A chi^2 above its expectation reduces their weight; it is the third result. Unknowns are of
+        the first recording.
+        """
+        middle = np.append(np.mean([
+            still.package.position[0] for still in self.standstills], axis=0), 0.0)
+        rows = np.concatenate([self._balance(theta, still, middle) for still in self.standstills])
+        chi2 = float(np.mean(rows[:, -1] ** 2))
+        rows /= max(chi2, 1.0) ** 0.5
+        return rows[:, :-1], rows[:, -1], chi2
+
+    def _balance(self, theta: Array, still: Standstill, middle: Array) -> Array:
+        """Return derivatives and residual (6, q + 1) of a standstill, in standard errors."""
+        free = self._values(theta)
+        payload = quantities.payload_of(still.payload, free)
+        gravity = quantities.gravity_of(still.gravity, free)
+        cup = replace(self._gripper(theta), relaxation=(0.0, 0.0))
+        context = np.array(still.moves_with_com, float), middle, 0.0
+        poses = body.poses_of(still.package, free, *context)
+        places = {name: row for name, row in self.rows.items() if name not in body.CLOCKS}
+        residual, by_parameter = balance(model_tuple(cup, payload, gravity), still.tool, poses)
+        J = (by_parameter @ self._columns(payload, still.gravity, free)[:PARAMETER_COLUMNS, :-1]
+             + body.columns_of(poses, free, places, len(theta), context, poses)[0]) * self.units
+        std = np.repeat(np.maximum(still.error, MIN_STANDSTILL_STD), 3)
+        return np.asarray(np.column_stack([J, residual]) / std[:, None])
+
+    def _columns(self, payload: Package, gravity: Array | float, free: Free) -> Array:
+        """Return derivatives (:, q + 1) of a model's parameters by the unknowns, SI units."""
+        columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units) + 1))
+        columns[:BY_DAMPING.stop, :self.count] = self.structure.upper
+        for name, row in self.rows.items():
+            columns[:, row] = quantities.model_columns(name, payload, gravity, free, len(columns))
+        return columns
 
     def moved(self, theta: Array, step: Array) -> Array:
         """Return unknowns after a step, K and P along a geodesic."""
@@ -664,13 +710,7 @@ class Problem:
     ) -> whitening.Unknowns:
         """Return the effect of a segment's unknowns on its model at nodes."""
         payload = quantities.payload_of(segment.measured.payload, free)
-        columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units) + 1))
-        columns[:BY_DAMPING.stop, :self.count] = self.structure.upper
-        for name, row in self.rows.items():
-            columns[:, row] = quantities.model_columns(
-                name, payload, segment.measured.gravity, free, len(columns))
-        if 'com' in self.rows and self.length_at_rest:
-            columns[BY_LENGTH, self.rows['com'][2]] += 1.0
+        columns = self._columns(payload, segment.measured.gravity, free)
         columns[:, :-1] *= self.units
         used = np.flatnonzero(np.any(columns[:PARAMETER_COLUMNS], axis=1))[-1]
         first, last = segment.span_ns or segment.ends_ns

@@ -98,33 +98,6 @@ class Freed(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class StandstillPart:
-    """
-    The contribution of standstills to a fit.
-
-    Parameters
-    ----------
-    count : int
-        Number of standstills.
-    chi2 : float
-        Chi² of the whitened equations per degree of freedom, 1 if the errors of the mean poses
-        explain the residuals. Above 1 the weight of the equations is reduced accordingly.
-    narrowed : ndarray (2 n,)
-        Ratio of each parameter's standard errors with and without the standstills; 0 if they alone
-        determine the parameter, 1 if they contribute nothing.
-    length, length_std : float
-        The cup's length of the fit, and its standard error, m; 0 if the length was given as exact.
-
-    """
-
-    count: int
-    chi2: float
-    narrowed: Array
-    length: float
-    length_std: float
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
     """
     K and P estimated from recordings.
@@ -166,8 +139,9 @@ class Fit:
     freed : tuple of Freed
         Other estimates: com and length as changes, m; inertia and mass as logarithms of factors;
         standard error inf if not identifiable.
-    standstills : StandstillPart or None
-        Contribution of standstills, None without any.
+    standstills : (int, float) or None
+        Number of standstills in the fit, and chi^2 of their deviations per number, 1 if the errors
+        of the mean poses explain them, above 1 with less weight; None without any.
     relaxation, relaxation_std : (float, float)
         Strengths r1, r2 of the cup's relaxation, and their standard errors; zeros without it.
     noise_in_motion : mapping
@@ -215,7 +189,7 @@ class Fit:
     delays: tuple[float, ...] = ()
     delays_std: tuple[float, ...] = ()
     freed: tuple[Freed, ...] = ()
-    standstills: StandstillPart | None = None
+    standstills: tuple[int, float] | None = None
     bias: Array | None = None
     noise_share: Array | None = None
     relaxation: tuple[float, float] = (0.0, 0.0)

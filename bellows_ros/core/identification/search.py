@@ -623,11 +623,15 @@ def evaluated(problem: Problem, theta: Array, courses: Held) -> Solution:
     parts, found = pool.hold(
         _whitened, problem.local, pool.each([theta[index] for index in indices]), problem.held,
         courses)
-    for number, (index, (_, information, slope)) in enumerate(zip(indices, found, strict=True)):
+    rows = [(number, information, slope) for number, (_, information, slope) in enumerate(found)]
+    if problem.standstills and not problem.forgetting:
+        J, r, _ = problem.local.at_rest(theta[indices[0]])
+        rows.append((0, J.T @ J, J.T @ r))
+    for number, information, slope in rows:
         H.shared[:] += information[:s, :s]
         H.coupling[number] += information[s:, :s]
         H.own[number] += information[s:, s:]
-        g[index] += slope
+        g[indices[number]] += slope
     return Solution(problem, theta, courses, parts, [sums for sums, *_ in found], H, g)
 
 

@@ -4,15 +4,8 @@ The cup's length from standstills (4.2), and a check of its spring.
 The spring is checked pose by pose. Lengths of the cup under several loads, extrapolated, give its
 length without load.
 
-Standstills are equations for K, solved jointly with the equations of a motion. At rest the spring
-alone balances gravity (3.9): the acceleration a(q, k) is zero, with the entries k of K and the
-pose q of the lip. Near a guess k0, whose equilibrium is q0, a measured pose is
-
-    q = q0 - (da/dq)^-1 da/dk (k - k0) + error,
-
-six equations that are linear in K. Derivatives are taken at the equilibrium: at the measured pose,
-noise would resemble strain without a load. The errors of mean pose and cup length whiten the
-equations.
+Standstills are part of a fit: the deviations of their mean poses from the equilibrium of the model
+add to the information on all unknowns.
 """
 
 from collections.abc import Sequence
@@ -21,14 +14,11 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.identification import result
-from bellows_ros.core.identification.result import Fit, NOTES
-from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
-from bellows_ros.core.model.equilibrium import displaced, linearise, static_equilibrium
-from bellows_ros.core.model.jacobians import parameter_jacobian
-from bellows_ros.core.model.kernels import body_acceleration, State
+from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
+from bellows_ros.core.model.jacobians import PARAMETER_COLUMNS, parameter_jacobian
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import state_row
-from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -292,116 +282,23 @@ MIN_STANDSTILL_STD = (1e-7, 1e-6)
 """Smallest standard error of a mean pose, by rounding and model error, m and rad."""
 
 
-class Length(NamedTuple):
+def balance(model: ModelTuple, tool: Trajectory, package: Trajectory) -> tuple[Array, Array]:
     """
-    An uncertain cup length, and its effect on a fit of motions.
+    Return the deviation (6,) of a package at rest from its equilibrium (3.9), and its derivatives.
 
-    They are its value and standard error (m), and the derivatives (2 n,) of the parameters by it.
-    """
+    The equilibrium's derivatives (6, `PARAMETER_COLUMNS`) by the parameters of the model are -A^-1
+    B, from the derivatives A and B of the acceleration, which is zero there, by pose and by
+    parameters. Both are in body axes, m and rad.
 
-    value: float
-    std: float
-    jacobian: Array
-
-
-def joined_with_standstills(
-    fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, given: Cup,
-    places: tuple[tuple[float, ...], ...] = (),
-) -> Fit:
-    """
-    Return a fit of motions combined with standstills, weighted by their covariances.
-
-    With the information J of the motions about their estimate x0 + s (l - l0), the sum of |x - x0
-    - s (l - l0)|^2 in J, |b - A x - g (l - l0)|^2, and (l - l0)^2 over its variance is minimised,
-    as in a joint fit of all equations. Chi^2 above its expectation reduces the weight of the
-    standstills.
-
-    Parameters
-    ----------
-    fit : Fit
-        Fit of motions; entries that motions do not identify have infinite variances.
-    standstills : sequence of Standstill
-        Standstills of the same cup.
-    length : Length
-        Cup length l0 of the fit, with its standard error, 0 if exact.
-    gravity : float
-        Gravitational acceleration along -z of the world, m/s^2.
-    given : Cup
-        One cup, whose stiffness is used in weights for unidentifiable entries.
-    places : tuple of (x, y, z, index)
-        Positions of the cups of a gripper (m, in E); the fit is of one cup.
+    Raises
+    ------
+    UnstableError
+        If the cup cannot hold the package.
 
     """
-    structure = replace(structure_named(fit.structure), places=places)
-    value, std, x0 = length.value, length.std, fit.parameters
-    moving = np.hstack([np.eye(len(x0)), -std * length.jacobian[:, None]])
-    prior = moving.T @ result.information_of(fit.covariance) @ moving
-    prior[-1, -1] += 1.0
-    start = np.append(x0, 0.0)
-    weight, z, covariance = 1.0, start, fit.covariance
-    for _ in range(4):
-        guess = _guess(structure, z[:-1], covariance, given.stiffness)
-        cup = replace(given, stiffness=guess, length=value, stretch=fit.stretch,
-                      relaxation=(0.0, 0.0))
-        rows = np.concatenate([
-            _equations(still, cup, structure, gravity) for still in standstills])
-        of_K, b = rows[:, :-2], rows[:, -2]
-        large = structure.sizes(guess, guess)[:structure.size]
-        # a change by its size shifts no pose by 1e-3 standard errors
-        of_K[:, np.linalg.norm(of_K, axis=0) * large < 1e-3] = 0.0
-        A = np.hstack([of_K, np.zeros_like(of_K), std * rows[:, -1:]])
-        joint = result.covariance_of(prior + weight * A.T @ A)
-        finite = np.where(np.isfinite(joint), joint, 0.0)  # other entries are unchanged
-        z = start + finite @ (weight * A.T @ (b - A @ start))
-        degrees = len(b) - weight * float(np.trace(A @ finite @ A.T))
-        chi2 = float(np.sum((b - A @ z) ** 2)) / max(degrees, 1.0)
-        weight, covariance = 1.0 / max(chi2, 1.0), joint[:-1, :-1]
-    before = fit.covariance + std**2 * np.outer(length.jacobian, length.jacobian)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        narrowed = np.sqrt(np.diag(covariance) / np.diag(before))
-    return replace(
-        fit, parameters=z[:-1], covariance=covariance, standstills=result.StandstillPart(
-            len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
-            value + std * float(z[-1]), std * float(np.sqrt(joint[-1, -1]))),
-        notes=(*fit.notes, *[NOTES['disagreement'].format(chi2=chi2)] * (chi2 > 4.0)))
-
-
-def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
-    """Return K (6, 6) for whitening, with typical values for unidentifiable entries."""
-    if structure.couples:
-        return structure.matrices(x)[0]
-    is_usable = np.isfinite(np.diag(covariance)) & (x > 0.0)
-    return structure.matrices(np.where(is_usable, x, structure.parameters(typical, typical)))[0]
-
-
-def _equations(
-    still: Standstill, cup: Cup, structure: Structure, gravity: float
-) -> Array:
-    """
-    Return [A, b, g] (6, n + 2) of b = A k + g dl, in standard errors of the mean pose.
-
-    Coordinates are of the lip; k are the n free entries of K, dl is the error of the length, m. A
-    cup with a guess of K converts errors of poses to errors of wrenches.
-    """
-    x = structure.parameters(cup.stiffness, cup.stiffness)
-    cup = gripper_of(replace(cup, stiffness=structure.matrices(x)[0]), structure.places)
-    model = model_tuple(cup, still.payload, gravity)
-    tool, body = _state(still.tool), _state(still.package)
-    for _ in range(6):
-        step = -np.linalg.solve(linearise(model, tool, body).body_pose,
-                                np.concatenate(body_acceleration(model, tool, body)))
-        step *= min(1.0, 0.05 / max(float(np.abs(step).max()), 1e-12))
-        body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
-    changes: Array = np.empty((6, 43))  # columns of K and P, and of the length
-    parameter_jacobian(model, tool, body, 0, 43, changes)
-    of_body = np.linalg.solve(linearise(model, tool, body).body_pose, -changes)
-    of_lip = lie.adjoint(lie.transform(np.eye(3), still.payload.com)) @ of_body
-    R, R_rest = still.package.rotation[0], lie.quaternion_to_rotation(np.array(body[1]))
-    rotation = lie.log_so3(R.T @ R_rest)
-    shift = (body[0] - R_rest @ still.payload.com
-             - still.package.position[0] + R @ still.payload.com)
-    changes = np.vstack([R.T @ R_rest @ of_lip[:3], lie.dexp_inverse(-rotation) @ of_lip[3:]])
-    A = changes[:, :21] @ structure.upper[:21, :structure.size]
-    b = A @ x[:structure.size] - np.concatenate([R.T @ shift, rotation])
-    errors = np.repeat(np.maximum(still.error, MIN_STANDSTILL_STD), 3)
-    return np.asarray(np.column_stack([A, b, changes[:, 42]]) / errors[:, None])
+    hand, measured = _state(tool), _state(package)
+    rest = static_equilibrium(model, hand, measured)
+    changes: Array = np.zeros((6, PARAMETER_COLUMNS))
+    parameter_jacobian(model, hand, rest, 0, PARAMETER_COLUMNS, changes)
+    return (np.concatenate(pose_error(rest, *measured[:2])),
+            np.asarray(-np.linalg.solve(linearise(model, hand, rest).body_pose, changes)))

@@ -13,7 +13,7 @@ from bellows_ros.core.geometry.lie import exp_so3, log_so3, mean_rotation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import RELAXATION_TIMES
 from bellows_ros.core.model.validity_range import Envelope
-from bellows_ros.core.recording.recording import Noise, Recording
+from bellows_ros.core.recording.recording import Noise, PrepareSettings, Recording
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -59,6 +59,10 @@ class Standstill:
     creep : array (6,)
         Remaining motion of the relative pose from the begin of the standstill on (m, rad) by creep
         of rubber; `package` is then the final rest pose.
+    gravity : float
+        Gravitational acceleration along -z of the world, m/s^2.
+    moves_with_com : tuple of bool
+        See `PrepareSettings`.
 
     """
 
@@ -70,6 +74,8 @@ class Standstill:
     error: Noise
     payload: Package
     creep: Array = field(default_factory=lambda: np.zeros(6))
+    gravity: float = 9.81
+    moves_with_com: tuple[bool, bool, bool] = (True, True, True)
 
     @property
     def lip(self) -> Array:
@@ -113,12 +119,12 @@ def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
         for span in _spans_at_rest(bodies[:1], noise[:1], blocks))
     tool, package = bodies
     return tuple(
-        _standstill(tool.select(span), package.select(span), noise, recording.payload)
+        _standstill(tool.select(span), package.select(span), noise, recording.settings)
         for span in spans), failed
 
 
 def _standstill(
-    tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise], payload: Package
+    tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise], settings: PrepareSettings
 ) -> Standstill:
     """
     Return a standstill from its samples.
@@ -130,7 +136,8 @@ def _standstill(
     at_rest, hanging = _means(tool, [every]), _means(package, [every])
     relative, stamps_ns = relative_coordinates(tool, package), package.stamps_ns
     mean = Standstill(int(stamps_ns[0]), _seconds(stamps_ns, every), at_rest, hanging, len(every),
-                      _error(relative, stamps_ns, noise), payload)
+                      _error(relative, stamps_ns, noise), settings.payload,
+                      gravity=settings.gravity, moves_with_com=settings.moves_with_com)
     design = np.stack([np.ones(len(every)), np.exp(-package.seconds / RELAXATION_TIMES[1])], 1)
     rest, creep = np.linalg.lstsq(design, relative, rcond=None)[0]
     # ratio to the error of a mean

@@ -62,6 +62,6 @@ def test_motion_is_too_little_where_neither_a_misfit_nor_noise_hides_the_damping
         causes=(Finding('length', '', certain=certain),), covariance=np.diag([
             (std * x) ** 2 if label == 'K rz' else np.inf
             for label, x in zip(found.labels, found.parameters, strict=True)]))
-    monkeypatch.setattr(methods, 'fitted', lambda *own: unknown)
+    monkeypatch.setattr(methods, 'fitted', lambda *own, **more: unknown)
     with ends:
         assert fit([recording], VALUES).fit is unknown

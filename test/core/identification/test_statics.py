@@ -4,7 +4,9 @@ from dataclasses import replace
 import functools
 
 from bellows_ros.core.identification import statics
-from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.problem import Problem
+from bellows_ros.core.identification.quantities import weak_prior
+from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.identification.statics import check_pose, cup_length_of
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
@@ -17,6 +19,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from . import simulated
+from .test_output_error import measured
 from ..drops import SHARED
 
 G = simulated.GRAVITY
@@ -105,16 +108,12 @@ def test_a_wrong_spring_is_off_where_it_is_loaded(tilted, axis, wrong):
 
 
 def test_standstills_of_a_cup_that_stiffens_confirm_its_stretch():
-    """Check and joint fit use the coefficients of the cup, and contradict a linear spring."""
+    """The check uses the coefficients of the cup, and contradicts a linear spring."""
     stretchy = replace(simulated.CUP, stretch=(-1.5e5, -40.0))
     found = standstills_of(simulated.record(
         simulated.standstills(TILTS, hold=3.5), stretchy, **NOISE))[0]
     for cup, agrees in ((stretchy, True), (simulated.CUP, False)):
-        off = [statics.is_off(check_pose(cup, still, G)) for still in found]
-        assert any(off) != agrees
-        fit = replace(moving(3), stretch=cup.stretch)
-        joined = statics.joined_with_standstills(fit, found, length(), G, simulated.CUP)
-        assert (joined.standstills.chi2 < 4.0) == agrees
+        assert any(statics.is_off(check_pose(cup, still, G)) for still in found) != agrees
 
 
 def test_a_cup_that_cannot_hold_a_pose_is_said_to_fall():
@@ -211,78 +210,47 @@ def test_lengths_that_do_not_depend_on_the_load_are_refused():
         cup_length_of([upright(0.0478, 1.8), upright(0.0479, 1800.0)], G)
 
 
-L0 = simulated.CUP.length
-
-ROUND = STRUCTURES['axisymmetric']
-
-OF_POSES = {'tool': (5e-5, 2e-4), 'package': (1e-4, 5e-4)}
-
-TRUTH = ROUND.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
-
-
 @functools.cache
 def resting(seed):
     """Return standstills in several poses."""
-    recording = simulated.record(simulated.standstills(TILTS, hold=3.5), seed=seed, **OF_POSES)
-    return standstills_of(recording)[0]
+    return standstills_of(simulated.record(
+        simulated.standstills(TILTS, hold=3.5), seed=seed, **NOISE))[0]
 
 
-def moving(seed, axes=(0, 1, 2, 3, 4, 5), noise=OF_POSES):
-    """Return the fit to a motion of some axes."""
-    recording = simulated.record(simulated.shake(axes, seed=seed), seed=seed, **noise)
-    return simulated.least_squares([samples_of(recording)], L0, ROUND)
+def problem_at_rest(free, seed=1, standstills=None):
+    """Return the problem of a motion with standstills, and the unknowns of the truth."""
+    own = measured(seed, tool_hz=100.0, duration=6.0)
+    problem = Problem.of(
+        [Segment.of(own)], STRUCTURES['full'], simulated.CUP, weak_prior(free),
+        standstills=standstills or resting(seed))
+    return problem, problem.start
 
 
-def length(std=0.0):
-    """Return the true length, known so exactly."""
-    return statics.Length(L0, std, np.zeros(8))
+def test_derivatives_of_standstills_are_those_of_their_deviations():
+    """By differences, off the minimum, for a marker and a centre of mass that shifts the lip."""
+    names = ['com', 'length', 'mass', 'gravity', 'package_marker', 'stretch']
+    still = [replace(each, moves_with_com=(True, False, False)) for each in resting(1)]
+    problem, start = problem_at_rest(names, standstills=still)
+    theta = start + 1e-3 * np.random.default_rng(3).normal(size=len(start))
+    J, r, chi2 = problem.at_rest(theta)
+    step = 1e-5
+    for column in range(len(theta)):
+        ends = []
+        for side in (step, -step):
+            moved = theta.copy()
+            moved[column] += side
+            _, end, scale = problem.at_rest(moved)
+            ends.append(end * max(scale, 1.0) ** 0.5)
+        slope = (ends[1] - ends[0]) / (2.0 * step) / max(chi2, 1.0) ** 0.5
+        assert_allclose(J[:, column], slope, atol=2e-3 * np.abs(J).max(axis=0)[column] + 1e-6)
 
 
-def test_standstills_narrow_the_errors_and_do_not_shift_the_result():
-    """See the stiffness of which static poses tell most come nearer, within its errors."""
-    off = {'alone': [], 'joined': []}
-    for seed in range(6):
-        fit = moving(10 + seed)
-        joined = statics.joined_with_standstills(
-            fit, resting(seed), length(), G, simulated.CUP)
-        for name, found in (('alone', fit), ('joined', joined)):
-            x = ROUND.parameters(found.stiffness, found.damping)
-            off[name].append((x - TRUTH) / TRUTH)
-        assert joined.standstills.count == 5 and joined.standstills.chi2 < 2.5
-        assert joined.standstills.narrowed[0] < 0.85 and joined.standstills.narrowed[2] < 0.85
-        assert_allclose(joined.standstills.narrowed[4:], 1.0, atol=0.02)  # at rest no damper acts
-        std = np.sqrt(np.diag(joined.covariance))[:3]
-        x = ROUND.parameters(joined.stiffness, joined.damping)[:3]
-        assert np.all(np.abs(x - TRUTH[:3]) < 5.0 * std + 5e-3 * TRUTH[:3])
-        assert joined.samples_used == fit.samples_used
-    alone, joined = (np.sqrt(np.mean(np.square(off[name]), axis=0)) for name in off)
-    assert joined[0] < alone[0] and joined[2] < alone[2]
-
-
-def test_what_no_motion_tells_standstills_do():
-    """Take the axial stiffness out of the fit to a motion: it comes from rest alone."""
-    fit = simulated.without(moving(3), ['K z', 'P z'])
-    assert np.isinf(fit.stiffness_std[2, 2])
-    joined = statics.joined_with_standstills(
-        fit, resting(4), length(), G,
-        replace(simulated.CUP, stiffness=1.4 * simulated.CUP.stiffness))
-    assert np.isfinite(joined.stiffness_std[2, 2]) and np.isinf(joined.damping_std[2, 2])
-    assert joined.standstills.narrowed[1] == 0.0
-    assert abs(joined.stiffness[2, 2] / TRUTH[1] - 1.0) < 0.01
-    assert joined.damping[2, 2] == fit.damping[2, 2]
-    uncertain = statics.joined_with_standstills(
-        fit, resting(4), length(1e-4), G, simulated.CUP)
-    # all standstills are of one mass: the error of l0 is that of the stretch, m g / k
-    stretch = simulated.HELD.mass * G / TRUTH[1]
-    assert_allclose(uncertain.stiffness_std[2, 2] / TRUTH[1], 1e-4 / stretch, rtol=0.25)
-
-
-def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
-    """Say the load was 20 % more than it was."""
-    heavy = replace(simulated.HELD, mass=1.2 * simulated.HELD.mass)
-    fit, heavier = moving(7), [replace(still, payload=heavy) for still in resting(0)]
-    joined = statics.joined_with_standstills(fit, heavier, length(), G, simulated.CUP)
-    assert joined.standstills.chi2 > 100.0
-    assert 'static recordings and the motion disagree' in joined.warnings[-1]
-    # the motion knows its own stiffness better than 20 %
-    assert abs(joined.stiffness[2, 2] / TRUTH[1] - 1.0) < 0.05
+def test_standstills_of_the_truth_have_the_chi2_of_their_errors():
+    sizes = [problem_at_rest([], seed)[0] for seed in range(4)]
+    chi2 = [problem.at_rest(problem.start)[2] for problem in sizes]
+    assert 0.3 < np.mean(chi2) < 2.0
+    stiffer = problem_at_rest([])[0]
+    theta = stiffer.start.copy()
+    theta[:stiffer.count // 2] *= 1.1
+    J, r, chi2 = stiffer.at_rest(theta)
+    assert chi2 > 10.0 and np.mean(r**2) == pytest.approx(1.0)
