@@ -25,9 +25,6 @@ REFUSALS = (
     'twist_too_fast', 'twist_frame_id', 'twist_misses_pose', 'twist_unpaired')
 """Reasons for rejecting poses and twists of the tool."""
 
-MAX_PLACE = 100.0
-"""Largest distance of a tool from the origin of its frame, m: a larger one is in millimetres."""
-
 JUMP_RUN = 5
 """Number of consecutive poses, near to each other but far from the last accepted one, that are a
 new place."""
@@ -308,7 +305,7 @@ class Screen(StampScreen):
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> str:
         """Reject poses of a tracker that has lost its body: repeated, or far away."""
         last = self._last
-        if t3.norm(o) > MAX_PLACE:
+        if t3.norm(o) > screening.MAX_PLACE:
             return 'millimetres'
         if last is None:
             return ''

@@ -24,7 +24,7 @@ from bellows_ros.core.sensors.corners import (
     USUAL_EXPOSURE,
     write_image,
 )
-from bellows_ros.core.signals.screening import why_no_pose
+from bellows_ros.core.signals.screening import MAX_PLACE, why_no_pose
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -133,8 +133,8 @@ class PoseSensor:
         the tool.
         """
         reason = why_no_pose(position, quaternion_xyzw) or ('' if stamp_ns > 0 else 'zero_stamp')
-        if reason:
-            return reason
+        if reason or t3.norm(position) > MAX_PLACE:
+            return reason or 'millimetres'
         before, noise = self._last, np.zeros((6, 6))
         if covariance is not None and covariance.any() and not self.marker[3][0]:
             if not np.abs(covariance).max() <= MAX_VARIANCE:

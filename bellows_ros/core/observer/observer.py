@@ -61,8 +61,8 @@ REPEATED_NS = 5_000_000_000
 """Interval of repeated alarms of a persisting fault, ns."""
 
 VERDICTS = (
-    'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'covariance', 'repeated', 'frame_id',
-    'not_held', 'late', 'future_stamp', 'duplicate_stamp', 'out_of_reach', 'gate',
+    'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'millimetres', 'covariance', 'repeated',
+    'frame_id', 'not_held', 'late', 'future_stamp', 'duplicate_stamp', 'out_of_reach', 'gate',
 )
 """Reasons for rejecting a measured pose."""
 

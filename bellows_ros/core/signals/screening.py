@@ -23,6 +23,8 @@ MAX_TOOL_RATE = 60.0
 UNIT_TOLERANCE = 0.01
 """Largest deviation of a quaternion's length from 1 that is normalised."""
 
+MAX_PLACE = 100.0
+"""Largest distance of a body from the origin of its frame, m: a larger one is in millimetres."""
 
 LONGEST_GAP_NS = 500_000_000
 """Longest gap over which a prediction continues; after it, prediction restarts from rest, ns."""

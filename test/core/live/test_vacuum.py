@@ -66,3 +66,17 @@ def test_poses_in_millimetres_are_named_at_once_and_never_ok(speed):
         live.on_pose(START + k * 2 * MS, 'world', (x, -100.0, 600.0), UPRIGHT)
         oks.append(live.is_ok)
     assert live.refused['millimetres'] == 3000 and not any(oks)
+
+
+def test_measured_poses_in_millimetres_are_named_and_change_nothing():
+    live, twin = (LivePredictor.from_parameters({**VALUES, 'vacuum.signal': 'none'})
+                  for _ in range(2))
+    for k in range(500):
+        stamp, still = START + k * 2 * MS, (0.45, -0.1, 0.6)
+        (found,) = live.on_pose(stamp, 'world', still, UPRIGHT)
+        (expected,) = twin.on_pose(stamp, 'world', still, UPRIGHT)
+        assert found.position == expected.position
+        live.on_measured(
+            stamp, 'world', tuple(1e3 * x + 0.1 * (k % 7) for x in found.position), UPRIGHT)
+    counts = live.package.observer.counts
+    assert counts['millimetres'] == 500 and not live.alarms
