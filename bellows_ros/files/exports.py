@@ -107,16 +107,17 @@ def header(
         '/* Longest step of integration, s. */',
         f'static const double {name}_longest = {equilibrium.largest_step(model)!r};'])
     guard = f'BELLOWS_{zlib.crc32(numbers.encode()):08X}'  # different numbers of one name clash
-    stretch, branches = kernels.law_of(model)
+    branches, stretches = model[0][4:], any(cup.stretch)
     defined = ''.join(f'#define BELLOWS_{name} 1\n' for name, is_part in (
-        ('RELAXATION', branches), ('STRETCH', stretch)) if is_part)
+        ('RELAXATION', branches), ('STRETCH', stretches)) if is_part)
     return defined + Template(HEADER.read_text()).substitute(
-        guard=guard, relaxes=int(bool(branches)), stretches=len(stretch), numbers=numbers)
+        guard=guard, relaxes=int(bool(branches)), stretches=int(stretches), numbers=numbers)
 
 
 def _fields(cup: kernels.CupTuple) -> tuple[Any, ...]:
     """Return a cup in the order of bellows_cup, with the coefficients of stretch last."""
-    return (*cup[:2], cup[2][:3], *cup[3:], *cup[2][3:])
+    stretch, = cup[2][3:]
+    return (*cup[:2], cup[2][:3], *cup[3:], *(stretch,) * any(stretch))
 
 
 def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:

@@ -129,9 +129,8 @@ class Cup:
         """The cup as the kernels take it."""
         pairs = zip(self.relaxation, self.relaxation_times, strict=True)
         branches = [(float(r), float(tau)) for r, tau in pairs if any(self.relaxation)]
-        stretch = (self.stretch,) if any(self.stretch) else ()
         return (0.5 * float(self.length), float(self.length),
-                (*blocks(self.stiffness), *stretch), blocks(self.damping), *branches)
+                (*blocks(self.stiffness), self.stretch), blocks(self.damping), *branches)
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def spring_jacobian(
     Z = stress_jacobian(o, R, (K[0], K[1], K[2]))
     if len(strains) > 0:  # a sudden strain meets K (1 + r1 + r2)
         Z = add_scaled_square(Z, branches[0][0] + branches[1][0], Z)
-    if len(K) == 4:
+    if len(K) == 4 and (K[3:][0][0] != 0.0 or K[3:][0][1] != 0.0):
         Z = add_scaled_square(Z, 1.0, stress_jacobian(o, R, stretch_tangent(K[3:][0], h_now)))
     Z_oo, Z_oR, Z_Ro, Z_RR = Z
     RR = t3.add_scaled_matrix(t3.multiply(t3.hat(s_o), q_hat), -1.0, t3.outer(s_R, h_R))

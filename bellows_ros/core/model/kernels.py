@@ -9,9 +9,9 @@ A cup is the tuple ``(l1, l0, K, P)`` and a 6x6 symmetric matrix its blocks ``(o
 package is ``(mass, com, inertia, inertia_inverse)``; a model is ``(cup, package, gravity)`` with
 gravity the acceleration vector in ``A``. `cup_package.Cup` and `Package` make these tuples.
 
-Two extensions change the length of a tuple, so that each kernel is compiled separately for cups
-with and without them: a cup with stretch has its two coefficients as the fourth entry of K; a cup
-that relaxes has two branches behind P, and the package's state two internal strains.
+The fourth entry of K are the coefficients of the stretch. A cup that relaxes has two branches
+behind P, and the package's state two internal strains: the length of these tuples differs, so that
+each kernel is compiled separately for cups that relax.
 """
 
 from typing import Any
@@ -24,11 +24,11 @@ import numpy as np
 Stretch = tuple[float, float]
 """Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2)."""
 Blocks = tuple[Matrix, Matrix, Matrix, *tuple[Stretch, ...]]
-"""K or P in blocks; K of a cup with stretch is followed by its coefficients."""
+"""K or P in blocks; K is followed by the coefficients of the stretch."""
 Branch = tuple[float, float]
 """Stiffness r_b as a fraction of K, and time tau_b (s) in which the branch relaxes."""
 LawTuple = tuple[tuple[Stretch, ...], tuple[Branch, ...]]
-"""Stretch and branches of a cup, each empty if the cup has none."""
+"""Stretch of a cup, and its branches, empty if the cup does not relax."""
 CupTuple = tuple[float, float, Blocks, Blocks, *tuple[Branch, ...]]
 PackageTuple = tuple[float, Vector, Matrix, Matrix]
 ModelTuple = tuple[CupTuple, PackageTuple, Vector]
