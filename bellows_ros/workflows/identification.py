@@ -336,8 +336,9 @@ class Identification(CommandResult):
         causes = self.verdict.diagnosis.findings[:1] if self.verdict else ()
         if any(cause.material for cause in causes):
             return ()
-        misfit = () if any(cause.certain for cause in causes) or not self.fit.misfit else (
-            self.fit.misfit,)
+        is_explained = any(cause.certain for cause in causes) or self.verdict and (
+            self.verdict.vibrations)
+        misfit = (self.fit.misfit,) if self.fit.misfit and not is_explained else ()
         if self.fit.usable and self.verdict and self.verdict.refusals:
             return misfit
         kept = [f'The cup file has the given values of {", ".join(self._unknown)}.'] if (

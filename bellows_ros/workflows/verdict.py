@@ -20,7 +20,14 @@ from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
+from bellows_ros.core.signals.residuals import (
+    AXES,
+    Comparison,
+    DISPLAY_FACTORS,
+    DISPLAY_UNITS,
+    Line,
+    line,
+)
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
 from bellows_ros.report.sentences import finding_sentence, sentence, setting_of, texts
@@ -31,6 +38,9 @@ MAX_TESTED = 3
 
 MAX_SIMULATED = 50_000
 """Largest number of samples of a recording simulated freely for the verdict."""
+
+MAX_NOISE = 1.1
+"""Largest ratio of a free simulation's error to the noise that is noise."""
 
 MAX_NOISE_RATIO = 3.0
 """Largest ratio of the held-out error to the noise, if the error also exceeds `MAX_NRMSE`."""
@@ -59,6 +69,13 @@ class Simulated(NamedTuple):
     """Duration of the simulated beginning of a long recording, s; 0 for a whole recording."""
     held_out: Array | None = None
     """RMS errors (6,) in the last fifth with the cup of the other four, m and rad, if known."""
+    vibration: Line | None = None
+    """Line of the errors without which they are noise, if there is one."""
+
+    @property
+    def is_at_noise(self) -> bool:
+        """Whether the simulation is as accurate as the poses."""
+        return bool((self.rms <= MAX_NOISE * self.noise).all())
 
     @property
     def unpredicted(self) -> list[str]:
@@ -82,10 +99,25 @@ class Simulated(NamedTuple):
         what = f'{self.beginning:.0f} s of {self.bag}' if self.beginning else self.bag
         return f'Free simulation of {what} with this cup: RMS error {"; ".join(parts)}.'
 
+    @property
+    def vibration_sentence(self) -> str:
+        """The frequency and the size of a vibration, and a remedy."""
+        assert self.vibration
+        sizes = ', '.join(
+            f'{AXES[i]} {DISPLAY_FACTORS[i] * size:.2g} {DISPLAY_UNITS[i]}'
+            for i, size in enumerate(self.vibration.rms) if size > 0.3 * self.noise[i])
+        return (f'{self.bag}: the errors are noise and a vibration at '
+                f'{self.vibration.frequency:.3g} Hz (RMS {sizes}), with which the cup does not '
+                'move. A base, a camera or a marker shakes: fix it, or predict with this error.')
+
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file."""
-        return {**self._asdict(), 'axes': AXES, 'units': {
-            **dict.fromkeys(('noise', 'held_out'), POSE_UNITS), 'beginning': 's'}}
+        vibration = self.vibration and {
+            **self.vibration._asdict(),
+            'units': {'frequency': 'Hz', **dict.fromkeys(('rms', 'remainder'), POSE_UNITS)}}
+        return {
+            **self._asdict(), 'vibration': vibration, 'axes': AXES, 'units': {
+                **dict.fromkeys(('noise', 'held_out'), POSE_UNITS), 'beginning': 's'}}
 
 
 class FitVerdict(NamedTuple):
@@ -128,11 +160,16 @@ class FitVerdict(NamedTuple):
         return (*self.cause, *self.doubts, *(simulated.sentence for simulated in self.simulated))
 
     @property
+    def vibrations(self) -> tuple[str, ...]:
+        """Sentences on vibrations, if they explain all errors beyond noise."""
+        beyond = [each for each in self.simulated if not each.is_at_noise]
+        return tuple(each.vibration_sentence for each in beyond) if all(
+            each.vibration for each in beyond) else ()
+
+    @property
     def is_at_noise(self) -> bool:
         """Whether free simulations are as accurate as the poses."""
-        return bool(self.simulated) and all(
-            # as accurate as noise
-            (simulated.rms <= 1.1 * simulated.noise).all() for simulated in self.simulated)
+        return bool(self.simulated) and all(each.is_at_noise for each in self.simulated)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -175,6 +212,8 @@ class FitVerdict(NamedTuple):
     @property
     def cause(self) -> tuple[str, ...]:
         """Sentences about the main cause and further ones, if any."""
+        if self.vibrations:
+            return self.vibrations
         if not self.causing:
             return ()
         first, *others = self.causing
@@ -345,7 +384,13 @@ def _simulated(
     return Simulated(
         recording.name, result.scores.rms, noise, result.scores.motion,
         seconds if len(recording.valid) > MAX_SIMULATED else 0.0,
-        _held_out(held, recording) if held else None)
+        _held_out(held, recording) if held else None, _vibration(result, noise))
+
+
+def _vibration(result: Comparison, noise: Array) -> Line | None:
+    """Return the line of the errors without which they are noise (6,), if there is one."""
+    found = None if (result.scores.rms <= MAX_NOISE * noise).all() else line(result)
+    return found if found and (found.remainder <= MAX_NOISE * noise).all() else None
 
 
 def _held_out(cup: Cup, recording: Recording) -> Array:

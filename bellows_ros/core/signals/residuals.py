@@ -7,6 +7,7 @@ frequencies.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
@@ -152,6 +153,46 @@ def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajector
     at_stamps = resample(predicted, stamps[inside])
     return compare(at_stamps, tool.select(inside), package.select(inside))
 
+
+class Line(NamedTuple):
+    """A spectral line: frequency (Hz), RMS (6,) of line and of remainder, m and rad."""
+
+    frequency: float
+    rms: Array
+    remainder: Array
+
+
+def line(found: Comparison) -> Line | None:
+    """
+    Return the strongest spectral line of the errors, None where the prediction has a larger one.
+
+    A vibration of a base or a camera is in the measured poses alone; a wrong cup errs at the
+    frequencies of the motion.
+    """
+    present = np.asarray(np.isfinite(found.error).all(axis=1))
+    t = (found.stamps_ns - found.stamps_ns[0]) * 1e-9
+    size = np.where(found.scores.rms > 0.0, found.scores.rms, 1.0)
+    errors = np.where(present[:, None], found.error / size, 0.0)
+    count = PADDING * len(t)
+    power = np.sum(np.abs(np.fft.rfft(np.hanning(len(t))[:, None] * errors, count, 0))**2, axis=1)
+    frequency = float(np.argmax(power) / (count * np.median(np.diff(t))))
+    phase = 2.0 * np.pi * frequency * t[present]
+    basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase)])
+
+    def split(values: Array) -> tuple[Array, Array]:
+        """Return the line and the remainder of coordinates."""
+        amplitudes = np.linalg.lstsq(basis, values, rcond=None)[0]
+        return basis[:, :2] @ amplitudes[:2], values - basis @ amplitudes
+
+    rms, remainder, moving = (np.sqrt(np.mean(each**2, axis=0)) for each in (
+        *split(found.error[present]), split(found.predicted[present])[0]))
+    strongest = int(np.argmax(rms / size))
+    is_of_sensor = moving[strongest] < rms[strongest]
+    return Line(frequency, rms, remainder) if is_of_sensor else None
+
+
+PADDING = 8
+"""Factor of the number of frequencies at which a line is sought."""
 
 SEGMENT_S = 2.0
 """Length of the segments of a spectrum, s: a resolution of 0.5 Hz."""

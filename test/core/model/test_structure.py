@@ -200,8 +200,8 @@ def test_the_covariance_is_that_of_one_cups_entries():
     places, rng = conversion.places_of(values), np.random.default_rng(3)
     cup, numbers = conversion.cup_of(values), conversion.parameter_vector(values)
     model = (cup.as_tuple, (2.0, (0.0,) * 3, (1.0,) * 9, (1.0,) * 9), (0.0,) * 3)
-    assert_allclose(
-        np.array(model_with(model, numbers, places)[0][2][:3]), np.array(cup.as_tuple[2][:3]), rtol=1e-14)
+    blocks = model_with(model, numbers, places)[0][2][:3]
+    assert_allclose(np.array(blocks), np.array(cup.as_tuple[2][:3]), rtol=1e-14)
     step = conversion.parameter_std(values)[:21] * rng.standard_normal(21)
     other = model_with(model, numbers + np.append(step, np.zeros(31)), places)[0][2]
     K = np.block([[np.reshape(other[0], (3, 3)), np.reshape(other[1], (3, 3))],
