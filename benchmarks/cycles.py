@@ -150,9 +150,10 @@ class Follower:
                 self._compare(int(phases[k]), cycle.truth[k], k % 10 == 0)
 
     def _switch(self, k: int, held: list[int], stamp_ns: int) -> None:
-        """Let the switch follow the package, or the valve alone."""
-        if not self.has_switch and k in held:
-            self.live.on_valve(k == held[0], stamp_ns)
+        """Let the switch follow the package; without it the valve alone is known."""
+        if not self.has_switch:
+            if k in held:
+                self.live.on_valve(k == held[0], stamp_ns)
         elif k % 5 == 0:
             self.live.on_vacuum(held[0] <= k < held[1], stamp_ns)
 

@@ -225,6 +225,11 @@ class Alarms:
         return self._of_cup(int(places[0]), Alarm(
             stamp_ns, 'cup', 1.0, 0.0, 'leak', VACUUM_ODDS, shown_by='vacuum'))
 
+    def fallen(self, stamp_ns: int, ratio: float) -> Alarm | None:
+        """Return the alarm on a fall near a support by its log-likelihood ratio, if any."""
+        odds = math.exp(min(ratio - self._threshold, CLEAR_LEAD))
+        return Alarm(stamp_ns, 'lost', 1.0, 0.0, 'disturbance', odds) if odds > 1.0 else None
+
     @staticmethod
     def lost(
         stamp_ns: int, is_held: bool | None, is_seen: bool = True, reach: float = 0.0

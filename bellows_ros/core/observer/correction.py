@@ -390,7 +390,7 @@ class Correction:
             walk[WRENCHES] += self._by_support(before.body) / TOUCHDOWN
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         theta[states.LATENCY - STATE] -= late  # correction for reading the pose earlier
-        verdict, numbers, found, likeliest, rise = likelihood.filter_step(
+        verdict, numbers, found, likeliest, (rise, fall) = likelihood.filter_step(
             self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
             (self._drive, walk, self._marker[3][0]),
@@ -402,7 +402,7 @@ class Correction:
         theta[states.LATENCY - STATE] += late
         return verdict, before._replace(
             stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            contact=max(before.contact + rise, 0.0),
+            contact=max(before.contact + rise, 0.0), fall=max(before.fall + fall, 0.0),
             evidence=Evidence(
                 found[0], found[1], found[2], found[3], *evidence[4:])), likeliest
 
@@ -449,9 +449,11 @@ class Correction:
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         verdict, after, likeliest = self._step(
             before, track, stamp_ns, is_recorded, measurement, GATE, support)
+        fallen = self.alarms.fallen(stamp_ns, after.fall) if (
+            self.alarms and support and not has_vacuum) else None
         if verdict in (OUT_OF_REACH, FALLING):
             falls = verdict == FALLING and (before.falls or before.away_ns == 0)
-            return before._replace(falls=falls), 'out_of_reach', None
+            return before._replace(falls=falls, fall=after.fall), 'out_of_reach', fallen
         gated = (*before.gated_ns, stamp_ns) if verdict == OUTSIDE else ()
         name = 'used' if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS
@@ -460,13 +462,13 @@ class Correction:
             gated_ns=gated, away_ns=before.away_ns if gated else 0, support=support,
             late_ns=measurement.stamp_ns - stamp_ns)
         if support:
-            after = self._touching(after)
+            after, fault = self._touching(after), fallen
             after.theta[KNOWN_ROWS - STATE] = before.theta[KNOWN_ROWS - STATE]
             after.covariance[KNOWN] = before.covariance[KNOWN]
         else:
             after, fault = self._judged(before, after, likeliest, has_vacuum)
-            if fault is not None:
-                return after, name, fault
+        if fault is not None:
+            return after, name, fault
         if name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
         return after, name, None

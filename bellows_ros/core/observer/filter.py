@@ -130,6 +130,8 @@ class Estimate(NamedTuple):
     """Whether a support was `NEAR` or in `CONTACT`; 0 without."""
     contact: float = 0.0
     """Log-likelihood ratio of a contact since its likeliest begin."""
+    fall: float = 0.0
+    """Log-likelihood ratio of a fall near a support since its likeliest begin."""
     late_ns: int = 0
     """Shift of the last measurement before its stamp, ns."""
 

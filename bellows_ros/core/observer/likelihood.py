@@ -60,12 +60,14 @@ from bellows_ros.core.observer.hypotheses import (
     START_WEIGHT,
 )
 from bellows_ros.core.observer.measurement import (
+    FALL_RATIO,
+    FALLING,
     MeasuredPose,
     output_of,
     OUTSIDE,
-    rise_ratio,
     updated,
     USED,
+    vertical_ratios,
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -83,7 +85,8 @@ def filter_step(
     Inputs are as for `model_of`, `predicted` and `updated`, and the faults: their evidence, and
     the error (n + 7, components) by each component. Cups are the holding cups of a gripper. One
     kernel, with the model as an array, is faster to call from Python. The results are a verdict,
-    the estimate, the evidence, the result of `_assessed`, and of `rise_ratio` near a support.
+    the estimate, the evidence, the result of `_assessed`, and of `vertical_ratios` near a
+    support.
     """
     model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     E, statistics, distances, onsets, from_start, steps = faults
@@ -91,12 +94,15 @@ def filter_step(
     after, E, gain = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
     _, tool, body, theta, P, _ = after
-    rise = 0.0
+    rise = fall = 0.0
     if seen[7] > 0.0:
         verdict, innovation, body, theta, learned = updated(
             model, after, seconds, seen, gain)
-        if seen[6] > 0.0 and verdict <= USED:
-            rise = rise_ratio(body, model[2], innovation, seen[6])
+        if seen[6] > 0.0 and verdict <= OUTSIDE:
+            rise, fall = vertical_ratios(body, model[2], innovation, seen[6])
+            rise = rise if verdict == USED else 0.0
+        elif verdict == FALLING:
+            fall = FALL_RATIO
         if len(E) > 0 and verdict <= OUTSIDE:
             statistics, distances = statistics.copy(), distances.copy()
             onsets = onsets.copy()
@@ -106,7 +112,7 @@ def filter_step(
         if likeliest.total < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
     return (verdict, (until_ns, tool, body, theta, P, memory),
-            (E, statistics, distances, onsets), likeliest, rise)
+            (E, statistics, distances, onsets), likeliest, (rise, fall))
 
 
 @kernel

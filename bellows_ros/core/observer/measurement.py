@@ -415,22 +415,31 @@ def updated_memory(
 
 
 @kernel
-def rise_ratio(body: State, gravity: Vector, innovation: Innovation, sag: float) -> float:
+def vertical_ratios(
+    body: State, gravity: Vector, innovation: Innovation, sag: float
+) -> tuple[float, float]:
     """
-    Return the log-likelihood ratio of a package that has risen by the sag of the cup (m).
+    Return the log-likelihood ratios of a rise by the sag of the cup (m), and of a fall.
 
-    From contact on, a support takes the weight off the cup, which shortens by its sag.
+    From contact on, a support takes the weight off the cup, which shortens by its sag. A fall has
+    its likeliest length, less `FALL_COST` for that freedom.
     """
     n = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
-    size, z, W, along, square = -sag / t3.norm(gravity), innovation[0], innovation[2], 0.0, 0.0
+    size, z, W, along, square = 1.0 / t3.norm(gravity), innovation[0], innovation[2], 0.0, 0.0
     for i in range(6):
         by = 0.0
         for j in range(min(i + 1, 3)):
             by += size * W[i, j] * n[j]
         along += by * z[i]
         square += by * by
-    return along - 0.5 * square
+    return -sag * (along + 0.5 * sag * square), 0.5 * max(along, 0.0)**2 / square - FALL_COST
 
+
+FALL_COST = 1.0
+"""Cost of the unknown length of a fall at each pose: without a fall the sum of ratios sinks."""
+
+FALL_RATIO = 0.5 * OUTLIER_DISTANCE - FALL_COST
+"""Log-likelihood ratio of a fall by a pose out of reach, the largest of one pose."""
 
 RELATIVE_ROUNDING = 1e-12
 """
