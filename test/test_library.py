@@ -128,6 +128,7 @@ def test_what_is_no_recording_is_refused(root, recordings):
         bellows_ros.identify(recordings, package, 0.046, {'recording.package_frame': 'com'})
 
 
+@pytest.mark.stress
 def test_rubber_is_identified_as_by_the_command(root):
     """Find the relaxation of `bags/rubber_cup.yaml`; K is 10 % larger without."""
     settings = bellows_ros.read_parameters(root / 'bags/package.yaml')

@@ -108,7 +108,7 @@ def require_the_same(asked, expected, **route):
     assert content_of(identify(asked, **route)) == expected
 
 
-@pytest.mark.parametrize('jobs', [1, 2])
+@pytest.mark.parametrize('jobs', [2, pytest.param(1, marks=pytest.mark.stress)])
 def test_processes_give_the_same_cup_to_the_last_digit(simulated, jobs):
     require_the_same(*simulated, jobs=jobs)
 
@@ -120,6 +120,7 @@ def test_a_cluster_gives_the_same_cup_although_a_worker_is_lost(simulated, clust
     assert progress.killed
 
 
+@pytest.mark.stress
 def test_processes_give_the_same_cup_although_one_is_lost(simulated):
     progress = killer(lambda: processes()[0])
     require_the_same(*simulated, jobs=2, progress=progress)

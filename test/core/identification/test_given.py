@@ -60,6 +60,7 @@ def test_a_frame_and_a_length_that_are_a_little_off_are_found_with_the_cup():
     assert np.abs(off(found)[1]).max() < 4.0
 
 
+@pytest.mark.stress
 def test_recordings_may_share_the_errors_of_a_marker():
     turned, parts = exp_so3(np.array([6e-3, -4e-3, 0.0])), []
     for number, seed in enumerate((7, 8)):
@@ -122,6 +123,7 @@ def test_a_lip_that_is_lower_than_it_seems_is_no_soft_cup(off):
     assert np.all(np.abs(wrong.theta + off) < 4.0 * wrong.std)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(('memory', 'sensor'), [(0.0, {}), (0.1, {}), (0.0, CAPTURED)])
 def test_a_package_that_slips_is_named(memory, sensor):
     """
@@ -147,6 +149,7 @@ def test_a_package_that_slips_is_named(memory, sensor):
     assert not sound
 
 
+@pytest.mark.stress
 def test_a_com_far_off_is_no_slip_soon_after_the_beginning():
     """Which would share what the centre of mass is off, in its standard deviations."""
     wrong = replace(measured(3, tool_hz=100.0, duration=10.0), payload=varied(
@@ -171,6 +174,7 @@ def test_a_world_that_is_not_level_is_named(sensor):
     assert np.all(np.abs(gravity.theta - [0.0, -0.12]) < 4.0 * gravity.std)
 
 
+@pytest.mark.stress
 def test_a_world_that_lets_no_search_converge_is_named():
     own = measured(2, tool_hz=100.0, duration=8.0, **CAPTURED)
     turn = exp_so3(np.array([0.0, np.radians(1.5), 0.0]))
@@ -195,6 +199,7 @@ def test_a_centre_of_stiffness_on_the_axis_is_no_length_and_com_that_are_wrong(s
     assert found and not any(finding.certain for finding in found)
 
 
+@pytest.mark.stress
 def test_what_is_off_under_motion_capture_is_named_with_all_that_is_a_little_off():
     """A marker along the cup, which wrenches take for another length."""
     own = measured(6, tool_hz=100.0, duration=8.0, **CAPTURED)
@@ -241,6 +246,7 @@ def test_what_would_be_off_by_many_standard_deviations_is_named(off, named):
         assert abs(abs(own.theta[-1 if own.name == 'length' else 2]) - off) < 4.0 * own.std[0]
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(('lip', 'seed', 'tool_hz', 'sensor'), [
     (True, 8, 100.0, QUIET), (False, 6, 500.0, {}), (True, 6, 500.0, {})])
 def test_poses_of_the_lip_are_told_from_those_of_the_com(lip, seed, tool_hz, sensor):
@@ -265,6 +271,7 @@ def test_k_is_known_no_better_than_the_mass():
     assert 0.02 < share[2] < 0.05  # the inertia says a part of it
 
 
+@pytest.mark.stress
 def test_what_is_found_beside_k_has_the_standard_deviations_of_what_was_given():
     """The mass stays as uncertain as given, the centre of mass does not."""
     own, pulls = measured(9, **QUIET), []

@@ -420,6 +420,7 @@ def test_a_wrong_number_is_named_with_its_size_and_a_sound_recording_is_not_accu
     assert_allclose(moved, 0.003, atol=1e-3)
 
 
+@pytest.mark.stress
 def test_a_slip_is_no_noise_of_a_slow_camera(monkeypatch):
     """Its noise is learned from what the fit leaves, but compared with that of its poses alone."""
     monkeypatch.setattr(ranking, 'rank', lambda *ends: ())

@@ -169,6 +169,7 @@ def of_two_masses(seed, tilt):
     return of_one_mass(seed, tilt) + of_one_mass(seed + 2, tilt, 0.8)
 
 
+@pytest.mark.stress
 def test_output_error_of_one_mass_finds_stretch_where_the_law_holds():
     """In tilts up to 10 degrees, not up to 20, where terms of the energy beyond stretch matter."""
     _, cup = fitted(of_one_mass(51, 10.0))

@@ -171,6 +171,7 @@ def test_calibration_finds_noise_that_is_larger_than_stated():
         calibrated(run, values(**ORDINARY, measured__tag_size=0.05), 18.0)
 
 
+@pytest.mark.stress
 def test_packages_that_are_too_heavy_are_no_wear_of_the_cup():
     """Name the payload for each of three packages of 1.3 times the mass."""
     for seed in (7300, 7302):
