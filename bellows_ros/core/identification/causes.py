@@ -407,7 +407,7 @@ def _jump(recording: Recording) -> Finding | None:
     name, sizes = 'slip', [largest.position, 0.0]
     has_tails = any(step.position > TAIL_SHARE * largest.position for step in others)
     if turns.max() > MAX_SLIP_ANGLE:
-        name, largest, sizes = 'flip', steps[np.argmax(turns)], [turns.max()]
+        name, largest, sizes = 'turn', steps[np.argmax(turns)], [turns.max()]
     elif has_tails or stream.timing.rate_hz < LOW_RATE_HZ:  # the fit separates slips from tails
         return None
     since = (stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S

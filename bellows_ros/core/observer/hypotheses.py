@@ -43,8 +43,8 @@ class Cause(NamedTuple):
     stamps)."""
     confirmed: int = 2
     confirmed_ns: int = 80_000_000
-    """Number of measurements and time (ns) required after half the threshold: swapped markers and
-    flipped tags, unlike falls, last for a few frames."""
+    """Number of measurements and time (ns) required after half the threshold: swapped markers,
+    unlike falls, last for a few frames."""
 
 
 _ROWS = {**states.FIRST, 'FORCE_LOSS': ekf.FORCE_LOSS}

@@ -5,9 +5,9 @@ A body with finite speed cannot jump. The jump between two samples is the least 
 the interval between them, of two straight continuations: of the two samples before, and of the two
 after. Constant acceleration and sudden changes of velocity cause no jump. A Hampel filter detects
 jumps above a multiple of the local median. Jumps that cancel each other enclose an excursion,
-whose samples are all marked; a flip of a flat tag is a short excursion. A jump without a
-cancelling one is a lasting step. Exact repeats of a pose are marked if the body moved meanwhile.
-Positions (m) and rotation vectors (rad) are treated alike.
+whose samples are all marked. A jump without a cancelling one is a lasting step. Exact repeats of a
+pose are marked if the body moved meanwhile. Positions (m) and rotation vectors (rad) are treated
+alike.
 """
 
 from collections.abc import Iterable

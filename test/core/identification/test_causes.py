@@ -207,9 +207,9 @@ def test_a_package_that_jumps_has_slipped_whatever_else_explains():
     assert slow.report.package.outliers.steps and not implausible_inputs(slow)  # the fit tells
     R = poses.rotation.copy()
     R[half:] *= [-1.0, -1.0, 1.0]  # half a turn about z of the marker
-    (flip,) = implausible_inputs(prepare(
+    (turn,) = implausible_inputs(prepare(
         own.tool_pose, replace(poses, rotation=R), own.settings, own.tool_twist))
-    assert flip.name == 'flip' and flip.theta[0] == pytest.approx(np.pi, abs=0.2)
+    assert turn.name == 'turn' and turn.theta[0] == pytest.approx(np.pi, abs=0.2)
 
 
 def test_the_remedy_of_a_wrong_gravity_is_in_axes_of_the_recording():
