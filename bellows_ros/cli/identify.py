@@ -58,15 +58,15 @@ def _next(arguments: argparse.Namespace, result: Identification) -> tuple[str, .
     files = [cell] if cell else arguments.params
     replay = ' '.join([
         '  bellows replay BAG', *(f'--params {file}' for file in (*files, out)),
-        *([f'--observe {result.values.topics.package_pose}'] if cell else [])])
+        *([f'--observe {result.remappings.get("package/measured", "/tf")}'] if cell else [])])
     return (
         *([f'Estimated, but not written: {lost}; give --out-cell cell.yaml to keep them.']
           if lost else []),
         'Next, check how well it predicts another recording:', replay, *((
             'Then predict live:',
             f'  ros2 run bellows_ros predictor --ros-args --params-file {cell} --params-file {out}'
-            f' -r tool_arm/pose:={result.values.topics.tool_pose}'
-            f' -r package/measured:={result.values.topics.package_pose}') if cell else ()))
+            + ''.join(f' -r {name}:={topic}' for name, topic in result.remappings.items())
+        ) if cell else ()))
 
 
 def _release(

@@ -168,9 +168,10 @@ def read_views(
             arrivals.append(log_ns)
             views.append(seen[0])
             places.append(place)
-    corners = directions(np.array(views).reshape(-1, 4, 2), *_calibration(path, frame, rectified))
+    camera, calibration = _calibration(path, frame, rectified)
+    corners = directions(np.array(views).reshape(-1, 4, 2), *camera)
     found = CornerViews(absolute(topic), frame, number, np.array(stamps, np.int64), corners,
-                        {reason: tuple(at) for reason, at in of_frame.items()})
+                        calibration, {reason: tuple(at) for reason, at in of_frame.items()})
     return _usable(found, np.array(arrivals), np.array(places), path)
 
 
@@ -188,8 +189,8 @@ def _number_of(topic: str, path: File, arrays: list[Any], number: int) -> int:
     return number
 
 
-def _calibration(path: File, frame: str, rectified: bool) -> Camera:
-    """Return the camera of a frame."""
+def _calibration(path: File, frame: str, rectified: bool) -> tuple[Camera, str]:
+    """Return the camera of a frame, and the topic of its calibration."""
     found: dict[Camera, str] = {}
     for topic, _, data in bags.messages_of(path, {CAMERA_INFO}):
         info = bags.decoded(data, CAMERA_INFO)
@@ -204,8 +205,8 @@ def _calibration(path: File, frame: str, rectified: bool) -> Camera:
             f"Recording '{Path(path)}' has {len(found)} calibrations of the frame '{frame}', on "
             f'{", ".join(sorted(set(found.values())))}. Record the one of the image in which tags '
             'are detected.')
-    (camera,) = found
-    return camera
+    (only,) = found.items()
+    return only
 
 
 def _usable(views: CornerViews, arrivals: Any, places: Any, path: File) -> CornerViews:

@@ -191,6 +191,8 @@ class Identification(CommandResult):
             name: value for name, value in self.values.items()
             if name.startswith(CELL_PREFIXES) and value != table.PARAMETERS[name].default
             and name not in ('package.files', 'recording.start', 'recording.end')}
+        if 'package/camera_info' in self.remappings:
+            given['measured.type'] = 'detections'
         found = {name: each for name, each in self.found.items() if name != 'cup.length'}
         errors = {
             f'{name}_std': std for name, (_, std, _) in found.items()
@@ -204,6 +206,18 @@ class Identification(CommandResult):
         if 'measured.offset' in found:  # the pose of the tag is relative to the com
             given |= {'recording.package_frame': 'com', 'recording.align_at_rest': False}
         return {**given, **{name: value for name, (value, *_) in found.items()}, **errors}
+
+    @property
+    def remappings(self) -> dict[str, str]:
+        """Recorded topics by input of the node."""
+        topics = self.values.topics
+        inputs = {'tool_arm/pose': topics.tool_pose, 'package/measured': topics.package_pose}
+        if self.values.measured.type == 'tf':
+            del inputs['package/measured']
+        for recording in self.recordings[:1]:
+            if calibration := recording.report.package.recorded.calibration:
+                inputs['package/camera_info'] = calibration
+        return inputs
 
     @cached_property
     def found(self) -> Mapping[str, tuple[Any, Any, str]]:

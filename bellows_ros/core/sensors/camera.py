@@ -64,6 +64,8 @@ class CornerViews:
         Increasing header stamps, ns.
     corners : array (N, 4, 2)
         Directions (X/Z, Y/Z) of the corners in the order of the detector.
+    calibration : str
+        Topic of the camera's calibration.
     refused : mapping of str to tuple of int
         Indices of omitted messages by reason.
 
@@ -74,13 +76,15 @@ class CornerViews:
     tag_id: int
     stamps_ns: Stamps
     corners: Array
+    calibration: str = ''
     refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     def poses(self, side: float) -> PoseStream:
         """Return the poses in the camera, with corners, of a tag with a side (m)."""
         position, rotation = poses_of_corners(self.corners, side)
         return PoseStream(self.name, self.frame_id, self.stamps_ns, position, rotation,
-                          self.refused, corners=self.corners.reshape(-1, 8))
+                          self.refused, corners=self.corners.reshape(-1, 8),
+                          calibration=self.calibration)
 
 
 class TagCamera:

@@ -59,6 +59,8 @@ class PoseStream(_Stamped):
         Covariance of position (m) and rotation (rad) about axes of the frame, as in messages.
     corners : array (N, 8), optional
         Corners of a detected tag in the image of an undistorted camera of unit focal length.
+    calibration : str
+        Topic of the camera's calibration, if corners are recorded.
     clock_steps : tuple of (int, float)
         Steps of the clock that stamps, by arrivals: stamp before each (ns), and size (s).
 
@@ -79,6 +81,7 @@ class PoseStream(_Stamped):
     covariance: Array | None = None
     clock_steps: tuple[tuple[int, float], ...] = ()
     corners: Array | None = None
+    calibration: str = ''
 
     def __post_init__(self) -> None:
         _freeze_arrays(
