@@ -102,9 +102,11 @@ def views(
 
     """
     body = poses_of(poses, values, *context)
+    origins = poses_of(poses, {name: value for name, value in values.items() if name not in (
+        'com', 'package_marker')}, *context)
     return Views(
         np.column_stack([body.position, lie.rotation_to_quaternion(body.rotation), delays]),
-        columns_of(poses, values, places, len(units), context, carried(poses, path)) * units,
+        columns_of(body, values, places, len(units), context, carried(origins, path)) * units,
         np.array([int(place) for name in CLOCKS for place in places.get(name, ())],
                  dtype=np.int64), np.empty((0, 6)), np.empty((0, 6, 6)))
 
@@ -114,14 +116,14 @@ def columns_of(
     scaled: Trajectory,
 ) -> Array:
     """
-    Return minus the derivatives (N, 6, p) of poses by p unknowns.
+    Return minus the derivatives (N, 6, p) of the poses of B by p unknowns.
 
     For a scale of the positions of other poses, where their noise would bias it.
     """
     columns = np.zeros((len(poses), 6, count))
     for name, place in places.items():
         known = scaled if name == 'scale' else poses
-        columns[:, :, place] = -pose_changes(name, len(place), known, *context)
+        columns[:, :, place] = -pose_changes(name, len(place), known, values, *context)
     return columns
 
 
@@ -135,8 +137,6 @@ def poses_of(
     Moves (3,) is 1 for the components of the com that shift B, else 0. The world rotates about a
     middle, see `middle_of`; by default of the poses. Positions are scaled about a camera (3,).
     """
-    if 'com' in values:
-        package = of_fixed_frame(package, np.zeros(3), moves * values['com'])
     if 'scale' in values:
         package = replace(
             package, position=package.position + values['scale'] * (package.position - camera))
@@ -146,6 +146,8 @@ def poses_of(
         package = replace(
             package, position=middle[:3] + values['package_world'][:3] + lie.apply(
                 R, package.position - middle[:3]), rotation=R @ package.rotation)
+    if 'com' in values:
+        package = of_fixed_frame(package, np.zeros(3), moves * values['com'])
     if 'package_marker' in values:
         shift, rotation = np.split(values['package_marker'], 2)
         package = of_fixed_frame(package, rotation, shift)
@@ -176,28 +178,33 @@ def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
 
 
 def pose_changes(
-    name: str, size: int, package: Trajectory, moves: Array, middle: Array,
+    name: str, size: int, package: Trajectory, values: Values, moves: Array, middle: Array,
     camera: Array | float = 0.0,
 ) -> Array:
     """
-    Return the derivatives of poses (M, 6, size) by a nuisance, in body axes.
+    Return the derivatives of poses (M, 6, size) by a nuisance at its value, in body axes.
 
     Derivatives by offset and rate of the clocks are in units of the twist.
     """
     change = np.zeros((len(package), 6, size))
+    world, marker = (values.get(each, np.zeros(6)) for each in ('package_world', 'package_marker'))
+    R_after_before = lie.exp_so3(-marker[3:])
     if name == 'com':
-        change[:, :3] = np.diag(moves)
+        change[:, :3] = R_after_before * moves
     elif name == 'time_offset':
         change -= 1.0
     elif name == 'clock_rate':
         change -= (package.stamps_ns / NS_PER_S - middle[3])[:, None, None]
     elif name == 'scale':  # of smooth poses, see `carried`
+        camera = middle[:3] + world[:3] + lie.exp_so3(world[3:]) @ (camera - middle[:3])
         change[:, :3, 0] = lie.apply(
-            np.swapaxes(package.rotation, 1, 2), package.position - camera)
+            np.swapaxes(package.rotation, 1, 2), package.position - camera) / (
+            1.0 + values.get('scale', np.zeros(1)))
     elif name == 'package_marker':
-        change += np.eye(6)
+        change[:, :3, :3], change[:, 3:, 3:] = R_after_before, lie.dexp(-marker[3:])
     elif name == 'package_world':
         inverse = np.swapaxes(package.rotation, 1, 2)
         change[:, :3, :3] = change[:, 3:, 3:] = inverse
-        change[:, :3, 3:] = -inverse @ lie.hat(package.position - middle[:3])
+        change[:, :3, 3:] = -inverse @ lie.hat(package.position - middle[:3] - world[:3])
+        change[:, :, 3:] = change[:, :, 3:] @ lie.dexp(world[3:])
     return change

@@ -1,0 +1,117 @@
+"""
+Cups from detected tags whose images are not ideal, against the simulated cup.
+
+The projection, the lens and the shutter are the test's own.
+"""
+
+from dataclasses import replace
+
+from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.files.bag_writer import as_messages, write_bag
+from bellows_ros.files.messages import DETECTIONS
+from bellows_ros.workflows.identify import identify
+import numpy as np
+import pytest
+
+from ..core.identification.simulated import CUP, HELD, shake
+from ..files.recordings import EPOCH_NS, POSE
+from ..files.test_detections import calibration, detections, encoded, LENSES, MATRIX, pixel
+
+SIDE, LATE_NS, NO_LENS = 0.06, 25_000_000, np.zeros(5)
+EYE, TAG = np.array([0.9, 0.15, 0.1]), np.array([0.1, 0.01, 0.0])
+CORNERS = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+SHOWN, TRUE = [0, 2, 3, 5], np.diag(CUP.stiffness)[[0, 2, 3, 5]]
+GIVEN = {
+    'topics.tool_pose': '/tool', 'topics.package_pose': '/detections', 'fit.time_offset': True,
+    'recording.package_world': 'estimate', 'fit.free': ['package_marker', 'scale'],
+    'recording.package_frame': 'com', 'recording.align_at_rest': False,
+    'measured.tag_size': SIDE, 'package.mass': HELD.mass, 'package.com': HELD.com.tolist(),
+    'package.inertia': [*np.diag(HELD.inertia), 0.0, 0.0, 0.0], 'cup.length': CUP.length}
+
+
+@pytest.fixture(scope='module')
+def motion():
+    """Return the true motion of tool and package every millisecond."""
+    tool = shake(duration=16.0).at_rate(1000.0, EPOCH_NS)
+    return tool, simulate(CUP, HELD, tool)
+
+
+def images(package, k=NO_LENS, readout=0.0):
+    """
+    Return times (ms) and pixels (N, 4, 2) of the tag, 30 Hz, each the mean over 8 ms.
+
+    Corners are seen through a lens with coefficients k, later by the readout (s) per image height.
+    """
+    z = (TAG - EYE) / np.linalg.norm(TAG - EYE)
+    x = np.array([-z[1], z[0], 0.0]) / np.hypot(z[0], z[1])
+    R_eye = np.column_stack([x, np.cross(z, x), z])
+    points = TAG + CORNERS @ (exp_so3(np.array([0.1, -0.2, 0.3])) @ R_eye).T
+
+    def at(t):
+        n, part = t.astype(int), (t % 1.0)[..., None]
+        X = sum(share * (package.position[m] + np.einsum(
+            'ncij,cj->nci', package.rotation[m], points))
+            for m, share in ((n, 1.0 - part), (n + 1, part)))
+        X = (X - EYE) @ R_eye
+        return X[..., :2] / X[..., 2:]
+
+    times = np.arange(60, len(package) - 60, 1000.0 / 30.0)
+    line = np.repeat(times[:, None], 4, axis=1)
+    line = line + 1e3 * readout * at(line)[..., 1] * MATRIX[1, 1] / 720.0
+    seen = np.mean([at(line + shift) for shift in np.linspace(-4.0, 4.0, 9)], axis=0)
+    pixels = np.apply_along_axis(pixel, -1, seen, k)
+    return times, pixels + np.random.default_rng(3).normal(0.0, 0.06, pixels.shape)
+
+
+def fitted(path, motion, times, pixels, k=NO_LENS, numbers=(7,), **given):
+    """Return the identification, its relative errors of K and its relative standard errors."""
+    tool, draw, part = motion[0], np.random.default_rng(1), slice(None, None, 4)
+    position, rotation = tool.position[part], tool.rotation[part]
+    noise = draw.normal(0.0, [2e-5] * 3 + [5e-5] * 3, (len(position), 6))
+    stamps = EPOCH_NS + np.round(1e6 * times).astype(np.int64) + LATE_NS
+    arrays = detections(pixels, numbers)
+    for array, stamp in zip(arrays, stamps.tolist(), strict=True):
+        array.header.stamp.sec, array.header.stamp.nanosec = divmod(stamp, 10**9)
+    write_bag(path, [
+        as_messages('/tool', POSE, tool.stamps_ns[part], np.hstack([
+            position + noise[:, :3], rotation_to_quaternion(rotation @ exp_so3(noise[:, 3:]))])),
+        replace(encoded('/detections', DETECTIONS, arrays), stamps_ns=stamps),
+        encoded('/info', 'sensor_msgs/msg/CameraInfo', [calibration('plumb_bob', k)])])
+    found = identify({**GIVEN, **given, 'bags': [str(path)]})
+    assert found.fit.converged and not found.refusals, found.findings
+    error = np.diag(found.fit.stiffness)[SHOWN] / TRUE - 1.0
+    return found, error, np.sqrt(np.diag(found.fit.covariance))[:4] / TRUE
+
+
+def test_a_lens_and_a_smaller_tag_than_stated_leave_k_and_name_the_inputs(motion, tmp_path):
+    """The scale absorbs a tenth of the size; the cell file has what the node needs."""
+    found, error, std = fitted(
+        tmp_path / 'b', motion, *images(motion[1], LENSES['plumb_bob']), LENSES['plumb_bob'],
+        **{'measured.tag_size': SIDE / 0.9})
+    assert np.all(np.abs(error) < np.minimum(3.0 * std, 0.03)) and std.max() < 0.03
+    scale, latency = (found.found[f'measured.{name}'][0] for name in ('scale', 'latency'))
+    assert scale == pytest.approx(0.9, abs=5e-4)
+    assert latency == pytest.approx(1e-9 * LATE_NS, abs=1e-4)
+    assert found.cell_parameters()['measured.type'] == 'detections'
+    assert found.remappings == {
+        'tool_arm/pose': '/tool', 'package/measured': '/detections',
+        'package/camera_info': '/info'}
+
+
+@pytest.mark.stress
+def test_a_rolling_shutter_widens_the_errors_that_are_stated(motion, tmp_path):
+    """It is no part of the model: 20 ms from the first to the last line count as noise."""
+    _, error, std = fitted(tmp_path / 'b', motion, *images(motion[1], readout=0.02))
+    assert np.all(np.abs(error) < np.minimum(3.0 * std, 0.03)) and std.max() < 0.06
+
+
+def test_a_half_hidden_tag_is_seen_less_often_and_sometimes_wrongly(motion, tmp_path):
+    """Hidden in a third of the time, and with a wrong edge in three views of a hundred."""
+    times, pixels = images(motion[1])
+    draw = np.random.default_rng(5)
+    wrong = np.flatnonzero(draw.random(len(times)) < 0.03)
+    pixels[wrong[:, None], [0, 1], 1] += draw.normal(0.0, 8.0, (len(wrong), 1))
+    shown = np.sin(0.004 * times) > -0.5
+    _, error, std = fitted(tmp_path / 'b', motion, times[shown], pixels[shown])
+    assert np.all(np.abs(error) < np.minimum(3.0 * std, 0.06)) and std.max() < 0.06
