@@ -30,7 +30,7 @@ ESTIMATE = 'estimate'
 """Value of recording.package_world for its estimation."""
 
 
-POSE_PARAMETERS = ('recording.package_world', 'tool_pose.offset')
+POSE_PARAMETERS = ('recording.package_world', 'tool_pose.offset', 'wrench.frame')
 """Parameters that are poses, as strings."""
 
 MIN_VACUUM = 1000.0

@@ -57,6 +57,21 @@ class AlarmGroup:
 class PayloadGroup:
     estimate: bool
 
+class GripperGroup:
+    mass: float
+    com: tuple[float, ...]
+    inertia: tuple[float, ...]
+    std: float
+
+class WrenchGroup:
+    frame: str
+    sign: str
+    noise: tuple[float, ...]
+    drift: tuple[float, ...]
+    bias_std: tuple[float, ...]
+    gain_std: float
+    delay: float
+
 class MeasuredGroup:
     type: str
     rectified: bool
@@ -207,6 +222,8 @@ class Values(Mapping[str, Any]):
     autostart: bool
     tool_noise: ToolNoiseGroup
     measured: MeasuredGroup
+    wrench: WrenchGroup
+    gripper: GripperGroup
     payload: PayloadGroup
     alarm: AlarmGroup
     coast: CoastGroup

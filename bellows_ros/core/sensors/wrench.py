@@ -1,0 +1,172 @@
+"""
+A force-torque sensor between flange and cup, with its frame F fixed in the tool.
+
+Its wrench is `(1 + k) s [-X(S_H_F)^T f_S + Y phi] + b`: the wrench f_S of the cup on the package,
+the weight and the inertia of the gripper between sensor and cup with its ten inertial numbers phi
+(mass, first moments, moments of inertia xx, yy, zz, xy, xz, yz at F), a gain error k, a bias b and
+a sign s, +1 for a sensor that shows the load on it. Derivatives are by the error of the package in
+body axes, as in `core.model.jacobians`.
+"""
+
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import entry, kernel
+from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.model import jacobians as jac
+from bellows_ros.core.model import kernels
+from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+Mount = tuple[Vector, Matrix, float]
+"""Position (m) and axes of F in the tool, and the sign s."""
+
+Twist = tuple[Vector, Vector]
+"""Velocity and angular velocity, or their derivatives, in axes of the tool."""
+
+INERTIAL_NUMBERS = 10
+"""Number of inertial numbers of the gripper."""
+
+
+class WrenchSensor(NamedTuple):
+    """Settings of a sensor, SI units; pairs are of force and moment."""
+
+    mount: Mount
+    noise: tuple[float, float]
+    """Standard deviation of a sample."""
+    drift: tuple[float, float]
+    """Random walk of the bias in 1 s."""
+    bias_std: tuple[float, float]
+    gain_std: float
+    delay_ns: int
+    gripper: tuple[float, ...]
+    """Inertial numbers phi (10,)."""
+    gripper_std: float
+    """Relative standard deviation of phi."""
+
+
+def inertial_numbers(mass: float, com: Array, inertia: Array) -> tuple[float, ...]:
+    """
+    Return phi (10,) of a gripper from its mass (kg), com (3,) in F (m) and inertia at the com.
+
+    The inertia (6,) is ixx, iyy, izz, ixy, ixz, iyz in axes of F, kg m^2.
+
+    Raises
+    ------
+    BellowsError
+        For a gripper without mass that has inertia.
+
+    """
+    if mass == 0.0 and (com.any() or inertia.any()):
+        raise BellowsError(
+            'gripper.com or gripper.inertia is given, but gripper.mass is 0. Set gripper.mass to '
+            'the mass between sensor and cup.')
+    x, y, z = com
+    steiner = mass * np.array([y*y + z*z, x*x + z*z, x*x + y*y, -x*y, -x*z, -y*z])
+    return (mass, *(mass * com).tolist(), *(inertia + steiner).tolist())
+
+
+@kernel
+def from_package(tool: State, body: State, mount: Mount) -> tuple[Matrix, Vector]:
+    """Return F_R_B, and the position of B from the origin of F in B axes (m)."""
+    R_A_E, R_A_B = t3.rotation_matrix(tool[1]), t3.rotation_matrix(body[1])
+    R_A_F = t3.multiply(R_A_E, mount[1])
+    arm = t3.subtract(t3.subtract(body[0], tool[0]), t3.apply(R_A_E, mount[0]))
+    return t3.multiply_transposed(R_A_F, R_A_B), t3.apply_transposed(R_A_B, arm)
+
+
+@entry
+def cup_load(model: ModelTuple, tool: State, body: State, mount: Mount) -> Wrench:
+    """Return the wrench of the cup on the sensor, -s X(S_H_F)^T f_S, in F axes (N, N m)."""
+    f, m = kernels.wrench_at_com(model[1][1], *kernels.lip_wrench(model, tool, body))
+    R, arm = from_package(tool, body, mount)
+    return (t3.scale(-mount[2], t3.apply(R, f)),
+            t3.scale(-mount[2], t3.apply(R, t3.add(m, t3.cross(arm, f)))))
+
+
+@kernel
+def to_sensor(R: Matrix, arm: Vector, mount: Mount, A: jac.Square) -> jac.Square:
+    """Return -s X(B_H_F)^T A for columns of wrenches at B."""
+    B = jac.shift_left(t3.scale(-1.0, arm), A)
+    return jac.scale_square(-mount[2], (
+        t3.multiply(R, B[0]), t3.multiply(R, B[1]), t3.multiply(R, B[2]), t3.multiply(R, B[3])))
+
+
+@entry
+def write_load_slopes(
+    model: ModelTuple, tool: State, body: State, mount: Mount, H: Any
+) -> None:
+    """
+    Write the derivative (6, 12) of `cup_load` by the error of the package.
+
+    Pose and twist change the wrench f_B at B; the pose also its axes and its lever.
+    """
+    f, m = kernels.wrench_at_com(model[1][1], *kernels.lip_wrench(model, tool, body))
+    c = jac.ends_of_spring(model, tool, body)[0]
+    by_pose, by_twist = jac.wrench_jacobians(model, tool, body)
+    by_axes = jac.ZERO_MATRIX, t3.hat(f), t3.hat(f), t3.hat(m)
+    R, arm = from_package(tool, body, mount)
+    by_pose = jac.add_scaled_square(
+        jac.shift_left(c, jac.shift_right(by_pose, c)), -1.0, by_axes)
+    jac.write_square(H, 0, 0, to_sensor(R, arm, mount, by_pose))
+    jac.write_square(H, 0, 6, to_sensor(
+        R, arm, mount, jac.shift_left(c, jac.shift_right(by_twist, c))))
+
+
+@entry
+def write_acceleration_loads(
+    model: ModelTuple, tool: State, body: State, mount: Mount, columns: Any, out: Any
+) -> None:
+    """
+    Write the changes (6, n) of `cup_load` by which accelerations (6, n) of the package change.
+
+    The columns are derivatives of `body_acceleration` by parameters of the cup and by the com, as
+    `parameter_jacobian` returns them; a parameter of the package's mass changes no load.
+    """
+    mass, _, inertia, _ = model[1]
+    R, arm = from_package(tool, body, mount)
+    for j in range(columns.shape[1]):
+        f = t3.scale(mass, (columns[0, j], columns[1, j], columns[2, j]))
+        m = t3.apply(inertia, (columns[3, j], columns[4, j], columns[5, j]))
+        jac.write_column(out, j, t3.scale(-mount[2], t3.apply(R, f)), t3.scale(
+            -mount[2], t3.apply(R, t3.add(m, t3.cross(arm, f)))))
+
+
+@entry
+def write_gripper_regressor(
+    tool: State, acceleration: Twist, gravity: Vector, mount: Mount, Y: Any
+) -> None:
+    """
+    Write s Y (6, 10): the wrench of the gripper on the sensor by its inertial numbers, F axes.
+
+    Rows of force: [g - a, -(alpha^ + w^ w^), 0]; of moment: [0, -(g - a)^, -(L(alpha) + w^ L(w))],
+    with the acceleration a of F's origin, and L(w) I = I w. The tool accelerates by the derivative
+    of its twist (m/s^2, rad/s^2).
+    """
+    o, R, s = mount
+    v, w = tool[2], tool[3]
+    dv, dw = acceleration
+    centre = t3.add(t3.add(dv, t3.cross(dw, o)), t3.cross(w, t3.add(v, t3.cross(w, o))))
+    g = t3.apply_transposed(t3.rotation_matrix(tool[1]), gravity)
+    pull = t3.scale(s, t3.apply_transposed(R, t3.subtract(g, centre)))
+    alpha, w = t3.apply_transposed(R, dw), t3.apply_transposed(R, w)
+    w_hat = t3.hat(w)
+    turning = t3.add_scaled_matrix(t3.hat(alpha), 1.0, t3.multiply(w_hat, w_hat))
+    jac.write_column(Y, 0, pull, t3.ZERO)
+    jac.write_block(Y, 0, 1, t3.scale_matrix(-s, turning))
+    jac.write_block(Y, 3, 1, t3.scale_matrix(-1.0, t3.hat(pull)))
+    for k in range(6):
+        of_rate, of_alpha = _times_unit_inertia(k, w), _times_unit_inertia(k, alpha)
+        jac.write_column(
+            Y, 4 + k, t3.ZERO, t3.scale(-s, t3.add(of_alpha, t3.cross(w, of_rate))))
+
+
+@kernel
+def _times_unit_inertia(k: int, w: Vector) -> Vector:
+    """Return the product of a matrix of inertia, 1 in its entry k, and a vector."""
+    if k < 3:
+        return t3.unit(k, w[k])
+    i, j = (0, 1) if k == 3 else (0, 2) if k == 4 else (1, 2)
+    return t3.add(t3.unit(i, w[j]), t3.unit(j, w[i]))

@@ -1,0 +1,118 @@
+"""The wrench of a sensor against Newton and Euler on point masses, its slopes by differences."""
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.model import jacobians as jac
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import moved_by, static_equilibrium
+from bellows_ros.core.model.kernels import advance
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import wrench_sensor_of
+from bellows_ros.core.sensors import wrench
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from . import wrench_cell
+from ..observer.cases import tool_motion
+from ..plans import CUP, PACKAGE
+
+STEP_NS = 1_000_000
+T_TOOL_SENSOR = lie.transform(lie.exp_so3([0.3, -0.2, 2.0]), [0.02, -0.01, 0.12])
+GRIPPER = wrench_cell.points_of(0.7, np.array([0.01, -0.02, -0.06]), np.diag([2e-3, 3e-3, 1e-3]))
+
+
+def sensor(sign='load'):
+    """Return the sensor of parameters that describe `T_TOOL_SENSOR` and `GRIPPER`."""
+    mass, com, inertia = wrench_cell.numbers_of(*GRIPPER)
+    q = lie.rotation_to_quaternion(T_TOOL_SENSOR[:3, :3])
+    return wrench_sensor_of(resolve({
+        'wrench.frame': ' '.join(map(repr, [*T_TOOL_SENSOR[:3, 3].tolist(), *q.tolist()])),
+        'wrench.sign': sign, 'gripper.mass': float(mass), 'gripper.com': com.tolist(),
+        'gripper.inertia': inertia.tolist()}, ()))
+
+
+def motion(seconds=1.2):
+    """Return states of a tilted tool and of the package, every `STEP_NS`, and the model."""
+    rng = np.random.default_rng(3)
+    _, tool = tool_motion(rng, seconds, period_ns=STEP_NS)
+    tilt = lie.transform(lie.exp_so3([0.3, -0.2, 0.0]), np.zeros(3))
+    tool = [moved(tilt, state) for state in tool]
+    model = model_tuple(CUP, Package(PACKAGE.mass, PACKAGE.inertia, (4e-3, -2e-3, -0.03)), 9.81)
+    body = [static_equilibrium(model, tool[0])]
+    for before, now in zip(tool[:-1], tool[1:], strict=True):
+        body.append(advance(model, body[-1], before, now, STEP_NS * 1e-9, 2))
+    return tool, body, model
+
+
+def moved(T, state):
+    """Return a state in a world that a transform moves."""
+    R = T[:3, :3] @ lie.quaternion_to_rotation(np.array(state[1]))
+    return (tuple((T[:3, :3] @ state[0] + T[:3, 3]).tolist()),
+            tuple(lie.rotation_to_quaternion(R).tolist()), *state[2:])
+
+
+def poses(states):
+    """Return positions (N, 3) and rotations (N, 3, 3)."""
+    return (np.array([state[0] for state in states]),
+            lie.quaternion_to_rotation(np.array([state[1] for state in states])))
+
+
+@pytest.mark.parametrize('sign', ['load', 'reaction'])
+def test_wrench_is_that_of_newton_and_euler(sign):
+    """Package and gripper as point masses: the fifth differences of positions limit the match."""
+    tool, body, model = motion()
+    package = wrench_cell.points_of(PACKAGE.mass, np.zeros(3), PACKAGE.inertia)
+    true = wrench_cell.loads(
+        poses(tool), poses(body), package, GRIPPER, T_TOOL_SENSOR, STEP_NS * 1e-9)
+    given, Y = sensor(sign), np.zeros((6, wrench.INERTIAL_NUMBERS))
+    twist = np.array([[*state[2], *state[3]] for state in tool])
+    rates = np.gradient(twist, STEP_NS * 1e-9, axis=0)
+    shown = []
+    for k in range(2, len(tool) - 2):
+        wrench.write_gripper_regressor(
+            tool[k], (tuple(rates[k, :3]), tuple(rates[k, 3:])), model[2], given.mount, Y)
+        shown.append(np.ravel(wrench.cup_load(model, tool[k], body[k], given.mount))
+                     + Y @ given.gripper)
+    size = np.repeat([np.abs(true[:, :3]).max(), np.abs(true[:, 3:]).max()], 3)
+    factor = 1.0 if sign == 'load' else -1.0
+    assert_allclose(factor * np.array(shown) / size, true / size, atol=2e-4)
+
+
+def test_slopes_are_differences():
+    """By the package's error, by K, P, length and com, at a state far from equilibrium."""
+    tool, body, model = motion(0.5)
+    now, at, mount = tool[-1], body[-1], sensor().mount
+    at = moved_by(at, np.array([2e-3, 1e-3, -1e-3, 0.05, -0.1, 0.08, 0.1, 0.2, -0.1, 1, -1, 2.0]))
+
+    def load(state, given=model):
+        return np.ravel(wrench.cup_load(given, now, state, mount))
+
+    H, h = np.zeros((6, 12)), 1e-6
+    wrench.write_load_slopes(model, now, at, mount, H)
+    assert_allclose(H, np.transpose([
+        (load(moved_by(at, h * e)) - load(moved_by(at, -h * e))) / (2 * h) for e in np.eye(12)]),
+        rtol=1e-6, atol=1e-5)
+    columns, out = np.zeros((6, jac.PARAMETER_COLUMNS)), np.zeros((6, jac.PARAMETER_COLUMNS))
+    jac.parameter_jacobian(model, now, at, 0, jac.PARAMETER_COLUMNS, columns)
+    wrench.write_acceleration_loads(model, now, at, mount, columns, out)
+    for column, changed in (
+            (0, {'stiffness': np.diag([1.0, 0, 0, 0, 0, 0])}),
+            (41, {'damping': np.diag([0.0, 0, 0, 0, 0, 1])}), (42, {'length': 1.0}),
+            (53, {'com': np.array([1.0, 0, 0])}), (55, {'com': np.array([0, 0, 1.0])})):
+        up, down = (load(at, other(model, 1e-6 * f, changed)) for f in (1, -1))
+        assert_allclose(out[:, column], (up - down) / 2e-6, rtol=1e-5, atol=1e-5)
+
+
+def other(model, size, change):
+    """Return the model of `motion` with a change of a parameter."""
+    cup = Cup(CUP.stiffness + size * change.get('stiffness', 0.0),
+              CUP.damping + size * change.get('damping', 0.0),
+              CUP.length + size * change.get('length', 0.0))
+    com = np.array(model[1][1]) + size * change.get('com', 0.0)
+    return model_tuple(cup, Package(PACKAGE.mass, PACKAGE.inertia, com), 9.81)
+
+
+def test_gripper_without_mass_has_no_inertia():
+    with pytest.raises(BellowsError, match=r'gripper\.mass is 0'):
+        wrench.inertial_numbers(0.0, np.array([0.1, 0, 0]), np.zeros(6))
