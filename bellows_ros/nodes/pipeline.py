@@ -19,7 +19,7 @@ from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.conversion import gravity_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.files.messages import DETECTIONS, LAYOUTS, TRANSFORMS
-from geometry_msgs.msg import InertiaStamped, TwistStamped
+from geometry_msgs.msg import InertiaStamped, TwistStamped, WrenchStamped
 import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -572,7 +572,7 @@ class Observing:
         self._pipeline, node = pipeline, pipeline.node
         self._live = pipeline.live
         kind = pipeline.values.measured.type
-        self._with_covariance = kind in ('pose_with_covariance', 'odometry')
+        self._with_covariance, self._published_ns = kind in ('pose_with_covariance', 'odometry'), 0
         self._has_camera = self.is_ready = False
         self._reported, self._tag, self._no_view = 0, TagCamera(), Counter[str]()
         self._child_frame = pipeline.values.measured.child_frame.lstrip('/')
@@ -598,6 +598,9 @@ class Observing:
             self._measured_in = SensorInput(
                 node, TOOL_POSES[kind], 'package/measured', self._on_measured,
                 self._on_publishers)
+        self._read_wrench, self._no_wrench = reader(WrenchStamped), Counter[str]()
+        self._wrench_in = SensorInput(
+            node, WrenchStamped, 'tool_arm/wrench', self._on_wrench, self._on_publishers)
         self._estimated = Topic(InertiaStamped, 'package/estimated').advertise(node)
         self._std = Topic(InertiaStamped, 'package/estimated_std').advertise(node)
 
@@ -634,6 +637,22 @@ class Observing:
         stamp_ns, (frame_id, *_), numbers = self._read(data)
         covariance = np.reshape(numbers[7:43], (6, 6)) if self._with_covariance else None
         self._correct(stamp_ns, frame_id, (numbers[:3], numbers[3:7]), covariance)
+
+    def _on_wrench(self, data: bytes) -> None:
+        """Correct the prediction by a wrench of the force-torque sensor."""
+        if not (self.is_ready and self._pipeline.node.is_active):
+            return
+        stamp_ns, (frame_id,), numbers = self._read_wrench(data)
+        self._wrench_in.note(stamp_ns)
+        refused = self._pipeline.change(
+            self._live.on_wrench, stamp_ns, frame_id, numbers[:3], numbers[3:])
+        if refused:
+            self._no_wrench[refused] += 1
+        elif fault := self._live.wrench_fault:
+            self._pipeline.node.get_logger().error(
+                health.say(f'wrench.{fault}', topic=self._wrench_in.topic),
+                throttle_duration_sec=30.0)
+        self._publish_payload()
 
     def _on_transforms(self, message: Any) -> None:
         """Correct the prediction by the frame of a tag, in its parent."""
@@ -689,12 +708,18 @@ class Observing:
                 'recording.package_world to the pose of the first frame in the second, as '
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
-        if payload := observer.payload:
-            frame_id = self._pipeline.values.frames.lip
-            for topic, make in ((self._std, conversions.payload_std_message),
-                                (self._estimated, conversions.payload_message)):
-                if topic.subscribed:
-                    topic.publish(make(frame_id, payload))
+        self._publish_payload()
+
+    def _publish_payload(self) -> None:
+        """Publish a newly estimated payload, if any."""
+        payload = self._observer.payload if self._observer else None
+        if payload is None or payload.stamp_ns == self._published_ns:
+            return
+        self._published_ns, frame_id = payload.stamp_ns, self._pipeline.values.frames.lip
+        for topic, make in ((self._std, conversions.payload_std_message),
+                            (self._estimated, conversions.payload_message)):
+            if topic.subscribed:
+                topic.publish(make(frame_id, payload))
 
     def log_alarms(self) -> None:
         """Log the alarms since the last call."""
@@ -703,6 +728,16 @@ class Observing:
         for alarm in new_alarms:
             text = f'Alarm, {alarm.cause}: {alarm_sentence(alarm)}'
             self._pipeline.node.get_logger().error(text)
+
+    def wrench_status(self, name: str) -> health.Status | None:
+        """Return the line of the diagnostics on the wrenches; None before the first message."""
+        if not self._wrench_in.arrivals.count and not self._wrench_in.arrivals.last_ns >= 0:
+            return None
+        status = health.input_status(name, self._wrench_in.report(self._no_wrench))
+        if fault := self._live.wrench_fault:
+            return status._replace(level=health.Level.ERROR, message=health.say(
+                f'wrench.{fault}', topic=self._wrench_in.topic))
+        return status
 
     def status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics; None before the first message."""

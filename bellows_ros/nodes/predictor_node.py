@@ -344,7 +344,8 @@ class Diagnostics:
             refused = any(report.refused.values())
             self._log(line, line.level > health.Level.OK, 0.0 if refused else LOG_DELAY, refused)
         others = (
-            pipeline.observing.status('measured package'), pipeline.attachment.status('vacuum'),
+            pipeline.observing.status('measured package'),
+            pipeline.observing.wrench_status('wrench'), pipeline.attachment.status('vacuum'),
             pipeline.planning.status)
         safety, distance, bending = pipeline.load.reset()
         load = health.load_status('load', pipeline.load, safety, distance, bending)

@@ -164,6 +164,19 @@ class LivePayload:
         if sample is not None:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
 
+    def feel(self, stamp_ns: int, wrench: Wrench, in_world: bool) -> str:
+        """Correct the package with a wrench in axes of sensor or world; return a rejection."""
+        observer, sample = self.observer, self.sample
+        if observer is None or sample is None:
+            return 'not_held'
+        if in_world:
+            force, moment = (observer.wrenches.in_own_axes(sample.tool, each) for each in wrench)
+            wrench = force, moment
+        verdict = observer.on_wrench(stamp_ns, wrench)
+        if observer.body is not sample.body:
+            self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
+        return verdict
+
     def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
         """Restart from rest at the next tool sample, with given rows of earlier estimates."""
         if self.observer is not None:

@@ -635,14 +635,8 @@ class LivePredictor:
             Arrival on the clock of `on_pose`.
 
         """
-        if (observer := self.package.observer) is None:
-            if not self.values or self.newest_ns < 0:
-                return
-            observer = Observer(self.values)
-            observer.alarms = self.alarms
-            self.package.observe(observer)
-            if self._cycle.follows and self.state in ON_CUP:
-                observer.grip(None if self.state == GRIPPED else self._cycle.lowest)
+        if (observer := self._observing()) is None:
+            return
         (x, y, z), (qx, qy, qz, qw) = position, quaternion_xyzw
         position, quaternion_xyzw = (x, y, z), (qx, qy, qz, qw)
         measurement = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
@@ -660,6 +654,52 @@ class LivePredictor:
             if self.state == LOST and self.attached and (
                     observer.counts['used'] >= self._used_at_loss + SEEN_AGAIN):
                 self._cycle.grip()
+
+    def on_wrench(
+        self, stamp_ns: int, frame_id: str, force: Vector, moment: Vector
+    ) -> str:
+        """
+        Correct the next predictions with a wrench of the force-torque sensor.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Stamp of the wrench, ns, later than the last.
+        frame_id : str
+            Axes: of the world for the frame of the tool's poses, otherwise of wrench.frame.
+        force, moment : (x, y, z)
+            N, N m.
+
+        Returns
+        -------
+        str
+            Reason of a rejection, or ''.
+
+        """
+        if not math.isfinite(sum(force) + sum(moment)):
+            return 'nan'
+        if self._observing() is None or (self.flight is not None and self.flight.is_free):
+            return 'not_held'
+        in_world = bool(frame_id) and frame_id == self.frame_id
+        refused = self.package.feel(stamp_ns, (force, moment), in_world)
+        self._note_alarms()
+        return refused
+
+    @property
+    def wrench_fault(self) -> str:
+        """Wrong set-up of the force-torque sensor, by which its wrenches are not used, or ''."""
+        observer = self.package.observer
+        return '' if observer is None else observer.wrenches.set_up.fault
+
+    def _observing(self) -> Observer | None:
+        """Return the observer, made by the first measurement after a pose of the tool."""
+        if self.package.observer is None and self.values and self.newest_ns >= 0:
+            observer = Observer(self.values)
+            observer.alarms = self.alarms
+            self.package.observe(observer)
+            if self._cycle.follows and self.state in ON_CUP:
+                observer.grip(None if self.state == GRIPPED else self._cycle.lowest)
+        return self.package.observer
 
     def flush(self) -> list[Prediction]:
         """Predict for all waiting poses, without their twists."""

@@ -163,7 +163,8 @@ def stated_by(values: Values, model: ModelTuple) -> Stated:
     return Stated(
         mass * math.hypot(*gravity), COM_UNCERTAIN[0], float(mass_std[0]) / mass, com,
         relative[0], relative[1], _of_moments(np.reshape(inertia, (3, 3)), moments), marker,
-        camera, values.measured.latency_std)
+        camera, values.measured.latency_std, np.repeat(values.wrench.bias_std, 3),
+        np.repeat(values.wrench.drift, 3), values.wrench.gain_std)
 
 
 def _of_moments(inertia: Array, std: Array) -> Array:
@@ -302,8 +303,9 @@ class Correction:
         self.prior = states.each_row('prior', stated)
         self.prior_covariance = np.diag(np.square(self.prior))
         self.prior_covariance[INERTIAS, INERTIAS] = stated.inertia
-        self._largest = LARGEST.copy()
-        self._largest[WRENCHES] *= stated.weight
+        self.largest = LARGEST.copy()
+        self.weight = stated.weight
+        self.largest[WRENCHES] *= stated.weight
         self._walk = np.square(states.each_row('walk', stated))
         self._sag = sag(model)
         self._marker, places = marker, places_of(values)
@@ -396,7 +398,7 @@ class Correction:
             (self._drive, walk, self._marker[3][0]),
             (*evidence[:4], evidence.from_start, self._steps),
             self._holding(before.lost_cups),
-            (*measurement[1:4], self._marker, self.holding_reach, self._largest,
+            (*measurement[1:4], self._marker, self.holding_reach, self.largest,
              self._sag if support == NEAR else 0.0, gate))
         _, tool, body, theta, P, memory = numbers
         theta[states.LATENCY - STATE] += late
@@ -446,6 +448,9 @@ class Correction:
         if before.support and not support:
             before = self.released(before)
         support = max(support, CONTACT if support and before.support == CONTACT else 0)
+        if not measurement.is_pose:
+            return self._step(before, track, measurement.stamp_ns, is_recorded, support=support)[
+                1]._replace(support=support), '', None
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         verdict, after, likeliest = self._step(
             before, track, stamp_ns, is_recorded, measurement, GATE, support)
@@ -572,7 +577,7 @@ class Correction:
             return after if alarm is None else self._disturbed(after), alarm
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
         body, theta = changed_by(after.body, after.theta, fault.error)
-        if not dynamics.is_possible(body, theta, self._largest):
+        if not dynamics.is_possible(body, theta, self.largest):
             return after._replace(gated_ns=(), evidence=self._evidence(
                 stamp_ns, after.body, after.lost_cups, False)), fault.alarm
         memory = np.r_[self.first_memory[:11], after.memory[11:]]
@@ -604,6 +609,14 @@ class Correction:
         P[rows, rows] = np.square(self.prior[rows])
         return estimate._replace(theta=theta, covariance=P, contact=0.0)
 
+    def slipped(self, estimate: Estimate, size: float) -> Estimate:
+        """Return an estimate of a package that slipped across the lip by a size (m)."""
+        P = estimate.covariance.copy()
+        for axis in range(2):
+            rows = np.ix_(*[(states.SHIFT + axis, states.COM + axis)] * 2)
+            P[rows] += size**2
+        return estimate._replace(covariance=P)
+
     def rolled_back(
         self, estimate: Estimate, known: Known, rows: Any = KNOWN_ROWS
     ) -> Estimate:
@@ -621,7 +634,7 @@ class Correction:
         rows = np.r_[:STATE, states.WRENCH:states.WRENCH + 6]
         P, stamp_ns = estimate.covariance.copy(), estimate.stamp_ns
         P[rows, rows] += np.square(self.prior[rows])
-        theta = np.where(np.abs(estimate.theta) <= self._largest[STATE:], estimate.theta, 0.0)
+        theta = np.where(np.abs(estimate.theta) <= self.largest[STATE:], estimate.theta, 0.0)
         restarted = estimate._replace(
             theta=theta, covariance=P, memory=memory, evidence=NO_EVIDENCE)
         _, after, _ = self._step(

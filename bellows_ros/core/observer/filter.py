@@ -134,6 +134,8 @@ class Estimate(NamedTuple):
     """Log-likelihood ratio of a fall near a support since its likeliest begin."""
     late_ns: int = 0
     """Shift of the last measurement before its stamp, ns."""
+    wrench_memory: tuple[float, ...] = ()
+    """Factors of the variances of force and moment, see `wrenches`; empty before the first."""
 
 
 Samples = tuple[Any, Any, Any, Any, int]

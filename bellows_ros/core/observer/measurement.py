@@ -84,9 +84,14 @@ class Measurement(NamedTuple):
     quaternion_xyzw: Quaternion
     noise: Array
     """Covariance (6, 6) about axes of the world (m^2, rad^2); zero for the covariance of the
-    model."""
+    model; empty without a pose, for the end of a block of wrenches."""
     meets_support: bool = False
     """Whether, instead of a pose, the tool stops on its way down."""
+
+    @property
+    def is_pose(self) -> bool:
+        """Whether there is a pose."""
+        return self.noise.size > 0
 
 
 class PoseSensor:

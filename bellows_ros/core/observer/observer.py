@@ -30,9 +30,13 @@ from bellows_ros.core.observer.correction import (
 )
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
+from bellows_ros.core.observer.hypotheses import MAX_ODDS
 from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, CAMERA_ROWS, CUP_ROWS, STATE
 from bellows_ros.core.observer.support import Support
+from bellows_ros.core.observer.wrench_alarms import Watch
+from bellows_ros.core.observer.wrenches import BLOCK_NS, Wrenches
+from bellows_ros.core.parameters.conversion import wrench_sensor_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -139,12 +143,13 @@ class Observer:
         self._delay_ns = 0  # of the newest measurement at its arrival
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # stamp, whether it holds, and period
-        self._of_vacuum: list[Alarm] = []
+        self._of_signals: list[Alarm] = []
         self._lost_cups: tuple[int, ...] = ()
         self._is_proven = False  # whether the cup has carried a package without an alarm
 
     def _set_values(self, values: Values) -> None:
         self._values, self.sensor = values, PoseSensor(values)
+        self.wrenches = Wrenches(wrench_sensor_of(values))
 
     def use_values(self, values: Values) -> None:
         """Use other parameters from the next model on; estimates of the camera are kept."""
@@ -158,6 +163,7 @@ class Observer:
         self._correction = Correction(self._values, self.sensor.marker, model, max_step, reach)
         if before is not None and before.nominal[0] == model[0]:
             rows += CUP_ROWS
+        self._watch = Watch(self._correction.weight, self.wrenches.lip(model[0][1]))
         self._begin_with(rows if before else ())
         gravity = model[2] if any(model[2]) else (0.0, 0.0, -1.0)
         self._support.use(t3.scale(-1.0 / t3.norm(gravity), gravity), sag(model))
@@ -193,6 +199,7 @@ class Observer:
         for each in (self._estimates, self._measurements, self._pending):
             each.clear()
         self._newest = None
+        self._watch.clear()
         self._since_ns = self._gated = 0
         if states.MASS not in kept:
             self._first_of_package = len(self.alarms)
@@ -367,7 +374,7 @@ class Observer:
         since_ns, again = measurements[first].stamp_ns, list[Alarm]()
         if first < len(measurements) - 1:
             self.alarms[:] = [each for each in self.alarms if each.stamp_ns < since_ns]
-            again = [each for each in self._of_vacuum if each.stamp_ns >= since_ns]
+            again = [each for each in self._of_signals if each.stamp_ns >= since_ns]
         for k in range(first, len(measurements)):
             while again and again[0].stamp_ns < measurements[k].stamp_ns:
                 self._raise(again.pop(0))
@@ -375,10 +382,13 @@ class Observer:
                 estimates.append(self._correction.met(
                     estimates[k], self._track, measurements[k].stamp_ns, k == first))
                 continue
+            support = self._support.at(measurements[k].stamp_ns)
+            before = estimates[k] if support else self.wrenches.corrected(
+                self._correction, estimates[k], self._track, measurements[k].stamp_ns)
             after, verdict, alarm = self._correction.updated(
-                estimates[k], self._track, measurements[k], k == first,
-                self._support.at(measurements[k].stamp_ns), bool(self._is_held(estimates[k])))
-            if k == first:
+                before, self._track, measurements[k], k == first and before is estimates[k],
+                support, bool(self._is_held(estimates[k])))
+            if k == first and verdict:
                 self.counts[verdict] += 1
             if verdict == 'recovered':
                 after = self._correction.rolled_back(after, self._known)
@@ -394,6 +404,35 @@ class Observer:
         self._newest = None
         self._predict_with(estimates[-1].theta, self._lost_cups)
         self.body = self._correction.body_at_end(estimates[-1], self._track)
+
+    def on_wrench(self, stamp_ns: int, wrench: Wrench) -> str:
+        """Process a wrench (N, N m) of the sensor in its axes; return a rejection."""
+        stamp_ns, newest_ns = self.wrenches.add(stamp_ns, wrench), self._track.newest_ns
+        if not self._estimates or not stamp_ns:
+            return 'late' if self._estimates else 'not_held'
+        self._watch_wrench(stamp_ns)
+        if self._estimates[-1].stamp_ns + BLOCK_NS <= stamp_ns <= newest_ns:
+            self._measurements.append(Measurement(stamp_ns, *ORIGIN[:2], np.zeros((0, 0))))
+            self._reprocess(len(self._measurements) - 1)
+        return ''
+
+    def _watch_wrench(self, stamp_ns: int) -> None:
+        """Detect loss and slip in the newest wrench, away from supports."""
+        last, alarms = self._estimates[-1], self._correction.alarms
+        if (alarms is None or self._track.count < 2 or self._support.at(stamp_ns)
+                or self.wrenches.set_up.is_contradicted):
+            self._watch.clear()
+            return
+        found = self._watch.add(stamp_ns, *self.wrenches.package_load(
+            self._correction, last, self._track, stamp_ns))
+        if found is None:
+            return
+        alarm = Alarm(stamp_ns, found.cause, found.size, found.std, 'disturbance', MAX_ODDS,
+                      ((found.size, found.std),), shown_by='wrench')
+        self._of_signals.append(alarm)
+        self._raise(alarm)
+        if found.cause == 'slip':
+            self._estimates[-1] = self._correction.slipped(last, found.size)
 
     # ---------------------------------------------------------- kept estimates
 
@@ -529,7 +568,7 @@ class Observer:
             alarm = self._correction.alarms.lost(newest_ns, False, is_seen)
         elif moves:
             alarm = self._correction.alarms.without_vacuum(newest_ns, cup)
-        self._of_vacuum += [alarm] if alarm else []
+        self._of_signals += [alarm] if alarm else []
         self._raise(alarm)
 
     def _is_held(self, estimate: Estimate) -> bool | None:

@@ -56,6 +56,12 @@ class Stated(NamedTuple):
     camera: Array
     latency: float
     """s."""
+    zero: Array
+    """Bias of a force-torque sensor (6,), N and N m."""
+    drift: Array
+    """Random walk of the bias in 1 s (6,)."""
+    gain: float
+    """Relative gain of the sensor."""
 
     @property
     def wrench(self) -> Array:
@@ -106,6 +112,9 @@ STATES = (
           lambda by: by.camera / math.sqrt(CAMERA_WALK_TIME)),
     State('LATENCY', 1, 's', CAMERA_SIDE, 1.0, lambda by: by.latency),
     State('NOISE', 6, '1', NOISE_SIDE, 100.0, lambda by: 1.0),
+    # bias and gain of a force-torque sensor
+    State('ZERO', 6, 'N, N m', CAMERA_SIDE, 1e4, lambda by: by.zero, lambda by: by.drift),
+    State('GAIN', 1, '1', CAMERA_SIDE, 0.5, lambda by: by.gain),
 )
 """All states, in the order of the rows: those that change the motion are before `MARKER`."""
 
@@ -114,7 +123,7 @@ FIRST = dict(zip((each.name for each in STATES), np.cumsum(
 """First row of each state."""
 
 (SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH, LENGTH, LENGTHENING, STIFFNESS, DAMPING, INERTIA,
- MARKER, CAMERA, LATENCY, NOISE) = FIRST.values()
+ MARKER, CAMERA, LATENCY, NOISE, ZERO, GAIN) = FIRST.values()
 ROWS = sum(each.size for each in STATES)
 """Number of rows."""
 STATE = MASS

@@ -12,6 +12,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, Uncertain
 from bellows_ros.core.model.grip import Grip, Law, Release, RELEASE_NAMES
+from bellows_ros.core.model.kernels import matrix_of
 from bellows_ros.core.model.pseudo_inertia import flatness, nearest
 from bellows_ros.core.model.structure import matrix, Structure, UPPER
 from bellows_ros.core.model.validity_range import Envelope, RANGE_PARAMETERS
@@ -74,10 +75,11 @@ def wrench_sensor_of(values: Values) -> WrenchSensor:
     """Return the sensor of wrench.* and gripper.*."""
     given, gripper = values.wrench, values.gripper
     pose = np.array([float(part) for part in given.frame.split()])
-    (x, y, z), R = pose[:3].tolist(), lie.quaternion_to_rotation(pose[3:]).ravel().tolist()
+    (x, y, z), R = pose[:3].tolist(), matrix_of(
+        lie.quaternion_to_rotation(pose[3:]).ravel().tolist())
     noise, drift, bias = ((a, b) for a, b in (given.noise, given.drift, given.bias_std))
     return WrenchSensor(
-        ((x, y, z), tuple(R), 1.0 if given.sign == 'load' else -1.0), noise, drift, bias,
+        ((x, y, z), R, 1.0 if given.sign == 'load' else -1.0), noise, drift, bias,
         given.gain_std, round(NS_PER_S * given.delay),
         inertial_numbers(gripper.mass, np.array(gripper.com), np.array(gripper.inertia)),
         gripper.std)

@@ -30,13 +30,13 @@ def numbers_of(masses, places):
 
 
 def second_differences(x, h):
-    """Return accelerations (N - 4, ...) of samples of a time h, to fourth order."""
+    """Differentiate samples of a time h twice, to fourth order; two are lost at each end."""
     return (-x[:-4] + 16 * x[1:-3] - 30 * x[2:-2] + 16 * x[3:-1] - x[4:]) / (12 * h * h)
 
 
 def loads(tool, body, package, gripper, T_tool_sensor, h):
     """
-    Return the loads (N - 4, 6) on a sensor in its axes, from the third sample to the third last.
+    Return force and moment (N - 4, 6) in the axes of a sensor, without two samples at each end.
 
     Tool and body are poses (N, 3), (N, 3, 3) at samples of a time h; the package and the gripper
     are masses with places in B and in the sensor.

@@ -1,0 +1,288 @@
+"""
+Correction by a force-torque sensor, in blocks of wrenches between two estimates.
+
+The mean of the wrenches of a block is compared with the mean of the predicted ones at the same
+times, so both pass the same low pass: a mean over `BLOCK_NS` has -3 dB at 7 Hz. The derivative
+of the mean is by the error at the begin of the block, H = mean of H(t) T(t) with the transition
+T; the estimate there is corrected, and propagated again.
+
+Bias and gain are states. Crosstalk, hysteresis and errors of the gripper are proportional to the
+wrench, `wrench.gain_std` of force and moment in each axis, and persist over many blocks: their
+variance is multiplied by `PERSISTENCE`, so that they average out no faster. Factors of the
+variances are learned from the innovations.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TYPE_CHECKING
+
+from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
+from bellows_ros.core.geometry.tuples import Vector, ZERO
+from bellows_ros.core.model import kernels
+from bellows_ros.core.model.equilibrium import substeps_for
+from bellows_ros.core.model.kernels import LawTuple, ORIGIN, State, Wrench
+from bellows_ros.core.model.simulation import body_row, first_after, row_state, stands
+from bellows_ros.core.observer import dynamics, states
+from bellows_ros.core.observer.filter import Estimate, FALLEN, identity_plus, Moving, Samples
+from bellows_ros.core.observer.measurement import changed_by
+from bellows_ros.core.observer.states import COM, DAMPING, LENGTH, MARKER, ROWS, STATE, STIFFNESS
+from bellows_ros.core.observer.wrench_alarms import SetUp
+from bellows_ros.core.sensors.wrench import (
+    cup_load,
+    INERTIAL_NUMBERS,
+    Mount,
+    WrenchSensor,
+    write_acceleration_loads,
+    write_gripper_regressor,
+    write_load_slopes,
+)
+from bellows_ros.core.signals.trajectory import NS_PER_S
+import numpy as np
+
+if TYPE_CHECKING:
+    from bellows_ros.core.observer.correction import Correction, Track
+
+BLOCK_NS = 62_500_000
+"""Longest block, ns: the low pass has its first zero at 16 Hz, -3 dB at 7 Hz."""
+
+NODE_NS = 4_000_000
+"""Interval of the derivatives, ns."""
+
+KEPT = 2048
+"""Number of stored wrenches, two seconds at 1 kHz."""
+
+SMOOTH_NS = 12_000_000
+"""Time over which the tool's acceleration is a difference of twists, ns."""
+
+MIN_COUNT = 3
+"""Smallest number of wrenches in a block."""
+
+LEARNING_COUNT = 40.0
+"""Number of blocks over which the noise is learned, 2.5 s."""
+
+FIRST_FACTOR = 4.0
+"""Initial factor of the variance of the noise."""
+
+PERSISTENCE = 25.0
+"""Number of blocks over which errors proportional to the wrench persist: 1.6 s, a motion."""
+
+GATE = 27.86
+"""Squared Mahalanobis distance beyond which a block has a larger variance."""
+
+Buffer = tuple[Any, Any]
+"""Stamps (N,) and wrenches (N, 6) of a block, ns, N and N m."""
+
+
+@kernel
+def _add_node(
+    model: Any, tool: State, body: State, mount: Mount, T: Array, B: Array, weight: float, H: Array
+) -> None:
+    """Add a weighted derivative H(t) T(t) (6, n) of the load; B as of `slopes`."""
+    L, G = np.zeros((6, STATE)), np.zeros((6, MARKER))
+    write_load_slopes(model, tool, body, mount, L)
+    write_acceleration_loads(model, tool, body, mount, B, G)
+    product = t3.product(L, T, np.empty((6, MARKER)))
+    for i in range(6):
+        for j in range(MARKER):
+            of_cup = COM <= j < COM + 3 or j == LENGTH or STIFFNESS <= j < DAMPING + 6
+            H[i, j] += weight * (product[i, j] + (G[i, j] if of_cup else 0.0))
+
+
+@kernel
+def _advance_transition(T: Array, A: Array, B: Array, h: float) -> Array:
+    """Return a transition (12, m) after a time h (s): dT/dt = A T + [0; B], to third order."""
+    X, G = np.empty((STATE, STATE)), identity_plus(h / 3.0, A, np.empty((STATE, STATE)))
+    identity_plus(0.5 * h, t3.product(A, G, X), G)
+    forced = t3.product(np.ascontiguousarray(G[:, 6:]), B, np.empty((STATE, MARKER)))
+    F, out = identity_plus(h, t3.product(A, G, X), np.empty((STATE, STATE))), T.copy()
+    t3.product(F, T, out)
+    t3.add_array(forced, h, out)
+    return out
+
+
+@entry
+def block(
+    row: Any, law: LawTuple, beginning: Moving, samples: Samples, wrenches: Buffer, until_ns: int,
+    max_step: float, mount: Mount,
+) -> tuple[Array, Array, State, State]:
+    """
+    Return the mean load of the cup (6,) at wrenches of a block, and its derivative H (6, n).
+
+    Further results are the tool at both ends. The wrenches are after the beginning.
+    """
+    now_ns, tool, body, theta = beginning
+    model = dynamics.model_at(row, law, theta)
+    bias, max_step = dynamics.wrench_bias(theta), dynamics.stable_step(max_step, theta)
+    stamps, starts, ends, _, count = samples
+    k, i, n, first, at_node = first_after(stamps, now_ns, count), 0, len(wrenches[0]), tool, now_ns
+    load, pending = cup_load(model, tool, body, mount), 0
+    H, mean = np.zeros((6, ROWS)), np.zeros(6)
+    A, B, T = np.zeros((STATE, STATE)), np.zeros((6, MARKER)), np.zeros((STATE, MARKER))
+    A1, B1, ratio = A.copy(), B.copy(), math.exp(theta[0])
+    for j in range(STATE):
+        T[j, j] = 1.0
+    dynamics.slopes(model, bias, ratio, tool, body, A, B)
+    while now_ns < until_ns and k < count:
+        later_ns, whole_ns = min(stamps[k], until_ns), stamps[k] - stamps[k - 1]
+        if now_ns == stamps[k - 1]:
+            tool = row_state(starts[k])
+        end = row_state(ends[k])
+        if later_ns < stamps[k]:
+            segment = kernels.tool_segment(row_state(starts[k]), end, whole_ns / NS_PER_S)
+            end = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
+        seconds = (later_ns - now_ns) / NS_PER_S
+        body = dynamics.advanced_with_wrench(
+            model, bias, body, tool, end, seconds, substeps_for(seconds, max_step))
+        before, load = load, cup_load(model, end, body, mount)
+        while i < n and wrenches[0][i] <= later_ns:
+            part = (wrenches[0][i] - now_ns) / (later_ns - now_ns)
+            for j in range(3):
+                mean[j] += (before[0][j] + part * (load[0][j] - before[0][j])) / n
+                mean[3 + j] += (before[1][j] + part * (load[1][j] - before[1][j])) / n
+            i, pending = i + 1, pending + 1
+        tool, now_ns, k = end, later_ns, k + (later_ns == stamps[k])
+        if now_ns - at_node >= NODE_NS or now_ns == until_ns:
+            dynamics.slopes(model, bias, ratio, tool, body, A1, B1)
+            T = _advance_transition(
+                T, 0.5 * (A + A1), 0.5 * (B + B1), (now_ns - at_node) / NS_PER_S)
+            _add_node(model, tool, body, mount, T, B1, pending / n, H)
+            A, B, A1, B1, pending, at_node = A1, B1, A, B, 0, now_ns
+    return mean, H, first, tool
+
+
+class Wrenches:
+    """
+    The recent wrenches of a sensor, and the correction by them.
+
+    Parameters
+    ----------
+    sensor : WrenchSensor
+
+    """
+
+    def __init__(self, sensor: WrenchSensor) -> None:
+        self.sensor = sensor
+        self._stamps, self._values = as_inputs(np.zeros(KEPT, np.int64), np.zeros((KEPT, 6)))
+        self._count = 0
+        self.set_up = SetUp(sensor)
+
+    def lip(self, length: float) -> Array:
+        """Return the position (3,) in the sensor of the lip of a cup with a length (m)."""
+        position, axes, _ = self.sensor.mount
+        return np.asarray(np.reshape(axes, (3, 3)).T @ np.subtract((0.0, 0.0, -length), position))
+
+    def in_own_axes(self, tool: State, of_world: Vector) -> Vector:
+        """Return a vector of the world in axes of the sensor."""
+        R = t3.multiply(t3.rotation_matrix(tool[1]), self.sensor.mount[1])
+        return t3.apply_transposed(R, of_world)
+
+    def add(self, stamp_ns: int, wrench: Wrench) -> int:
+        """Store a wrench after the last one; return the stamp (ns) of its force, 0 if late."""
+        stamp_ns -= self.sensor.delay_ns
+        count, stamps, values = self._count, self._stamps, self._values
+        if count and stamp_ns <= stamps[count - 1]:
+            return 0
+        if count == KEPT:
+            count = KEPT // 2
+            stamps[:count], values[:count] = stamps[-count:].copy(), values[-count:].copy()
+        stamps[count], values[count, :3], values[count, 3:] = stamp_ns, *wrench
+        self._count = count + 1
+        return stamp_ns
+
+    def corrected(
+        self, correction: Correction, before: Estimate, track: Track, until_ns: int
+    ) -> Estimate:
+        """Return an estimate corrected by the block of wrenches up to a stamp."""
+        first, last = np.searchsorted(
+            self._stamps[:self._count], [before.stamp_ns + 1, until_ns + 1])
+        if last - first < MIN_COUNT or before.support:
+            return before
+        used = self._stamps[first:last], self._values[first:last]
+        mean, H, start, end = block(
+            correction.row(before.lost_cups), correction.law, before[:4],
+            (*track.rows, track.count), used, until_ns, correction.max_step, self.sensor.mount)
+        mean = mean + self._of_gripper(
+            start, end, (until_ns - before.stamp_ns) / NS_PER_S, correction.nominal[2])
+        if stands(np.ravel(start[2:4])) and stands(np.ravel(end[2:4])):
+            R = np.reshape(t3.multiply(t3.rotation_matrix(end[1]), self.sensor.mount[1]), (3, 3))
+            self.set_up.add(used[1].mean(axis=0), mean, R, correction.weight)
+        if self.set_up.is_contradicted:
+            return before
+        H[:, states.ZERO:states.ZERO + 6], H[:, states.GAIN] = np.eye(6), mean
+        gain, zero = (before.theta[row - STATE:][:6] for row in (states.GAIN, states.ZERO))
+        return self._updated(
+            correction, before, used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
+            np.repeat(np.square(self.sensor.noise) / (last - first) + PERSISTENCE * np.square(
+                self.sensor.gain_std * np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
+
+    def package_load(
+        self, correction: Correction, estimate: Estimate, track: Track, stamp_ns: int
+    ) -> tuple[Array, Array]:
+        """Return the load (6,) of the package at the newest wrench, shown and predicted."""
+        stamps, _, ends, bodies = track.rows
+        k = max(track.after(stamp_ns) - 1, 1)
+        j = max(track.after(stamps[k] - SMOOTH_NS) - 1, 0)
+        body = body_row(bodies[k], estimate.body)
+        before, now = row_state(ends[j]), row_state(ends[k])
+        model = dynamics.model_at(
+            correction.row(estimate.lost_cups), correction.law, estimate.theta)
+        other = self._of_gripper(
+            before, now, (stamps[k] - stamps[j]) / NS_PER_S, correction.nominal[2])
+        zero = estimate.theta[states.ZERO - STATE:][:6]
+        return (self._values[self._count - 1] - zero - other,
+                np.ravel(cup_load(model, now, body, self.sensor.mount)))
+
+    def _of_gripper(self, start: State, end: State, seconds: float, gravity: Any) -> Array:
+        """Return the mean load (6,) of the gripper between two states, less that at the zero."""
+        Y = np.zeros((6, INERTIAL_NUMBERS))
+        dv, dw = (t3.scale(1.0 / seconds, t3.subtract(b, a)) for a, b in zip(
+            start[2:4], end[2:4], strict=True))
+        middle = kernels.tool_at(kernels.tool_segment(start, end, seconds), 0.5)
+        write_gripper_regressor(middle, (dv, dw), gravity, self.sensor.mount, Y)
+        load = Y @ self.sensor.gripper
+        write_gripper_regressor(
+            ORIGIN, (ZERO, ZERO), (0.0, 0.0, -math.hypot(*gravity)), self.sensor.mount, Y)
+        return np.asarray(load - Y @ self.sensor.gripper)
+
+    def _updated(
+        self, correction: Correction, before: Estimate, y: Array, H: Array, variance: Array
+    ) -> Estimate:
+        """Return an estimate corrected by an innovation (6,) with derivative H (6, n)."""
+        memory = np.array(before.wrench_memory or (FIRST_FACTOR, FIRST_FACTOR))
+        variance = variance * np.repeat(memory, 3)
+        P = before.covariance
+        HP = H @ P
+        S = HP @ H.T + np.diag(variance)
+        root = np.linalg.cholesky(S)
+        z = np.linalg.solve(root, y)
+        excess = float(z @ z) / GATE
+        if excess > 1.0:
+            S += (excess - 1.0) * S
+            root, z = math.sqrt(excess) * root, z / math.sqrt(excess)
+        memory = _learned(memory, y / np.sqrt(np.diag(S)), variance / np.diag(S))
+        W = np.linalg.solve(root, HP)
+        body, theta = changed_by(before.body, before.theta, W.T @ z)
+        if not dynamics.is_possible(body, theta, correction.largest):
+            return before._replace(wrench_memory=tuple(memory.tolist()))
+        evidence = before.evidence
+        if len(evidence.signatures):
+            E = evidence.signatures.copy()
+            E[:-FALLEN] -= (W.T @ np.linalg.solve(root, H)).astype(np.float32) @ E[:-FALLEN]
+            evidence = evidence._replace(signatures=E)
+        return before._replace(
+            body=body, theta=theta, covariance=P - W.T @ W, evidence=evidence,
+            wrench_memory=tuple(memory.tolist()))
+
+
+def _learned(memory: Array, z: Array, share: Array) -> Array:
+    """
+    Return the factors (2,) of the variances of force and moment after another innovation.
+
+    A factor grows by the share (6,) of the noise in the variance of the innovation (6,), which is
+    in its standard deviations.
+    """
+    growth = ((z * z - 1.0) * share).reshape(2, 3).sum(axis=1) / LEARNING_COUNT
+    return np.asarray(np.maximum(memory * np.exp(np.clip(growth, -0.5, 0.5)), 1.0))

@@ -1,0 +1,89 @@
+"""A force-torque sensor in the observer: derivative, errors, loss, slip and wrong set-ups."""
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.model.equilibrium import moved_by
+from bellows_ros.core.model.kernels import law_of, model_row
+from bellows_ros.core.observer import states
+from bellows_ros.core.observer.wrench_alarms import SetUp
+from bellows_ros.core.observer.wrenches import block
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import wrench_sensor_of
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .cases import observer, PACKAGE, tool_motion, truth
+from .wrench_run import predict, simulated, STEP_NS
+
+
+def test_derivative_of_a_block_is_its_difference():
+    """By the package's error at the begin of the block, com, length, K and P."""
+    made, (stamps, tool) = observer(), tool_motion(np.random.default_rng(0), 0.6)
+    body = truth(tool)
+    made.start(int(stamps[0]), tool[0], body[0])
+    for k in range(1, len(tool)):
+        made.follow(int(stamps[k]), tool[k - 1], tool[k])
+    first, last, model = 130, 145, made.model
+    wrenches = stamps[first + 1:last + 1], np.zeros((last - first, 6))
+    theta, mount = np.zeros(states.ROWS - states.STATE), made.wrenches.sensor.mount
+
+    def mean(error):
+        beginning = (int(stamps[first]), tool[first], moved_by(body[first], error[:12]),
+                     theta + error[states.STATE:])
+        return block(model_row(model), law_of(model), beginning, (
+            *made._track.rows, made._track.count), wrenches, int(stamps[last]), 1e-3, mount)[:2]
+
+    H, rows = mean(np.zeros(states.ROWS))[1], np.eye(states.ROWS)
+    for row in (*range(12), *range(states.COM, states.COM + 3), states.LENGTH,
+                states.STIFFNESS, states.STIFFNESS + 4, states.DAMPING + 2):
+        difference = (mean(1e-6 * rows[row])[0] - mean(-1e-6 * rows[row])[0]) / 2e-6
+        assert_allclose(H[:, row], difference, atol=0.12 * np.abs(difference).max() + 1e-3)
+
+
+def test_wrench_alone_finds_mass_and_place_and_helps_a_camera():
+    run, mass = simulated(1, 'ATI', True, 4.0), []
+
+    def note(k, live, reading):
+        mass[:] = live.payload.mass - run.mass, live.payload.mass_std
+        return reading
+
+    first = round(0.1e9 / STEP_NS)
+    alone, fused, camera = (np.sqrt(np.mean(predict(run, 1, *use)[1][first:] ** 2)) for use in (
+        (False, True, note), (True, True), (True, False)))
+    assert alone < 4e-3 and fused < camera
+    assert abs(mass[0]) < min(0.02 * run.mass, 2.0 * mass[1])
+
+
+@pytest.mark.parametrize('cause', ['lost', 'slip'])
+def test_fault_is_named(cause):
+    """Within 20 ms (loss) or 40 ms (slip), with the delay of the sensor, and none before."""
+    run = simulated(2, 'ATI', True, 3.3, cause, 3.0)
+    alarm, *_ = predict(run, 2)[0].alarms
+    delay = (alarm.stamp_ns - int(run.stamps[0])) * 1e-9 - 3.0 + run.parameters['wrench.delay']
+    assert alarm.cause == cause and alarm.shown_by == 'wrench'
+    assert 0.0 < delay < (0.02 if cause == 'lost' else 0.04)
+
+
+SENSOR = wrench_sensor_of(resolve({'wrench.frame': '0 0 0.1 0 0 0 1'}))
+WEIGHT = 9.81 * PACKAGE.mass
+
+
+@pytest.mark.parametrize('fault', [
+    '', 'sign', 'world_axes', 'tcp', 'zeroed_holding', 'compensated', 'unknown'])
+def test_wrong_set_up_is_named(fault):
+    """Readings of a package at rest, with 5 % of errors, at the first tilt and at the second."""
+    check, rng = SetUp(SENSOR), np.random.default_rng(4)
+    for angle in (0.0, 0.0, 0.0, 0.6, 0.6, 0.6):
+        R = lie.exp_so3([angle, 0.0, 0.3])
+        force = R.T @ [0.0, 0.0, -WEIGHT]
+        load = np.r_[force, np.cross([4e-3, 0.0, -0.176], force)]
+        if angle == 0.0:
+            first = load
+        shown = {
+            'sign': -load, 'world_axes': np.r_[R @ load[:3], R @ load[3:]],
+            'tcp': load + np.r_[np.zeros(3), np.cross([0.0, 0.0, 0.1], force)],
+            'zeroed_holding': load - first, 'compensated': np.zeros(6),
+            'unknown': np.r_[1.7 * load[:3], load[3:]]}.get(fault, load)
+        noise = rng.normal(size=6) * np.repeat([0.2, 0.01], 3)
+        check.add(1.03 * shown + noise, load, R, WEIGHT)
+    assert check.fault == fault and check.is_contradicted == bool(fault)
