@@ -7,8 +7,8 @@ The cell is `test/core/observer/wrench_run.py`: a sensor simulated by Newton and
 masses, with the noise, drift and delay of an ATI Gamma or of a UR e-series; a package gripped 10
 mm off its centre, its mass 10 % off and K 5 %; with `errors` a gripper 2 % off, 1 % of gain errors
 by axis and 1 % of hysteresis. The camera has 30 Hz and white noise of 2 mm and 10 mrad. Errors of
-B are RMS in 8 s of pick-and-place motions, without the first 0.1 s. The second table counts losses and slips of
-5 mm within 10 ms, with their delays, and false alarms without a fault.
+B are RMS in 8 s of pick-and-place motions, without the first 0.1 s. The second table counts losses
+and slips of 5 mm within 10 ms, with their delays, and false alarms before.
 """
 
 import argparse

@@ -9,7 +9,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.nodes.conversions import TOOL_POSES
 from bellows_ros.report.health import Level
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import InertiaStamped, PoseStamped
+from geometry_msgs.msg import InertiaStamped, PoseStamped, WrenchStamped
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -177,3 +177,22 @@ def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves)
     assert said.count('Alarm, lost: The package is lost') == moves
     assert said.count('Second likeliest: leak, odds 1000 to 1') == moves
     assert f'Package: {"lost" if moves else "released"}.' in said
+
+
+def test_wrenches_weigh_the_package(make_partner):
+    """A wrench alone corrects the mass that is published."""
+    partner = make_partner({**PACKAGE, 'package.mass_std': 0.1 * PACKAGE['package.mass']})
+    writer = partner.writes(WrenchStamped, 'tool_arm/wrench')
+    payloads = partner.hears(InertiaStamped, 'package/estimated')
+    partner.connect()
+    pipeline = partner.predictor.pipeline
+    partner.wait(lambda: pipeline.observing.is_ready and pipeline.observing._estimated.subscribed)
+    start_ns, heavier = time.time_ns(), 1.05 * PACKAGE['package.mass']
+    for k in range(1, 250):
+        partner.predict(start_ns + k * 4_000_000)
+        message = stamped(WrenchStamped(), start_ns + k * 4_000_000, 'tool0')
+        message.wrench.force.z = -9.81 * heavier
+        writer.publish(message)
+    partner.wait(lambda: bool(payloads))
+    partner.wait(lambda: abs(payloads[-1].inertia.m - heavier) < 0.03 * heavier)
+    assert pipeline.observing.wrench_status('wrench').level <= Level.WARN
