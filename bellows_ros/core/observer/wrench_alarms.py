@@ -152,7 +152,7 @@ class SetUp:
         return bool((down @ down[0]).min() < TILT_COSINE)
 
     def _misfits(self, weight: float) -> dict[str, float]:
-        """Return the RMS deviation of the readings from the expected ones of each set-up, in weights."""
+        """Return the RMS deviation of the readings of each set-up, in weights."""
         shown, load, R = (np.array(each) for each in zip(*self._still, strict=True))
         position, axes, _ = self._sensor.mount
         arm = np.reshape(axes, (3, 3)).T @ position
