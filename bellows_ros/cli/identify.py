@@ -2,10 +2,12 @@
 
 import argparse
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError, install
+from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report.sentences import listed, many
 from bellows_ros.report.text import column, display_unit, formatted, print_identification
 from bellows_ros.workflows.identification import Identification, save
@@ -40,8 +42,20 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     then, usable = _next(arguments, result), not result.refusals
     if not (usable or arguments.force and result.fit.usable):
         arguments.out = arguments.out_cell = ''
+    replaced = _names(arguments.out)
     save(result, arguments.out, '', arguments.force, arguments.out_cell)
+    if lost := replaced - _names(arguments.out):
+        console.warn(
+            f'{", ".join(sorted(lost))} of the former {arguments.out} are not in the new one, '
+            'which has the identified cup alone. State them in another file.')
     return options.Outcome(result, usable, then)
+
+
+def _names(path: str) -> set[str]:
+    """Return the names of the parameters in a file; none if there is no such file."""
+    with suppress(BellowsError):
+        return {*read_parameters(path)} if path else set()
+    return set()
 
 
 def _next(arguments: argparse.Namespace, result: Identification) -> tuple[str, ...]:

@@ -163,7 +163,7 @@ class _Builder:
             raise _refused('a key must be a plain name', event)
 
     def _keys(self, event: Any) -> tuple[str, ...]:
-        """Return the keys that lead to a list or mapping that begins."""
+        """Return the keys on the path to a new list or mapping."""
         if not self._open:
             return ()
         value, _, keys, key = self._open[-1]

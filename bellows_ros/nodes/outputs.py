@@ -379,7 +379,7 @@ class Tossing:
 
     @property
     def flight(self) -> flight.Flight:
-        """The flight of the package after the valve."""
+        """The flight of the package after its release."""
         assert self._shared.live.flight
         return self._shared.live.flight
 

@@ -73,7 +73,7 @@ PICTURES, FILMS = ('.png', '.svg', '.pdf'), ('.gif', '.mp4')
 
 
 def require_picture(path: File, allowed: tuple[str, ...] = PICTURES) -> str:
-    """Return the format of a picture or film from its name's ending; raise for others."""
+    """Return the format of a picture or film by file ending; raise for other endings."""
     ending = Path(path).suffix.lower()
     if ending not in allowed:
         raise BellowsError(

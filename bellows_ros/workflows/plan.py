@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.live.predictor import MIN_UPWARD_GRAVITY
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, model_tuple
 from bellows_ros.core.model.grip import Grip, safety_sentence
@@ -215,8 +216,11 @@ class PlanReport(CommandResult):
         source, prediction = self.source, self.prediction
         safety = NO_FACTOR if prediction.grip is None else safety_sentence(
             *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
+        down, gravity = source.tool.rotation[0, :, 2], np.array(source.model[2])
+        is_above = down @ gravity > MIN_UPWARD_GRAVITY * np.linalg.norm(gravity)
         return (*source.notes, *filter(None, (
-            safety, flip_warning(prediction.bending),
+            sentence('live', 'faults.above') if is_above else '', safety,
+            flip_warning(prediction.bending),
             '' if source.begins_at_rest else sentence('planning', 'begins_in_motion'),
             '' if prediction.ends_at_rest else sentence('planning', 'ends_in_motion'),
             f'Outside the validity range: {"; ".join(self.outside)}.' if self.outside else '')))

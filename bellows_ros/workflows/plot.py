@@ -20,7 +20,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.recordings import load, NO_INERTIA
-from bellows_ros.workflows.replay import Live, Margins, predicted_live
+from bellows_ros.workflows.replay import compared_poses, Live, Margins, predicted_live
 import numpy as np
 
 SPECTRUM_SECONDS = 4.0  # of a segment: resolution 0.25 Hz
@@ -250,8 +250,9 @@ def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
 
     """
     live = replace(live, **vars(live.select(np.isfinite(live.predicted[:, 0]))))
-    at = np.isin(recording.measured_package.stamps_ns, live.stamps_ns)
-    tool, measured = recording.measured_tool.select(at), recording.measured_package.select(at)
+    tool, measured = compared_poses(recording)
+    at = np.isin(measured.stamps_ns, live.stamps_ns)
+    tool, measured = tool.select(at), measured.select(at)
     package, length = conversion.package_of(values), conversion.cup_of(values).length
     place, bent = live.predicted[:, :3], exp_so3(live.predicted[:, 3:])
     predicted = Trajectory(

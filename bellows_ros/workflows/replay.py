@@ -458,7 +458,7 @@ def predicted_live(
     took = time.perf_counter() - start
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
     del messages  # tens of megabytes for a long recording
-    compared = _compared(predicted, *_compared_poses(recording))
+    compared = _compared(predicted, *compared_poses(recording))
     return Live(
         **vars(compared), counts=_counts(live, recording),
         real_time_factor=recorded / took, took=took)
@@ -573,7 +573,7 @@ def observed(
         return predicted_trajectory(live, messages, measured=part, signals=signals)
 
     corrected = run(observer)
-    tool, package = _compared_poses(recording)
+    tool, package = compared_poses(recording)
     camera = _last_measured(observer, measured, package, package_of(values).com)
     prediction = uncorrected.select(uncorrected.stamps_ns >= camera.stamps_ns[0])
     compared = np.isin(package.stamps_ns, prediction.stamps_ns)
@@ -655,12 +655,13 @@ def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
     return LivePredictor.from_parameters(values.replaced(in_model))
 
 
-def _compared_poses(recording: Recording) -> tuple[Trajectory, Trajectory]:
+def compared_poses(recording: Recording) -> tuple[Trajectory, Trajectory]:
     """Return measured tool and package at stamps of both, or of the package if that is slow."""
-    timing, package = recording.report.tool.timing, recording.tracked_package
+    timing, tool = recording.report.tool.timing, recording.aligned_tool
     if recording.report.package.timing.rate_hz >= LOW_RATE_HZ:
         return recording.measured_tool, recording.measured_package
-    return resample(recording.aligned_tool, package.stamps_ns, timing.longest_step_ns), package
+    package = recording.tracked_package.between(*tool.stamps_ns[[0, -1]])
+    return resample(tool, package.stamps_ns, timing.longest_step_ns), package
 
 
 def _compared(

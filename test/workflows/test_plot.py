@@ -3,6 +3,7 @@
 
 from bellows_ros.workflows.plot import loads, motion, recorded, spectra, with_bodies, within
 from bellows_ros.workflows.replay import predicted_live
+from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 import pytest
 
@@ -52,6 +53,17 @@ def test_a_part_of_a_replay_has_its_own_scores(root, settings):
     assert part.live.scores.samples == np.count_nonzero(np.isfinite(error[:, 0]))
     assert len(part.seconds) == np.count_nonzero(picked)
     np.testing.assert_array_equal(part.box, whole.box)
+
+
+def test_a_slow_camera_is_drawn_at_its_own_stamps(true_cup, known, tmp_path):
+    bag = tmp_path / 'slow'
+    simulate_recording(true_cup, {
+        'kind': 'static', 'rest_duration': 1.0, 'seed': 2,
+        'static': {'move': 0.5, 'hold': 0.5, 'poses': [{'rpy': [0.3, 0.0, 0.0]}]},
+        'tool': {'rate_hz': 125.0}, 'package': {'rate_hz': 30.0}}, bag)
+    values, recording = recorded(bag, {**known, **true_cup}, True)
+    found = with_bodies(values, recording, predicted_live(recording, values))
+    assert len(found.seconds) == len(found.tool) == len(found.outline) > 20
 
 
 def test_without_a_package_the_tracked_point_is_shown(root, settings):

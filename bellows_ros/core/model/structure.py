@@ -230,7 +230,7 @@ class Structure:
             for entries in self.entries])
 
     def within(self, other: 'Structure') -> Array:
-        """Return T (2 m, 2 n): parameters x, and T x of another structure, give equal models."""
+        """Return T (2 m, 2 n), the map of parameters to another structure's, of equal models."""
         T = [other.parameters(unit, unit)[:other.size] for unit in self.model_basis]
         return np.asarray(np.kron(np.eye(2), np.column_stack(T)), dtype=np.float64)
 
