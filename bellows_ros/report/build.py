@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 import zlib
 
-from bellows_ros.core.identification import samples, validation
+from bellows_ros.core.identification import validation
 from bellows_ros.core.model.modes import modes
 from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.parameters.values import Values
@@ -255,8 +255,7 @@ def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     section.table([
         ('', 'version or seed'),
         *((name, version or 'not there') for name, version in provenance['versions'].items()),
-        ('random seeds',
-         f'{validation.DRAW_SEED} (validation), {samples.NOISE_SEED} (excitation)')])
+        ('random seed', f'{validation.DRAW_SEED} (validation)')])
     content = table([
         ('parameter', 'value'), *((name, _setting(value)) for name, value in settings.items())])
     section.add(f'<details><summary>All settings</summary>\n{content}\n</details>')

@@ -8,9 +8,9 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import identifiability, reduction
+from bellows_ros.core.identification import reduction
 from bellows_ros.core.identification.quantities import KINDS, payload_of
-from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
+from bellows_ros.core.identification.result import Fit, parameter_units
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
@@ -66,8 +66,6 @@ class Identification(CommandResult):
     ----------
     fit : Fit
         K and P with their uncertainty.
-    excitation : Excitation
-        Identifiability by the recordings.
     values : mapping
         All given parameters of the run.
     parts : tuple of ReducedRecording
@@ -92,7 +90,6 @@ class Identification(CommandResult):
     """
 
     fit: Fit
-    excitation: identifiability.Excitation
     values: Values
     parts: tuple[reduction.ReducedRecording, ...]
     recordings: tuple[Recording, ...] = ()
@@ -357,7 +354,7 @@ class Identification(CommandResult):
             return misfit
         kept = [f'The cup file has the given values of {", ".join(self._unknown)}.'] if (
             self._unknown and self.fit.usable) else []
-        return (*self.fit.warnings, *misfit, *self.excitation.warnings, *kept)
+        return (*self.fit.warnings, *misfit, *kept)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -390,7 +387,6 @@ class Identification(CommandResult):
             'recordings': [part.report for part in self.parts],
             'static': self.static,
             'one_cup': self.consistency and self.consistency.verdict_json(),
-            'excitation': excitation_json(self.excitation, self.fit),
             'validations': self.validations,
             'envelope': self.envelope,
             'settings': dict(self.values),
@@ -483,10 +479,9 @@ def fit_json(fit: Fit) -> dict[str, Any]:
                 ('stiffness', fit.stiffness, NORMAL_95 * fit.stiffness_std),
                 ('damping', fit.damping, NORMAL_95 * fit.damping_std))},
         'parameters': {
-            'labels': fit.labels, 'covariance': fit.covariance, 'noise_bias': fit.bias,
+            'labels': fit.labels, 'covariance': fit.covariance,
             'covariance_from_given': fit.from_given,
-            'units': {**dict.fromkeys(('covariance', 'covariance_from_given'), _products(units)),
-                      'noise_bias': units}},
+            'units': dict.fromkeys(('covariance', 'covariance_from_given'), _products(units))},
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,
         'iterations': [results.attributes(iteration, 'chi2', 'stiffness', 'damping')
@@ -501,26 +496,3 @@ def fit_json(fit: Fit) -> dict[str, Any]:
 def _products(units: Any) -> list[list[str]]:
     """Return the units of products of numbers."""
     return [[f'{one} {other}' for other in units] for one in units]
-
-
-def excitation_json(excitation: identifiability.Excitation, fit: Fit) -> dict[str, Any]:
-    """Return the identifiability by the recordings for a JSON file; null is unknown."""
-    units = parameter_units(structure_named(fit.structure))
-    return {
-        'structure': fit.structure,
-        'axes': {axis.name: {
-            **results.attributes(
-                axis, 'strain', 'motion', 'twist', 'band_hz', 'strain_noise', 'twist_noise'),
-            'units': {
-                **dict.fromkeys(('strain', 'motion', 'strain_noise'), unit),
-                **dict.fromkeys(('twist', 'twist_noise'), f'{unit}/s')},
-        } for axis, unit in zip(excitation.axes, POSE_UNITS, strict=True)},
-        'parameters': {
-            parameter.label: {
-                **results.attributes(
-                    parameter, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable',
-                    'weak'),
-                'units': {'value': unit}}
-            for parameter, unit in zip(excitation.parameters, units, strict=True)},
-        'rank': excitation.rank, 'size': len(units), 'condition_number': fit.condition_number,
-        **results.attributes(excitation, 'pairs', 'warnings')}

@@ -330,14 +330,13 @@ def _identify(
     """
     progress('fitting', FIT_BEGINS)
     try:
-        result = methods.fit(
+        fit = methods.fit(
             parts, effective,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
             static.standstills if static else (), pairs)
     except BellowsError:
         _require_no_facts(parts, effective, progress)
         raise
-    fit = result.fit
     if values.fit.structure == structure.AUTO:
         values, effective = (each.replaced({'fit.structure': fit.structure})
                              for each in (values, effective))
@@ -352,7 +351,7 @@ def _identify(
     progress(CAUSE_TESTS, FIT_ENDS)
     verdict = verdict_of(fit, recordings, effective.cup.length, effective)
     identified = identification.Identification(
-        fit, result.excitation, values,
+        fit, values,
         tuple(reduced(part, effective.cup.length) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress, pairs), verdict=verdict,
         assumed=assumed, **more)

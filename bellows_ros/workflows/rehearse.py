@@ -204,7 +204,7 @@ def _remarks(result: Identification) -> dict[str, None]:
     """Return the refusals and warnings on the recording and the fit, each once."""
     misfit = (result.fit.misfit,) if result.fit.misfit else ()
     return dict.fromkeys((
-        *result.refusals, *result.fit.warnings, *misfit, *result.excitation.warnings,
+        *result.refusals, *result.fit.warnings, *misfit,
         *(text for part in result.parts for text in part.report['warnings'])))
 
 

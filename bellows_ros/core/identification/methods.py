@@ -1,21 +1,20 @@
 """The fit of a cup to recordings, by the method in `fit.method`."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import math
 from operator import getitem
-from typing import NamedTuple
 
-from bellows_ros.core.identification import least_squares, reduction
+from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.diagnosis.ranking import MARKERS
-from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import given_std, weak_prior
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import measured_segments, Segments, segments_of
 from bellows_ros.core.model.cup_package import Cup, varied
 from bellows_ros.core.model.structure import AUTO
@@ -26,7 +25,7 @@ from bellows_ros.core.parameters.conversion import (
     richest_structure,
 )
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.recording import LOW_RATE_HZ, Noise, Recording, TimeOffset
+from bellows_ros.core.recording.recording import LOW_RATE_HZ, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
@@ -36,9 +35,6 @@ Progress = Callable[[str, float], None]
 
 TYPICAL_STEPS = 12
 """Typical number of steps of a fit by simulation."""
-
-MIN_NOISE = Noise(1e-5, 5e-5)
-"""Noise with negligible bias, m and rad."""
 
 MAX_DAMPING_STD, UNLOADED_PARAMETER = 0.25, 'K rz'
 """
@@ -57,24 +53,18 @@ MAX_MISFIT_TO_NOISE = 2.0
 MAX_STANDSTILL_CHI2 = 4.0
 """Largest chi^2 per deviation of standstills without a note."""
 
-Pair = tuple[Segments, reduction.Statistics]
+Pair = tuple[Segments, least_squares.Statistics]
 """The segments of a recording, empty for least squares, and its statistics."""
 
 
 def pair_of(recording: Recording, values: Values, number: int = 0) -> Pair:
     """Return the parts of a recording for a fit."""
-    is_simulated = values.fit.method == 'output_error'
+    is_simulated, structure = values.fit.method == 'output_error', given_structure(values)
     return (
         segments_of(measured_segments(recording, number)) if is_simulated else (),
-        reduction.statistics_of(
-            recording, values.cup.length, richest_structure(values), not is_simulated))
-
-
-class Result(NamedTuple):
-    """A fit, and the identifiability of its parameters."""
-
-    fit: Fit
-    excitation: Excitation
+        recording.cached(('statistics', values.cup.length, structure), partial(
+            least_squares.statistics, samples_of(recording), values.cup.length, structure,
+            recording.noise)))
 
 
 def fit(
@@ -83,7 +73,7 @@ def fit(
     progress: Progress | None = None,
     standstills: Sequence[Standstill] = (),
     pairs: Held | None = None,
-) -> Result:
+) -> Fit:
     """
     Fit a cup to recordings, as the parameters specify.
 
@@ -109,10 +99,18 @@ def fit(
 
     """
     result = fitted(recordings, values, progress, pairs, standstills=standstills)
-    if values.fit.structure == AUTO:
-        values = values.replaced({'fit.structure': result.structure})
-    parts = [reduced(recording, values.cup.length) for recording in recordings]
-    excitation = excitation_of([part.movement for part in parts], result)
+    _require_motion(result, recordings)
+    if values.fit.time_offset:
+        result = _with_offsets(result, [
+            reduced(recording, values.cup.length).time_offset for recording in recordings])
+    if result.standstills and result.standstills[1] > MAX_STANDSTILL_CHI2:
+        result = replace(result, notes=(
+            *result.notes, NOTES['disagreement'].format(chi2=result.standstills[1])))
+    return result
+
+
+def _require_motion(result: Fit, recordings: Sequence[AnyRecording]) -> None:
+    """Raise if the recordings do not determine free quantities, or no damping at all."""
     unknown = [freed.name for freed in result.freed if not np.all(np.isfinite(freed.std))]
     if result.converged and unknown:
         raise BellowsError(
@@ -120,14 +118,13 @@ def fit(
             'standard errors are too large. Leave out what you know best (mass and inertia are '
             'never identifiable together, nor com and cup.length along z with poses of the '
             'centre of mass), or record a richer motion.')
-    std = dict(zip(result.labels, np.sqrt(np.diag(result.covariance)), strict=True))
     largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
     explained = max(result.chi2 or 0.0, result.robust_chi2 or 0.0) <= (
         MAX_MISFIT_TO_NOISE**2) and not any(
         cause.certain for cause in result.causes)  # otherwise errors of the misfit
-    certain = [
-        parameter.label for parameter in excitation.parameters if parameter.identifiable
-        and std[parameter.label] <= largest * abs(parameter.value)]
+    certain = [label for label, value, std in zip(
+        result.labels, result.parameters, np.sqrt(np.diag(result.covariance)), strict=True)
+        if std < np.inf and std <= largest * abs(value)]
     if result.converged and explained and not any(label[0] == 'P' for label in certain) and (
             UNLOADED_PARAMETER not in certain or _stand_still(recordings)):
         raise BellowsError(
@@ -135,14 +132,6 @@ def fit(
             f'nor {UNLOADED_PARAMETER}, which no weight loads. Move the tool in all directions at '
             "1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
             'static.bags.')
-    if result.method == 'least_squares':
-        result = replace(result, notes=(*result.notes, *_noise_warning(recordings)))
-    if values.fit.time_offset:
-        result = _with_offsets(result, [part.time_offset for part in parts])
-    if result.standstills and result.standstills[1] > MAX_STANDSTILL_CHI2:
-        result = replace(result, notes=(
-            *result.notes, NOTES['disagreement'].format(chi2=result.standstills[1])))
-    return Result(result, excitation)
 
 
 def _stand_still(recordings: Sequence[AnyRecording]) -> bool:
@@ -153,16 +142,6 @@ def _stand_still(recordings: Sequence[AnyRecording]) -> bool:
         with suppress(BellowsError):  # without standstills
             still += sum(each.duration for each in standstills_of(recording)[0])
     return still >= MIN_REST_SHARE * total
-
-
-def _noise_warning(recordings: Sequence[AnyRecording]) -> Iterator[str]:
-    """Yield a sentence if correlated noise biases least squares."""
-    names = [
-        recording.name for recording in whole_recordings(recordings) if any(
-            noise.correlation > 0.0 and noise.size > negligible for body in recording.ar1_noise
-            for noise, negligible in zip(body, MIN_NOISE, strict=True))]
-    if names:
-        yield NOTES['correlated'].format(names=', '.join(names))
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:
@@ -186,9 +165,9 @@ def fitted(
     if pairs is None:
         pairs = here([
             pair_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))])
-    structure, statistics = given_structure(values), pairs.pool.keep(getitem, pairs, 1)
+    structure, statistics = given_structure(values), pairs.pool.results(getitem, pairs, 1)
     if values.fit.method == 'least_squares':
-        return least_squares.simplest_fit(statistics, structure)
+        return least_squares.least_squares(statistics)
     start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
     parts = [reduced(recording, values.cup.length) for recording in recordings]
     if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
@@ -228,7 +207,7 @@ def with_freed(values: Values, freed: Sequence[Freed]) -> Values:
     return result
 
 
-def start_cup(parts: Held, given: Cup) -> Cup:
+def start_cup(parts: Sequence[least_squares.Statistics], given: Cup) -> Cup:
     """
     Return the initial cup of output error, by least squares of few parameters.
 

@@ -23,8 +23,6 @@ from bellows_ros.core.identification.diagnosis.ranking import (
     misfit,
     rank,
 )
-from bellows_ros.core.identification.identifiability import remedy_for
-from bellows_ros.core.identification.least_squares import MIN_SQUARED_DISTANCE
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.problem import (
     Arrow,
@@ -45,6 +43,7 @@ from bellows_ros.core.identification.result import (
     Iteration,
     MAX_RELATIVE_ERROR,
     NOTES,
+    remedy_for,
     with_unidentifiable,
 )
 from bellows_ros.core.identification.search import (
@@ -87,6 +86,10 @@ OF_SPRING = ('relaxation', 'stretch')
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Seed of the noise that is added to test the information, its size relative to the noise of the
 poses, and its smallest size."""
+
+MIN_SQUARED_DISTANCE = 13.8
+"""Smallest squared Mahalanobis distance of a significant extension of the spring from zero;
+false-alarm rate 1 in 1000."""
 
 MAX_REMAINING_SHARE = 0.2
 """Largest share of the chi² beyond noise that remains with relaxation."""
@@ -537,7 +540,7 @@ def _identifiable(
     vague = identifiable[:size] & (total > 1.0)
     notes += [NOTES['vague'].format(
         label=label, total=100.0 * MAX_RELATIVE_ERROR * both, alone=100.0 * error,
-        how=remedy_for(label.split()[1], problem.structure))
+        how=remedy_for(label, problem.structure))
         for label, both, error, is_vague in zip(
             problem.structure.labels, total, errors, vague, strict=False) if is_vague]
     identifiable[:size] &= ~vague
@@ -647,8 +650,8 @@ def _unidentifiable(
         if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
             words = 'noise_moves_it'
         yield NOTES[words].format(
-            label=label, axis=(axis := label.split()[1]), share=share,
-            how=remedy_for(axis, problem.structure),
+            label=label, axis=label.split()[1], share=share,
+            how=remedy_for(label, problem.structure),
             error=100.0 * error, noise=100.0 * less, times=less**-2, factor=MAX_DAMPING,
             one_cup=', or one of one cup alone' if problem.structure.places else '')
 

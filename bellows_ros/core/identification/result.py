@@ -20,6 +20,18 @@ NOTE_TEXTS = tomllib.loads(Path(__file__).with_name('notes.toml').read_text())
 NOTES: Mapping[str, str] = NOTE_TEXTS['notes']
 """Templates of messages about fits."""
 
+DIRECTIONS: Mapping[str, tuple[str, str]] = NOTE_TEXTS['directions']
+"""Motion in each direction, and its excitation."""
+
+
+def remedy_for(label: str, structure: Structure) -> str:
+    """Return the remedy for an unidentifiable number, with regard to a gripper's other cups."""
+    axis = label.split()[1]
+    if structure.places and axis.startswith('r'):
+        return NOTES['of_one_cup']
+    return DIRECTIONS.get(axis, ('', 'move all axes at once'))[1]
+
+
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
 """Units of entries of K and P: translation, coupling, rotation."""
 
@@ -54,11 +66,6 @@ def covariance_of(information: Array) -> Array:
     null = vectors[:, values <= ROUNDING * values[-1]]
     identifiable = (diagonal > 0.0) & ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
     return with_unidentifiable(inverse_of(information, identifiable), ~identifiable)
-
-
-def information_of(covariance: Array) -> Array:
-    """Return the information (n, n) of a covariance, zero for infinite variances."""
-    return inverse_of(covariance, np.isfinite(np.diag(covariance)))
 
 
 def inverse_of(matrix: Array, used: Mask) -> Array:
@@ -150,13 +157,6 @@ class Fit:
     stretch, stretch_std : (float, float)
         Coefficients a, b of the cup's stretch (N/m^2, N), and their standard errors; zeros without
         stretch.
-    bias : ndarray (2 n,) or None
-        Bias of the parameters by noise in the motions, subtracted by least squares; None if the
-        noise is not given.
-    noise_share : ndarray (2 n,) or None
-        Share of noise in the information of least squares on each parameter: the energy of noise
-        in its column, over the energy of the part orthogonal to all other columns; 1 for
-        unidentifiable parameters. None like `bias`.
     causes : tuple of Finding
         Possible causes of the residual of output error, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
@@ -190,8 +190,6 @@ class Fit:
     delays_std: tuple[float, ...] = ()
     freed: tuple[Freed, ...] = ()
     standstills: tuple[int, float] | None = None
-    bias: Array | None = None
-    noise_share: Array | None = None
     relaxation: tuple[float, float] = (0.0, 0.0)
     relaxation_std: tuple[float, float] = (0.0, 0.0)
     noise_in_motion: Mapping[int, Array] = field(default_factory=dict)

@@ -2,7 +2,7 @@
 The filtered motions of a recording, as inputs of the identification.
 
 The lip's motion, the required wrench c, and the equations L x = c, with x the parameters of K and
-P (4.66-4.68); also with noise added once more.
+P (4.66-4.68).
 """
 
 from collections.abc import Iterable, Iterator
@@ -13,31 +13,21 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import gravity_vector, Package, regressor
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.recording import FilterNoise, Recording
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
-from bellows_ros.core.signals.savgol import BLOCK, displaced
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.core.signals.savgol import BLOCK
+from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 import numpy as np
 from numpy.typing import ArrayLike
 
-CLUSTER_WINDOWS = 4
-"""Distance of independent residuals for standard errors, in filter windows."""
-
 MAX_STORED = 50_000
 """Largest number of samples of a recording whose lip motion is stored for reuse."""
-
-NOISE_SEED = 20210801
-"""Seed of the added noise, fixed for reproducible results."""
 
 MOMENT_LEVER = 0.01
 """Lever with which moments are compared with forces, m."""
 
 MIN_RELATIVE_VARIANCE, ADDED_VARIANCE = 1e-10, 1e-8
 """Relative variance below which a component of the wrench is zero, and its replacement."""
-
-
-Equations = tuple[Array, list[slice]]
-"""Rows [A b] (N, 6, p + 1) of A x = b of N samples, and the clusters of samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +41,6 @@ class LipMotion:
         Indices of the valid samples in the recording.
     stamps_ns : ndarray (N,)
         Stamps, ns.
-    window : float
-        Duration of the filter's window, the correlation length of residuals, s.
     position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
         E_o_S (m), E_R_S and S_v_ES (m/s, rad/s).
     wrench : ndarray (N, 6)
@@ -62,7 +50,6 @@ class LipMotion:
 
     index: Stamps
     stamps_ns: Stamps
-    window: float
     position: Array
     rotation: Array
     twist: Array
@@ -77,9 +64,9 @@ class LipMotion:
             moved[block, 3:] = log_so3(self.rotation[block])
         return moved
 
-    def equations(self, cup_length: float, structure: Structure) -> Iterator[Equations]:
+    def equations(self, cup_length: float, structure: Structure) -> Iterator[Array]:
         """
-        Yield [L c] of (4.67), (4.68) in blocks.
+        Yield rows [L c] (N, 6, p + 1) of (4.67), (4.68) in blocks.
 
         Parameters
         ----------
@@ -94,13 +81,7 @@ class LipMotion:
             L = regressor(
                 cup_length, structure.model_basis, self.position[block], self.rotation[block],
                 self.twist[block])
-            yield np.dstack([L, self.wrench[block]]), self._clusters(self.stamps_ns[block])
-
-    def _clusters(self, stamps_ns: Stamps) -> list[slice]:
-        """Return clusters of samples, each several windows long."""
-        cluster_ns = int(CLUSTER_WINDOWS * self.window * NS_PER_S)
-        starts = np.unique((stamps_ns - stamps_ns[:1]) // cluster_ns, return_index=True)[1]
-        return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(stamps_ns)], strict=True)]
+            yield np.dstack([L, self.wrench[block]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,13 +131,8 @@ class Samples:
             position[part], rotation[part], twist[part] = lip_relative(
                 block.tool, block.package, self.payload.com)
             wrench[part] = needed_wrench(self.payload, block.package, self.gravity)
-        return LipMotion(index, self.tool.stamps_ns[index], self.window,
+        return LipMotion(index, self.tool.stamps_ns[index],
                          position, rotation, twist, wrench)
-
-    @cached_property
-    def twist_spectrum(self) -> Spectrum:
-        """Spectrum of the lip's twist in the tool, m/s and rad/s."""
-        return self.spectrum_of(self.lip.twist)
 
     def spectrum_of(self, values: Array) -> Spectrum:
         """Return the spectrum of numbers (N, 6) at the valid samples; others are interpolated."""
@@ -179,10 +155,10 @@ class Samples:
         for start in range(0, len(valid), BLOCK):
             yield self.select(valid[start:start + BLOCK])
 
-    def thinned(self, max_count: int) -> 'Samples':
-        """Return every n-th sample, with about the requested count."""
-        step = max(len(self.tool) // max_count, 1)
-        return self if step == 1 else self.select(slice(None, None, step))
+    @property
+    def window_samples(self) -> float:
+        """Number of samples in a window of the filter."""
+        return max(self.window * uniform_rate_hz(self.package.stamps_ns), 1.0)
 
 
 def samples_of(recording: Recording) -> Samples:
@@ -235,24 +211,6 @@ def sizes(displacement: Array) -> Array:
     x, y, z, rx, ry, rz = displacement.T
     radial, bent = np.hypot(x, y), np.hypot(rx, ry)
     return np.asarray(np.abs(np.column_stack([radial, radial, z, bent, bent, rz])))
-
-
-def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) -> Samples:
-    """
-    Return samples with noise of the poses added once more.
-
-    The noise of one sample has the filter's correlation between value and derivatives; noise of
-    neighbours is independent, which does not affect mean squares and products.
-    """
-    def noisy(motion: Trajectory, sizes: Iterable[float], weights: Array) -> Trajectory:
-        root = np.linalg.cholesky(weights @ weights.T)
-        return displaced(motion, *(
-            sigma * np.einsum('ij,jnk->ink', root, draw.standard_normal((3, len(motion), 3)))
-            for sigma in sizes))
-
-    return replace(
-        samples, tool=noisy(samples.tool, noise.tool, noise.tool_weights),
-        package=noisy(samples.package, noise.package, noise.package_weights))
 
 
 @dataclass(frozen=True, eq=False)

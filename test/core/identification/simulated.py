@@ -1,14 +1,10 @@
 """Simulated recordings for the tests of identification, prepared by the usual workflow."""
 
-from dataclasses import replace
 import functools
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification import result
-from bellows_ros.core.identification.identifiability import excitation_of
 from bellows_ros.core.identification.least_squares import least_squares as fit_statistics
-from bellows_ros.core.identification.pool import here
-from bellows_ros.core.identification.reduction import movement_of, statistics
+from bellows_ros.core.identification.least_squares import statistics
 from bellows_ros.core.identification.samples import Moments
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
@@ -89,32 +85,12 @@ def record(
         package_half_window=half_window))
 
 
-def least_squares(recordings, cup_length, structure, noises=()):
-    """Return the fit of samples, weighted by their noise if known."""
-    known = noises or [None] * len(recordings)
-    return fit_statistics(here([statistics(samples, cup_length, structure, noise)
-                                for samples, noise in zip(recordings, known, strict=True)]))
-
-
-def without(fit, labels):
-    """Return a fit with infinite standard errors of some parameters."""
-    unknown = np.array([label in labels for label in fit.labels])
-    return replace(fit, covariance=result.with_unidentifiable(fit.covariance, unknown))
-
-
-def excitation(recordings, cup_length, structure, noises, **changes):
-    """Return the identifiability of the parameters by samples with noise, and their fit."""
-    fit = replace(least_squares(recordings, cup_length, structure, noises), **changes)
-    return excitation_of([movement_of(samples, cup_length, noise) for samples, noise in zip(
-        recordings, noises, strict=True)], fit), fit
+def least_squares(recordings, cup_length, structure):
+    """Return the fit of samples."""
+    return fit_statistics([
+        statistics(samples, cup_length, structure) for samples in recordings])
 
 
 def wrench_covariance(samples, structure):
     """Return the covariance of the required wrenches of samples."""
     return Moments.of(samples.lip.wrench).covariance(structure)
-
-
-def whitened_rows(samples, cup_length, structure, whitening):
-    """Return the whitened rows [A b] of samples."""
-    return np.vstack([(whitening @ rows).reshape(-1, rows.shape[2])
-                      for rows, _ in samples.lip.equations(cup_length, structure)])

@@ -2,10 +2,8 @@
 
 import functools
 
-from bellows_ros.core.identification.least_squares import least_squares
+from bellows_ros.core.identification.least_squares import least_squares, statistics
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.pool import here
-from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, gripper_of
@@ -83,8 +81,7 @@ def test_one_cup_is_found_by_least_squares(noise, within):
                    noisy(rng, own, (2e-5 * noise, 1e-4 * noise)) for own in truth()), strict=True)]
     recording = prepare(*streams, PrepareSettings(
         payload=PLATE, gravity=GRAVITY, tool_half_window=12, package_half_window=12))
-    fit = least_squares(here([
-        statistics(samples_of(recording), ONE.length, LAYOUT, recording.noise)]))
+    fit = least_squares([statistics(samples_of(recording), ONE.length, LAYOUT)])
     assert_allclose(fit.parameters, NUMBERS, rtol=within)
 
 

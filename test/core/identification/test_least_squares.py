@@ -56,14 +56,14 @@ def test_full_matrices_are_recovered_exactly_from_exact_accelerations(exact):
     assert fit.usable
     assert fit.warnings == ()
     assert fit.samples_used == len(samples.tool.stamps_ns)
-    assert_allclose(fit.residual_rms, 0.0, atol=1e-9)
+    assert_allclose(fit.residual_rms, 0.0, atol=2e-6)  # a root of rounded squares
 
 
 @pytest.fixture(scope='module')
 def round_cup():
     """Return samples of an axisymmetric cup."""
     rng = np.random.default_rng(14)
-    return exact_samples(Cup.thesis(), random_package(rng), rng, 0.01)
+    return exact_samples(Cup.thesis(), random_package(rng), rng, 0.004)
 
 
 def noisy(samples, rng, rate=1.0):
@@ -118,26 +118,25 @@ def test_standard_errors_are_those_of_repeated_noise(round_cup):
     assert_allclose(np.var(found, axis=0, ddof=1) / stated, 1.0, atol=0.6)
 
 
-def test_few_clusters_tell_no_more_than_they_know(round_cup):
-    rng = np.random.default_rng(6)
-    structure = STRUCTURES['axisymmetric']
-    truth = structure.parameters(Cup.thesis().stiffness, Cup.thesis().damping)
-    away = []
-    for _ in range(40):
-        few = noisy(round_cup, rng).select(slice(25))  # three clusters
-        fit = simulated.least_squares([few], 0.0481, structure)
-        found = structure.parameters(fit.stiffness, fit.damping)
-        away.append((found - truth) / np.sqrt(np.diag(fit.covariance)))
-    assert np.all(np.sqrt(np.mean(np.square(away), axis=0)) < 1.2)
-    assert not any('too short' in warning for warning in fit.warnings)
-
-
-def test_one_cluster_tells_no_standard_error(round_cup):
-    short = noisy(round_cup, np.random.default_rng(6)).select(slice(9))
+def test_one_window_tells_no_standard_error(round_cup):
+    short = replace(noisy(round_cup, np.random.default_rng(6)), window=0.1).select(slice(9))
     fit = simulated.least_squares([short], 0.0481, STRUCTURES['axisymmetric'])
     assert np.all(np.isinf(np.diag(fit.covariance)))
     assert np.all(np.isinf(np.diag(fit.stiffness_std)))
     assert any('too short' in warning for warning in fit.warnings)
+
+
+def test_noise_of_motion_capture_biases_little():
+    """Without compensation of noise: K within 2 %, P within 10 % on average."""
+    structure, errors = STRUCTURES['axisymmetric'], []
+    truth = structure.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
+    for seed in range(8):
+        fit = simulated.least_squares([samples_of(simulated.record(
+            simulated.shake(), tool=(2e-5, 5e-5), package=(1e-4, 5e-4), seed=seed,
+            rate_hz=360.0))], simulated.CUP.length, structure)
+        errors.append(fit.parameters / truth - 1.0)
+        assert np.all(np.abs(fit.parameters - truth) < 4.0 * np.sqrt(np.diag(fit.covariance)))
+    assert np.all(np.abs(np.mean(errors, axis=0)) < np.repeat([0.02, 0.1], 4))
 
 
 def test_too_few_samples(exact):
