@@ -117,8 +117,8 @@ MIN_SCATTER = 0.25
 
 LEAST_OF_SETTING = 4.0
 """
-Smallest robust chi² per residual, in the worst axis, left by a wrong world or a frame rotated by
-90 degrees: a few views of a half-hidden tag leave a larger mean.
+Smallest chi² per residual left by a wrong world or a frame rotated by 90 degrees: in the mean, and
+in the worst axis robustly, as a few views of a half-hidden tag leave a large mean.
 """
 
 HELD_OUT = 5
@@ -198,7 +198,7 @@ def output_error(
         problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
     given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
     near = approach(problem, record, with_couplings=problem.is_slow)
-    if near.worst_chi2 > LEAST_OF_SETTING and (
+    if min(near.squares / near.residual_count, near.worst_chi2) > LEAST_OF_SETTING and (
             setting := likeliest_setting(near, other_start or start)):
         return _fit(near, iterations, named, given, (setting,))
     first = _plausible_root(near, given, other_start or start, record)
