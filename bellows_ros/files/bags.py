@@ -156,7 +156,8 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     names : collection of str, optional
-        Topics with poses or twists; default: all.
+        Topics with poses, twists, or detected tags with their camera; default: all with poses or
+        twists.
 
     Returns
     -------
@@ -173,8 +174,11 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
     bag, wanted = _Bag(path), {absolute(name) for name in names}
 
     def chosen(topic: Channel) -> bool:
-        readable = topic.type_name in messages.MOTIONS and topic.encoding == 'cdr'
-        return readable and (not wanted or topic.name in wanted)
+        if topic.encoding != 'cdr':
+            return False
+        if wanted and topic.type_name in (messages.DETECTIONS, messages.CAMERA_INFO):
+            return topic.name in wanted
+        return topic.type_name in messages.MOTIONS and (not wanted or topic.name in wanted)
 
     stored = list(map(Message._make, bag.messages(chosen)))
     bag.require_messages()

@@ -21,11 +21,9 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bags, File, messages
 from bellows_ros.files.bags import absolute, Contents
-from bellows_ros.files.messages import DETECTIONS
+from bellows_ros.files.messages import CAMERA_INFO, DETECTIONS
 from bellows_ros.files.plans import moving_frames, read_transforms, TF
 import numpy as np
-
-CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
 TF_TOPIC = '/tf'
 

@@ -69,6 +69,10 @@ class Player:
             try:
                 self.publishers[name] = node.create_publisher(
                     getattr(importlib.import_module(f'{package}.msg'), kind), name, QUEUE_LENGTH)
+            except ModuleNotFoundError:
+                raise BellowsError(
+                    f"The messages of '{name}' are of {package}, which is not installed. Install "
+                    f'it (apt: ros-jazzy-{package.replace("_", "-")}).') from None
             except InvalidTopicNameException:
                 raise BellowsError(
                     f"'{name}' is not a ROS topic name: expected letters, digits, _ and /, no "

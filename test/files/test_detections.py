@@ -3,7 +3,7 @@
 from bellows_ros.core.sensors.camera import directions, MAX_KEPT, poses_of_corners, TagCamera
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, write_bag
-from bellows_ros.files.bags import message_types
+from bellows_ros.files.bags import message_types, read_messages
 from bellows_ros.files.detections import read_contents, read_views, TagSought
 from bellows_ros.files.messages import DETECTIONS
 import numpy as np
@@ -110,6 +110,14 @@ def test_corners_of_a_rectified_image_have_no_distortion(tmp_path):
     path = recorded(tmp_path / 'b', detections(pixels), calibration(
         'plumb_bob', LENSES['plumb_bob'], P=P))
     assert_allclose(read_views(path, 'detections', rectified=True).corners, true, atol=1e-12)
+
+
+def test_detections_and_their_camera_are_played_where_named(tmp_path):
+    path = recorded(tmp_path / 'b', detections(views()[2] * 900), calibration('', ()))
+    played, _ = read_messages(path, ['/detections', 'camera0'])
+    assert len(played) == COUNT + 1
+    with pytest.raises(BellowsError, match='no poses or twists'):
+        read_messages(path)
 
 
 def test_noisy_corners_give_the_pose_of_least_squares_or_its_second_solution():
