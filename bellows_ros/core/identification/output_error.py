@@ -448,15 +448,11 @@ def _fit(
     covariance, from_given, std, identifiable, notes = _identifiable(found, given, named)
     own_std = np.where(identifiable, std, np.inf)
     strengths, of_strengths = _strengths(found, covariance)
-    ratio = np.array([-DEFAULT_RATIO, 1.0])
-    if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * strengths[0]:
-        notes.append(NOTES['r2_assumed'])
-    is_result = {name: name in named and not KINDS[name].each for name in places}
+    notes += _notes_on_ratio(strengths, of_strengths)
+    results = [name for name in places if name in named and not KINDS[name].each]
     nuisances = {name: place for name, place in places.items()
-                 if name not in OF_SPRING and not is_result[name]}
+                 if name not in (*OF_SPRING, *results)}
     total_std = np.sqrt(own_std**2 + np.pad(np.diag(from_given), (0, problem.own.size)))
-    information = found.information.shared[:size, :size]
-    scale = np.sqrt(np.diag(information))
     used = found.residual_count // 6
     offsets = np.ravel(places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(
@@ -468,7 +464,7 @@ def _fit(
         from_given=from_given[:size, :size],
         samples_used=used,
         samples_rejected=sum(outline.poses for outline in problem.outlines) - used,
-        condition_number=float(np.sqrt(np.linalg.cond(information / np.outer(scale, scale)))),
+        condition_number=_condition_number(found.information.shared[:size, :size]),
         weight=np.diag(found.pose_std[0][0] ** -2),
         residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
@@ -480,13 +476,11 @@ def _fit(
         iterations=tuple(iterations),
         delays=tuple(x[offsets].tolist()),
         delays_std=tuple(own_std[offsets].tolist()),
-        freed=tuple(
-            Freed(name, tuple(x[place].tolist()), tuple(own_std[place].tolist()))
-            for name, (place, *_) in places.items() if is_result[name]),
+        freed=tuple(Freed(name, *(tuple(each[places[name][0]].tolist()) for each in (x, own_std)))
+                    for name in results),
         causes=reasons,
         nuisances={name: x[place] for name, place in nuisances.items()},
-        standstills=(len(problem.standstills), problem.local.at_rest(
-            found.theta[problem.index(0)])[2]) if problem.standstills else None,
+        standstills=_standstills(found),
         nuisances_std={name: total_std[place] for name, place in nuisances.items()},
         relaxation=_pair(strengths),
         relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
@@ -494,6 +488,26 @@ def _fit(
         stretch=problem.stretch(found.theta),
         stretch_std=_pair(own_std[places['stretch'][0]] * STRETCH_UNITS) if (
             'stretch' in places) else (0.0, 0.0))
+
+
+def _notes_on_ratio(strengths: Array, covariance: Array) -> list[str]:
+    """Return a note if the prior determines the ratio of the strengths of relaxation."""
+    ratio = np.array([-DEFAULT_RATIO, 1.0])
+    is_assumed = np.sqrt(ratio @ covariance @ ratio) > 0.7 * RATIO_STD * strengths[0]
+    return [NOTES['r2_assumed']] if is_assumed else []
+
+
+def _condition_number(information: Array) -> float:
+    """Return the condition number of the whitened regressor with columns of unit length."""
+    scale = np.sqrt(np.diag(information))
+    return float(np.sqrt(np.linalg.cond(information / np.outer(scale, scale))))
+
+
+def _standstills(found: Solution) -> tuple[int, float] | None:
+    """Return `Fit.standstills`."""
+    problem = found.problem
+    return (len(problem.standstills), problem.local.at_rest(
+        found.theta[problem.index(0)])[2]) if problem.standstills else None
 
 
 def _pair(values: Array) -> tuple[float, float]:

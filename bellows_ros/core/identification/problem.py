@@ -679,10 +679,6 @@ class Problem:
         correction = mean - initial_std**2 * slope[:len(mean)]
         with np.errstate(divide='ignore'):  # no weights for a diverging simulation
             variance = gains[:, :, -1] ** -2
-        length = max(round(BLOCK_DURATION / segment.period), 1)
-        seconds = [(J.reshape(-1, len(theta)), r.ravel()) for J, r in (
-            (slopes[first:first + length], innovations[first:first + length])
-            for first in range(0, len(slopes), length))]
         return WhitenedSegment(
             innovations.ravel(), slopes.reshape(innovations.size, -1), variance,
             np.median(poses.white_variance, axis=0) if seen else (
@@ -690,7 +686,7 @@ class Problem:
             nodes.used, seen.scale if seen else np.ones(6),
             first_order(change, segment.measured.tool_noise.correlation) + marker,
             whitening.shifted(start, correction),
-            np.array([J.T @ J for J, _ in seconds]), np.array([J.T @ r for J, r in seconds]),
+            *_sums_of_blocks(slopes, innovations, segment.period),
             seen.smear if seen else np.empty(0))
 
     def _integration_step(self, model: ModelTuple, segment: Segment) -> float:
@@ -757,6 +753,15 @@ def _changed(
     """Return other segments of a recording, and their outline."""
     other = segments_of([change(segment.measured) for segment in segments])
     return other, outline_of(other)
+
+
+def _sums_of_blocks(slopes: Array, innovations: Array, period: float) -> tuple[Array, Array]:
+    """Return information (c, q, q) and slope (c, q) of each second of a segment."""
+    length = max(round(BLOCK_DURATION / period), 1)
+    blocks = [(slopes[first:first + length].reshape(-1, slopes.shape[-1]),
+               innovations[first:first + length].ravel())
+              for first in range(0, len(slopes), length)]
+    return np.array([J.T @ J for J, _ in blocks]), np.array([J.T @ r for J, r in blocks])
 
 
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:

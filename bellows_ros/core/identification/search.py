@@ -468,9 +468,7 @@ def _descended(at: Solution, directions: Directions, report: Report) -> Solution
             before = max(at.squares, expected)
             at, squares, settled = new.refined(not is_approach)
             is_fresh, settled = False, settled and damping <= MAX_FINAL_DAMPING
-            damping = max(10.0 * damping, 1e-3) if (
-                at.squares > MAX_SMALL_RISE * before) else (
-                max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0)
+            damping = _next_damping(damping, min_damping, at.squares > MAX_SMALL_RISE * before)
             report(at.cup, at.squares / expected)
             if length < tolerance and settled:
                 break
@@ -485,6 +483,13 @@ def _descended(at: Solution, directions: Directions, report: Report) -> Solution
     if not is_near and lowest < (True, objective(at)):
         return best.refined(False)[0]
     return replace(at.refined(True, False)[0], converged=is_near)
+
+
+def _next_damping(damping: float, least: float, is_risen: bool) -> float:
+    """Return the damping of the step after a successful one."""
+    if is_risen:
+        return max(10.0 * damping, 1e-3)
+    return max(0.1 * damping, least) if damping > 1e-5 else 0.0
 
 
 def _diverged(at: Solution) -> Solution:

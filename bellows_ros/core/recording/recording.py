@@ -254,10 +254,6 @@ class FilterNoise:
         White noise of the measured poses, m and rad per axis.
     tool_weights, package_weights : ndarray (3, m)
         Weights of the filters (see `trajectory.Filtered`), or other weights with equal products.
-    tool_half_window : int
-        Half window of the tool's filter, samples.
-    correlation : tuple of float
-        Autocorrelation at lag 1 of the noise of the package's positions and rotations.
 
     """
 
@@ -265,8 +261,6 @@ class FilterNoise:
     package: Noise
     tool_weights: Array
     package_weights: Array
-    tool_half_window: int = 0
-    correlation: tuple[float, float] = (0.0, 0.0)
 
 
 def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) -> Array:
@@ -661,11 +655,10 @@ class Recording:
     def noise(self) -> FilterNoise:
         """White noise of the measured poses, and the filters of the poses."""
         of_tool, of_package = self.filters
-        position, rotation = self.ar1_noise[1]
         return FilterNoise(
             *self._pose_noise, resampled_weights(
                 of_tool.poses.stamps_ns, self.measured_tool.stamps_ns, of_tool.weights),
-            of_package.weights, of_tool.half_window, (position.correlation, rotation.correlation))
+            of_package.weights)
 
     @cached_property
     def ar1_noise(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:
