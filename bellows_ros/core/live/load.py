@@ -12,7 +12,7 @@ from bellows_ros.core.live.uncertainty import Prediction, STILL, Uncertainty
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
 from bellows_ros.core.model.validity_range import Distance, distance
-from bellows_ros.core.observer.correction import stated_by
+from bellows_ros.core.observer.states import stated_by
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.conversion import NO_CUPS

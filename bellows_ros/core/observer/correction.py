@@ -13,7 +13,7 @@ from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
-from bellows_ros.core.model.structure import composition, is_single, maps, UPPER
+from bellows_ros.core.model.structure import is_single, maps
 from bellows_ros.core.observer import alarms, dynamics, likelihood, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE
@@ -30,20 +30,21 @@ from bellows_ros.core.observer.measurement import (
     OUT_OF_REACH,
     OUTSIDE,
 )
-from bellows_ros.core.observer.states import KNOWN, KNOWN_ROWS, LARGEST, STATE, Stated
+from bellows_ros.core.observer.states import KNOWN, KNOWN_ROWS, LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT, NEAR
-from bellows_ros.core.parameters.conversion import places_of, stated_std, stiffness_std
+from bellows_ros.core.parameters.conversion import places_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError
 import numpy as np
 
 GATE = 27.86
 """Squared Mahalanobis distance exceeded by 1 in 10,000 good measurements (chi^2 of 6)."""
 
-RESTART_COUNT, RESTART_NS = 8, 100_000_000
-"""Number of consecutive measurements outside the gate, and their duration (ns), after which the
-filter restarts from them."""
+RESTART_COUNT = 8
+"""Number of consecutive measurements outside the gate from which the filter restarts."""
+
+RESTART_NS = 100_000_000
+"""Shortest duration of these measurements, ns."""
 
 NONLINEAR_LATENCY = 5e-3
 """
@@ -60,22 +61,14 @@ NO_MEASUREMENT = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
 MIN_SAMPLES = 4096
 """Smallest size of the buffer of tool samples, a few seconds."""
 
-MASS_SHARE, COM_UNCERTAIN = 0.05, (3e-3, 3e-3, 1.5e-3)
-"""Default standard deviations of the payload: mass (relative), centre of mass (m)."""
-
-UNSTATED_CUP, UNSTATED_DAMPING, UNSTATED_INERTIA = 0.05, 0.2, 0.05
-"""Relative standard deviations of K, of P (if all are 0) and of moments of inertia, if not
-stated."""
-
-UNSTATED_MASS, UNSTATED_COM = 0.02, 2e-3
-"""Standard deviations of mass (relative) and centre of mass (m), if not stated."""
-
 TOUCHDOWN = 0.2
 """Time in which a support takes over the weight of a lowered package, s."""
 
-TILT, SLIDING = 0.01, 0.03
-"""Rotation by which a support turns a lowered package flat (rad), and its force against sliding
-relative to the weight."""
+TILT = 0.01
+"""Rotation by which a support turns a lowered package flat, rad."""
+
+SLIDING = 0.03
+"""Force of a support against sliding, relative to the weight."""
 
 FLAT = 0.98
 """Smallest cosine between the cup's axis and gravity of a package that is turned flat."""
@@ -99,10 +92,13 @@ errors."""
 TOOL_LATENCY = 5e-3
 """Largest delay of the tool's poses, s."""
 
-FIRST_PERIOD, FIRST_SQUARES = 0.03, 100.0
+FIRST_PERIOD = 0.03
+"""Initial time between measurements, s."""
+
+FIRST_SQUARES = 100.0
 """
-Initial time between measurements (s) and sum of squares of the noise, as after 33 measurements:
-with fewer, an initially wrong payload would appear as noise with a long memory.
+Initial sum of squares of the noise, as after 33 measurements: with fewer, an initially wrong
+payload would appear as noise with a long memory.
 """
 
 WRENCHES = slice(states.WRENCH, states.WRENCH + 6)
@@ -122,62 +118,6 @@ def first_memory() -> Array:
         FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2),
         MODEL_ERROR_SHARE, FIRST_JITTER**2]
     return memory
-
-
-def stated_by(values: Values, model: ModelTuple) -> Stated:
-    """
-    Return the stated standard deviations, or usual ones.
-
-    Raises
-    ------
-    BellowsError
-        If three of them exceed the physical range of the mass or the centre of mass.
-
-    """
-    blocks, (mass, _, inertia, _), gravity = model[0][2:4], model[1], model[2]
-    C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
-    relative = []
-    for std_of, unstated, matrix in zip(
-            (stiffness_std(values), np.reshape(values.cup.damping_std, (6, 6))),
-            (UNSTATED_CUP, UNSTATED_DAMPING), blocks, strict=True):
-        stated = std_of[UPPER]
-        share = np.sqrt(C @ np.square(stated)) / np.maximum(
-            np.r_[matrix[0][::4], matrix[2][::4]], 1e-12)
-        relative.append(np.minimum(share, 1.0) if stated.any() else np.full(6, unstated))
-    is_free = values.payload.estimate
-    mass_std, com, moments = (
-        stated_std(values, f'package.{name}_std', np.array(usual)) for name, usual in (
-            ('mass', [mass * (MASS_SHARE if is_free else UNSTATED_MASS)]),
-            ('com', COM_UNCERTAIN if is_free else [UNSTATED_COM] * 3),
-            ('inertia', UNSTATED_INERTIA * np.array(inertia)[::4])))
-    for name, std, row, unit in (('mass', float(mass_std[0]), states.MASS, mass),
-                                 ('com', float(com.max()), states.COM, 1.0)):
-        most = states.LARGEST[row] * unit / 3.0
-        if std > most:
-            raise BellowsError(
-                f'package.{name}_std is {std:g}; expected at most {most:.3g}, so that three '
-                'standard deviations are possible. Weigh and measure the package, or leave '
-                f'package.{name}_std out for the usual uncertainty.')
-    marker, camera = (
-        np.repeat(values[f'measured.{name}_std'], 3) for name in ('marker', 'camera'))
-    return Stated(
-        mass * math.hypot(*gravity), COM_UNCERTAIN[0], float(mass_std[0]) / mass, com,
-        relative[0], relative[1], _of_moments(np.reshape(inertia, (3, 3)), moments), marker,
-        camera, values.measured.latency_std, np.repeat(values.wrench.bias_std, 3),
-        np.repeat(values.wrench.drift, 3), values.wrench.gain_std)
-
-
-def _of_moments(inertia: Array, std: Array) -> Array:
-    """
-    Return the covariance (3, 3) of the logarithms of the second moments of mass.
-
-    The standard deviations (3,) are of the moments of inertia (kg m^2). A logarithm's is at most
-    1, as the second moment of a thin plate along its normal is nearly 0.
-    """
-    half = 0.5 - np.eye(3)
-    root = half * std / np.maximum(half @ np.diag(inertia), 1e-12)[:, None]
-    root /= np.maximum(np.linalg.norm(root, axis=1), 1.0)[:, None]
-    return np.asarray(root @ root.T)
 
 
 def cups_of(model: ModelTuple, places: Array) -> Array:
@@ -299,7 +239,7 @@ class Correction:
         self.holding_reach = model[0][1] + LARGEST_LOAD * sag(model)
         self.law = law_of(model)
         self._row = model_row(model)
-        stated = stated_by(values, model)
+        stated = states.stated_by(values, model)
         self.prior = states.each_row('prior', stated)
         self.prior_covariance = np.diag(np.square(self.prior))
         self.prior_covariance[INERTIAS, INERTIAS] = stated.inertia

@@ -68,8 +68,10 @@ it."""
 START = tuple(cause for cause in ALARM_CAUSES if cause.at_start)
 HYPOTHESES = START + tuple(cause for cause in ALARM_CAUSES if cause.sets_in)
 """Hypotheses: first the faults present from the start, then those with an onset."""
-AT_START, CUP = len(START), len(HYPOTHESES) - 1
-"""Index of the first hypothesis with an onset, and of the loss of the first cup."""
+AT_START = len(START)
+"""Index of the first hypothesis with an onset."""
+CUP = len(HYPOTHESES) - 1
+"""Index of the loss of the first cup."""
 STEPS = tuple(rows for cause in HYPOTHESES for rows in cause.steps)
 FIRSTS = tuple(np.cumsum([0, *(len(cause.steps) for cause in HYPOTHESES)]).tolist())
 """First component of each hypothesis, and the end of the last one."""
@@ -84,11 +86,11 @@ ONSET_NS = 30_000_000
 """Mean spacing of the tested onsets, ns. Half of it is the smallest, so that an onset follows each
 pose of a camera of 30 Hz with jittering stamps."""
 
-DENSE_NS, OLDEST_NS = 240_000_000, 10_000_000_000
-"""
-Age up to which all onsets are tested, and age of the oldest tested onset, with growing distances
-between, ns.
-"""
+DENSE_NS = 240_000_000
+"""Age up to which all onsets are tested, ns; distances between older ones grow."""
+
+OLDEST_NS = 10_000_000_000
+"""Age of the oldest tested onset, ns."""
 
 EVERY = tuple(cause.every for cause in HYPOTHESES)
 SLOTS = (1,) * AT_START + tuple(ONSETS // every for every in EVERY[AT_START:])
@@ -98,12 +100,15 @@ COLUMNS = tuple(np.cumsum([0, *(
 """First column of each hypothesis, with one column per component and onset."""
 MAX_COMPONENTS = max(len(cause.steps) for cause in HYPOTHESES)
 
-MARGIN, GRIPPER_MARGIN = -2.0, -1.0
+MARGIN = -2.0
 """
-Corrections of the logarithm of the threshold for one cup and for several, as only some of the
-older onsets are tested, and alarms are confirmed. By `python -m benchmarks.alarms` false alarms
-are fewer than allowed.
+Correction of the logarithm of the threshold for one cup, as only some of the older onsets are
+tested, and alarms are confirmed. By `python -m benchmarks.alarms` false alarms are fewer than
+allowed.
 """
+
+GRIPPER_MARGIN = -1.0
+"""This correction for several cups."""
 
 START_WEIGHT = 100.0
 """Prior odds of a fault from the start against an onset at one of the tested times."""
@@ -112,12 +117,12 @@ SETTLING = 4
 """Number of measurements after the start or an alarm without a test, in which the noise is
 estimated."""
 
-MIN_NOISE_COUNT, MAX_NOISE_RATIO = 33, 3.0
-"""
-Number of measurements after the start or an alarm in which the noise is estimated in any case, and
-largest log-likelihood ratio of a fault with which the noise is estimated later: a fault would
-increase the noise.
-"""
+MIN_NOISE_COUNT = 33
+"""Number of measurements after the start or an alarm in which the noise is estimated."""
+
+MAX_NOISE_RATIO = 3.0
+"""Largest log-likelihood ratio of a fault with which the noise is estimated later: a fault would
+increase the noise."""
 
 MAX_COUNT = 300
 """
@@ -125,19 +130,22 @@ Number of measurements after which the evidence of faults from the start is rese
 contain the noise of estimates, whose products add up.
 """
 
-DISTURBED_COUNT, TAG_BURST = 3, 7
-"""Numbers of consecutive poses outside the gate from which a disturbance is named: outliers are
-rarer, and blurred poses of a tag come in bursts of 2 to 6."""
+DISTURBED_COUNT = 3
+"""Number of consecutive poses outside the gate from which a disturbance is named: outliers are
+rarer."""
+
+TAG_BURST = 7
+"""This number for a tag, whose blurred poses come in bursts of 2 to 6."""
 
 VIEW_NS = 3_000_000_000
 """Shortest duration of a camera shift seen with a tag, ns: work changes the view within this
 time."""
 
-MIN_LEAD, DECIDE_NS = 3.0, 800_000_000
-"""
-Smallest lead in log-likelihood ratio of a reported cause (95 %), and time after half the threshold
-from which none is required, ns.
-"""
+MIN_LEAD = 3.0
+"""Smallest lead in log-likelihood ratio of a reported cause, 95 %."""
+
+DECIDE_NS = 800_000_000
+"""Time after half the threshold from which no lead is required, ns."""
 
 MAX_UNEXPLAINED = 0.2
 """Largest fraction of the misfit not explained by a reported cause."""

@@ -42,8 +42,11 @@ added; largest physical value of each row of the error; the sag of the cup (m) n
 otherwise 0; and largest squared Mahalanobis distance, 0 without a measurement.
 """
 
-WHITE_SHARE, WHITE_SHARE_OF_TAG = 0.05, 1.0 - SAME_VIEW
-"""Fraction of the noise's variance without memory, for bodies and for tags."""
+WHITE_SHARE = 0.05
+"""Fraction of the noise's variance without memory, for bodies."""
+
+WHITE_SHARE_OF_TAG = 1.0 - SAME_VIEW
+"""This fraction for tags."""
 
 JITTER_RANGE = 1e-8, 4e-4
 """Bounds of the variance of the random error of a stamp, s^2."""
@@ -455,11 +458,11 @@ covariance stays positive definite, and 1e-4 of it after a month.
 USED, OUTSIDE, OUT_OF_REACH, FALLING = 0, 1, 2, 3
 """Verdicts on a pose; `FALLING` ones are out of reach."""
 
-FALL_ALIGNMENT, FALL_FACTOR = 0.8, 2.0
-"""
-Smallest cosine between a fall and gravity (one of ten directions), and largest ratio of its
-acceleration to gravity, both relative to an accelerating tool.
-"""
+FALL_ALIGNMENT = 0.8
+"""Smallest cosine between a fall, relative to an accelerating tool, and gravity."""
+
+FALL_FACTOR = 2.0
+"""Largest ratio of the acceleration of a fall, relative to an accelerating tool, to gravity."""
 
 
 @kernel

@@ -54,9 +54,11 @@ LOST_AFTER_NS = 25_000_000
 """Time out of reach, or just before outside the gate, after which a package is lost, ns: trackers
 confuse bodies for some frames."""
 
-SILENT_PERIODS, SILENT_NS = 2.5, 50_000_000
-"""Number of periods, and time (ns), after which a sensor is silent. The period of a camera is the
-shorter of the last two."""
+SILENT_PERIODS = 2.5
+"""Number of periods after which a sensor is silent: of a camera the shorter of the last two."""
+
+SILENT_NS = 50_000_000
+"""Shortest time after which a sensor is silent, ns."""
 
 VACUUM_DELAY_NS = 100_000_000
 """Largest delay of the vacuum's break and its message after a package is out of reach, ns."""
@@ -70,9 +72,11 @@ VERDICTS = (
 )
 """Reasons for rejecting a measured pose."""
 
-CLEAN_NS, MAX_GATED = 500_000_000, 2
-"""Time without an alarm, a restart or more gated poses than a limit, after which estimates of
-camera, cup and package are kept, ns; and this limit."""
+MAX_GATED = 2
+"""Largest number of gated poses of an interval without trouble."""
+
+CLEAN_NS = 500_000_000
+"""Time without trouble after which estimates of camera, cup and package are kept, ns."""
 
 OF_CUP = frozenset(('leak', 'wear'))
 """Causes after which the cup differs from its parameters."""

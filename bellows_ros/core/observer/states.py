@@ -19,14 +19,42 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.structure import composition, UPPER
+from bellows_ros.core.parameters.conversion import places_of, stated_std, stiffness_std
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.errors import BellowsError
 import numpy as np
+
+COM_UNCERTAIN = 3e-3, 3e-3, 1.5e-3
+"""Default standard deviations of the centre of mass of an estimated payload, m."""
+
+MASS_SHARE = 0.05
+"""Default relative standard deviation of the mass of an estimated payload."""
+
+UNSTATED_CUP = 0.05
+"""Relative standard deviation of K, if not stated."""
+
+UNSTATED_DAMPING = 0.2
+"""Relative standard deviation of P, if not stated."""
+
+UNSTATED_INERTIA = 0.05
+"""Relative standard deviation of moments of inertia, if not stated."""
+
+UNSTATED_MASS = 0.02
+"""Relative standard deviation of the mass, if not stated."""
+
+UNSTATED_COM = 2e-3
+"""Standard deviation of the centre of mass, if not stated, m."""
 
 BIAS_SHARE = 0.01
 """Initial wrench bias, relative to the effect of the default payload uncertainty."""
 
-BIAS_WALK, WALK_ARM = 0.0003, 0.02
-"""Random walk of the wrench bias in 1 s: force as a fraction of the weight, and its lever for the
-moment (m)."""
+BIAS_WALK = 0.0003
+"""Random walk of the wrench bias in 1 s, as a fraction of the weight."""
+
+WALK_ARM = 0.02
+"""Lever of this force for the moment, m."""
 
 CAMERA_WALK_TIME = 300.0
 """Time in which a camera's frame drifts by `measured.camera_std` as its mount warms up, s."""
@@ -155,3 +183,59 @@ def each_row(sizes: str, stated: Stated) -> Array:
     """Return the 'prior' or 'walk' of each row (n,), standard deviations."""
     return np.concatenate([
         np.broadcast_to(getattr(each, sizes)(stated), each.size) for each in STATES])
+
+
+def stated_by(values: Values, model: ModelTuple) -> Stated:
+    """
+    Return the stated standard deviations, or usual ones.
+
+    Raises
+    ------
+    BellowsError
+        If three of them exceed the physical range of the mass or the centre of mass.
+
+    """
+    blocks, (mass, _, inertia, _), gravity = model[0][2:4], model[1], model[2]
+    C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
+    relative = []
+    for std_of, unstated, matrix in zip(
+            (stiffness_std(values), np.reshape(values.cup.damping_std, (6, 6))),
+            (UNSTATED_CUP, UNSTATED_DAMPING), blocks, strict=True):
+        stated = std_of[UPPER]
+        share = np.sqrt(C @ np.square(stated)) / np.maximum(
+            np.r_[matrix[0][::4], matrix[2][::4]], 1e-12)
+        relative.append(np.minimum(share, 1.0) if stated.any() else np.full(6, unstated))
+    is_free = values.payload.estimate
+    mass_std, com, moments = (
+        stated_std(values, f'package.{name}_std', np.array(usual)) for name, usual in (
+            ('mass', [mass * (MASS_SHARE if is_free else UNSTATED_MASS)]),
+            ('com', COM_UNCERTAIN if is_free else [UNSTATED_COM] * 3),
+            ('inertia', UNSTATED_INERTIA * np.array(inertia)[::4])))
+    for name, std, row, unit in (('mass', float(mass_std[0]), MASS, mass),
+                                 ('com', float(com.max()), COM, 1.0)):
+        most = LARGEST[row] * unit / 3.0
+        if std > most:
+            raise BellowsError(
+                f'package.{name}_std is {std:g}; expected at most {most:.3g}, so that three '
+                'standard deviations are possible. Weigh and measure the package, or leave '
+                f'package.{name}_std out for the usual uncertainty.')
+    marker, camera = (
+        np.repeat(values[f'measured.{name}_std'], 3) for name in ('marker', 'camera'))
+    return Stated(
+        mass * math.hypot(*gravity), COM_UNCERTAIN[0], float(mass_std[0]) / mass, com,
+        relative[0], relative[1], _of_moments(np.reshape(inertia, (3, 3)), moments), marker,
+        camera, values.measured.latency_std, np.repeat(values.wrench.bias_std, 3),
+        np.repeat(values.wrench.drift, 3), values.wrench.gain_std)
+
+
+def _of_moments(inertia: Array, std: Array) -> Array:
+    """
+    Return the covariance (3, 3) of the logarithms of the second moments of mass.
+
+    The standard deviations (3,) are of the moments of inertia (kg m^2). A logarithm's is at most
+    1, as the second moment of a thin plate along its normal is nearly 0.
+    """
+    half = 0.5 - np.eye(3)
+    root = half * std / np.maximum(half @ np.diag(inertia), 1e-12)[:, None]
+    root /= np.maximum(np.linalg.norm(root, axis=1), 1.0)[:, None]
+    return np.asarray(root @ root.T)

@@ -5,10 +5,9 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, moved_by, pose_error, substeps_for
 from bellows_ros.core.model.kernels import advance
-from bellows_ros.core.observer.correction import stated_by
 from bellows_ros.core.observer.filter import SHARE
 from bellows_ros.core.observer.measurement import at_com, MAX_VARIANCE
-from bellows_ros.core.observer.states import DAMPING, each_row, SAME_PACKAGE, WRENCH
+from bellows_ros.core.observer.states import DAMPING, each_row, SAME_PACKAGE, stated_by, WRENCH
 from bellows_ros.report.sentences import alarm_sentence
 import numpy as np
 import pytest
