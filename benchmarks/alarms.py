@@ -93,7 +93,7 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
     stamps, ys, whiteners = [], [], []
 
     def before(measurement: sensor.Measurement) -> None:
-        stamp_ns, position, q, noise = measurement
+        stamp_ns, position, q, noise, _ = measurement
         estimate, marker = cell.made.estimate, cell.made.sensor.marker
         body, theta, model = estimate.body, estimate.theta, cell.made.model
         com = model[1][1]

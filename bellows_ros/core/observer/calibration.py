@@ -11,6 +11,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.observer import states
+from bellows_ros.core.observer.filter import FACTORS
 from bellows_ros.core.observer.measurement import cholesky, corrected_pose
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.observer.states import NOISE, STATE
@@ -71,7 +72,7 @@ class SoundWork(Observer):
         rows = slice(NOISE, NOISE + 6)
         n = after.theta[NOISE - STATE:NOISE - STATE + 6]
         squares = root @ (np.outer(n, n) + after.covariance[rows, rows]) @ root.T
-        squares *= np.sqrt(np.outer(*[np.repeat(after.memory[11:13], 3)] * 2))
+        squares *= np.sqrt(np.outer(*[np.repeat(after.memory[FACTORS:FACTORS + 2], 3)] * 2))
         R = np.reshape(t3.rotation_matrix(body[1]), (3, 3))
         at_marker = np.kron(np.eye(2), R)
         at_marker[:3, 3:] = hat(np.subtract(position, body[0])).T @ R

@@ -11,7 +11,7 @@ from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
-from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
+from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, State
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import is_single, maps
 from bellows_ros.core.observer import alarms, dynamics, likelihood, states
@@ -23,10 +23,13 @@ from bellows_ros.core.observer.hypotheses import (
     MIN_NOISE_COUNT,
     SETTLING,
 )
+from bellows_ros.core.observer.likelihood import Faults
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FALLING,
+    MeasuredPose,
     Measurement,
+    NO_MEASUREMENT,
     OUT_OF_REACH,
     OUTSIDE,
 )
@@ -56,7 +59,8 @@ the evidence of faults is reset.
 LARGEST_LOAD = 5.0
 """Largest load of a holding cup, in weights, whose displacement adds to the cup's length."""
 
-NO_MEASUREMENT = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
+MAX_DEVIATION = 3.0
+"""Largest deviation of a cup from its parameters without an alarm, standard deviations."""
 
 MIN_SAMPLES = 4096
 """Smallest size of the buffer of tool samples, a few seconds."""
@@ -332,21 +336,25 @@ class Correction:
             walk[WRENCHES] += self._by_support(before.body) / TOUCHDOWN
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         theta[states.LATENCY - STATE] -= late  # correction for reading the pose earlier
-        verdict, numbers, found, likeliest, (rise, fall) = likelihood.filter_step(
-            self.row(before.lost_cups), self.law, (*before[:3], theta, *before[4:6]),
+        result = likelihood.filter_step(
+            self.row(before.lost_cups), self.law, before.numbers(theta),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
             (self._drive, walk, self._marker[3][0]),
-            (*evidence[:4], evidence.from_start, self._steps),
+            Faults(evidence.signatures, evidence.statistics, evidence.distances, evidence.onsets,
+                   evidence.from_start, self._steps),
             self._holding(before.lost_cups),
-            (*measurement[1:4], self._marker, self.holding_reach, self.largest,
-             self._sag if support == NEAR else 0.0, gate))
-        _, tool, body, theta, P, memory = numbers
+            MeasuredPose(
+                measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
+                self.holding_reach, self.largest, self._sag if support == NEAR else 0.0, gate))
+        _, tool, body, theta, P, memory = result.estimate
         theta[states.LATENCY - STATE] += late
-        return verdict, before._replace(
+        return result.verdict, before._replace(
             stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            contact=max(before.contact + rise, 0.0), fall=max(before.fall + fall, 0.0),
-            evidence=Evidence(
-                found[0], found[1], found[2], found[3], *evidence[4:])), likeliest
+            contact=max(before.contact + result.rise, 0.0),
+            fall=max(before.fall + result.fall, 0.0),
+            evidence=evidence._replace(
+                signatures=result.signatures, statistics=result.statistics,
+                distances=result.distances, onsets=result.onsets)), result.likeliest
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
@@ -371,8 +379,9 @@ class Correction:
         if estimate.stamp_ns == track.newest_ns:
             return estimate.body
         return ekf.body_at_end(
-            self.row(estimate.lost_cups), self.law, estimate[:4], (*track.rows, track.count),
-            track.newest_ns, self.max_step)
+            self.row(estimate.lost_cups), self.law,
+            (estimate.stamp_ns, estimate.tool, estimate.body, estimate.theta),
+            (*track.rows, track.count), track.newest_ns, self.max_step)
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
@@ -482,11 +491,18 @@ class Correction:
         body, theta = changed_by(estimate.body, estimate.theta, gain @ np.divide([y, -x], -z))
         return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
+    def excess(self, estimate: Estimate, rows: Any) -> Array:
+        """Return the excess of an estimate's deviations over those allowed by the parameters."""
+        std = np.sqrt(estimate.covariance[rows, rows])
+        excess: Array = np.abs(estimate.theta[rows - STATE]) - MAX_DEVIATION * (
+            self.prior[rows] + std)
+        return excess
+
     def _may_be_fault(self, estimate: Estimate, likeliest: Likeliest) -> bool:
         """Return whether an alarm is imminent, whose evidence a restart would lose."""
         suspect_ns = estimate.evidence.suspect_ns
         return self.alarms is not None and bool(suspect_ns) and (
-            self.alarms.is_likely(*likeliest[:2])
+            self.alarms.is_likely(likeliest.total, likeliest.lead)
             and estimate.stamp_ns - suspect_ns[0] < DECIDE_NS)
 
     def _judged(
@@ -520,7 +536,7 @@ class Correction:
         if not dynamics.is_possible(body, theta, self.largest):
             return after._replace(gated_ns=(), evidence=self._evidence(
                 stamp_ns, after.body, after.lost_cups, False)), fault.alarm
-        memory = np.r_[self.first_memory[:11], after.memory[11:]]
+        memory = np.r_[self.first_memory[:ekf.FACTORS], after.memory[ekf.FACTORS:]]
         return after._replace(  # the fault has increased the noise, too
             body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
             evidence=self._evidence(stamp_ns, body, lost_cups, False),

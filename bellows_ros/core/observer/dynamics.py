@@ -190,20 +190,9 @@ def slopes(
     package, com, turning = model[1], model[1][1], body[3]
     jac.write_slope(model, tool, body, A)
     f, m = kernels.lip_wrench(model, tool, body)
-    c, o, R, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
+    c = jac.ends_of_spring(model, tool, body)[0]
     B[:, STIFFNESS:] = 0.0
-    h = kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:])
-    J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
-    _by_axes(-0.125, model[0][2], jac.accelerations(package, jac.shift_left(
-        c, (t3.transposed(J_oo), jac.ZERO_MATRIX, t3.transposed(J_oR), t3.transposed(J_RR)))),
-        h[0], h[1], B[:, STIFFNESS:])
-    far, R_back = t3.apply(R, w), t3.transposed(R)
-    at_S1 = jac.IDENTITY, jac.ZERO_MATRIX, jac.ZERO_MATRIX, jac.IDENTITY
-    at_S2 = R_back, jac.ZERO_MATRIX, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
-    _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S1)),
-             v, w, B[:, DAMPING:])
-    _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),
-             t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, DAMPING:])
+    _by_cup(model, tool, body, B)
     _, dw = kernels.body_acceleration(model, tool, body)
     for i in range(3):
         jac.write_column(B, states.INERTIA + i, ZERO, _by_second_moment(package, turning, dw, i))
@@ -222,6 +211,25 @@ def slopes(
         dw = t3.apply(package[3], t3.unit(i, mass_ratio))
         jac.write_column(B, states.WRENCH + 3 + i, ZERO, dw)
     return t3.apply(t3.rotation_matrix(body[1]), f)
+
+
+@kernel
+def _by_cup(model: ModelTuple, tool: State, body: State, B: Array) -> None:
+    """Add the slopes of the twist by the logarithms of K and P."""
+    c, o, R, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
+    package = model[1]
+    h = kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:])
+    J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
+    _by_axes(-0.125, model[0][2], jac.accelerations(package, jac.shift_left(
+        c, (t3.transposed(J_oo), jac.ZERO_MATRIX, t3.transposed(J_oR), t3.transposed(J_RR)))),
+        h[0], h[1], B[:, STIFFNESS:])
+    far, R_back = t3.apply(R, w), t3.transposed(R)
+    at_S1 = jac.IDENTITY, jac.ZERO_MATRIX, jac.ZERO_MATRIX, jac.IDENTITY
+    at_S2 = R_back, jac.ZERO_MATRIX, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
+    _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S1)),
+             v, w, B[:, DAMPING:])
+    _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),
+             t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, DAMPING:])
 
 
 @kernel

@@ -74,10 +74,12 @@ Time over which the lip's relative twist gives the displacement equivalent to th
 unmodelled relaxation and damping are forces proportional to the displacement.
 """
 
-SHARE, JITTER = 13, 14
+PERIOD, SQUARES, PRODUCTS, LAST, FACTORS, SHARE, JITTER = 0, 1, 3, 5, 11, 13, 14
 """
-Indices in the memory: variance of the model error relative to the lip's displacement, and variance
-of the random error of a stamp (s^2).
+Indices in the memory of the noise: mean time (s) between measurements; for position and rotation,
+sums of squares of the noise and of its products with the previous noise, in standard deviations;
+this noise (6,); ratio of its variances to the stated ones (2,); variance of the model error
+relative to the lip's displacement; variance of the random error of a stamp (s^2).
 """
 
 
@@ -114,7 +116,7 @@ class Estimate(NamedTuple):
     covariance: Array
     """Covariance (n, n) of the error."""
     memory: Array
-    """Memory (15,) of the noise, see `correlations`."""
+    """Memory (15,) of the noise, with indices from `PERIOD` on."""
     evidence: Evidence = NO_EVIDENCE
     """Evidence of faults."""
     lost_cups: tuple[int, ...] = ()
@@ -136,6 +138,10 @@ class Estimate(NamedTuple):
     """Shift of the last measurement before its stamp, ns."""
     wrench_memory: tuple[float, ...] = ()
     """Factors of the variances of force and moment, see `wrenches`; empty before the first."""
+
+    def numbers(self, theta: Array) -> EstimateTuple:
+        """Return the kernels' form of the estimate, with a given theta."""
+        return self.stamp_ns, self.tool, self.body, theta, self.covariance, self.memory
 
 
 Samples = tuple[Any, Any, Any, Any, int]
@@ -208,9 +214,15 @@ def accumulate(
     for i in range(12):
         for k in range(6):
             T[i, LENGTHENING] += (last[SECONDS] + 0.5 * h) * by_twist[i, k] * B[k, LENGTH]
+    _accumulate_fall(last, h, fall_acceleration)
+
+
+@kernel
+def _accumulate_fall(last: Any, h: float, acceleration: Vector) -> None:
+    """Propagate duration, speed and shift of the fall in the last row of a transition."""
     for i in range(3):
-        last[FALL + i] += h * (last[FALL_SPEED + i] + 0.5 * h * fall_acceleration[i])
-        last[FALL_SPEED + i] += h * fall_acceleration[i]
+        last[FALL + i] += h * (last[FALL_SPEED + i] + 0.5 * h * acceleration[i])
+        last[FALL_SPEED + i] += h * acceleration[i]
     last[SECONDS] += h
 
 
@@ -269,13 +281,11 @@ def correlations(memory: Array, seconds: float) -> tuple[float, float]:
     """
     Return the correlation of the noise over a time (s), of position and of rotation.
 
-    The memory consists of the mean time (s) between measurements; for position and rotation, the
-    sums of squares of the noise and of its products with the previous noise, in standard
-    deviations; this noise (6,); the ratio of its variances to the stated ones (2,); the variance
-    of the model error relative to the lip's displacement; and the variance of a stamp (s^2).
+    Indices of the memory are `PERIOD` to `JITTER`.
     """
-    rate = seconds / memory[0]
-    return _correlation(memory[3] / memory[1], rate), _correlation(memory[4] / memory[2], rate)
+    rate = seconds / memory[PERIOD]
+    return (_correlation(memory[PRODUCTS] / memory[SQUARES], rate),
+            _correlation(memory[PRODUCTS + 1] / memory[SQUARES + 1], rate))
 
 
 @kernel

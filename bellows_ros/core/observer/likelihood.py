@@ -21,7 +21,7 @@ too: its columns follow all others, and its signature is propagated without that
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -62,6 +62,7 @@ from bellows_ros.core.observer.hypotheses import (
 from bellows_ros.core.observer.measurement import (
     FALL_RATIO,
     FALLING,
+    Innovation,
     MeasuredPose,
     output_of,
     OUTSIDE,
@@ -73,33 +74,58 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 
+class Faults(NamedTuple):
+    """Evidence of faults before a measurement, see `Evidence`."""
+
+    signatures: Any
+    statistics: Array
+    distances: Array
+    onsets: Stamps
+    from_start: bool
+    steps: Array
+    """Error (n + 7, components) by each component of a fault."""
+
+
+class Assessment(NamedTuple):
+    """An estimate after a measurement, and the evidence of faults."""
+
+    verdict: int
+    estimate: ekf.EstimateTuple
+    signatures: Any
+    statistics: Array
+    distances: Array
+    onsets: Stamps
+    likeliest: Likeliest
+    rise: float
+    """Log-likelihood ratio of a rise by `vertical_ratios`; 0 without a support."""
+    fall: float
+
+
 @entry
 def filter_step(
     row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples,
     is_recorded: bool, until_ns: int, max_step: float, noise: ekf.Noise,
-    faults: tuple[Any, Array, Array, Stamps, bool, Array], cups: Array, seen: MeasuredPose,
-) -> Any:
+    faults: Faults, cups: Array, seen: MeasuredPose,
+) -> Assessment:
     """
     Propagate an estimate to a later stamp, correct it with a measurement, and assess faults.
 
-    Inputs are as for `model_of`, `predicted` and `updated`, and the faults: their evidence, and
-    the error (n + 7, components) by each component. Cups are the holding cups of a gripper. One
-    kernel, with the model as an array, is faster to call from Python. The results are a verdict,
-    the estimate, the evidence, the result of `_assessed`, and of `vertical_ratios` near a
-    support.
+    Other inputs are as for `model_of`, `predicted` and `updated`. Cups are the holding cups of a
+    gripper. One kernel, with the model as an array, is faster to call from Python.
     """
     model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
-    E, statistics, distances, onsets, from_start, steps = faults
+    E, statistics, distances, onsets = (
+        faults.signatures, faults.statistics, faults.distances, faults.onsets)
     verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
     after, E, gain = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
     _, tool, body, theta, P, _ = after
     rise = fall = 0.0
-    if seen[7] > 0.0:
+    if seen.gate > 0.0:
         verdict, innovation, body, theta, learned = updated(
             model, after, seconds, seen, gain)
-        if seen[6] > 0.0 and verdict <= OUTSIDE:
-            rise, fall = vertical_ratios(body, model[2], innovation, seen[6])
+        if seen.sag > 0.0 and verdict <= OUTSIDE:
+            rise, fall = vertical_ratios(body, model[2], innovation, seen.sag)
             rise = rise if verdict == USED else 0.0
         elif verdict == FALLING:
             fall = FALL_RATIO
@@ -107,12 +133,12 @@ def filter_step(
             statistics, distances = statistics.copy(), distances.copy()
             onsets = onsets.copy()
             likeliest = _assessed(
-                E, statistics, distances, onsets, steps, until_ns, body[0], innovation,
-                seen[3][2], verdict <= USED, from_start)
+                E, statistics, distances, onsets, faults.steps, until_ns, body[0], innovation,
+                seen.marker[2], verdict <= USED, faults.from_start)
         if likeliest.total < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
-    return (verdict, (until_ns, tool, body, theta, P, memory),
-            (E, statistics, distances, onsets), likeliest, (rise, fall))
+    return Assessment(verdict, (until_ns, tool, body, theta, P, memory), E, statistics, distances,
+                      onsets, likeliest, rise, fall)
 
 
 @kernel
@@ -125,7 +151,7 @@ def layout(number: int) -> tuple[int, int]:
 @kernel
 def _assessed(
     E: Any, statistics: Array, distances: Array, onsets: Stamps, steps: Array, stamp_ns: int,
-    place: Vector, innovation: tuple[Array, Array, Array, float, Array], of_lip: bool, used: bool,
+    place: Vector, innovation: Innovation, of_lip: bool, used: bool,
     from_start: bool,
 ) -> Likeliest:
     """Update the evidence by the next `Innovation`, for a package at a place (m, world)."""

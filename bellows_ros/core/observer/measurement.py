@@ -34,13 +34,25 @@ Position (m) and orientation of the measured frame, in axes of B; whether its po
 from the lip instead of B; and the errors of its poses.
 """
 
-MeasuredPose = tuple[Vector, Quaternion, Array, Marker, float, Array, float, float]
-"""
-Position, orientation and noise of a `Measurement`, and its marker; largest displacement (m) of a
-lip from its place without load, to which uncertainties of centre of mass, camera and stamps are
-added; largest physical value of each row of the error; the sag of the cup (m) near a support,
-otherwise 0; and largest squared Mahalanobis distance, 0 without a measurement.
-"""
+
+class MeasuredPose(NamedTuple):
+    """A pose for the kernels, and its limits."""
+
+    position: Vector
+    quaternion_xyzw: Quaternion
+    noise: Array
+    """Covariance of the pose, see `Measurement`."""
+    marker: Marker
+    reach: float
+    """Largest displacement (m) of a lip from its place without load, to which uncertainties of
+    centre of mass, camera and stamps are added."""
+    largest: Array
+    """Largest physical value of each row of the error."""
+    sag: float
+    """Sag of the cup (m) near a support, otherwise 0."""
+    gate: float
+    """Largest squared Mahalanobis distance, 0 without a measurement."""
+
 
 WHITE_SHARE = 0.05
 """Fraction of the noise's variance without memory, for bodies."""
@@ -95,6 +107,9 @@ class Measurement(NamedTuple):
     def is_pose(self) -> bool:
         """Whether there is a pose."""
         return self.noise.size > 0
+
+
+NO_MEASUREMENT = Measurement(0, *kernels.ORIGIN[:2], np.zeros((6, 6)))
 
 
 class PoseSensor:
@@ -232,14 +247,19 @@ def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> St
         t3.add_scaled(t3.scale(-late, body[3]), half, t3.add(dw, more[1])), ZERO, ZERO)
 
 
-Innovation = tuple[Array, Array, Array, float, Array]
-"""
-The difference of a measured pose from an estimate, shift (m) and rotation (rad) in B axes, times
-its whitener (6,); the derivative H of the difference by the error (6, n); the triangular whitener
-(6, 6), which makes its covariance the identity; its squared Mahalanobis distance, before an
-outlier's covariance is enlarged; and the whitener times H P (6, n), whose square is subtracted
-from P by a measurement.
-"""
+class Innovation(NamedTuple):
+    """The difference of a measured pose from an estimate: m and rad in B axes."""
+
+    z: Array
+    """The difference times its whitener (6,)."""
+    H: Array
+    """Derivative of the difference by the error (6, n)."""
+    whitener: Array
+    """Triangular matrix (6, 6) that makes the covariance of the difference the identity."""
+    distance: float
+    """Squared Mahalanobis distance, before an outlier's covariance is enlarged."""
+    gain: Array
+    """The whitener times H P (6, n), whose square a measurement subtracts from P."""
 
 
 @entry
@@ -338,7 +358,7 @@ def innovation_of(
     if distance > OUTLIER_DISTANCE:
         weight = math.sqrt(OUTLIER_DISTANCE / distance)
         z, W = weight * z, weight * W
-    return z, H, W, distance, t3.product(W, HP, np.empty((6, n)))
+    return Innovation(z, H, W, distance, t3.product(W, HP, np.empty((6, n))))
 
 
 @entry
@@ -359,7 +379,7 @@ def posterior(
 
     P is updated in place. An impossible state changes nothing.
     """
-    z, _, _, _, Z = innovation
+    z, Z = innovation.z, innovation.gain
     error = np.zeros(len(P))
     for i in range(6):
         for j in range(len(P)):
@@ -374,6 +394,19 @@ def posterior(
 
 
 @kernel
+def _along(innovation: Innovation, change: Any) -> tuple[float, float]:
+    """Return the product of an innovation with a change of the pose (6,), and its square."""
+    along = square = 0.0
+    for i in range(6):
+        by = 0.0
+        for j in range(i + 1):
+            by += innovation.whitener[i, j] * change[j]
+        along += innovation.z[i] * by
+        square += by * by
+    return along, square
+
+
+@kernel
 def updated_memory(
     memory: Array, theta: Array, seconds: float, innovation: Innovation, gain: Array, is_used: bool
 ) -> Array:
@@ -383,26 +416,20 @@ def updated_memory(
     An innovation larger than expected increases the noise, the model error and the jitter of
     stamps, by their shares in the covariance. A rejected innovation changes only these sizes.
     """
-    out, forgetting, z, W = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT, innovation[0], innovation[2]
-    count, growth = min(max(out[1] / 3.0, 1.0), MEMORY_COUNT), 0.0
-    out[0] += (min(seconds, 2.0 * out[0]) - out[0]) / count
+    out, z, W = memory.copy(), innovation.z, innovation.whitener
+    count, growth = min(max(out[ekf.SQUARES] / 3.0, 1.0), MEMORY_COUNT), 0.0
+    out[ekf.PERIOD] += (min(seconds, 2.0 * out[ekf.PERIOD]) - out[ekf.PERIOD]) / count
     WG = t3.product(W, np.ascontiguousarray(gain[:6, :6]), np.empty((6, 6)))
-    unweighted = max(innovation[3] / OUTLIER_DISTANCE, 1.0)
+    unweighted = max(innovation.distance / OUTLIER_DISTANCE, 1.0)
     for i in range(2):
         excess = of_model = 0.0
         for j in range(3 * i, 3 * i + 3):
             excess += z[j] * z[j] / 3.0 - 1.0 / 3.0
             for k in range(6):
                 of_model += unweighted * WG[j, k] * W[j, k] / 3.0
-        out[11 + i] = max(out[11 + i] * (1.0 + excess / count), 1.0)
+        out[ekf.FACTORS + i] = max(out[ekf.FACTORS + i] * (1.0 + excess / count), 1.0)
         growth += excess * min(of_model, 1.0) / ERROR_COUNT
-    along = square = 0.0
-    for i in range(6):
-        by_stamp = 0.0
-        for j in range(i + 1):
-            by_stamp += W[i, j] * innovation[1][j, LATENCY]
-        along += z[i] * by_stamp
-        square += by_stamp * by_stamp
+    along, square = _along(innovation, innovation.H[:, LATENCY])
     of_jitter = unweighted * out[ekf.JITTER] * square
     if square > 0.0:
         growth_of_jitter = (along * along / square - 1.0) * min(of_jitter, 1.0) / ERROR_COUNT
@@ -412,13 +439,13 @@ def updated_memory(
     out[ekf.SHARE] = min(max(out[ekf.SHARE] * math.exp(growth), least), SHARE_RANGE[1])
     if not is_used:
         return out
-    for i in range(1, 5):
-        out[i] *= forgetting
+    for i in range(ekf.SQUARES, ekf.LAST):
+        out[i] *= 1.0 - 1.0 / MEMORY_COUNT
     for i in range(6):
         noise = theta[NOISE - STATE + i]
-        out[1 + i // 3] += noise * noise
-        out[3 + i // 3] += noise * out[5 + i]
-        out[5 + i] = noise
+        out[ekf.SQUARES + i // 3] += noise * noise
+        out[ekf.PRODUCTS + i // 3] += noise * out[ekf.LAST + i]
+        out[ekf.LAST + i] = noise
     return out
 
 
@@ -433,13 +460,9 @@ def vertical_ratios(
     its likeliest length, less `FALL_COST` for that freedom.
     """
     n = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
-    size, z, W, along, square = 1.0 / t3.norm(gravity), innovation[0], innovation[2], 0.0, 0.0
-    for i in range(6):
-        by = 0.0
-        for j in range(min(i + 1, 3)):
-            by += size * W[i, j] * n[j]
-        along += by * z[i]
-        square += by * by
+    g = t3.norm(gravity)
+    along, square = _along(
+        innovation, np.array((n[0] / g, n[1] / g, n[2] / g, 0.0, 0.0, 0.0)))
     return -sag * (along + 0.5 * sag * square), 0.5 * max(along, 0.0)**2 / square - FALL_COST
 
 
@@ -479,7 +502,7 @@ def _enlarge(noise: Array, memory: Array) -> None:
     """Multiply the covariance of the noise by the estimated factors, in place."""
     for i in range(6):
         for j in range(6):
-            noise[i, j] *= math.sqrt(memory[11 + i // 3] * memory[11 + j // 3])
+            noise[i, j] *= math.sqrt(memory[ekf.FACTORS + i // 3] * memory[ekf.FACTORS + j // 3])
 
 
 @kernel
@@ -510,7 +533,7 @@ def _measured_difference(
     model: ModelTuple, tool: State, exposed: State, theta: Array, seen: MeasuredPose,
 ) -> tuple[Array, Array]:
     """Return the difference (6,) of a measured pose from a body, and its noise in B axes."""
-    position, q, noise, marker = seen[0], seen[1], seen[2], seen[3]
+    position, q, noise, marker = seen.position, seen.quaternion_xyzw, seen.noise, seen.marker
     sensor = marker[3]
     if sensor[0]:
         return tag_seen(model, tool, exposed, theta, position, q, marker)
@@ -525,64 +548,63 @@ def _measured_difference(
 
 
 @kernel
+def _out_of_reach(
+    model: ModelTuple, tool: State, there: State, theta: Array, P: Array, spread: float,
+    seconds: float, seen: MeasuredPose,
+) -> int:
+    """Return `FALLING` or `OUT_OF_REACH` for a pose beyond any lip's reach, otherwise `USED`."""
+    o = kernels.lip_relative_to_tool(model[1][1], tool, there)[0]
+    late = 3.0 * math.sqrt(P[LATENCY, LATENCY]) + abs(theta[LATENCY - STATE])
+    unknown = np.trace(P[COM:COM + 3, COM:COM + 3]) + np.trace(
+        P[CAMERA:CAMERA + 3, CAMERA:CAMERA + 3])
+    reach = seen.reach + 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
+    away = t3.apply(t3.rotation_matrix(tool[1]), (o[0], o[1], o[2] + model[0][1]))
+    falls = _is_fall(away, model[2], reach, seconds)
+    # near a support a fall is short: its length does not include the cup's, as a cup that holds
+    # may be compressed by it, but not stretched
+    if t3.norm(away) > reach - (model[0][1] if falls and seen.sag > 0.0 else 0.0):
+        return FALLING if falls else OUT_OF_REACH
+    return USED
+
+
+@kernel
 def updated(
     model: ModelTuple, estimate: ekf.EstimateTuple, seconds: float, seen: MeasuredPose,
     gain: Array,
 ) -> tuple[int, Innovation, State, Array, Array]:
     """
-    Update an estimate with a measurement.
+    Update an estimate at the stamp of a pose with it.
 
-    Parameters
-    ----------
-    model, estimate : tuple
-        The nominal model, and the estimate at the stamp of the pose.
-    seconds : float
-        Time since the previous estimate, s.
-    seen : tuple
-        The measured pose.
-    gain : ndarray (12, 12)
-        Covariance gained by the state since the previous estimate.
+    The previous estimate was some time (s) before, and the covariance of the state has gained
+    `gain` (12, 12) since.
 
     Returns
     -------
     int
         `USED`, `OUTSIDE` the gate or the physical range of a state, `OUT_OF_REACH` of any lip
         (another package), or `FALLING` (the package fell).
-    tuple
-        `Innovation`.
+    Innovation
     State, ndarray (n - 12,), ndarray (15,)
         Body, theta and memory: corrected by a used pose, as P in place; otherwise unchanged,
         except for the size of the noise outside the gate.
 
     """
     _, tool, body, theta, P, memory = estimate
-    marker, reach, largest, sag, gate = seen[3], seen[4], seen[5], seen[6], seen[7]
     model = with_theta(model, theta)
     exposed = at_exposure(model, tool, body, theta)
     difference, noise = _measured_difference(model, tool, exposed, theta, seen)
     _enlarge(noise, memory)
-    innovation = innovation_of(exposed, theta, P, difference, noise, marker, memory[ekf.JITTER])
-    spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
+    innovation = innovation_of(
+        exposed, theta, P, difference, noise, seen.marker, memory[ekf.JITTER])
     there = moved(exposed, (difference[0], difference[1], difference[2]),
                   (difference[3], difference[4], difference[5]), ZERO, ZERO)
-    o = kernels.lip_relative_to_tool(model[1][1], tool, there)[0]
-    verdict = USED
-    if not innovation[3] <= gate:  # also true for NaN
-        verdict = OUTSIDE
-    late = 3.0 * math.sqrt(P[LATENCY, LATENCY]) + abs(theta[LATENCY - STATE])
-    unknown = np.trace(P[COM:COM + 3, COM:COM + 3]) + np.trace(
-        P[CAMERA:CAMERA + 3, CAMERA:CAMERA + 3])
-    reach += 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
-    away = o[0], o[1], o[2] + model[0][1]
-    away = t3.apply(t3.rotation_matrix(tool[1]), away)
-    falls = _is_fall(away, model[2], reach, seconds)
-    # near a support a fall is short: its length does not include the cup's, as a cup that holds
-    # may be compressed by it, but not stretched
-    if t3.norm(away) > reach - (model[0][1] if falls and sag > 0.0 else 0.0):
-        verdict = FALLING if falls else OUT_OF_REACH
-    elif verdict == USED:
-        possible, body, theta = posterior(body, theta, P, innovation, largest)
+    spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
+    verdict = _out_of_reach(model, tool, there, theta, P, spread, seconds, seen)
+    if verdict == USED and innovation.distance <= seen.gate:  # false for NaN
+        possible, body, theta = posterior(body, theta, P, innovation, seen.largest)
         verdict = USED if possible else OUTSIDE
+    elif verdict == USED:
+        verdict = OUTSIDE
     if verdict <= OUTSIDE:
         memory = updated_memory(
             memory, theta, seconds, innovation, gain, verdict == USED)

@@ -8,10 +8,10 @@ again, with a result independent of the order of arrival.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right, insort
+from bisect import bisect_left, bisect_right
 from collections import deque
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
@@ -21,17 +21,16 @@ from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.correction import (
-    Correction,
-    INERTIAS,
-    Known,
-    NO_MEASUREMENT,
-    Track,
-)
+from bellows_ros.core.observer.correction import Correction, INERTIAS, Known, Track
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
 from bellows_ros.core.observer.hypotheses import MAX_ODDS
-from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
+from bellows_ros.core.observer.measurement import (
+    changed_by,
+    Measurement,
+    NO_MEASUREMENT,
+    PoseSensor,
+)
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, CAMERA_ROWS, CUP_ROWS, STATE
 from bellows_ros.core.observer.support import Support
 from bellows_ros.core.observer.wrench_alarms import Watch
@@ -83,9 +82,6 @@ OF_CUP = frozenset(('leak', 'wear'))
 
 MODEL_ROWS = np.array([*range(states.MASS, states.COM + 3), *CUP_ROWS])
 """Rows of payload and cup that parameters state."""
-
-MAX_DEVIATION = 3.0
-"""Largest deviation of a cup from its parameters without an alarm, standard deviations."""
 
 
 class Payload(NamedTuple):
@@ -307,9 +303,7 @@ class Observer:
         if event == 'leaves':
             self._let_go()
         elif event == 'meets':
-            insort(self._measurements, NO_MEASUREMENT._replace(
-                stamp_ns=stamp_ns, meets_support=True))
-            self._reprocess(bisect_left(self._measurements, (stamp_ns,)))
+            self._meet(stamp_ns)
             prediction = None
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
@@ -320,6 +314,13 @@ class Observer:
         if self._estimates[-1].away_ns > 0:
             self._note_silence(stamp_ns)
         return prediction
+
+    def _meet(self, stamp_ns: int) -> None:
+        """Apply a stop of the tool on its way down, in the order of the measured poses."""
+        measurements = self._measurements
+        at = bisect_left(measurements, (stamp_ns,))
+        measurements.insert(at, NO_MEASUREMENT._replace(stamp_ns=stamp_ns, meets_support=True))
+        self._reprocess(at)
 
     def _drop_old(self, before_ns: int) -> None:
         """Discard estimates that no measurement can change any more, except the last of them."""
@@ -474,7 +475,7 @@ class Observer:
                 alarm.cause in OF_CUP for alarm in self.alarms[self._first_alarm:]):
             return
         rows = np.arange(states.STIFFNESS, states.STIFFNESS + 6)
-        excess = self._excess(estimate, rows)
+        excess = correction.excess(estimate, rows)
         if excess.max() > 0.0:
             worst = rows[excess.argmax()]
             factor = math.exp(estimate.theta[worst - STATE])
@@ -482,18 +483,11 @@ class Observer:
                 estimate.stamp_ns, 'wear', abs(factor - 1.0),
                 factor * float(math.sqrt(estimate.covariance[worst, worst])), 'payload', 1.0))
 
-    def _excess(self, estimate: Estimate, rows: Any) -> Array:
-        """Return the excess of an estimate's deviations over those allowed by the parameters."""
-        std = np.sqrt(estimate.covariance[rows, rows])
-        excess: Array = np.abs(estimate.theta[rows - STATE]) - MAX_DEVIATION * (
-            self._correction.prior[rows] + std)
-        return excess
-
     @property
     def departs_from_file(self) -> bool:
         """Whether estimates of cup or payload differ from their parameters more than allowed."""
         return bool(self._estimates) and bool(
-            self._excess(self._estimates[-1], MODEL_ROWS).max() > 0.0)
+            self._correction.excess(self._estimates[-1], MODEL_ROWS).max() > 0.0)
 
     # ---------------------------------------------------------- a lost package
 

@@ -338,15 +338,15 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     def processing(row, law, before, *more):
         result = processed(row, law, before, *more)
         *track, noise, _, _, seen = more
-        if seen[7] > 0.0:
+        if seen.gate > 0.0:
             model = model_of(row, law)
             F = _dense_transition(model, before, *track, noise[0])
             after, _, gain = interpreted(
                 model, before, *track, noise, np.zeros((0, 0), np.float32), NO_CUPS)
             verdict, found, *_ = updated(model, after, (after[0] - before[0]) * 1e-9, seen, gain)
             if verdict <= OUTSIDE:
-                given.append((F, found, verdict <= USED, result[1][2][0]))
-                totals.append(result[3][0])
+                given.append((F, found, verdict <= USED, result.estimate[2][0]))
+                totals.append(result.likeliest.total)
         return result
 
     monkeypatch.setattr(likelihood, 'filter_step', processing)

@@ -19,6 +19,7 @@ from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.correction import cups_of, first_memory, NO_CUPS
 from bellows_ros.core.observer.measurement import (
     innovation_of,
+    MeasuredPose,
     posterior,
     updated,
     WHITE_SHARE,
@@ -171,7 +172,8 @@ def test_innovation_is_what_it_says(of_lip, sensor):
     def seen(e):
         z, H, W, *_ = updated(
             model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03,
-            (*pose(e), noise, (*marker, sensor), 1.0, LARGEST, 0.0, np.inf), np.zeros((12, 12)))[1]
+            MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, 0.0, np.inf),
+            np.zeros((12, 12)))[1]
         root = np.linalg.inv(W)
         return root @ z, H, root
 
