@@ -357,7 +357,7 @@ class Observer:
             verdict = 'not_held'
         elif stamp_ns > newest_ns + MAX_DELAY_NS:
             verdict = 'future_stamp'
-        elif at < len(others) and others[at].stamp_ns == stamp_ns:
+        elif at < len(others) and others[at].is_pose and others[at].stamp_ns == stamp_ns:
             verdict = 'duplicate_stamp'
         elif stamp_ns <= max(self._estimates[0].stamp_ns, newest_ns - self._reach_ns):
             verdict = 'late'

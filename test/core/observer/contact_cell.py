@@ -44,6 +44,8 @@ class Cycle(NamedTuple):
     """Parameters package.*, with standard deviations."""
     at: dict
     """Times of the events, s."""
+    load: np.ndarray
+    """Force and moment at B of the cup on the package, world (N, 6)."""
 
 
 @njit(cache=True)
@@ -58,21 +60,21 @@ def _turned(phi):
 
 @njit(cache=True)
 def _fly(tool, state, cup, box, push, grip, floor):
-    """Return the states (N, 30) of the box: position, rotation, twists in the world, branches."""
+    """Return (N, 36): position, rotation, twists in the world, branches, wrench of the cup."""
     K, P, r, tau, length = cup
     mass, J, com, size = box
     n = (len(tool) - 1) // EVERY + 1
-    out = np.zeros((n, 30))
+    out = np.zeros((n, 36))
     o, R, v, w = state[:3].copy(), state[3:12].copy().reshape(3, 3), state[12:15].copy(), (
         state[15:18].copy())
-    z = state[18:].copy().reshape(2, 6)
+    z = state[18:30].copy().reshape(2, 6)
     corners = np.array([[0.5 if i >> j & 1 else -0.5 for j in range(3)] for i in range(8)])
     corners = (corners - np.array([0.0, 0.0, 0.5])) * size - com
     radius = np.linalg.norm(corners[0]) + 0.05
     for k in range(len(tool)):
         if k % EVERY == 0:
             row = out[k // EVERY]
-            row[:3], row[3:12], row[12:15], row[15:18], row[18:] = o, R.ravel(), v, w, z.ravel()
+            row[:3], row[3:12], row[12:15], row[15:18], row[18:30] = o, R.ravel(), v, w, z.ravel()
         is_low = o[2] < floor + radius
         if is_low and grip[k] == 0.0 and (v * v).sum() < 1e-8 and (w * w).sum() < 1e-6:
             continue
@@ -101,7 +103,10 @@ def _fly(tool, state, cup, box, push, grip, floor):
             load = -grip[k] * (K * load + P * rate)
             F = M @ load[:3]
             f += F
-            t += M @ load[3:] + np.cross(far - 0.5 * d, F)
+            couple = M @ load[3:] + np.cross(far - 0.5 * d, F)
+            t += couple
+            if k % EVERY == 0:
+                out[k // EVERY, 30:33], out[k // EVERY, 33:] = F, couple
         for i in range(8 if is_low else 0):
             arm = R @ corners[i]
             depth = floor - o[2] - arm[2]
@@ -236,7 +241,7 @@ class ContactCell:
         told[:, :3] += 2e-5 * g.normal(size=(len(told), 3))
         told[:, 7:] += np.repeat([5e-4, 1e-3], 3) * g.normal(size=(len(told), 6))
         seen = self._seen(truth, marker, at, fault, size * direction)
-        return Cycle(times[::EVERY], told, truth, seen, stated, at)
+        return Cycle(times[::EVERY], told, truth, seen, stated, at, states[:, 30:])
 
     def _seen(self, truth, marker, at, fault, moved):
         g, drawn, origin = self.rng, [], np.array([0.5, 0.0, 0.3])
