@@ -66,8 +66,8 @@ LEARNING_COUNT = 40.0
 FIRST_FACTOR = 4.0
 """Initial factor of the variance of the noise."""
 
-PERSISTENCE = 25.0
-"""Number of blocks over which errors proportional to the wrench persist: 1.6 s, a motion."""
+PERSISTENCE = 100.0
+"""Number of blocks over which errors proportional to the wrench persist: 6 s, a cycle."""
 
 GATE = 27.86
 """Squared Mahalanobis distance beyond which a block has a larger variance."""
