@@ -90,10 +90,10 @@ class Watch:
         return self._slip(stamp_ns, np.r_[self._line(shown) - expected, expected])
 
     def _line(self, load: Array) -> Array:
-        """Return the shift (3,) of a load's line of action from the lip, m."""
+        """Return the shift (3,) of a load's line of action from the lip, m, less of a light one."""
         force = load[:3]
         return np.asarray(np.cross(force, load[3:] - np.cross(self._lip, force)) / max(
-            float(force @ force), (0.1 * self._weight) ** 2))
+            float(force @ force), self._weight**2))
 
     def _slip(self, stamp_ns: int, shifts: Array) -> Finding | None:
         """Return a slip by the shift of the line of the weight: deviation, and prediction (6,)."""
