@@ -90,7 +90,7 @@ class Watch:
         return self._slip(stamp_ns, np.r_[self._line(shown) - expected, expected])
 
     def _line(self, load: Array) -> Array:
-        """Return the shift (3,) of a load's line of action from the lip, m, less of a light one."""
+        """Return the shift (3,) of a load's line of action from the lip, m, less if light."""
         force = load[:3]
         return np.asarray(np.cross(force, load[3:] - np.cross(self._lip, force)) / max(
             float(force @ force), self._weight**2))
