@@ -182,7 +182,7 @@ def identified(recording: Recording, relaxation: str) -> Fit:
         'fit.method': 'output_error', 'fit.relaxation': relaxation, 'cup.length': CUP.length,
         'package.mass': PLATE.mass, 'package.com': PLATE.com.tolist(),
         'package.inertia': [*np.diag(PLATE.inertia).tolist(), 0.0, 0.0, 0.0]})
-    return fit([recording], values).fit
+    return fit([recording], values)
 
 
 def study(loss_factor: float, seed: int = 1) -> tuple[dict[str, Fit], dict[str, list[float]]]:

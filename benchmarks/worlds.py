@@ -105,7 +105,7 @@ def line(seed: int) -> tuple[str, Array]:
     about = f'| {seed} | {"yes" if seed % 2 else "no"} | {"50 ms" if seed % 4 > 1 else "none"} | '
     try:
         recording = prepare_streams(streams, prepare_settings(values), values)
-        both = fit([recording], values).fit
+        both = fit([recording], values)
         found = both.exactly_given
     except BellowsError as error:
         return f'{about} refused: {str(error)[:60]} | | | | |', np.empty((3, 0))

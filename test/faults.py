@@ -40,7 +40,7 @@ def outcome(laboratory, cause, other=''):
             return 'right' if cause in wrong else 'wrong and certain', ' '.join(wrong)
         values = parameters(laboratory)
         length = values['cup.length']
-        found = None if facts(recordings, length) else fit(recordings, values).fit
+        found = None if facts(recordings, length) else fit(recordings, values)
         verdict = verdict_of(found, recordings, length, values)
     except BellowsError as error:
         named = [own for own in (cause, other) if own and own in str(error)]

@@ -122,7 +122,7 @@ def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
     laboratory.frame = laboratory.said_frame = 'com'
     laboratory.say(com=[aside, 0.0, 0.0])
     recordings, values = laboratory.recordings(), parameters(laboratory)
-    found = fit(recordings, values).fit
+    found = fit(recordings, values)
     said = verdict.verdict_of(found, recordings, laboratory.length, values)
     assert bool(said.refusals) is refused
     if not refused:
@@ -147,7 +147,7 @@ def test_a_gap_of_the_tool_refuses_no_cup():
                              rotation=tool.rotation[kept]),
                      recording.package_pose, recording.settings)
     assert len(gapped.segments) == 2
-    found = fit([gapped], values).fit
+    found = fit([gapped], values)
     off = np.abs(np.diag(found.stiffness) - laboratory.K) / np.diag(found.stiffness_std)
     assert np.all(off < 4.0)
     said = verdict.verdict_of(found, [gapped], laboratory.length, values)

@@ -52,7 +52,7 @@ def judged(laboratory):
     """Return the fit of a laboratory's recordings, None if they are wrong, and the verdict."""
     recordings, values = laboratory.recordings(), parameters(laboratory)
     wrong = facts(recordings, values['cup.length'])
-    found = None if wrong else fit(recordings, values).fit
+    found = None if wrong else fit(recordings, values)
     return found, verdict_of(found, recordings, values['cup.length'], values)
 
 
@@ -274,7 +274,7 @@ def test_a_free_simulation_is_of_what_was_found_with_the_cup():
     """Torsion is shaken near its resonance: 0.1 % of K rz is three times the noise."""
     laboratory = Laboratory(406, rate_hz=480.0)
     recordings, values = laboratory.recordings(), parameters(laboratory)
-    found = fit(recordings, values).fit
+    found = fit(recordings, values)
     (own,), (other,) = (
         verdict_of(one, recordings, values['cup.length'], values).simulated
         for one in (found, replace(found, nuisances={})))
