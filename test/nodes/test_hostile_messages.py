@@ -8,6 +8,7 @@ from geometry_msgs.msg import Transform, Twist
 import pytest
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import String
 from trajectory_msgs.msg import (
     JointTrajectory,
@@ -41,6 +42,8 @@ def sound(kind):
         message.points = [JointTrajectoryPoint(positions=[0.0]) for _ in range(30)]
     elif kind is String:
         message.data = URDF.replace('"base"', '"world"')
+    elif kind is FluidPressure:
+        message.fluid_pressure = 40_000.0
     for k, point in enumerate(getattr(message, 'points', ())):
         point.time_from_start.nanosec = k * 10_000_000
     if hasattr(message, 'header'):
