@@ -44,8 +44,8 @@ class Cycle(NamedTuple):
     """Parameters package.*, with standard deviations."""
     at: dict
     """Times of the events, s."""
-    load: np.ndarray
-    """Force and moment at B of the cup on the package, world (N, 6)."""
+    load: np.ndarray | None = None
+    """Force and moment at B of the cup on the package, world (N, 6), if simulated."""
 
 
 @njit(cache=True)
