@@ -47,7 +47,7 @@ def test_no_state_leaves_its_range(parameters, noise):
     live = LivePredictor.from_parameters({**GIVEN, **parameters, **noise})
     for _ in attacked(live):
         observer = live.package.observer
-        largest = observer._correction._largest
+        largest = observer._correction.largest
         for estimate in observer._estimates:
             assert is_possible(estimate.body, estimate.theta, largest)
         assert observer.max_step >= observer._correction.max_step / 30.0
