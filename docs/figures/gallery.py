@@ -81,6 +81,17 @@ def tutorial(path: Path, theme: str) -> None:
                         '--theme', theme, '--out', str(path)]) == 0
 
 
+def tag(path: Path, theme: str) -> None:
+    """Write the prediction beside the poses of a tag, with the cup identified from its corners."""
+    with chdir(ROOT), TemporaryDirectory() as folder:
+        cell, cup, known = (f'{folder}/{name}.yaml' for name in ('cell', 'cup', 'known'))
+        assert bellows(['info', 'bags/tag', '--write-params', known]) == 0
+        assert bellows(['identify', '--params', 'bags/package.yaml', '--params', known, '--set',
+                        'measured.tag_size=0.048', '--out', cup, '--out-cell', cell]) == 0
+        assert bellows(['plot', 'prediction', 'bags/tag_validation', '--params', cell,
+                        '--params', cup, '--theme', theme, '--out', str(path)]) == 0
+
+
 def filmed(path: Path, theme: str) -> None:
     """Write the film of the transport as planned and as steered."""
     with chdir(ROOT):
@@ -90,6 +101,7 @@ def filmed(path: Path, theme: str) -> None:
 
 FILES = {
     'prediction.png': tutorial,
+    'tag.png': tag,
     'deflection.png': plotted('deflection', 'bags/identification'),
     'replay.gif': plotted('animation', 'bags/validation', '--from', '3', '--to', '4'),
     'steer.gif': filmed,

@@ -6,7 +6,7 @@ from .conftest import load, show_the_same
 
 PICTURES = load('tools', 'pictures')
 SLOW = {'camera.png', 'exciting.png', 'filter_found.svg', 'relaxation.svg', 'replay.gif',
-        'steer.gif', 'toss.png'}
+        'steer.gif', 'tag.png', 'toss.png'}
 DECLARED = [(script, name) for script in PICTURES.SCRIPTS
             for name, *_ in PICTURES.declared(script)]
 
