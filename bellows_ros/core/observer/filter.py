@@ -395,7 +395,7 @@ def propagated(
                            t3.scale(-1.0 / model[1][0], force), losses0, without_cup)
             A0, B0, losses0, A1, B1, losses1 = A1, B1, losses1, A0, B0, losses0
             is_reset, h, squares = False, 0.0, 0.0
-        if now_ns == until_ns:
+        if now_ns >= until_ns:
             return tool, body
         first = k
         while is_recorded and now_ns == stamps[k - 1] and _is_inside_step(

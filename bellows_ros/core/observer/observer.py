@@ -302,13 +302,13 @@ class Observer:
         event = self._support.follow(stamp_ns, end)
         if event == 'leaves':
             self._let_go()
-        elif event == 'meets':
-            self._meet(stamp_ns)
-            prediction = None
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
             self._measurements.append(self._pending.pop(0))
             self._reprocess(len(self._measurements) - 1)
+        if event == 'meets':
+            self._meet(stamp_ns)
+            prediction = None
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
             self._drop_old(stamp_ns - MAX_DELAY_NS)
         if self._estimates[-1].away_ns > 0:
