@@ -52,8 +52,9 @@ The package itself loads nothing, so that `bellows --help` answers at once. rosb
 and only some types need it. A command of a node limits the threads of NumPy before it loads that.
 The others load ROS or matplotlib, which are optional, or what few runs need.
 """
-ONCE = {('correction.py', 'is_possible'), ('correction.py', 'one_of')}
-"""Short kernels that Python calls at most once per measured pose."""
+ONCE = {
+    ('correction.py', 'is_possible'), ('correction.py', 'one_of'), ('wrenches.py', 'is_possible')}
+"""Short kernels that Python calls at most once per measured pose or block of wrenches."""
 CORE_NEEDS = {'numpy', 'scipy', 'numba', 'bellows_ros'}
 
 

@@ -116,8 +116,7 @@ def header(
 
 def _fields(cup: kernels.CupTuple) -> tuple[Any, ...]:
     """Return a cup in the order of bellows_cup, with the coefficients of stretch last."""
-    stretch, = cup[2][3:]
-    return (*cup[:2], cup[2][:3], *cup[3:], *(stretch,) * any(stretch))
+    return (*cup[:2], cup[2][:3], *cup[3:], *filter(any, cup[2][3:]))
 
 
 def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
