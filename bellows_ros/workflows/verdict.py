@@ -292,8 +292,9 @@ def verdict_of(
     if facts := causes.facts(tested, length):
         return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts))
     if fit is None or fit.method != 'output_error':
-        if verdict.is_at_noise:
-            return verdict
+        if verdict.simulated and all(
+                (each.rms <= MAX_SOUND_RATIO * each.noise).all() for each in verdict.simulated):
+            return verdict  # its causes would not be described
         fit = methods.fitted(tested, simulated, exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
     return verdict._replace(diagnosis=causes.Diagnosis(excess, fit.causes))
