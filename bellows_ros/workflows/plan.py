@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
-from bellows_ros.core.live.predictor import MIN_UPWARD_GRAVITY
+from bellows_ros.core.live.predictor import points_down
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, model_tuple
 from bellows_ros.core.model.grip import Grip, safety_sentence
@@ -216,10 +216,10 @@ class PlanReport(CommandResult):
         source, prediction = self.source, self.prediction
         safety = NO_FACTOR if prediction.grip is None else safety_sentence(
             *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
-        down, gravity = source.tool.rotation[0, :, 2], np.array(source.model[2])
-        is_above = down @ gravity > MIN_UPWARD_GRAVITY * np.linalg.norm(gravity)
+        x, y, z = source.tool.rotation[0, :, 2].tolist()
         return (*source.notes, *filter(None, (
-            sentence('live', 'faults.above') if is_above else '', safety,
+            sentence('live', 'faults.above') if points_down((x, y, z), source.model[2]) else '',
+            safety,
             flip_warning(prediction.bending),
             '' if source.begins_at_rest else sentence('planning', 'begins_in_motion'),
             '' if prediction.ends_at_rest else sentence('planning', 'ends_in_motion'),

@@ -25,8 +25,8 @@ from bellows_ros.core.signals.residuals import (
     Comparison,
     DISPLAY_FACTORS,
     DISPLAY_UNITS,
-    Line,
     line,
+    SpectralLine,
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
@@ -40,7 +40,7 @@ MAX_SIMULATED = 50_000
 """Largest number of samples of a recording simulated freely for the verdict."""
 
 MAX_NOISE = 1.1
-"""Largest ratio of a free simulation's error to the noise that is noise."""
+"""Largest ratio of a free simulation's error to the noise of the poses, if there is no misfit."""
 
 MAX_NOISE_RATIO = 3.0
 """Largest ratio of the held-out error to the noise, if the error also exceeds `MAX_NRMSE`."""
@@ -69,8 +69,8 @@ class Simulated(NamedTuple):
     """Duration of the simulated beginning of a long recording, s; 0 for a whole recording."""
     held_out: Array | None = None
     """RMS errors (6,) in the last fifth with the cup of the other four, m and rad, if known."""
-    vibration: Line | None = None
-    """Line of the errors without which they are noise, if there is one."""
+    vibration: SpectralLine | None = None
+    """SpectralLine of the errors without which they are noise, if there is one."""
 
     @property
     def is_at_noise(self) -> bool:
@@ -212,7 +212,7 @@ class FitVerdict(NamedTuple):
     @property
     def cause(self) -> tuple[str, ...]:
         """Sentences about the main cause and further ones, if any."""
-        if self.vibrations:
+        if self.vibrations and not any(each.certain for each in self.causing):
             return self.vibrations
         if not self.causing:
             return ()
@@ -388,7 +388,7 @@ def _simulated(
         _held_out(held, recording) if held else None, _vibration(result, noise))
 
 
-def _vibration(result: Comparison, noise: Array) -> Line | None:
+def _vibration(result: Comparison, noise: Array) -> SpectralLine | None:
     """Return the line of the errors without which they are noise (6,), if there is one."""
     found = None if (result.scores.rms <= MAX_NOISE * noise).all() else line(result)
     return found if found and (found.remainder <= MAX_NOISE * noise).all() else None

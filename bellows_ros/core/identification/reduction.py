@@ -1,4 +1,4 @@
-"""Facts on a recording that a fit keeps, without its poses: among them its validity range."""
+"""Results of a recording that outlive its poses: motion of the package, and validity range."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

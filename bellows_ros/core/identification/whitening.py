@@ -38,8 +38,8 @@ HUBER_STD = 3.0
 deviations."""
 
 MAX_EXPONENTIAL_STEPS = 4
-"""Largest number of integration steps, 0.4 rad of the quickest mode each, in one fourth-order
-exponential, which is stable up to 2.7 rad."""
+"""Largest number of integration steps in one exponential. A step has 0.4 rad of the quickest mode;
+the exponential, of fourth order, is stable up to 2.7 rad."""
 
 RIGID_STATES = 12
 """Number of states of a package whose cup does not relax; internal strains are 12 more."""

@@ -76,6 +76,11 @@ RESTARTS = (
 """Reasons for a restart of the prediction from rest."""
 
 
+def points_down(z_world: Vector, gravity: Vector) -> bool:
+    """Return whether z of the tool in the world points down, with the package above the tool."""
+    return bool(sum(map(mul, z_world, gravity)) > MIN_UPWARD_GRAVITY * math.hypot(*gravity))
+
+
 class LivePredictor:
     """
     Predict the package from the tool's poses and twists; needs no ROS.
@@ -289,10 +294,9 @@ class LivePredictor:
         """Whether z of the tool points down, with the package above the tool."""
         if self.latest is None:
             return False
-        (x, y, z, w), gravity = self.latest.tool[1], self.model[2]
+        x, y, z, w = self.latest.tool[1]
         z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-        return bool(
-            sum(map(mul, z_world, gravity)) > MIN_UPWARD_GRAVITY * math.hypot(*gravity))
+        return points_down(z_world, self.model[2])
 
     @property
     def alarm(self) -> Alarm | None:

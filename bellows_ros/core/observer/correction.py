@@ -23,10 +23,11 @@ from bellows_ros.core.observer.hypotheses import (
     MIN_NOISE_COUNT,
     SETTLING,
 )
-from bellows_ros.core.observer.likelihood import Faults
+from bellows_ros.core.observer.likelihood import FaultEvidence
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FALLING,
+    GATE,
     MeasuredPose,
     Measurement,
     NO_MEASUREMENT,
@@ -39,9 +40,6 @@ from bellows_ros.core.parameters.conversion import places_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
-
-GATE = 27.86
-"""Squared Mahalanobis distance exceeded by 1 in 10,000 good measurements (chi^2 of 6)."""
 
 RESTART_COUNT = 8
 """Number of consecutive measurements outside the gate from which the filter restarts."""
@@ -340,8 +338,9 @@ class Correction:
             self.row(before.lost_cups), self.law, before.numbers(theta),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
             (self._drive, walk, self._marker[3][0]),
-            Faults(evidence.signatures, evidence.statistics, evidence.distances, evidence.onsets,
-                   evidence.from_start, self._steps),
+            FaultEvidence(
+                evidence.signatures, evidence.statistics, evidence.distances, evidence.onsets,
+                evidence.from_start, self._steps),
             self._holding(before.lost_cups),
             MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,

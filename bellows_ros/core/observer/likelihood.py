@@ -74,7 +74,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 
-class Faults(NamedTuple):
+class FaultEvidence(NamedTuple):
     """Evidence of faults before a measurement, see `Evidence`."""
 
     signatures: Any
@@ -105,7 +105,7 @@ class Assessment(NamedTuple):
 def filter_step(
     row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples,
     is_recorded: bool, until_ns: int, max_step: float, noise: ekf.Noise,
-    faults: Faults, cups: Array, seen: MeasuredPose,
+    faults: FaultEvidence, cups: Array, seen: MeasuredPose,
 ) -> Assessment:
     """
     Propagate an estimate to a later stamp, correct it with a measurement, and assess faults.

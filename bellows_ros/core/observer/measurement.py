@@ -69,6 +69,9 @@ BODY_NOISE = 2e-3, 1e-2
 USUAL_PERIOD = 1.0 / 30.0
 """Period of a usual camera, s."""
 
+GATE = 27.86
+"""Squared Mahalanobis distance exceeded by 1 in 10,000 good measurements (chi^2 of 6)."""
+
 OUTLIER_DISTANCE = 16.81
 """
 Largest squared Mahalanobis distance (99 % of chi^2 of 6) of a measurement with its own covariance:

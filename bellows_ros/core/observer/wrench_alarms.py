@@ -16,36 +16,62 @@ from bellows_ros.core.sensors.wrench import WrenchSensor
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
-LOSS_NS, LOST_SHARE = 10_000_000, 0.35
-"""Time in which the sensor shows less than this share of the predicted force of a lost package."""
+LOST_SHARE = 0.35
+"""Largest share of the predicted force that the sensor shows of a lost package."""
+
+LOSS_NS = 10_000_000
+"""Time in which the sensor shows no larger share before a loss, ns."""
 
 LEAST_LOAD = 0.5
 """Smallest predicted force that a loss takes off, and largest force after it, in weights."""
 
-SLIP_NS, EARLIER_NS = 16_000_000, 250_000_000
-"""Times of two means, the later after a slip, the earlier before it, ns."""
+SLIP_NS = 16_000_000
+"""Time of the mean after a slip, ns."""
 
-LEAST_SLIP, SLIP_SIGNIFICANCE = 2.5e-3, 6.0
-"""Smallest slip, m, and in standard deviations: 1 in 7e7 normal draws of two axes."""
+EARLIER_NS = 250_000_000
+"""Time of the mean before a slip, ns."""
+
+LEAST_SLIP = 2.5e-3
+"""Smallest slip, m."""
+
+SLIP_SIGNIFICANCE = 6.0
+"""Smallest slip in standard deviations: 1 in 7e7 normal draws of two axes."""
 
 UNMODELLED = 0.25
 """Standard deviation of the line's shift, relative to the predicted change by motion."""
 
-SCATTER_TIME, LEARNT_NS, SETTLED_NS = 3.0, 500_000_000, 750_000_000
-"""Time over which the scatter of shifts is learned, s; the first of it before an alarm, and the
-time before, in which com and zero are estimated, ns."""
+SCATTER_TIME = 3.0
+"""Time over which the scatter of shifts is learned, s."""
+
+SETTLED_NS = 750_000_000
+"""Time after a lift in which centre of mass and zero are estimated, ns."""
+
+LEARNT_NS = 500_000_000
+"""Time after this in which the scatter is learned before a first alarm, ns."""
 
 ARM = 0.05
 """Lever of the moment that counts like a force in the check of the set-up, m."""
 
-MISFIT, FIT, CLEAR = 0.3, 0.12, 2.5
-"""RMS deviations, in weights, of a contradicted and of a fitting set-up, and their least ratio."""
+MISFIT = 0.3
+"""RMS deviation of the readings above which they contradict a set-up, weights."""
 
-TILT_COSINE, MIN_STILL, MAX_STILL = math.cos(math.radians(5.0)), 4, 64
-"""Largest cosine between two tilts; numbers of blocks at rest that are needed and kept."""
+FIT = 0.12
+"""RMS deviation of the readings below which they fit a set-up, weights."""
+
+CLEAR = 2.5
+"""Smallest ratio of the deviations of two set-ups that tells them apart."""
+
+TILT_COSINE = math.cos(math.radians(5.0))
+"""Largest cosine between two tilts."""
+
+MIN_STILL = 4
+"""Smallest number of blocks at rest by which a set-up is judged."""
+
+MAX_STILL = 64
+"""Largest number of blocks at rest that are kept."""
 
 
-class Finding(NamedTuple):
+class LoadChange(NamedTuple):
     """A lost ('lost') or shifted ('slip') package; size and standard deviation of a slip, m."""
 
     cause: str
@@ -75,7 +101,7 @@ class Watch:
         self._past = deque[tuple[int, Array]]()
         self._variance, self._share_ns, self._last_ns, self._first_ns = 0.0, 0, 0, 0
 
-    def add(self, stamp_ns: int, shown: Array, predicted: Array) -> Finding | None:
+    def add(self, stamp_ns: int, shown: Array, predicted: Array) -> LoadChange | None:
         """Return a finding after another load of the package (6,), shown and predicted."""
         force, f = shown[:3], predicted[:3]
         square = max(float(f @ f), 1e-9)
@@ -83,7 +109,7 @@ class Watch:
         is_off = square > usual > force @ force and force @ f < LOST_SHARE * square
         self._share_ns = (self._share_ns or stamp_ns) if is_off else 0
         if self._share_ns and stamp_ns - self._share_ns >= LOSS_NS:
-            return Finding('lost')
+            return LoadChange('lost')
         if is_off:
             return None
         expected = self._line(predicted)
@@ -95,7 +121,7 @@ class Watch:
         return np.asarray(np.cross(force, load[3:] - np.cross(self._lip, force)) / max(
             float(force @ force), self._weight**2))
 
-    def _slip(self, stamp_ns: int, shifts: Array) -> Finding | None:
+    def _slip(self, stamp_ns: int, shifts: Array) -> LoadChange | None:
         """Return a slip by the shift of the line of the weight: deviation, and prediction (6,)."""
         past, seconds = self._past, (stamp_ns - self._last_ns) / NS_PER_S
         self._last_ns = stamp_ns
@@ -114,7 +140,7 @@ class Watch:
             math.sqrt(self._variance), by_motion)
         if age_ns > LEARNT_NS and square > max(LEAST_SLIP, SLIP_SIGNIFICANCE * std) ** 2:
             past.clear()
-            return Finding('slip', math.sqrt(square), std)
+            return LoadChange('slip', math.sqrt(square), std)
         part = seconds / min(SCATTER_TIME, max(age_ns / NS_PER_S, seconds))
         self._variance += part * (max(square - by_motion**2, 0.0) / 2.0 - self._variance)
         return None

@@ -27,7 +27,7 @@ from bellows_ros.core.model.kernels import LawTuple, ORIGIN, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, stands
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer.filter import Estimate, FALLEN, identity_plus, Moving, Samples
-from bellows_ros.core.observer.measurement import changed_by
+from bellows_ros.core.observer.measurement import changed_by, GATE
 from bellows_ros.core.observer.states import COM, DAMPING, LENGTH, MARKER, ROWS, STATE, STIFFNESS
 from bellows_ros.core.observer.wrench_alarms import SetUp
 from bellows_ros.core.sensors.wrench import (
@@ -68,9 +68,6 @@ FIRST_FACTOR = 4.0
 
 PERSISTENCE = 100.0
 """Number of blocks over which errors proportional to the wrench persist: 6 s, a cycle."""
-
-GATE = 27.86
-"""Squared Mahalanobis distance beyond which a block has a larger variance."""
 
 Buffer = tuple[Any, Any]
 """Stamps (N,) and wrenches (N, 6) of a block, ns, N and N m."""

@@ -154,7 +154,7 @@ def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajector
     return compare(at_stamps, tool.select(inside), package.select(inside))
 
 
-class Line(NamedTuple):
+class SpectralLine(NamedTuple):
     """A spectral line: frequency (Hz), RMS (6,) of line and of remainder, m and rad."""
 
     frequency: float
@@ -162,7 +162,7 @@ class Line(NamedTuple):
     remainder: Array
 
 
-def line(found: Comparison) -> Line | None:
+def line(found: Comparison) -> SpectralLine | None:
     """
     Return the strongest spectral line of the errors, None where the prediction has a larger one.
 
@@ -188,11 +188,11 @@ def line(found: Comparison) -> Line | None:
         *split(found.error[present]), split(found.predicted[present])[0]))
     strongest = int(np.argmax(rms / size))
     is_of_sensor = moving[strongest] < rms[strongest]
-    return Line(frequency, rms, remainder) if is_of_sensor else None
+    return SpectralLine(frequency, rms, remainder) if is_of_sensor else None
 
 
 PADDING = 8
-"""Factor of the number of frequencies at which a line is sought."""
+"""Length of the zero-padded errors, whose spectrum is searched, over their own length."""
 
 SEGMENT_S = 2.0
 """Length of the segments of a spectrum, s: a resolution of 0.5 Hz."""
