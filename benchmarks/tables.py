@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from .live import BARE
+from .live import BARE, RAW, WITHOUT_TWISTS
 
 Table = list[tuple[str, ...]]
 """Rows of cells; the first is the head."""
@@ -32,11 +32,13 @@ def _times(subject: str, statistic: str = 'median') -> Make:
 
 
 def _node(section: Mapping[str, Any]) -> Table:
-    """Return latencies by rate, and against those of the bare node."""
+    """Return latencies of bare node and predictor by rate; the JSON file has the other nodes."""
     rows: Table = [('node', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost',
-                    'p50, p99, CPU to bare')]
+                    'relative p50, p99, CPU')]
     bare = {run['rate_hz']: run for run in section['runs'] if run['node'] == BARE}
     for run in section['runs']:
+        if run['node'] in (RAW, WITHOUT_TWISTS):
+            continue
         floor = bare[run['rate_hz']]
         rows.append((
             f'{run["node"]}, {run["rate_hz"]} Hz',
