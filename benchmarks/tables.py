@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from .live import BARE, RAW, WITHOUT_TWISTS
+from .live import RAW, WITHOUT_TWISTS
 
 Table = list[tuple[str, ...]]
 """Rows of cells; the first is the head."""
@@ -33,19 +33,14 @@ def _times(subject: str, statistic: str = 'median') -> Make:
 
 def _node(section: Mapping[str, Any]) -> Table:
     """Return latencies of bare node and predictor by rate; the JSON file has the other nodes."""
-    rows: Table = [('node', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost',
-                    'relative p50, p99, CPU')]
-    bare = {run['rate_hz']: run for run in section['runs'] if run['node'] == BARE}
+    rows: Table = [('node', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost')]
     for run in section['runs']:
         if run['node'] in (RAW, WITHOUT_TWISTS):
             continue
-        floor = bare[run['rate_hz']]
         rows.append((
             f'{run["node"]}, {run["rate_hz"]} Hz',
             *(_time(run[name]) for name in ('p50', 'p99', 'p99.9', 'processor_per_pose')),
-            _memory(run['memory']), f'{run["lost"]} of {run["sent"]}',
-            '' if run is floor else ', '.join(f'{run[name] / floor[name]:.2f}' for name in (
-                'p50', 'p99', 'processor_per_pose'))))
+            _memory(run['memory']), f'{run["lost"]} of {run["sent"]}'))
     return rows
 
 
