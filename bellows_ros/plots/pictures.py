@@ -350,6 +350,12 @@ def with_gaps(seconds: Array, values: Array) -> Array:
 
 WIDE = (9.4, 4.2)  # inches
 BANDS = 'bands: two standard deviations'
+"""Explanation of the bands in the subtitle of a picture."""
+
+
+def _with_bands(note: str, std: np.ndarray) -> str:
+    """Return a subtitle that explains the bands, if any standard deviation is above 0."""
+    return f'{note}; {BANDS}' if np.any(std > 0.0) else note
 
 
 def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
@@ -371,7 +377,7 @@ def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
     curves = report.curves
     seconds, values, std = curves.seconds, curves.values, curves.std
     offset = values[:, :3] - curves.tool
-    note = f'{report.source.path}; {BANDS}'
+    note = _with_bands(str(report.source.path), std)
     with style.picture('Package and grip along the plan', note, theme) as (figure, colours):
         grid = {**style.BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.2}
         panels = figure.subplots(3, 2, sharex=True, gridspec_kw=grid).ravel()
@@ -421,7 +427,7 @@ def margin_figure(margins: replay.Margins, note: str, theme: str = 'light') -> A
     matplotlib.figure.Figure
 
     """
-    note = f'{note}; {BANDS}'
+    note = _with_bands(note, margins.std)
     with style.picture('How firmly the grip holds', note, theme, WIDE) as (figure, colours):
         panel = figure.subplots(gridspec_kw={
             **style.BELOW_HEAD, 'top': 1.0 - 0.9 / WIDE[1], 'bottom': 0.52 / WIDE[1]})
@@ -439,15 +445,16 @@ def _draw_margins(panel: Any, margins: replay.Margins, colours: style.Theme) -> 
                label=f'{factor:.3g} ({mode}, {time:.3g} s)')
     panel.axhline(margins.least, color=colours.text, linewidth=0.8, linestyle='--')
     panel.axhspan(0.0, 1.0, color=colours.predicted, alpha=0.12, linewidth=0.0)
+    box = {'facecolor': colours.background, 'alpha': 0.8, 'linewidth': 0.0, 'pad': 1.5}
     for height, words, place in ((margins.least, 'safety.least', 'bottom'),
                                  (0.5, 'lets go', 'center')):
-        panel.text(0.99, height, words, fontsize=7.5, va=place, ha='right',
+        panel.text(0.99, height, words, fontsize=7.5, va=place, ha='right', bbox=box,
                    transform=panel.get_yaxis_transform(), color=colours.quiet)
     top = max(4.0 * margins.least, 1.5 * factor)
     panel.set_ylim(0.0, top)
     if np.nanmax(margins.factors) > top:
         panel.text(0.99, 0.97, f'above {top:.3g}: not shown', fontsize=7.5, va='top', ha='right',
-                   transform=panel.transAxes, color=colours.quiet)
+                   transform=panel.transAxes, color=colours.quiet, bbox=box)
 
 
 def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:

@@ -136,7 +136,7 @@ def topics() -> Iterator[str]:
 
 def commands() -> Iterator[str]:
     """Yield the lines of the page of commands."""
-    yield from ('# The command bellows', '', GENERATED, '',
+    yield from ('# Commands', '', GENERATED, '',
                 'The work of the nodes from a shell, without ROS. Each command has `--help` with '
                 'examples; `eval "$(register-python-argcomplete bellows)"` completes commands, '
                 'options and parameters in the shell (extra `complete`).', '')

@@ -104,7 +104,8 @@ def test_guides_name_every_command(root):
 def test_links_of_the_first_page_are_called_as_the_sidebar_calls_the_pages(root):
     """Compare the text of each link with the title of the page that it leads to."""
     docs = root / 'docs'
-    links = re.findall(r'\[([^\]]+)\]\((\w+\.md)\)', (docs / 'index.md').read_text())
-    titles = {name: (docs / name).read_text().partition('\n')[0][2:] for _, name in links}
-    assert len(titles) > 20
+    link = re.compile(r'\[([^\]]+)\]\(([\w./]+\.(?:md|ipynb))\)')
+    links = link.findall((docs / 'index.md').read_text())
+    titles = {name: re.search(r'# ([^\n"\\]+)', (docs / name).read_text())[1] for _, name in links}
+    assert len(titles) > 30
     assert [pair for pair in links if pair[0].lower() != titles[pair[1]].lower()] == []
