@@ -6,7 +6,6 @@ toss, the path of the flight and the ellipse of the landing.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 import importlib.util
 import time
 from typing import Any, Self
@@ -82,6 +81,10 @@ class Predicting:
         """Covariance of a prediction."""
         assert self.live.uncertainty
         return self.live.uncertainty
+
+    def compile_filter(self) -> None:
+        """Compile the filter of covariances and measured poses, in a thread."""
+        raise NotImplementedError
 
 
 class Topic:
@@ -184,8 +187,7 @@ class Outputs:
             messages.WRENCH, self._frame('lip'), now.stamp_ns, *now.force, *now.moment))
         self._safety = Topic(geometry.Vector3Stamped, 'cup/safety_factor')
         self._odometry = Topic(
-            Odometry, 'package/odometry', self._make_odometry, prepare=partial(
-                uncertainty.warm_up_uncertainty, conversion.cup_of(values).relaxation))
+            Odometry, 'package/odometry', self._make_odometry, prepare=shared.compile_filter)
         self._deflection = Topic(geometry.PoseStamped, 'cup/deflection', self._make_deflection)
         self._markers = Topic(MarkerArray, 'package/markers', lambda now: self._picture.fill(
             shared.live.frame_id, shared.live.model, now))
@@ -371,10 +373,11 @@ class Tossing:
         """Advertise."""
         self._shared = shared
         self._worker = Worker(shared.node, 'release')  # no plan waits behind a search
-        self._landing, self._at, self._markers = (
-            Topic(kind, name).advertise(shared.node) for kind, name in (
-                (geometry.PoseWithCovarianceStamped, 'package/landing'), (Header, 'release/at'),
-                (MarkerArray, 'package/landing_markers')))
+        self._at = Topic(Header, 'release/at').advertise(shared.node)
+        self._landing, self._markers = (
+            Topic(kind, name, prepare=shared.compile_filter).advertise(shared.node)
+            for kind, name in ((geometry.PoseWithCovarianceStamped, 'package/landing'),
+                               (MarkerArray, 'package/landing_markers')))
         self._landing_ns = self._valve_time_ns = 0
 
     @property
@@ -389,7 +392,7 @@ class Tossing:
             return
         model, frame_id = self._shared.live.model, self._shared.live.frame_id
         now_ns = time.monotonic_ns()
-        wanted = self._landing.subscribed or self._markers.subscribed
+        wanted = any(each.subscribed and each.is_ready for each in (self._landing, self._markers))
         period_ns = 0.9e9 / self._shared.values.landing.rate  # tolerance for inexact ticks
         if wanted and now_ns - self._landing_ns >= period_ns:
             self._landing_ns = now_ns

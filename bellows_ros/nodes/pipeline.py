@@ -37,7 +37,7 @@ from .planning import Planning
 from ..core.geometry import lie
 from ..core.geometry.jit import compile_aside, COMPILED
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import flight, LivePredictor, load, Prediction, uncertainty, warm_up
+from ..core.live import flight, LivePredictor, load, Prediction, warm_up
 from ..core.model.cup_package import model_tuple
 from ..core.model.kernels import ModelTuple
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
@@ -77,7 +77,7 @@ class Pipeline(Predicting):
         values = with_chosen_cup(node.values)
         self.compute, self._reported = health.window(), Counter[str]()
         self._ticked_ns = 0
-        self._was_late = self._is_compiling = False
+        self._was_late = self._is_compiling = self._needs_filter = False
         self._arrival_at_last_tick: int | None = None
         begun = time.process_time()
         self._compile_predictor(values)
@@ -278,17 +278,26 @@ class Pipeline(Predicting):
         model = model_tuple(cup, package, gravity)
         warm_up(cup, package, gravity, values.tool_twist.frame)
         release = flight.Flight(values)
-        if release.has_size:  # landings have a covariance
+        if release.has_size:
             release.warm_up(model)
-            uncertainty.warm_up_uncertainty(cup.relaxation)
         return model
+
+    def compile_filter(self) -> None:
+        with self.node.noticed(
+                'Compiling the observer; covariances and measured poses are used from its end '
+                'on.'):
+            if self.compiler:
+                self.compiler.wait()
+            self._needs_filter = True
+            warm_up_observer(self.values, self.live.model)
+        gc.freeze()  # as `spin` does: the compiler's garbage is never scanned again
 
     def _compile(self, values: Values) -> None:
         """Compile for values of another kind, in a thread; the next tick continues with them."""
         try:
             model = self._compile_predictor(values)
-            uncertainty.warm_up_uncertainty(cup_of(values).relaxation)
-            self.observing.warm_up(model)
+            if self._needs_filter:
+                warm_up_observer(values, model)
         finally:  # a compilation that fails here fails again at its use
             self._compiled.add(_kernels_of(values))
 
@@ -301,9 +310,7 @@ class Pipeline(Predicting):
 
 def compile_topics(values: Values) -> None:
     """Compile kernels of topics other than the tool's."""
-    cup = cup_of(values)
-    uncertainty.warm_up_uncertainty(cup.relaxation)
-    warm_up_observer(values, model_tuple(cup, package_of(values), gravity_of(values)))
+    warm_up_observer(values, model_tuple(cup_of(values), package_of(values), gravity_of(values)))
 
 
 def _kernels_of(values: Values) -> tuple[int, bool]:
@@ -617,18 +624,8 @@ class Observing:
 
     def _make_ready(self) -> None:
         """Compile; use measured poses from then on."""
-        node = self._pipeline.node
-        with node.noticed('Compiling the observer; measured poses are used from its end on.'):
-            if compiler := self._pipeline.compiler:
-                compiler.wait()
-            self.warm_up(self._live.model)
-        gc.freeze()  # as `spin` does: the compiler's garbage is never scanned again
+        self._pipeline.compile_filter()
         self.is_ready = True
-
-    def warm_up(self, model: ModelTuple) -> None:
-        """Compile the observer for a model, if a camera is possible."""
-        if self._has_camera:
-            warm_up_observer(self._pipeline.values, model)
 
     def _on_measured(self, data: bytes) -> None:
         """Correct the prediction by a measured pose."""

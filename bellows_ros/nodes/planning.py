@@ -22,7 +22,7 @@ from .outputs import Predicting, Topic
 from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
 from ..core.live.plan_tracker import DEVIATED, DONE, MAX_WAIT, PlanTracker, thin_out, WAITING
-from ..core.live.uncertainty import STILL, Uncertainty
+from ..core.live.uncertainty import STILL
 from ..core.model.grip import safety_sentence
 from ..core.model.simulation import ToolRows
 from ..core.parameters.conversion import grip_of, parameter_envelope, tip_of
@@ -163,6 +163,7 @@ class Planning:
 
     def _warm_up(self) -> None:
         """Compile the answers to a plan and to a request with an example of each."""
+        self._pipeline.compile_filter()
         model, tracker = self._live.model, PlanTracker(_standstill(), 0)
         tracker.follow(STILL)
         PlanSimulation(
@@ -171,8 +172,7 @@ class Planning:
         assert self._live.flight is not None  # set with the values
         with suppress(BellowsError):  # the package may have landed
             self._live.flight.later(model, STILL, 0.1)
-        self._live.flight.root_later(
-            model, STILL, 0.1, Uncertainty(model, self._pipeline.values))
+        self._live.flight.root_later(model, STILL, 0.1, self._pipeline.uncertainty)
         gc.freeze()  # the collector need not scan objects of numba
 
     def rest(self, now: Prediction, deviations: float = 0.0) -> ToolRows | None:

@@ -111,7 +111,7 @@ def held():
     return sum(trace.size for trace in taken.traces)
 
 partner.wait(lambda: predictor.pipeline.live.pairing.expect and all(
-    topic.subscribed for topic in topics_of(predictor)))
+    topic.subscribed and topic.is_ready for topic in topics_of(predictor)))
 predictor.diagnostics.report()
 modules, compiled = set(sys.modules), signatures()
 pressure_out.publish(stamped(FluidPressure(fluid_pressure=30000.0), START))

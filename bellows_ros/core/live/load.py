@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
-from bellows_ros.core.live.payload import prepared
-from bellows_ros.core.live.uncertainty import Prediction, STILL, Uncertainty
+from bellows_ros.core.live.payload import LivePayload
+from bellows_ros.core.live.uncertainty import Prediction, STILL
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
 from bellows_ros.core.model.validity_range import Distance, distance
-from bellows_ros.core.observer.states import stated_by
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.conversion import NO_CUPS
@@ -286,14 +285,14 @@ def check_live(values: Values) -> None:
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
             'seven numbers, from the file that bellows identify wrote.')
     cup, package = conversion.cup_of(values), conversion.package_of(values)
-    model = prepared(cup, package, conversion.gravity_of(values))[0]
+    payload = LivePayload(cup, package, conversion.gravity_of(values))
+    model = payload.model
     load = Load(values, values.vacuum.ambient)  # compiled also before a vacuum is measured
     try:
         with np.errstate(all='ignore'):
             load.watch_force(model, STILL)
             load.watch_deflection(model, STILL)
-            Uncertainty(model, values)
-            stated_by(values, model)
+            payload.filter_with(values)
             equivalent_box(values)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(

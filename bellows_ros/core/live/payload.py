@@ -11,8 +11,9 @@ from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
+from bellows_ros.core.observer.correction import Correction
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
-from bellows_ros.core.observer.measurement import Measurement
+from bellows_ros.core.observer.measurement import Measurement, PoseSensor
 from bellows_ros.core.observer.observer import Observer, Payload
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, SAME_PACKAGE
 from bellows_ros.core.parameters.conversion import package_of, stated_std
@@ -148,6 +149,11 @@ class LivePayload:
             self.sample = Sample(stamp_ns, tool, equilibrium.adapted(self._model, tool, body))
         if self.observer is not None:
             self.observe(self.observer)
+
+    def filter_with(self, values: Values) -> Correction:
+        """Return the filter of this cup and package with the stated errors of parameters."""
+        return Correction(values, PoseSensor(values).marker, self._model, self._longest_step,
+                          self._reach)
 
     def observe(self, observer: Observer) -> None:
         """Let an observer correct the package from now on."""

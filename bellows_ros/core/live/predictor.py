@@ -393,7 +393,7 @@ class LivePredictor:
         self.package.set_model(cup_of(values), package_of(values))
         self.load = load = Load(
             values, self.load.pressure if self.load else None, self.vacuum.of_cups)
-        self.uncertainty = Uncertainty(self.model, values)
+        self.uncertainty = Uncertainty(self.package.filter_with(values))
         self.coast_limit_ns = round(values.coast.limit * NS_PER_S)
         if self.flight is None or not self.flight.state:
             self.flight = Flight(

@@ -1,21 +1,9 @@
 """
-Predictions, and their covariance from uncertain K and P and from noise on the tool's pose.
+Predictions, and their covariance by the filter of the observer, which runs without a camera too.
 
-The covariance is of first order, from the small motions about the package's rest under the initial
-tool:
-
-- each uncertain entry of K and P drives a sensitivity of the state along the real motion, as the
-  wrench is linear in it (4.67);
-- noise of the tool's pose, white from sample to sample, gives a constant part, the covariance of a
-  linear system in steady state;
-- while the tool is extrapolated its unknown acceleration is added;
-- the initial error under a moving tool is followed as it swings out.
-
-Rotation of the axes during the motion is neglected. All numbers are in body axes: displacement,
-rotation, linear and angular twist. Every part is stored as a root (12, n), whose product with its
-transpose is the covariance, positive semidefinite in spite of rounding. Without a stable rest of
-the package there is no covariance (`available`). A cup that relaxes has 12 more states, its
-internal strains, on which noise of the tool has no effect.
+The filter starts with a package that has hung at rest, with the priors of cup and package (see
+`states`). Noise of the tool's pose is white from sample to sample. While the tool is extrapolated
+its unknown acceleration is added.
 
 A package starts at rest below its tool. If the tool moves then, or if its poses jump implausibly
 later, the prediction has an error that decays with the package's modes. Until then the prediction
@@ -23,31 +11,20 @@ settles (`Settling`).
 """
 
 from collections.abc import Callable, Sequence
-from copy import copy
-from dataclasses import replace
-from functools import cache, partial
 import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import entry, kernel
-from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector, ZERO
-from bellows_ros.core.model import equilibrium
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.jacobians import parameter_jacobian
-from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Strains
-from bellows_ros.core.model.structure import composition
-from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.parameters.conversion import parameter_std, places_of
-from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.model.kernels import ORIGIN, State, Strains
+from bellows_ros.core.observer.correction import Correction, Known, Track
+from bellows_ros.core.observer.filter import Estimate
+from bellows_ros.core.observer.states import STATE
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
-
-STEP_NS = 4_000_000
-"""Shortest step of the sensitivities, ns, short for the package's modes."""
 
 COASTING_STD = np.tile(np.repeat([5.0, 25.0], 3), 2)
 """Standard deviations of an unobserved arm's acceleration, for pose and twist, m/s^2 and
@@ -58,6 +35,15 @@ UNKNOWN_ROOT = 1e3 * np.eye(12)
 
 RETRY_NS = 100_000_000
 """Time until a failed computation, which takes milliseconds, is repeated, ns."""
+
+STEP_NS = 4_000_000
+"""Shortest step of the filter, ns, short for the package's modes."""
+
+HUNG_NS = 1_000_000_000
+"""Time at rest before a start, in which the errors of cup and package displace it, ns."""
+
+MAX_GAP_NS = 500_000_000
+"""Longest interval between two predictions of one motion, ns."""
 
 
 class Unsettled(NamedTuple):
@@ -120,10 +106,8 @@ class Uncertainty:
 
     Parameters
     ----------
-    model : tuple
-        Model for the kernels.
-    values : mapping
-        Parameters by name: cup.stiffness_std, cup.damping_std, tool_noise.*.
+    correction : Correction
+        Filter with the stated errors of cup, package and tool.
 
     Attributes
     ----------
@@ -132,18 +116,13 @@ class Uncertainty:
 
     """
 
-    def __init__(self, model: ModelTuple, values: Values) -> None:
-        """Set the uncertainties; the model is linearised at the first prediction."""
+    def __init__(self, correction: Correction) -> None:
+        """Set the filter; it starts at the first prediction."""
         self.available = True
-        self._model = model
-        self._noise = np.repeat([values.tool_noise.position, values.tool_noise.rotation], 3)
-        std = parameter_std(values)[:42]  # of the upper triangles of K and of P of one cup
-        of_gripper = np.kron(np.eye(2), composition(places_of(values)))
-        self._factor = (of_gripper * std)[:, std > 0.0]
-        self._sensitivity: Array | None = None
-        self._transient: Array = np.eye(12)
-        self._transient_since_ns = self._last_ns = self._measured_ns = self._tried_ns = -1
-        self._period_ns = STEP_NS
+        self._correction, self._track = correction, Track()
+        self._now: Estimate | None = None
+        self._since: Estimate  # at the begin of the present error of the start
+        self._unsettled: Unsettled | None = None
 
     def covariance(self, prediction: Prediction) -> Array:
         """
@@ -156,141 +135,106 @@ class Uncertainty:
         return np.asarray(root @ root.T)
 
     def root(self, prediction: Prediction) -> Array:
-        """Return a factor (12, n) of the covariance, `UNKNOWN_ROOT` for an undefined one."""
-        stamp_ns = prediction.stamp_ns
-        if not prediction.coasting:
-            interval = stamp_ns - self._measured_ns
-            if self._measured_ns >= 0 and 0 < interval < 100_000_000:  # rounded to 2^n us
-                self._period_ns = 1000 * 2 ** round(math.log2(max(interval, 1000) / 1000))
-            self._measured_ns = stamp_ns
-        observed = prediction.covariance and prediction.covariance()
-        if observed is None and not self.available and abs(stamp_ns - self._tried_ns) < RETRY_NS:
-            return UNKNOWN_ROOT
+        """Return a factor (12, 12) of the covariance, `UNKNOWN_ROOT` for an undefined one."""
         try:
-            root = self._root(prediction) if observed is None else np.asarray(
-                np.linalg.cholesky(observed))
-            self.available = bool(np.isfinite(root).all())
-        except (BellowsError, ArithmeticError, ValueError):  # no rest, or indefinite by rounding
-            self.available = False
-        if self.available:
-            return root
-        if observed is None:
-            self._sensitivity, self._tried_ns = None, stamp_ns
+            observed = prediction.covariance and prediction.covariance()
+            return self._rooted(
+                self._followed(prediction) if observed is None else observed)
+        except (BellowsError, ArithmeticError, ValueError):  # indefinite by rounding
+            self.available, self._now = False, None
         return UNKNOWN_ROOT
 
+    def _rooted(self, covariance: Array) -> Array:
+        """Return the factor of a covariance, or raise ArithmeticError if it is not finite."""
+        root = np.linalg.cholesky(covariance)
+        if not np.isfinite(root).all():
+            raise ArithmeticError
+        self.available = True
+        return np.asarray(root)
+
     def later(self, now: Prediction, future: Sequence[Prediction]) -> Array:
-        """Return `root` at the end of a predicted motion, without changing the sensitivities."""
-        ahead = copy(self)
-        observed = None if ahead.root(now) is UNKNOWN_ROOT or not now.covariance else (
-            now.covariance())
+        """Return `root` at the end of a predicted motion, without changing the filter."""
+        ahead, newest = Uncertainty(self._correction), self._now
         try:
-            for prediction in future:
-                ahead._sensitivity_at(prediction)
-            root = ahead._root(future[-1])
+            observed = now.covariance and now.covariance()
+            if newest is None or abs(now.stamp_ns - newest.stamp_ns) > MAX_GAP_NS:
+                ahead._followed(now)
+                newest = ahead._now
+            assert newest
+            P = newest.covariance.copy()
             if observed is not None:
-                seconds = (future[-1].stamp_ns - now.stamp_ns) / NS_PER_S
-                root = np.hstack([root, expm(ahead._A * seconds)[:12, :12] @ np.linalg.cholesky(
-                    observed)])
+                P[:STATE] = P[:, :STATE] = 0.0
+                P[:STATE, :STATE] = observed
+            ahead._begin(ahead._begun(now)._replace(covariance=P))
+            for prediction in future:
+                ahead._advance(prediction)
+            assert ahead._now
+            P = ahead._now.covariance[:STATE, :STATE]
+            return self._rooted(P + coasting(now.stamp_ns, future[-1]))
         except (BellowsError, ArithmeticError, ValueError):
             return UNKNOWN_ROOT
-        return root if np.isfinite(root).all() else UNKNOWN_ROOT
 
-    def _root(self, prediction: Prediction) -> Array:
-        """Return the factor of all parts, possibly not finite."""
-        parts = [self._sensitivity_at(prediction)[:12]]
-        parts.append(self._noise_root(self._period_ns / NS_PER_S)[:12])
-        if prediction.coasting:
-            seconds = (prediction.stamp_ns - self._measured_ns) / NS_PER_S
-            parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING_STD)
-        if start := prediction.unsettled:  # remaining initial errors, one column each
-            if start.since_ns != self._transient_since_ns:
-                seconds = max(0.0, (prediction.stamp_ns - start.since_ns) / NS_PER_S)
-                self._transient = expm(self._A * seconds)[:, :12]
-                self._transient_since_ns = start.since_ns
-            parts.append(self._transient[:12] * np.repeat(start[1:], 3))
-        transform = np.eye(12)  # a twist's error by the error phi of its axes: v x phi
-        transform[6:9, 3:6], transform[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
-        return np.asarray(transform @ np.hstack(parts))
+    def _followed(self, prediction: Prediction) -> Array:
+        """Return the covariance (12, 12) of a prediction, with the filter advanced to it."""
+        now, stamp_ns = self._now, prediction.stamp_ns
+        if now is None or not 0 <= stamp_ns - now.stamp_ns < MAX_GAP_NS:
+            self._begin(self._correction.after_hanging(self._begun(prediction), HUNG_NS))
+        elif stamp_ns > self._track.newest_ns and not prediction.coasting:
+            self._advance(prediction)
+        if prediction.unsettled != self._unsettled:
+            self._unsettle(prediction.unsettled)
+        assert self._now
+        P = self._correction.with_noise_of_sample(self._now).covariance[:STATE, :STATE]
+        return P + coasting(self._now.stamp_ns, prediction)
 
-    def _linearise(self, tool: State) -> None:
-        """Linearise the small motions about the package's rest under a tool."""
-        still = ZERO, tool[1], ZERO, ZERO
-        rest = equilibrium.static_equilibrium(self._model, still)
-        jacobian = equilibrium.linearise(self._model, still, rest)
-        self._A = equilibrium.system_matrix(self._model, still, rest)
-        self._propagation = cache(partial(propagation, self._A))
-        self._noise_root = cache(partial(
-            noise_root, self._A, jacobian.tool_pose, jacobian.tool_twist, self._noise))
-        self._transient_since_ns = -1
+    def _begun(self, prediction: Prediction) -> Estimate:
+        """Return the estimate of a package with an exact state."""
+        P = self._correction.prior_covariance.copy()
+        P[:STATE, :STATE] = 0.0
+        return self._correction.start(prediction.stamp_ns, prediction.tool, prediction.body, Known(
+            np.zeros(len(P) - STATE), P, self._correction.first_memory), ())
 
-    def _sensitivity_at(self, prediction: Prediction) -> Array:
-        """Return d state / d parameter times the parameters' standard deviations, by column."""
-        duration_ns = prediction.stamp_ns - self._last_ns
-        S = self._sensitivity
-        if S is not None and 0 <= duration_ns < STEP_NS:
-            return S
-        count = len(self._factor)
-        slopes = np.zeros((12 + 6 * len(self._model[0][4:]), count))
-        parameter_jacobian(
-            self._model, prediction.tool, prediction.body, 0, count, slopes[6:12])
-        forcing = slopes @ self._factor
-        if S is None or not 0 <= duration_ns < 500_000_000:
-            self._linearise(prediction.tool)
-            S = np.asarray(np.linalg.solve(self._A, -forcing))  # at rest
-        else:
-            transition, gain = self._propagation(1e-4 * max(1, round(duration_ns / 100_000)))
-            S = transition @ S + gain @ forcing
-            if prediction.unsettled is not None:
-                self._transient = transition @ self._transient
-        self._sensitivity, self._last_ns = S, prediction.stamp_ns
-        return S
+    def _begin(self, estimate: Estimate) -> None:
+        """Follow a motion from an estimate on."""
+        self._now = self._since = estimate
+        self._unsettled = None
+        self._track.begin(estimate.stamp_ns)
+        self._tool = estimate.tool
 
+    def _advance(self, prediction: Prediction) -> None:
+        """Store a prediction, and advance the filter to it if a step has passed."""
+        now, track, stamp_ns = self._now, self._track, prediction.stamp_ns
+        assert now
+        track.discard_before(self._since.stamp_ns)
+        track.add(stamp_ns, self._tool, prediction.tool, prediction.body)
+        self._tool = prediction.tool
+        if stamp_ns - now.stamp_ns < STEP_NS:
+            return
+        self._now = self._correction.propagated(now, track, stamp_ns)
+        if prediction.unsettled is None:
+            self._since = self._now
+            track.begin(stamp_ns)
 
-def propagation(A: Array, seconds: float) -> tuple[Array, Array]:
-    """Return exp(A h) and its integral."""
-    n = len(A)
-    both = expm(np.block([[A, np.eye(n)], [np.zeros((n, 2 * n))]]) * seconds)
-    return both[:n, :n], both[:n, n:]
+    def _unsettle(self, error: Unsettled | None) -> None:
+        """Include another error of the start, or of a jump since the last prediction."""
+        now, self._unsettled = self._now, error
+        assert now
+        if error is None:
+            return
+        if error.since_ns > self._since.stamp_ns:
+            self._since = now
+        P = self._since.covariance.copy()
+        P[:STATE, :STATE] += np.diag(np.square(np.repeat(error[1:], 3)))
+        self._now = self._since._replace(covariance=P)
+        if now.stamp_ns > self._since.stamp_ns:
+            self._now = self._correction.propagated(self._now, self._track, now.stamp_ns)
 
 
-def noise_root(
-    A: Array, tool_pose: Array, tool_twist: Array, noise: Array, period: float
-) -> Array:
-    """
-    Return the factor of the covariance by many samples e of noise, each held for a period.
-
-    The tool's twist is de/dt with slope B_v. Integration by parts replaces B_v de/dt by the input
-    A B_v e and the boundary term B_v e. L and T L are reduced to one triangle (12, 12).
-    """
-    direct, by_pose = np.zeros((2, len(A), 6))
-    direct[6:12], by_pose[6:12] = tool_twist, tool_pose
-    transition, gain = propagation(A, period)
-    root: Array = gain @ (by_pose + A @ direct) * noise
-    for _ in range(15):  # a horizon of 2^15 samples
-        root = np.linalg.qr(np.hstack([root, transition @ root]).T)[1].T
-        transition = transition @ transition
-    return np.asarray(np.hstack([root, direct * noise]))
-
-
-def expm(M: Array) -> Array:
-    """Return exp(M) by a series with halving, to rounding; SciPy's takes 0.3 s to load."""
-    halvings = max(0, math.frexp(float(np.abs(M).sum(axis=1).max()))[1] + 1)
-    term = result = np.eye(len(M))
-    for k in range(1, 14):  # the norm is at most 0.5
-        term = term @ M / (k * 2.0 ** halvings)
-        result = result + term
-    return np.asarray(np.linalg.matrix_power(result, 2 ** halvings))
-
-
-def warm_up_uncertainty(relaxation: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Compile all kernels of a covariance, with a model that has one."""
-    package = Package(1.0, 0.01 * np.eye(3), np.array([0.0, 0.0, -0.03]))
-    model = model_tuple(replace(Cup.thesis(), relaxation=relaxation), package, 9.81)
-    values = resolve({
-        'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36,
-        'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0, 'package.mass': 1.0})
-    strains = equilibrium.adapted(model, ORIGIN, ORIGIN)[4:]
-    Uncertainty(model, values).covariance(STILL._replace(strains=strains))
+def coasting(since_ns: int, prediction: Prediction) -> Array:
+    """Return the covariance (12, 12) by the acceleration of an extrapolated tool since a stamp."""
+    seconds = (prediction.stamp_ns - since_ns) / NS_PER_S if prediction.coasting else 0.0
+    return np.diag(np.square(
+        np.repeat([0.5 * seconds ** 2, seconds], 6) * COASTING_STD))
 
 
 def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:

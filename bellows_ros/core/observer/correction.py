@@ -12,7 +12,7 @@ from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, State
-from bellows_ros.core.model.simulation import first_after
+from bellows_ros.core.model.simulation import first_after, write_row
 from bellows_ros.core.model.structure import is_single, maps
 from bellows_ros.core.observer import alarms, dynamics, likelihood, states
 from bellows_ros.core.observer import filter as ekf
@@ -93,6 +93,9 @@ errors."""
 
 TOOL_LATENCY = 5e-3
 """Largest delay of the tool's poses, s."""
+
+HANGING_SAMPLES = 100
+"""Number of tool samples of a package that hangs: their noise is white from sample to sample."""
 
 FIRST_PERIOD = 0.03
 """Initial time between measurements, s."""
@@ -194,6 +197,14 @@ class Track:
         """Count a sample that was written to the rows."""
         self.count, self.newest_ns = self.count + 1, stamp_ns
 
+    def add(self, stamp_ns: int, start: State, end: State, body: State) -> None:
+        """Store a sample of tool and package."""
+        stamps, starts, ends, bodies = self.rows
+        stamps[self.count] = stamp_ns
+        for rows, state in ((starts, start), (ends, end), (bodies, body)):
+            write_row(rows[self.count], state)
+        self.advance(stamp_ns)
+
     def after(self, stamp_ns: int) -> int:
         """Return the index of the first sample after a stamp."""
         return int(first_after(self.rows[0], stamp_ns, self.count))
@@ -292,10 +303,13 @@ class Correction:
         still: State = *estimate.tool[:2], ZERO, ZERO
         body: State = *estimate.body[:2], ZERO, ZERO, *estimate.body[4:]
         track.begin(since_ns)
-        ekf.followed(
-            self.row(estimate.lost_cups), self.law, estimate.theta, body,
-            (*track.rows, track.count), estimate.stamp_ns, still, still, self.max_step, self.reach)
-        track.advance(estimate.stamp_ns)
+        hanging = body
+        for k in range(1, HANGING_SAMPLES + 1):
+            stamp_ns = since_ns + k * hung_ns // HANGING_SAMPLES
+            hanging, _, _ = ekf.followed(
+                self.row(estimate.lost_cups), self.law, estimate.theta, hanging,
+                (*track.rows, track.count), stamp_ns, still, still, self.max_step, self.reach)
+            track.advance(stamp_ns)
         before = estimate._replace(
             stamp_ns=since_ns, tool=still, body=body, evidence=NO_EVIDENCE)
         return estimate._replace(

@@ -24,7 +24,6 @@ from ..tosses import GRIP, values
 
 RUBBER = replace(CUP, relaxation=(0.2, 0.25))
 STRETCHED = replace(CUP, stretch=(-2.5e4, -15.0))
-MODEL = model_tuple(RUBBER, PACKAGE, 9.81)
 PLAIN = model_tuple(CUP, PACKAGE, 9.81)
 SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.3, 0.0], 0.6)
 
@@ -87,7 +86,7 @@ def test_relaxation_and_stretch_are_set_while_running():
             1 + k * 4_000_000, 'world', found.position, found.quaternion_xyzw)
     assert observer.counts['used'] > 10
     assert len(found.strains) == 2
-    root = Uncertainty(MODEL, resolve(values())).root(found)
+    root = Uncertainty(predictor.package.filter_with(resolve(values()))).root(found)
     assert np.isfinite(root).all()
 
 

@@ -12,7 +12,8 @@ import pytest
 
 from ..cases import MS, PLATE, START, UPRIGHT
 
-EXACT = resolve({'tool_noise.position': 1e-4, 'tool_noise.rotation': 5e-4})
+STATED = resolve({
+    'tool_noise.position': 1e-4, 'tool_noise.rotation': 5e-4, 'package.mass': PLATE.mass})
 NOISE = 1e-4
 SOON_NS = 60 * MS
 """Within so long of a clean stream, or a few poses, it predicts again."""
@@ -23,7 +24,7 @@ class Cell:
 
     def __init__(self, period_ns):
         self.live = LivePredictor(Cup.thesis(), PLATE, 9.81)
-        self.uncertainty = Uncertainty(self.live.model, EXACT)
+        self.uncertainty = Uncertainty(self.live.package.filter_with(STATED))
         self.period_ns, self.stamp = period_ns, START
 
     def send(self, position, twist=None):

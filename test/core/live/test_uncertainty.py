@@ -19,18 +19,25 @@ START = 1_760_000_000_000_000_000
 PERIOD = 2_777_778
 THESIS = Cup.thesis()
 COUNT = 1000
-NO_STD = (0.0,) * 36
 DRAWS = 25
 SETTLED = 450
 """So many samples after a start it is not felt any more."""
 
 
-def values(stiffness_std=NO_STD, damping_std=NO_STD, position=0.0, rotation=0.0):
+def values(position=0.0, rotation=0.0, cup=THESIS):
     """Return parameters of the uncertainty."""
     return resolve({
-        'cup.stiffness_std': np.ravel(stiffness_std).tolist(), 'tool_noise.rotation': rotation,
-        'cup.damping_std': np.ravel(damping_std).tolist(), 'tool_noise.position': position,
-        'package.mass': 2.17})
+        'cup.stiffness_std': np.diag(0.1 * np.diag(cup.stiffness)).ravel().tolist(),
+        'cup.damping_std': np.diag(0.2 * np.diag(cup.damping)).ravel().tolist(),
+        'tool_noise.rotation': rotation, 'tool_noise.position': position,
+        'package.mass': 2.17, 'package.mass_std': 0.04, 'package.com_std': [2e-3] * 3})
+
+
+def exact(**more):
+    """Return parameters of a cup and a package that are known."""
+    return values(**more).replaced({
+        'cup.stiffness_std': (1e-6,) * 36, 'cup.damping_std': (1e-9,) * 36,
+        'package.mass_std': 1e-9, 'package.com_std': (1e-9,) * 3})
 
 
 def tool_poses():
@@ -45,9 +52,9 @@ def tool_poses():
             (0.0, math.sin(angle / 2), 0.0, math.cos(angle / 2)))
 
 
-def predict(cup=THESIS, rng=None, position=0.0, rotation=0.0):
+def predict(cup=THESIS, package=PLATE, rng=None, position=0.0, rotation=0.0):
     """Return predictions, with noise on the poses where a generator is given."""
-    live, out = LivePredictor(cup, PLATE, 9.81), []
+    live, out = LivePredictor(cup, package, 9.81), []
     for stamp, o, q in tool_poses():
         if rng is not None:
             o = tuple((o + rng.normal(0.0, position, 3)).tolist())
@@ -74,33 +81,32 @@ def rms(array):
     return np.sqrt(np.mean(np.square(array), axis=tuple(range(np.ndim(array) - 1))))
 
 
-@pytest.mark.parametrize('what', ['stiffness', 'damping'])
-def test_uncertain_cup(what):
+def test_uncertain_cup_and_package():
+    """To first order, where motion couples the axes; the filter adds a model error to twists."""
     rng = np.random.default_rng(5)
-    part = 0.02 if what == 'stiffness' else 0.1
-    std = part * getattr(THESIS, what)
     live, base = predict()
     drawn = []
     for _ in range(DRAWS):
-        change = np.diag(rng.standard_normal(6)) * std
-        K = THESIS.stiffness + change * (what == 'stiffness')
-        P = THESIS.damping + change * (what == 'damping')
-        drawn.append(errors(predict(Cup(K, P, 0.0481))[1], base)[SETTLED:])
-    uncertainty = Uncertainty(live.model, values(**{f'{what}_std': std}))
+        K, P = (M + np.diag(share * rng.standard_normal(6)) * M
+                for M, share in ((THESIS.stiffness, 0.1), (THESIS.damping, 0.2)))
+        package = Package(PLATE.mass * (1.0 + 0.02 * rng.standard_normal()), PLATE.inertia,
+                          PLATE.com + 2e-3 * rng.standard_normal(3))
+        drawn.append(errors(predict(Cup(K, P, 0.0481), package)[1], base)[SETTLED:])
+    uncertainty = Uncertainty(live.package.filter_with(values()))
     said = np.sqrt([np.diag(uncertainty.covariance(p)) for p in base])[SETTLED:]
-    got, said = rms(np.array(drawn)), rms(said)
-    # To first order, where motion couples the axes: right within a factor of two in each.
-    assert_allclose(np.log2(said / got), 0.0, atol=1.0)
+    ratio = np.log2(rms(said) / rms(np.array(drawn)))
+    assert_allclose(ratio[:6], 0.0, atol=0.6)
+    assert np.all((ratio[6:] > -0.6) & (ratio[6:] < 2.2))
 
 
 def test_covariance_of_a_later_state_is_that_of_its_own_time():
     """With the tool as planned; without a plan the tool's acceleration is added."""
     live, base = predict()
-    said = values(0.02 * THESIS.stiffness, 0.1 * THESIS.damping, 1e-4, 1e-3)
+    said = values()
     at, later = 600, 690
     rows = ToolRows(np.arange(later - at + 1) * PERIOD, np.array([
         np.concatenate(p.tool) for p in base[at:later + 1]]))
-    uncertainty = Uncertainty(live.model, said)
+    uncertainty = Uncertainty(live.package.filter_with(said))
     for prediction in base[:at]:
         uncertainty.root(prediction)
     planned, steady = (Flight(said, lambda now, deviations, rows=known: rows).root_later(
@@ -115,30 +121,25 @@ def test_covariance_of_a_later_state_is_that_of_its_own_time():
 
 
 def test_noise_of_the_tool_pose():
+    """Yaw is excited by the product of two errors, too, which the filter leaves out."""
     live, base = predict()
-    drawn = [errors(predict(rng=np.random.default_rng(k), position=1e-4, rotation=5e-4)[1], base)
+    drawn = [errors(predict(rng=np.random.default_rng(k), position=1e-3, rotation=5e-3)[1], base)
              for k in range(10)]
-    uncertainty = Uncertainty(live.model, values(position=1e-4, rotation=5e-4))
+    uncertainty = Uncertainty(live.package.filter_with(exact(position=1e-3, rotation=5e-3)))
     said = np.sqrt([np.diag(uncertainty.covariance(p)) for p in base])
-    assert_allclose(rms(said[SETTLED:]) / rms(np.array(drawn)[:, SETTLED:]), 1.0, atol=0.5)
+    ratio = rms(said[SETTLED:]) / rms(np.array(drawn)[:, SETTLED:])
+    assert_allclose(np.delete(ratio, 5), 1.0, atol=0.2)
 
 
 def test_covariance_grows_while_coasting():
     live, base = predict()
-    uncertainty = Uncertainty(live.model, values(0.1 * THESIS.stiffness, position=1e-4))
+    uncertainty = Uncertainty(live.package.filter_with(values(position=1e-4)))
     before = [uncertainty.covariance(p) for p in base][-1]
     last = base[-1]
     later = [uncertainty.covariance(last._replace(
         stamp_ns=last.stamp_ns + ms * 1_000_000, coasting=True)) for ms in (20, 50, 100)]
     sizes = [np.trace(C[:6, :6]) for C in (before, *later)]
     assert sizes == sorted(sizes) and sizes[-1] > 10 * sizes[0]
-
-
-def test_exact_knowledge_has_no_covariance():
-    live, base = predict()
-    uncertainty = Uncertainty(live.model, values())
-    assert uncertainty.covariance(base[0]).any()  # it may be that the tool moves
-    assert not uncertainty.covariance(base[SETTLED]).any()
 
 
 def test_a_package_that_hangs_from_a_tool_that_points_down_has_a_covariance():
@@ -148,23 +149,10 @@ def test_a_package_that_hangs_from_a_tool_that_points_down_has_a_covariance():
     down = (1.0, 0.0, 0.0, 0.0)
     out = [p for k in range(900)
            for p in live.on_pose(START + k * PERIOD, 'world', (0.0, 0.0, 0.0), down)]
-    uncertainty = Uncertainty(live.model, values(0.1 * THESIS.stiffness, position=1e-4))
+    uncertainty = Uncertainty(live.package.filter_with(values(position=1e-4)))
     sizes = [np.sqrt(np.diag(uncertainty.covariance(p))[:6]).max() for p in out][SETTLED:]
     assert uncertainty.available and len(out) > 400
     assert 1e-5 < min(sizes) and max(sizes) < 1e-2
-
-
-@pytest.mark.filterwarnings('error')
-def test_a_covariance_that_is_not_known_says_so_and_comes_back():
-    _, out = predict()
-    upside_down = out[0].tool[0], (1.0, 0.0, 0.0, 0.0), *out[0].tool[2:]
-    top_heavy = Package(20.0, np.diag([0.2, 0.2, 0.2]), (0.0, 0.0, -0.3))
-    fallen = LivePredictor(THESIS, top_heavy, 9.81)
-    uncertainty = Uncertainty(fallen.model, values(0.1 * THESIS.stiffness, position=1e-4))
-    assert_allclose(uncertainty.root(out[0]._replace(tool=upside_down)), UNKNOWN_ROOT)
-    assert not uncertainty.available
-    assert_allclose(uncertainty.root(out[1]), UNKNOWN_ROOT)  # not tried again at once
-    assert np.isfinite(uncertainty.covariance(out[60])).all() and uncertainty.available
 
 
 def test_pose_covariance_is_turned_into_fixed_axes():
@@ -180,8 +168,8 @@ def test_a_covariance_is_positive_semidefinite_whatever_the_damping(damping, dow
     """In body and in world axes, in every sample, with a diagonal that is not negative."""
     soft = Cup(np.diag([900.0, 900.0, 900.0, 3.0, 3.0, 0.5]), damping, 0.05)
     live = LivePredictor(soft, PLATE, 9.81)
-    uncertainty = Uncertainty(live.model, values(
-        0.1 * soft.stiffness, 0.1 * np.abs(damping), position=1e-3, rotation=1e-2))
+    uncertainty = Uncertainty(
+        live.package.filter_with(values(position=1e-3, rotation=1e-2, cup=soft)))
     for k in range(300):
         x = 0.02 * math.sin(0.02 * k)
         for p in live.on_pose(START + k * PERIOD, 'world', (x, 0.0, 0.0), down):
@@ -200,7 +188,7 @@ def test_a_start_under_a_moving_tool_is_covered_until_it_has_settled(start, twis
     driven = list(zip(*messages(tool, START), strict=True))
     live = LivePredictor(THESIS, PLATE, 9.81, twist_frame='tool')
     live.expect_twists(twists)
-    uncertainty = Uncertainty(live.model, values(position=1e-6, rotation=1e-6))
+    uncertainty = Uncertainty(live.package.filter_with(exact(position=1e-6, rotation=1e-6)))
     parts, phases, off = [], [], []
     for k in range(start, len(tool)):
         stamp, o, q, v, w = driven[k]
@@ -230,7 +218,7 @@ def norms(six):
 
 def test_covariance_of_an_observer_that_rounding_has_spoilt_is_unknown():
     live, out = predict()
-    uncertainty = Uncertainty(live.model, values())
+    uncertainty = Uncertainty(live.package.filter_with(values()))
     sound = np.diag([1e-6] * 6 + [1e-3] * 6)
     assert_allclose(uncertainty.covariance(out[0]._replace(covariance=lambda: sound)), sound)
     spoilt = sound - 2.0 * np.diag([0.0] * 11 + [1e-3])
