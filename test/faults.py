@@ -13,9 +13,9 @@ import argparse
 from collections import Counter
 import time
 
-from bellows_ros.core.identification.causes import facts
-from bellows_ros.core.identification.diagnosis.facts import BLOCKING, facts_of
 from bellows_ros.core.identification.methods import fit
+from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
+from bellows_ros.core.recording.pose_faults import Poses
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
@@ -33,21 +33,22 @@ def outcome(laboratory, cause, other=''):
     """
     try:
         recordings = laboratory.recordings()
-        warned = ' '.join(own.code for one in recordings for own in one.report.remarks)
-        if wrong := [fact.code for one in recordings for fact in facts_of(
-                one.tool_pose, one.package_pose, one.settings.R_world_recorded)
-                if fact.code in BLOCKING]:
-            return 'right' if cause in wrong else 'wrong and certain', ' '.join(wrong)
         values = parameters(laboratory)
         length = values['cup.length']
-        found = None if facts(recordings, length) else fit(recordings, values)
+        warned = ' '.join(own.code for one in recordings for own in one.report.remarks)
+        if wrong := [code for one in recordings for code in before_a_fit(one, length)]:
+            named = ' '.join(wrong)
+            return 'right' if cause in named and (not other or other in named) else (
+                'one of two' if other and (cause in named or other in named) else
+                'wrong and certain'), named
+        found = fit(recordings, values)
         verdict = verdict_of(found, recordings, length, values)
     except BellowsError as error:
         named = [own for own in (cause, other) if own and own in str(error)]
         return ('refused otherwise', 'one of two' if other else 'right', 'right')[len(named)], (
             str(error)[:90])
-    findings = verdict.diagnosis.findings
-    named = [f'{own.name} {own.value}{own.sentence} {own.instead} '
+    findings = verdict.causing
+    named = [f'{own.name} {own.value} {own.instead} '
              f'{"certain" if own.certain else "perhaps"}' for own in findings]
     said = '; '.join([*named, *verdict.refusals])[:200]
     if other and named:
@@ -65,6 +66,15 @@ def outcome(laboratory, cause, other=''):
     if cause in first:
         word = {'silent': 'right', 'silent and wrong': 'said, and wrong'}.get(word, word)
     return word, f'{first} {off}'
+
+
+def before_a_fit(recording, length):
+    """Return the codes of the faults that prevent a fit."""
+    poses = Poses(recording.tool_pose, recording.package_pose, recording.settings.R_world_recorded,
+                  recording.payload)
+    found = *recording.report.remarks, *pose_remarks(poses)
+    wrong = [own.code for own in found if own.prevents]
+    return wrong or [own.code for own in recording_remarks(recording, length) if own.prevents]
 
 
 def of_one(named, cause):

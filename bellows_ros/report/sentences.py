@@ -22,7 +22,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.causes import Finding, ROUGH_STD
+from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING, TYPICAL_BENDING
 from bellows_ros.core.recording import alignment
 from bellows_ros.errors import shown
@@ -143,8 +143,6 @@ def _finding(cause: str, parts: 'Sizes', alarm: 'Alarm') -> str:
 
 def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
     """Return the cause of a finding, its size, the misfit with its correction, and a remedy."""
-    if finding.sentence:
-        return finding.sentence
     name, theta, std = _cause_of(finding), finding.theta.tolist(), finding.std.tolist()
     numbers: dict[str, Any] = {'value': finding.value, 'theta': theta, 'std': std}
     if theta:
@@ -156,7 +154,7 @@ def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
         numbers |= FINDING_FIELDS[name](finding, given)
     what, *more = (sentence('causes', f'{name}.{part}', **numbers) for part in ('what', 'remedy')
                    if f'{name}.{part}' in texts('causes'))
-    if not finding.is_fact and finding.name != 'unknown' and finding.share > 0.0:
+    if finding.name != 'unknown' and finding.share > 0.0:
         more.insert(0, f'It explains {100.0 * finding.share:.2g} % of the misfit.')
     return ' '.join([f'{what}.', *more])
 
@@ -177,7 +175,7 @@ def _cause_of(finding: Finding) -> str:
         return 'length or com'
     if finding.instead == 'force':
         return 'gravity or force'
-    if finding.name == 'inertia' and not finding.value:
+    if finding.name == 'inertia':
         return 'factor of inertia'
     return 'axis of gravity' if finding.value.startswith('gravity') else finding.name
 
@@ -227,14 +225,10 @@ def _thousandths(value: float, std: float) -> str:
 FINDING_FIELDS: Mapping[str, Callable[[Finding, Mapping[str, Any]], dict[str, Any]]] = {
     'package_world': lambda finding, given: {
         'motion': alignment.motion_sentence(finding.theta, finding.std)},
-    **dict.fromkeys(('mass', 'inertia'), lambda finding, given: {
-        'numbers': ', '.join(f'{x:g}' for x in np.atleast_1d(given[f'package.{finding.name}']))}),
     'factor of inertia': lambda finding, given: {
         'factor': np.exp(-finding.theta[0]), 'std': np.exp(-finding.theta[0]) * finding.std[0]},
     'time_offset': lambda finding, given: {
-        'offset': f'{_thousandths(finding.theta[0], finding.std[0])} ms'
-        if finding.std[0] < ROUGH_STD else f'about {abs(finding.theta[0]):.2f} s'},
-    'topics.tool_twist': lambda finding, given: {'topic': given.get('topics.tool_twist', 'tool')},
+        'offset': f'{_thousandths(finding.theta[0], finding.std[0])} ms'},
     'com': _com_fields,
     'length': lambda finding, given: {'length': given['cup.length'] + finding.theta[0]},
     'package_marker': _marker_fields,

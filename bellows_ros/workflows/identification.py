@@ -344,8 +344,8 @@ class Identification(CommandResult):
 
     def _fit_warnings(self) -> tuple[str, ...]:
         """Return the warnings of the fit and its equations, unless detected faults cause them."""
-        causes = self.verdict.diagnosis.findings[:1] if self.verdict else ()
-        if any(cause.material for cause in causes):
+        causes = self.verdict.causing[:1] if self.verdict else ()
+        if self.verdict and self.verdict.faults or any(cause.material for cause in causes):
             return ()
         is_explained = any(cause.certain for cause in causes) or self.verdict and (
             self.verdict.vibrations)

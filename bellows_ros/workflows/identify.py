@@ -13,24 +13,23 @@ import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core import configure_process, usable_cores
-from bellows_ros.core.identification import causes, methods
+from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import as_found, payload_of
 from bellows_ros.core.identification.reduction import (
     AnyRecording,
     reduced,
-    ReducedRecording,
     whole_recordings,
 )
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.alignment import FIT
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
-from bellows_ros.errors import BellowsError, require_pictures, UnexplainedError
+from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bag_folder
-from bellows_ros.report.sentences import finding_sentence
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
@@ -52,6 +51,9 @@ FIT_BEGINS = 0.2
 FIT_ENDS = 0.9
 """Fraction of the work at which the fit ends, for the progress display."""
 
+FORCE = "The cup was not fitted; 'bellows identify --force' fits it all the same."
+"""Remedy of a user who accepts the faults of a recording."""
+
 CAUSE_TESTS = 'testing possible causes'
 """Name of the diagnosis in the progress display."""
 
@@ -64,7 +66,7 @@ def identify(
     """
     Identify a cup from the recordings of the parameter `bags`.
 
-    Output error is not fitted if a given quantity is certainly wrong.
+    A recording with faults, or with a package that cannot be, is not fitted.
 
     Parameters
     ----------
@@ -102,8 +104,8 @@ def identify(
         effective = values.replaced({'cup.length': static.cup_length})
     with _runner(jobs, dask, len(values.bags)) as run:
         parts, pairs, failed = read_all(effective, progress, run, poses)
-        if values.fit.method == 'output_error' and not force:
-            _require_no_facts(parts, effective, progress)
+        if not force:
+            _require_no_faults(parts, effective, FORCE)
         return _identify(
             values, effective, parts, static, progress, pairs,
             failed=tuple(failed), assumed=(*_assumed(settings), *_doubts(values)),
@@ -123,19 +125,11 @@ def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['
     return processes(min(usable_cores() if jobs == -1 else jobs or 1, count))
 
 
-def _require_no_facts(
-    parts: Sequence[AnyRecording], values: Values, progress: Progress
-) -> None:
-    """Raise for recordings with faults detected without a fit, with all further faults."""
-    recordings = whole_recordings(parts)
-    found = [fact for part in parts if isinstance(part, ReducedRecording) for fact in part.facts]
-    if found or causes.facts(recordings, values.cup.length):
-        progress(CAUSE_TESTS, FIT_BEGINS)
-        verdict = verdict_of(None, recordings, values.cup.length, values)
-        words = verdict.cause if verdict else ()
-        raise UnexplainedError(' '.join([
-            *(words or (finding_sentence(fact, values) for fact in found)),
-            "The cup was not fitted; 'bellows identify --force' fits it all the same."]))
+def _require_no_faults(parts: Sequence[AnyRecording], values: Values, more: str = '') -> None:
+    """Raise for recordings with faults that make a cup wrong."""
+    for part in parts:
+        reading.require_none(
+            reduced(part, values.cup.length).remarks, FIT, part.name, more=more)
 
 
 def resolved(settings: Mapping[str, Any]) -> Values:
@@ -237,12 +231,8 @@ def read_part(
             reading.prepare_streams(poses[bag], settings, values), name=bag, digest=bag)
     else:
         recording = reading.load(path, values, name=bag, with_digest=True, held=True)
-    if causes.misread(recording):
-        verdict = verdict_of(None, [recording], values.cup.length, values)
-        raise BellowsError(' '.join(verdict.cause if verdict else ()))
+    recording = reading.checked(recording, values.cup.length)
     part, pair = reduced(recording, values.cup.length), methods.pair_of(recording, values, number)
-    if values.fit.method == 'output_error':
-        part = part._replace(facts=causes.faults_of(recording))
     return pair, recording if bag in keep else part
 
 
@@ -335,7 +325,7 @@ def _identify(
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
             static.standstills if static else (), pairs)
     except BellowsError:
-        _require_no_facts(parts, effective, progress)
+        _require_no_faults(parts, effective)
         raise
     if values.fit.structure == structure.AUTO:
         values, effective = (each.replaced({'fit.structure': fit.structure})

@@ -15,14 +15,15 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, log_so3
-from bellows_ros.core.identification.causes import IN_DEGREES
-from bellows_ros.core.identification.diagnosis.commission import Check, checks_of
-from bellows_ros.core.identification.diagnosis.facts import facts_of
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording import alignment, preparation, recording
+from bellows_ros.core.recording.alignment import Remark
+from bellows_ros.core.recording.commission import Check, checks_of
+from bellows_ros.core.recording.faults import pose_remarks
 from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.recording.pose_faults import Poses
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import (
@@ -37,9 +38,9 @@ from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import read_contents
 from bellows_ros.files.messages import DETECTIONS
-from bellows_ros.report.sentences import finding_sentence, sentence
+from bellows_ros.report.sentences import sentence
 from bellows_ros.workflows.holds import is_named, SIGNALS
-from bellows_ros.workflows.recordings import fact_sentences, remark_sentences, within_interval
+from bellows_ros.workflows.recordings import remark_sentences, within_interval
 import numpy as np
 
 MIN_HOLD = 4.0
@@ -347,7 +348,7 @@ def _with_roles(
             'An identification needs the poses of tool and package; the tool alone is enough '
             'only for a simulation or a prediction.')
     if in_degrees and twist:
-        notes.insert(0, finding_sentence(IN_DEGREES, {'topics.tool_twist': twist.topic}))
+        notes[:0] = remark_sentences([Remark('twist_in_degrees', {'topic': twist.topic})])
     return Info(str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes),
                 found)
 
@@ -359,9 +360,9 @@ def _registration_settings(
     """Add settings and notes on both poses; return the initial rest (s), and checks."""
     remarks, (tool, package) = list[str](), streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
-    error = fact_sentences([
-        fact for fact in facts_of(tool, package, R)
-        if fact.code not in ('tool_z', 'repeated_poses')], tool, package, path)
+    error = ' '.join(remark_sentences([
+        remark for remark in pose_remarks(Poses(tool, package, R))
+        if remark.code != 'tool_z'], path))  # a check below
     separate = '' if error else _why_separate(pair, tool, package)
     if separate:
         settings |= {

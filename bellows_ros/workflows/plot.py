@@ -13,13 +13,14 @@ from bellows_ros.core.model import cup_package, kernels
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.pose_faults import NO_INERTIA
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals import residuals, trajectory
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.recordings import load, NO_INERTIA
+from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import compared_poses, Live, Margins, predicted_live
 import numpy as np
 

@@ -14,21 +14,21 @@ from bellows_ros.core.geometry.lie import (
     quaternion_to_rotation,
     transform,
 )
-from bellows_ros.core.identification import causes
-from bellows_ros.core.identification.diagnosis.facts import BLOCKING, Fact, facts_of
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
-from bellows_ros.core.recording import conventions
 from bellows_ros.core.recording import recording as prepared
+from bellows_ros.core.recording.alignment import FIT, Remark, REPLAY
+from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
+from bellows_ros.core.recording.pose_faults import NO_INERTIA, Poses
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
-from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
+from bellows_ros.errors import BellowsError, NoTopicError, shown, UnexplainedError
 from bellows_ros.files import bag_folder, detections, File, parameter_files
-from bellows_ros.report.sentences import finding_sentence, sentence
+from bellows_ros.report.sentences import sentence
 import numpy as np
 
 Progress = Callable[..., None]
@@ -42,11 +42,11 @@ def no_progress(what: str, part: float = 0.0) -> None:
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 """Settings for reading whole recordings: plans, standstills, validations."""
 
+CONVERSIONS = {'millimetres': '--unit mm', 'quaternion_order': '--quaternion wxyz'}
+"""Options of `bellows convert` that correct a fault, by its code."""
+
 MIN_POSES = 20
 """Smallest number of poses of each body for a search for their faults."""
-
-NO_INERTIA = (0.0101, 0.0101, 0.0101, 0.0, 0.0, 0.0)
-"""Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
 
 FILES_OF = {'bags': 'package.files', 'static.bags': 'static.files'}
 """Parameters that name the parameter files of recordings."""
@@ -79,7 +79,7 @@ def load(
     held : bool
         Whether only the holds are used, if vacuum.signal is set.
     accepted : str
-        A fault of `BLOCKING` that is accepted.
+        Code of a fault that is accepted.
 
     Raises
     ------
@@ -181,14 +181,69 @@ def prepare_streams(
     Streams are poses of tool and package, and twists of the tool, if any, by the names of their
     topics.
     """
-    recording = _prepared(streams, settings, values, name, accepted)
+    return _with_remarks(_prepared(streams, settings, values, name, accepted), ())
+
+
+def checked(recording: Recording, length: float) -> Recording:
+    """
+    Return a recording with the remarks of all checks before a fit of a cup with a length (m).
+
+    Raises
+    ------
+    BellowsError
+        If a fault prevents a replay and any fit.
+
+    """
+    found = recording_remarks(recording, length)
+    require_none(found, REPLAY, recording.name)
+    return _with_remarks(recording, found)
+
+
+def _with_remarks(recording: Recording, more: tuple[Remark, ...]) -> Recording:
+    """Return a recording with further remarks, and their sentences as warnings."""
+    remarks = (*recording.report.remarks, *more)
     return replace(recording, report=replace(
-        recording.report, warnings=remark_sentences(recording.report.remarks)))
+        recording.report, remarks=remarks,
+        warnings=(*recording.report.warnings, *remark_sentences(more or remarks))))
 
 
-def remark_sentences(remarks: Iterable[frames.Remark]) -> tuple[str, ...]:
-    """Return sentences on the poses of a recording."""
-    return tuple(sentence('recording', remark.code, **remark.numbers) for remark in remarks)
+def remark_sentences(remarks: Iterable[Remark], name: File = '') -> tuple[str, ...]:
+    """Return sentences on a recording, with the commands that convert wrong conventions."""
+    remarks = tuple(remarks)
+    said = [sentence('recording', remark.code, **remark.numbers) for remark in remarks]
+    commands = _conversions(remarks, name)
+    return (*said, *[sentence('recording', 'convert', commands=commands)] * bool(commands))
+
+
+def _conversions(remarks: Iterable[Remark], name: File) -> str:
+    """Return the commands that correct units and quaternion orders, '' for none to correct."""
+    options: dict[str, list[str]] = {}
+    for remark in remarks:
+        if remark.code in CONVERSIONS:
+            options.setdefault(remark.numbers['topic'], []).append(CONVERSIONS[remark.code])
+    source = first = shown(os.fspath(name)) or 'RECORDING'
+    commands = []
+    for number, own in enumerate(sorted({tuple(each) for each in options.values()}), 1):
+        out = f"{first.rstrip('/')}_converted{number if number > 1 else ''}"
+        topics = [f'--topic {topic}' for topic, each in options.items() if tuple(each) == own]
+        commands.append(f"bellows convert {source} {' '.join([*topics, *own])} --out {out}")
+        source = out
+    return ' && '.join(commands)
+
+
+def require_none(
+    remarks: Iterable[Remark], use: str, name: File = '', accepted: str = '', more: str = ''
+) -> None:
+    """Raise for faults that prevent a use of a recording, except for an accepted one."""
+    prevented = (REPLAY,) if use == REPLAY else (FIT, REPLAY)
+    wrong = [remark for remark in remarks if remark.prevents in prevented
+             and remark.code != accepted]
+    if wrong:
+        error = BellowsError if any(each.prevents == REPLAY for each in wrong) else (
+            UnexplainedError)
+        raise error(' '.join([
+            *remark_sentences(wrong, name),
+            'More may be wrong: correct this, and run it again.', *[more] * bool(more)]))
 
 
 def _prepared(
@@ -210,12 +265,22 @@ def _prepared(
     registers = bool(values.fit.time_offset or world == checks.ESTIMATE
                      or 'package_marker' in values.fit.free)
     package = as_measured(in_camera(package, tool.frame_id, values), values)
-    _require_no_faults(tool, package, settings, registers, name, accepted)
+    found = pose_remarks(Poses(
+        tool, package, settings.R_world_recorded, settings.payload, settings.align_at_rest)) if (
+            min(len(tool), len(package)) >= MIN_POSES) else ()
+    require_none(found, FIT if registers else REPLAY, name, accepted)
+    recording = _joined(tool, package, twist, settings, values, registers)
+    return replace(recording, report=replace(
+        recording.report, remarks=(*recording.report.remarks, *found)))
+
+
+def _joined(
+    tool: PoseStream, package: PoseStream, twist: trajectory.TwistStream | None,
+    settings: PrepareSettings, values: Values, registers: bool,
+) -> Recording:
+    """Return prepared streams, in one world and on one clock."""
+    world = values.recording.package_world
     if registers:
-        payload, inertia = settings.payload, np.diag(settings.payload.inertia)
-        if tuple(inertia) != NO_INERTIA[:3] and (finding := causes.implausible_package(payload)):
-            raise UnexplainedError(finding_sentence(
-                finding, {'package.mass': payload.mass, 'package.inertia': inertia}))
         from bellows_ros.workflows.registration import registered_recording
 
         return registered_recording(tool, package, twist, settings, values)
@@ -272,31 +337,6 @@ def marker_alignment(values: Values) -> frames.Alignment | None:
         return None
     T = inverse_transform(transform(exp_so3(offset[3:]), offset[:3]))
     return frames.Alignment(np.eye(3), T[:3, :3], T[:3, :3].T @ T[:3, 3], np.zeros(3))
-
-
-def _require_no_faults(
-    tool: PoseStream, package: PoseStream, settings: PrepareSettings, registers: bool,
-    name: str, accepted: str,
-) -> None:
-    """Raise for poses with a fault that no fit can correct, or that misleads a registration."""
-    if min(len(tool), len(package)) < MIN_POSES:
-        return
-    if wrong := [
-            fact for fact in facts_of(tool, package, settings.R_world_recorded)
-            if fact.code in BLOCKING - {accepted} or (
-                fact.code == 'tool_z' and registers and not settings.align_at_rest)]:
-        raise BellowsError(fact_sentences(wrong, tool, package, name))
-
-
-def fact_sentences(
-    facts: Sequence[Fact], tool: PoseStream, package: PoseStream, name: File = ''
-) -> str:
-    """Return the sentences on faults of the poses, and the command that converts a recording."""
-    others = [fact for fact in facts if fact.code not in ('millimetres', 'quaternion_order')]
-    said = [conventions.convention_sentence(tool, package, name)] * (len(others) < len(facts))
-    names = {'tool': [tool.name], 'package': [package.name]}
-    return ' '.join([*said, *(sentence('facts', fact.code, topic="' and '".join(
-        names.get(fact.body, [tool.name, package.name])), **fact.numbers) for fact in others)])
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:

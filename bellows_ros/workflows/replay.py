@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import reduction, result
-from bellows_ros.core.identification.causes import faults_of
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
@@ -39,10 +38,10 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import detections, File, results
-from bellows_ros.report.sentences import alarm_sentence, finding_sentence, sentence
+from bellows_ros.report.sentences import alarm_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.holds import signals_of, spans_held
-from bellows_ros.workflows.recordings import load, no_progress, Progress, tag_sought
+from bellows_ros.workflows.recordings import checked, load, no_progress, Progress, tag_sought
 import numpy as np
 
 MAX_LISTED = 3
@@ -354,9 +353,7 @@ def replay(
     progress(f'reading {os.fspath(bag)}', 0.0)
     recording, signals = load(bag, values), signals_of(bag, values)
     rated, note = _held_part(bag, recording, values, signals) if signals else (recording, '')
-    causes = faults_of(rated)
-    if any(cause.sentence for cause in causes):  # the package is not below the tool
-        raise BellowsError(' '.join(finding_sentence(cause, values) for cause in causes))
+    rated = checked(rated, values.cup.length)
     progress('simulating', 0.3)
     free = validated(values, rated)
     sent = tool_messages(recording, values) if observe else None
@@ -393,8 +390,6 @@ def validated(values: Values, recording: Recording) -> Replay:
     except UnstableError as error:
         raise UnstableError(' '.join([*_mass_hint(values, recording), str(error)])) from None
     warnings = [
-        *(finding_sentence(cause, values) for cause in faults_of(recording)
-          if cause.name not in ('mass', 'inertia')),
         *recording.report.warnings, *validation.warnings]
     valid = conversion.parameter_envelope(values)
     outside = validity_range.beyond(

@@ -12,6 +12,7 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.pose_faults import NO_INERTIA
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -19,7 +20,7 @@ from bellows_ros.files import File, parameter_files, results
 from bellows_ros.report.sentences import sentence
 from bellows_ros.version import __version__
 from bellows_ros.workflows import recordings as reading
-from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
+from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
 StaticBag = tuple[str, Mapping[str, Any]]

@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes, methods
-from bellows_ros.core.identification.diagnosis.commission import seems_tag
-from bellows_ros.core.identification.diagnosis.facts import noise_of
 from bellows_ros.core.identification.output_error import HELD_OUT
 from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
@@ -19,6 +17,8 @@ from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.commission import seems_tag
+from bellows_ros.core.recording.pose_faults import noise_of
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import (
     AXES,
@@ -31,6 +31,7 @@ from bellows_ros.core.signals.residuals import (
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
 from bellows_ros.report.sentences import finding_sentence, sentence, setting_of, texts
+from bellows_ros.workflows.recordings import remark_sentences
 import numpy as np
 
 MAX_TESTED = 3
@@ -128,8 +129,13 @@ class FitVerdict(NamedTuple):
     """
 
     simulated: tuple[Simulated, ...]
-    diagnosis: causes.Diagnosis
+    causing: tuple[causes.Finding, ...]
+    """Causes of a misfit, the likeliest first."""
     given: Values
+    excess: float = 0.0
+    """Chi² beyond noise, over the chi² expected of noise."""
+    faults: tuple[str, ...] = ()
+    """Sentences on faults of the recordings that were accepted."""
     sensor: str = ''
     """Sentence on poses that seem to be of another kind of sensor than stated, or ''."""
     log_inertia_ratio: float = 0.0
@@ -148,11 +154,6 @@ class FitVerdict(NamedTuple):
         return [finding for finding in self.causing if finding.material or (
             any(finding is own for own in likely) and finding.datum
             and finding.share >= causes.DISTINCT and finding.moved > causes.MATERIAL)]
-
-    @property
-    def causing(self) -> list[causes.Finding]:
-        """Causes, the likeliest first."""
-        return [*self.diagnosis.findings]
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -212,16 +213,15 @@ class FitVerdict(NamedTuple):
     @property
     def cause(self) -> tuple[str, ...]:
         """Sentences about the main cause and further ones, if any."""
+        if self.faults:
+            return self.faults
         if self.vibrations and not any(each.certain for each in self.causing):
             return self.vibrations
         if not self.causing:
             return ()
-        first, *others = self.causing
+        first = self.causing[0]
         if first.certain:
-            return (finding_sentence(first, self.given), *(
-                f'Besides: {finding_sentence(each, self.given)}' for each in others
-                if first.is_fact), *(['More may be wrong: correct this, and run it again.'] * (
-                    first.is_fact)))
+            return (finding_sentence(first, self.given),)
         likely = [each for each in self.causing if each.name != 'unknown']
         if self.is_at_noise or self.simulated and not self.refusals and not (
                 likely and likely[0].share >= causes.DISTINCT or any(
@@ -241,6 +241,8 @@ class FitVerdict(NamedTuple):
             f'worse than {100.0 * MAX_NRMSE:g} % of the motion and three times the noise in '
             f'{", ".join(simulated.unpredicted)}, so model or data are wrong, or change during '
             'the recording.' for simulated in self.simulated if simulated.unpredicted]
+        reasons += ['Correct the recording as the first line says, and fit again.'] * bool(
+            self.faults)
         for finding in self.wrong[:1]:
             line = 'first line says' if finding is self.causing[0] else 'lines above say'
             reasons.append(f'Correct {setting_of(finding)} as the {line}, and fit again.')
@@ -250,7 +252,7 @@ class FitVerdict(NamedTuple):
         """Return the content for a JSON file."""
         return {
             'free_simulations': self.simulated,
-            'excess': self.diagnosis.excess,
+            'excess': self.excess,
             'hypotheses': [
                 {**finding._asdict(), 'material': finding.material,
                  'setting': setting_of(finding),
@@ -261,15 +263,15 @@ class FitVerdict(NamedTuple):
 
 
 def verdict_of(
-    fit: Fit | None, recordings: Sequence[Recording], length: float, values: Values,
+    fit: Fit, recordings: Sequence[Recording], length: float, values: Values,
 ) -> FitVerdict | None:
     """
     Return the verdict on a fit from some of its recordings, None without any.
 
     Parameters
     ----------
-    fit : Fit or None
-        K and P; None for a search of causes alone.
+    fit : Fit
+        K and P.
     recordings : sequence of Recording
         Recordings of the fit.
     length : float
@@ -279,6 +281,8 @@ def verdict_of(
 
     """
     tested = recordings[:MAX_TESTED]
+    faults = tuple(text for recording in tested for text in remark_sentences(
+        [remark for remark in recording.report.remarks if remark.prevents], recording.name))
     if not tested:
         return None
     package = tested[0].payload
@@ -286,18 +290,18 @@ def verdict_of(
         'package.mass': package.mass, 'package.com': package.com,
         'package.inertia': np.diag(package.inertia)})
     simulated = values.replaced({'cup.length': length, 'fit.method': 'output_error'})
-    verdict = FitVerdict((), causes.Diagnosis(0.0, ()), given, _other_sensor(tested[0], values))
-    if fit is not None:
-        verdict = _judged(verdict, fit, tested, length, values)
-    if facts := causes.facts(tested, length):
-        return verdict._replace(diagnosis=causes.Diagnosis(np.inf, facts))
-    if fit is None or fit.method != 'output_error':
+    verdict = FitVerdict(
+        (), (), given, faults=faults, sensor=_other_sensor(tested[0], values))
+    verdict = _judged(verdict, fit, tested, length, values)
+    if faults:
+        return verdict
+    if fit.method != 'output_error':
         if verdict.simulated and all(
                 (each.rms <= MAX_SOUND_RATIO * each.noise).all() for each in verdict.simulated):
             return verdict  # its causes would not be described
         fit = methods.fitted(tested, simulated, exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
-    return verdict._replace(diagnosis=causes.Diagnosis(excess, fit.causes))
+    return verdict._replace(excess=excess, causing=fit.causes)
 
 
 def _other_sensor(recording: Recording, values: Values) -> str:

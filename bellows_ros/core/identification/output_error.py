@@ -17,7 +17,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.diagnosis.ranking import (
+from bellows_ros.core.identification.diagnosis import (
     is_explained,
     likeliest_setting,
     misfit,

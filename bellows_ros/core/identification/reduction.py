@@ -8,6 +8,7 @@ from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording import recording as measured
+from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.errors import BellowsError
@@ -69,8 +70,8 @@ class ReducedRecording(NamedTuple):
         Cup length l0 of the validity range, m.
     envelope : Envelope
         Its validity range.
-    facts : tuple of Finding
-        Faults that are seen without a fit.
+    remarks : tuple of Remark
+        Findings of the preparation and of the checks.
 
     """
 
@@ -83,7 +84,7 @@ class ReducedRecording(NamedTuple):
     rate_hz: float
     cup_length: float
     envelope: Envelope
-    facts: tuple[Any, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
     @property
     def name(self) -> str:
@@ -130,4 +131,4 @@ def _reduced(recording: Recording, length: float) -> ReducedRecording:
         recording.as_json(), recording.digest, recording.files, recording.payload,
         recording.report.time_offset, recording.report.package_world,
         recording.report.package.timing.rate_hz, length,
-        seen)
+        seen, recording.report.remarks)

@@ -15,6 +15,7 @@ frame of the tool's poses.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
@@ -25,12 +26,34 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
+FIT = 'fit'
+"""Use prevented by a fault that makes a cup wrong."""
+
+REPLAY = 'replay'
+"""Use prevented, as any fit, by a fault with which poses do not describe a package on a cup."""
+
 
 class Remark(NamedTuple):
-    """A fact for the user: its code in the texts 'recording', and numbers in SI units."""
+    """
+    A finding on a recording.
+
+    Parameters
+    ----------
+    code : str
+        Its name in the texts of the room 'recording'.
+    numbers : mapping
+        Sizes in SI units, and names.
+    body : str
+        Body in question: 'tool', 'package', 'both', or '' if unknown.
+    prevents : str
+        Use that it prevents: '' for none, `FIT`, or `REPLAY`.
+
+    """
 
     code: str
-    numbers: Mapping[str, Any]
+    numbers: Mapping[str, Any] = MappingProxyType({})
+    body: str = ''
+    prevents: str = ''
 
 
 DOWN = np.array([0.0, 0.0, -1.0])

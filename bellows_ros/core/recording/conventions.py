@@ -3,32 +3,34 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
-import os
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.signals.resampling import common_span, resample
-from bellows_ros.core.signals.trajectory import Posed, PoseStream, Trajectory
-from bellows_ros.errors import shown
+from bellows_ros.core.signals.trajectory import Posed, Trajectory
 import numpy as np
 
-SAMPLES = 300
-"""Number of compared poses."""
-
 MAX_DISTANCE = 2.0
-"""Largest distance of a package from the tool, m."""
+"""Largest distance of a package from the tool, m: ten times the longest cup with its package."""
 
 MAX_MOTION = 20.0
 """Largest motion of a tool, m: a larger one is in millimetres."""
 
-REACH, MAX_CHANGE = (0.01, 0.5), 0.25
-"""Range of the distance of a package on a cup (m), and largest relative variation of this
-distance."""
+MIN_REACH = 0.01
+"""Smallest distance of a package on a cup from the tool, m: a cup of one bellow."""
 
-MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
-"""Smallest similarity of two bodies' rotations with another quaternion order, and largest ratio of
-the remaining differences: with w first, a rotation is inverted in world axes."""
+MAX_REACH = 0.5
+"""Largest distance of a package on a cup from the tool, m: a long cup and half a box."""
+
+MAX_CHANGE = 0.25
+"""Largest relative variation of this distance: a cup stretched by a quarter."""
+
+MIN_SIMILARITY = 0.95
+"""Smallest similarity of two bodies' rotations with another quaternion order."""
+
+MAX_DIFFERENCE_RATIO = 0.25
+"""Largest ratio of the remaining differences: with w first, a rotation is inverted in world
+axes."""
 
 
 class Convention(NamedTuple):
@@ -36,12 +38,6 @@ class Convention(NamedTuple):
 
     millimetres: bool = False
     w_first: bool = False
-
-    @property
-    def words(self) -> str:
-        """Description of the fault, as in 'The poses of x are ...'."""
-        return ' and '.join([*['in millimetres'] * self.millimetres,
-                             *['of quaternions with w first'] * self.w_first])
 
 
 def reordered(rotation: Array) -> Array:
@@ -56,15 +52,12 @@ def converted(poses: Posed, convention: Convention) -> Posed:
         rotation=reordered(poses.rotation) if convention.w_first else poses.rotation)
 
 
-def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
-    """Return the conventions of two streams: standard ones if consistent."""
-    first, last = common_span(tool, package)
+def conventions_of(
+    bodies: Sequence[Trajectory], one_frame: bool
+) -> tuple[Convention, Convention]:
+    """Return the conventions of two bodies in one frame or two: standard ones if consistent."""
     units = Convention(), Convention()
-    if last <= first:
-        return units
-    stamps = np.linspace(0, last - first, SAMPLES).astype(np.int64) + first
-    bodies = [resample(body.trajectory(), np.unique(stamps)) for body in (tool, package)]
-    if len({tool.frame_id, package.frame_id} - {''}) > 1:
+    if not one_frame:
         return _of_two_worlds(bodies)
     if distance_of(bodies, units)[0] > MAX_DISTANCE:
         both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
@@ -109,7 +102,7 @@ def similarity(first: Array, second: Array) -> float:
 def _is_on_cup(bodies: Sequence[Trajectory], units: tuple[Convention, Convention]) -> bool:
     """Return whether the distance of the bodies is plausible for a cup, in given units."""
     distance, change = distance_of(bodies, units)
-    return REACH[0] < distance < REACH[1] and change < MAX_CHANGE
+    return MIN_REACH < distance < MAX_REACH and change < MAX_CHANGE
 
 
 def distance_of(
@@ -143,27 +136,3 @@ def motion_in_tool(
 def spread(values: Array) -> float:
     """Return the norm of the interquartile ranges of values (N, 3)."""
     return float(np.linalg.norm(np.subtract(*np.percentile(values, (75, 25), axis=0))))
-
-
-def convention_sentence(
-    tool: PoseStream, package: PoseStream, bag: str | os.PathLike[str] = ''
-) -> str:
-    """Return the warning on two inconsistent streams, with commands for a remedy, or ''."""
-    wrong: dict[Convention, list[str]] = {}
-    for convention, stream in zip(conventions_of(tool, package), (tool, package), strict=True):
-        if convention.words:
-            wrong.setdefault(convention, []).append(stream.name)
-    if not wrong:
-        return ''
-    source = first = shown(os.fspath(bag)) or 'RECORDING'
-    commands = []
-    for number, (convention, topics) in enumerate(wrong.items(), 1):
-        out = f"{first.rstrip('/')}_converted{number if number > 1 else ''}"
-        options = [*(f'--topic {topic}' for topic in topics),
-                   *['--unit mm'] * convention.millimetres,
-                   *['--quaternion wxyz'] * convention.w_first]
-        commands.append(f"bellows convert {source} {' '.join(options)} --out {out}")
-        source = out
-    what = '; '.join(f"The poses of {' and '.join(map(repr, topics))} are {convention.words}"
-                     for convention, topics in wrong.items())
-    return f"{what}. Correct the driver, or convert the recording: '{' && '.join(commands)}'."

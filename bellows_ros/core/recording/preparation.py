@@ -18,7 +18,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-from .alignment import aligned_at_rest, Alignment, in_world, Remark, rest_of, standstill
+from .alignment import aligned_at_rest, Alignment, FIT, in_world, Remark, rest_of, standstill
 from .outliers import (
     find_outliers,
     find_repeats,
@@ -254,7 +254,7 @@ def remarks_on(report: StreamReport) -> list[Remark]:
             'rotation': float(arrivals.smoother[1]), 'position_before': float(arrivals.rougher[0]),
             'rotation_before': float(arrivals.rougher[1])}))
     elif _in_bursts(report):
-        return [Remark('bursts', topic), *remarks]
+        return [Remark('bursts', topic, prevents=FIT), *remarks]
     good = recorded.position[report.outliers.good]
     travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification import diagnosis as ranking
 from bellows_ros.core.identification import output_error as module
-from bellows_ros.core.identification.diagnosis import ranking
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import given_std, PACKAGE_STD, stated
 from bellows_ros.core.identification.search import minimise

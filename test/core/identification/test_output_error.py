@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, transform
+from bellows_ros.core.identification import diagnosis as ranking
 from bellows_ros.core.identification import problem as module_of_problem
-from bellows_ros.core.identification.diagnosis import ranking
-from bellows_ros.core.identification.diagnosis.ranking import rank
+from bellows_ros.core.identification.diagnosis import rank
 from bellows_ros.core.identification.output_error import (
     _identifiable,
     _ordinary_damping,

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.diagnosis import ranking
-from bellows_ros.core.identification.diagnosis.ranking import scores, SIGNIFICANT
+from bellows_ros.core.identification import diagnosis as ranking
+from bellows_ros.core.identification.diagnosis import scores, SIGNIFICANT
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.search import evaluated, measured_courses, minimise

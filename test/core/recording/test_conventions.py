@@ -4,14 +4,23 @@ from dataclasses import replace
 from itertools import product
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.recording.conventions import Convention, convention_sentence, conventions_of
+from bellows_ros.core.recording import conventions
+from bellows_ros.core.recording.conventions import Convention
+from bellows_ros.core.recording.faults import pose_remarks
+from bellows_ros.core.recording.pose_faults import Poses
 from bellows_ros.core.signals.trajectory import PoseStream
+from bellows_ros.workflows.recordings import remark_sentences
 import numpy as np
 import pytest
 
 from ..identification import simulated
 
 ALL = [Convention(*own) for own in product((False, True), repeat=2)]
+
+
+def conventions_of(*both):
+    poses = Poses(*both, np.eye(3))
+    return conventions.conventions_of(poses.bodies, poses.one_frame)
 
 
 def w_first(R):
@@ -36,8 +45,8 @@ def streams(tool, package):
 def test_each_stream_has_its_own(tool, package):
     both = streams(tool, package)
     assert conventions_of(*both) == (tool, package)
-    said = convention_sentence(*both, 'bag')
-    assert said.count('bellows convert') == len({own for own in (tool, package) if own.words})
+    said = ' '.join(remark_sentences(pose_remarks(Poses(*both, np.eye(3))), 'bag'))
+    assert said.count('bellows convert') == len({tool, package} - {ALL[0]})
     assert ('--unit mm' in said) == (tool.millimetres or package.millimetres)
 
 
@@ -71,4 +80,5 @@ def test_poses_of_two_worlds_are_of_no_other_convention(seed):
 
 def test_streams_that_do_not_overlap_say_nothing():
     one, other = streams(*ALL[:1] * 2)
-    assert convention_sentence(one, replace(other, stamps_ns=other.stamps_ns + 10**12)) == ''
+    later = replace(other, stamps_ns=other.stamps_ns + 10**12)
+    assert not pose_remarks(Poses(one, later, np.eye(3)))

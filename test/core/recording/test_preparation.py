@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
-from bellows_ros.core.identification.causes import implausible_inputs
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.recording.outliers import find_outliers, LastingStep
 from bellows_ros.core.recording.preparation import prepare, remarks_on
@@ -185,7 +184,7 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     found = prepare(stream(step), stream(aside, '/package'), settings)
     jump, aside = found.report.remarks
     assert (jump.code, jump.numbers['topic']) == ('step', '/tool')
-    assert aside == ('com_aside', {'aside': pytest.approx(0.01)})
+    assert aside[:2] == ('com_aside', {'aside': pytest.approx(0.01)})
     twice = np.arange(len(tool)) // 2 * 2
     repeated = Trajectory(tool.stamps_ns, tool.position[twice], tool.rotation[twice])
     (repeats,) = prepare(stream(repeated), stream(package, '/package'), PLAIN).report.remarks
@@ -207,13 +206,13 @@ def test_poses_stamped_in_bursts_on_arrival_are_said_to_be():
     with pytest.raises(BellowsError, match='^The poses come in bursts'):
         prepare(stream(arrived[0]), stream(arrived[1], '/package'), PLAIN)
     sound = prepare(stream(tool), stream(package, '/package'), PLAIN)
-    assert sound.valid.any() and implausible_inputs(sound)[0].name != 'bursts'
+    assert sound.valid.any() and not sound.report.remarks
     fours = np.arange(len(package)) // 4 * 4 + np.arange(len(package)) % 4 / 50.0
     four = replace(package, stamps_ns=package.stamps_ns[0] + np.rint(
         fours * np.diff(package.stamps_ns).mean()).astype(np.int64))
     arrived = replace(sound.report.package, recorded=stream(four, '/package'))
-    seen = replace(sound, report=replace(sound.report, package=arrived))
-    assert implausible_inputs(seen)[0].name == 'bursts'
+    (found,) = remarks_on(arrived)
+    assert (found.code, found.prevents) == ('bursts', 'fit')
 
 
 def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():

@@ -3,14 +3,14 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.identification.diagnosis.commission import checks_of
+from bellows_ros.core.recording.commission import checks_of
 from bellows_ros.core.signals.trajectory import PoseStream
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .test_facts import OUT, streams
-from ...recording.tracking import START
+from .test_faults import OUT, streams
+from .tracking import START
 
 DEPTH = 0.07
 CAMERA, POINT = exp_so3(np.array([2.2, 0.3, -0.4])), np.array([0.1, 0.2, 1.2])

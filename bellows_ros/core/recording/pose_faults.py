@@ -1,45 +1,49 @@
 """
-Faults of a recording detected in its poses and stamps without a fit.
+Faults of recorded poses and stamps, detected without a preparation or a fit.
 
 Each test takes milliseconds. Tool and package on a cup move nearly as one rigid body; each fault
-of one of the two poses breaks this relation in a specific manner.
+of one of the two poses breaks this relation in a specific manner. `faults` has the table of tests.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import permutations, product
-from types import MappingProxyType
-from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.recording import alignment, conventions
-from bellows_ros.core.recording.outliers import repeats_in_motion
-from bellows_ros.core.signals import resampling
+from bellows_ros.core.model import structure
+from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
+from . import alignment, conventions
+from .alignment import Remark
+
 SAMPLES = 300
 """Number of compared pairs of poses."""
 
-MAX_REPEAT_PART = 0.05
-"""Largest fraction of poses that repeat the previous pose in motion, as single lost messages
-do."""
+MIN_FROZEN_PART = 0.95
+"""Smallest fraction of steps with a new position and an unchanged rotation of a frozen rotation:
+a topic of two trackers repeats at most every second one."""
 
-MIN_FROZEN_PART, MIN_SHIFT = 0.95, 5e-3
-"""Smallest fraction of steps with a new position and an unchanged rotation, and smallest motion
-(m), of a frozen rotation."""
+MIN_SHIFT = 5e-3
+"""Smallest motion of a body whose unchanged rotation is a fault, m: ten times the noise of a
+tracked body at rest."""
 
 FIXED = np.repeat([1e-4, 5e-4], 3)
-"""Smallest deflection of an identifiable cup, standard deviations in m and rad."""
+"""Smallest deflection of an identifiable cup, standard deviations in m and rad: the noise of one
+pose of a motion capture."""
 
 AT_REST = np.repeat([5e-4, 5e-3], 3)
-"""Largest motion of a body at rest, standard deviations in m and rad."""
+"""Largest motion of a body at rest, standard deviations in m and rad: the noise of a detected
+tag."""
 
 MOVING = np.repeat([0.02, 0.1], 3)
-"""Smallest motion of a tool that shakes its package, standard deviations in m and rad."""
+"""Smallest motion of a tool that shakes its package, standard deviations in m and rad: twenty
+times the largest motion at rest."""
 
 MIN_TILT_RATIO = 0.02
 """
@@ -49,29 +53,51 @@ The ratio is m g d / K: 0.03 for 0.5 kg, 25 mm below a cup of 4 N m/rad, and 0.2
 below.
 """
 
-SWAPPED_SECONDS, UPRIGHT = 0.02, 0.5
-"""Shortest exchange of two bodies (s), and the smallest cosine between the tool's z axis and the
-direction of the package that is surely above, or below."""
+SWAPPED_SECONDS = 0.02
+"""Shortest exchange of two bodies, s: two poses at 100 Hz, as a single one is an outlier."""
+
+UPRIGHT = 0.5
+"""Smallest cosine between the tool's z axis and the direction of a package that is surely above or
+below it: 60 degrees, beyond any bending of a cup."""
+
+MIN_NEAR_PART = 0.9
+"""Smallest fraction of poses with the usual distance of two bodies of one clock: with 5 s between
+the clocks of bags/identification the fraction is below a half."""
 
 NOISE_DEVIATIONS = 2.0
-"""Smallest ratio of the standard deviations of motion and noise of a moving body."""
+"""Smallest ratio of the standard deviations of motion and noise of a moving body: twice the error
+of an estimate from 20 poses."""
 
-DIFFERENCES, DIFFERENCES_NORM = 4, np.sqrt(70.0)
-"""Order of the differences of poses that suppress motion, and the norm of their coefficients."""
+DIFFERENCES = 4
+"""Order of the differences of poses that suppress motion."""
+
+DIFFERENCES_NORM = np.sqrt(70.0)
+"""Norm of the coefficients 1, -4, 6, -4, 1 of the differences."""
 
 MAX_STEP_ERROR = 0.2
 """Largest relative deviation of uniform steps."""
 
-MIN_SAMPLES, MAX_SAMPLES = 20, 3000
-"""Smallest and largest number of differences for an estimate of noise: 3000 give it to 2 %."""
+MIN_SAMPLES = 20
+"""Smallest number of differences for an estimate of noise, which is then accurate to 25 %."""
 
-MAX_MISFIT_RATIO, MAX_MISFIT = 0.4, 0.6
-"""Largest ratio of relative motion after and before the correction of a convention, and largest
-remaining relative motion (rad, and relative to the distance), of bodies on one cup."""
+MAX_SAMPLES = 3000
+"""Largest number of differences for an estimate of noise, which is then accurate to 2 %."""
 
-SIMPLER, OPPOSITE, DISSIMILAR = 0.9, -0.6, 0.5
-"""Ratio of misfits below which a later candidate replaces an earlier one; largest correlation of
-two rotations of which one is inverse; and ratio of misfits between two kinds of candidates."""
+MAX_MISFIT_RATIO = 0.4
+"""Largest ratio of relative motion after and before the correction of a convention."""
+
+MAX_MISFIT = 0.6
+"""Largest relative motion of bodies on one cup, rad plus path relative to the distance: twice the
+swing at which a cup flips."""
+
+SIMPLER = 0.9
+"""Ratio of misfits below which a later candidate replaces an earlier one."""
+
+OPPOSITE = -0.6
+"""Largest correlation of two rotations of which one is inverse."""
+
+DISSIMILAR = 0.5
+"""Largest ratio of the misfits of two kinds of candidates that decides between them."""
 
 AXIS_ROTATIONS = [
     axes for order in permutations(np.eye(3)) for signs in product((1.0, -1.0), repeat=3)
@@ -81,123 +107,104 @@ AXIS_ROTATIONS = [
 MIN_RIGID_SIMILARITY = 0.8
 """Smallest similarity of the rotations of two bodies on one cup."""
 
-MIN_SIMILARITY, MAX_DIFFERENCE_RATIO = 0.95, 0.25
-"""Smallest similarity of rotations in two worlds with a corrected convention, and largest ratio of
-dissimilarities after and before."""
+MIN_SIMILARITY = 0.95
+"""Smallest similarity of rotations in two worlds with a corrected convention."""
+
+MAX_DIFFERENCE_RATIO = 0.25
+"""Largest ratio of the dissimilarities of two rotations after and before a correction."""
 
 MIN_FRAME_ANGLE = np.deg2rad(30.0)
 """Smallest rotation between two frames that a misplaced camera or marker cannot explain, rad."""
 
-MAX_RESIDUAL_RATIO, MAX_RESIDUAL = 0.3, 0.02
-"""Largest ratio of the residuals of rigid motion with other axes, and largest such residual
-(m)."""
+MAX_RESIDUAL_RATIO = 0.3
+"""Largest ratio of the residuals of rigid motion with other axes."""
+
+MAX_RESIDUAL = 0.02
+"""Largest residual of rigid motion with other axes, m: the swing of a package in the tool."""
 
 MIN_SPREAD_RATIO = 0.05
 """Smallest ratio of the third to the first extent of a path that determines its handedness."""
 
 MAX_UP = -0.5
-"""Largest vertical component of the tool's z axis (median) that points out of the arm."""
+"""Largest vertical component of the tool's z axis (median) that points out of the arm: 120 degrees
+from the vertical, beyond any tilt of a recording."""
+
+MAX_COM_HEIGHT = 1e-3
+"""Largest height of a centre of mass above the lip, m: z of the lip points into the cup."""
+
+NO_INERTIA = (0.0101, 0.0101, 0.0101, 0.0, 0.0, 0.0)
+"""Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
 
 
 Bodies = tuple[Trajectory, Trajectory]
 
 
-class Fact(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Poses:
     """
-    A fault detected without a fit.
-
-    Parameters
-    ----------
-    code : str
-        Its name in the texts of the room 'facts'.
-    body : str
-        Faulty body: 'tool', 'package', 'both', or '' if unknown.
-    numbers : mapping of str to float
-        Sizes in SI units.
-
-    """
-
-    code: str
-    body: str = ''
-    numbers: Mapping[str, float] = MappingProxyType({})
-
-
-BLOCKING = frozenset((
-    'clock_step', 'swapped', 'frozen_orientation', 'package_on_tool', 'package_at_rest',
-    'one_body', 'millimetres', 'quaternion_order', 'conjugated', 'inverse_rotation', 'inverted',
-    'rotation_frame', 'left_handed', 'exchanged'))
-"""Faults that prevent a fit and a replay."""
-
-
-def facts_of(
-    tool: PoseStream, package: PoseStream, R_world_recorded: Array | None = None
-) -> tuple[Fact, ...]:
-    """
-    Return the faults of the poses of a tool and its package, the most fundamental ones first.
+    Recorded poses of a tool and its package, in one frame or in two, and the given package.
 
     Parameters
     ----------
     tool, package : PoseStream
-        Recorded poses, in one frame or in two.
-    R_world_recorded : ndarray (3, 3), optional
-        Rotation from the tool's recorded axes to a world with z up; default: z is up.
+    R_world_recorded : ndarray (3, 3)
+        Rotation from the tool's recorded axes to a world with z up.
+    payload : Package or None
+        Mass, inertia and centre of mass as given.
+    aligned : bool
+        Whether the axes of both follow from the standstill at the beginning.
 
     """
-    found = [*_of_streams(tool, package)]
-    first, last = common_span(tool, package)
-    stamps = np.unique(np.linspace(0, max(last - first, 0), SAMPLES).astype(np.int64)) + first
-    if last <= first:
-        return (*found, *_of_gravity(tool.rotation, np.eye(3) if R_world_recorded is None
-                                     else R_world_recorded))
-    one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2
-    bodies = resample(tool.trajectory(), stamps), resample(package.trajectory(), stamps)
-    motion = (*_swapped(tool, package, one_frame), *_of_motion(
-        tool, package, bodies, one_frame))
-    if motion or any(fact.code == 'frozen_orientation' for fact in found):
-        return (*found, *motion)
-    for test in (_of_frames, _of_conventions):
-        if wrong := tuple(test(tool, package, bodies, one_frame)):
-            return (*found, *wrong)
-    R = np.eye(3) if R_world_recorded is None else R_world_recorded
-    return (*found, *_of_arrangement(bodies, one_frame, R))
+
+    tool: PoseStream
+    package: PoseStream
+    R_world_recorded: Array
+    payload: Package | None = None
+    aligned: bool = False
+
+    @cached_property
+    def bodies(self) -> Bodies | None:
+        """Pairs of poses at common stamps; None if the streams do not overlap."""
+        first, last = common_span(self.tool, self.package)
+        if last <= first:
+            return None
+        stamps = np.unique(np.linspace(0, last - first, SAMPLES).astype(np.int64)) + first
+        return resample(self.tool.trajectory(), stamps), resample(
+            self.package.trajectory(), stamps)
+
+    @property
+    def one_frame(self) -> bool:
+        """Whether both bodies are in one frame, as far as they name it."""
+        return len({self.tool.frame_id, self.package.frame_id} - {''}) < 2
+
+    @property
+    def named(self) -> tuple[tuple[str, PoseStream, PoseStream], ...]:
+        """Each body with its poses and the other's."""
+        return (('tool', self.tool, self.package), ('package', self.package, self.tool))
 
 
-def _of_streams(tool: PoseStream, package: PoseStream) -> Iterator[Fact]:
-    """Yield the faults of each topic alone."""
-    for body, stream in (('tool', tool), ('package', package)):
+def clock_steps(poses: Poses) -> Iterator[Remark]:
+    """Yield the steps of the clock that stamps a topic, as by NTP."""
+    start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
+    for body, stream, _ in poses.named:
         begin, end = (int(stream.stamps_ns[i]) for i in (0, -1))
-        for at_ns, size in stream.clock_steps:
-            if begin < at_ns < end:
-                yield Fact('clock_step', body, {
-                    'at': (at_ns - min(begin, int(other_of(body, tool, package).stamps_ns[0])))
-                    / NS_PER_S, 'size': size})
-        if (repeats := repeats_in_motion(stream)) > MAX_REPEAT_PART * len(stream):
-            yield Fact('repeated_poses', body, {'count': repeats, 'poses': len(stream)})
-        tick = resampling.resolution(stream.stamps_ns)
-        repeated = len(stream.refused.get('duplicate_stamp', ()))
-        if tick or repeated > MAX_REPEAT_PART * (len(stream) + repeated):
-            yield Fact('quantised_stamps', body, {
-                'tick': tick or float(np.median(np.diff(stream.stamps_ns))) / NS_PER_S,
-                'repeated': repeated, 'poses': len(stream) + repeated})
-        other = other_of(body, tool, package)
+        yield from (Remark('clock_step', {'at': (at_ns - start) / NS_PER_S, 'size': size}, body)
+                    for at_ns, size in stream.clock_steps if begin < at_ns < end)
+
+
+def frozen_orientations(poses: Poses) -> Iterator[Remark]:
+    """Yield a rotation that stays while the body, and the other one, move."""
+    for body, stream, other in poses.named:
         if (part := _frozen_part(stream)) > MIN_FROZEN_PART and (
                 body == 'package' or _deviation(other.trajectory())[3:].max() > MOVING[3]):
-            yield Fact('frozen_orientation', body, {'part': part})
+            yield Remark('frozen_orientation', {'part': part}, body)
 
 
-def other_of(body: str, tool: PoseStream, package: PoseStream) -> PoseStream:
-    """Return the poses of the other body."""
-    return package if body == 'tool' else tool
-
-
-MIN_NEAR_PART = 0.9
-"""Smallest fraction of poses with the usual distance of two bodies of one clock: with 5 s between
-the clocks of bags/identification the fraction is below a half."""
-
-
-def _swapped(tool: PoseStream, package: PoseStream, one_frame: bool) -> Iterator[Fact]:
+def swapped_bodies(poses: Poses) -> Iterator[Remark]:
     """Yield the time in which two bodies that hang one below the other are exchanged."""
-    hand, eye = tool.trajectory(), package.trajectory()
+    if not (poses.one_frame and poses.bodies):
+        return
+    hand, eye = poses.tool.trajectory(), poses.package.trajectory()
     first, last = common_span(hand, eye)
     eye = eye.select((eye.stamps_ns >= first) & (eye.stamps_ns <= last))
     hand = resample(hand, eye.stamps_ns)
@@ -205,18 +212,18 @@ def _swapped(tool: PoseStream, package: PoseStream, one_frame: bool) -> Iterator
     distance = np.linalg.norm(offset, axis=1)
     usual = float(np.median(distance))
     above = np.einsum('ni,ni->n', offset, hand.rotation[:, :, 2]) / np.maximum(distance, 1e-9)
-    if not one_frame or not 1e-3 < usual < conventions.REACH[1] or np.median(above) > -UPRIGHT:
-        return
     near = np.abs(distance - usual) < conventions.MAX_CHANGE * usual
-    if np.mean(near) < MIN_NEAR_PART:
+    if not 1e-3 < usual < conventions.MAX_REACH or np.median(above) > -UPRIGHT or (
+            np.mean(near) < MIN_NEAR_PART):
         return
     exchanged = (above > UPRIGHT) & near
     edges = np.flatnonzero(np.diff(exchanged, prepend=False, append=False)).reshape(-1, 2)
     for begin, end in edges.tolist():
-        span = eye.stamps_ns[[begin, end - 1]] - min(tool.stamps_ns[0], package.stamps_ns[0])
-        if np.ptp(span) >= SWAPPED_SECONDS * NS_PER_S:
-            yield Fact('swapped', 'both', dict(zip(
-                ('begin', 'end'), (span / NS_PER_S).tolist(), strict=True)))
+        span = (eye.stamps_ns[[begin, end - 1]] - min(
+            poses.tool.stamps_ns[0], poses.package.stamps_ns[0])) / NS_PER_S
+        if np.ptp(span) >= SWAPPED_SECONDS:
+            yield Remark('swapped', dict(zip(('begin', 'end'), span.tolist(), strict=True)),
+                         'both')
             return
 
 
@@ -236,39 +243,47 @@ def _deviation(body: Trajectory) -> Array:
     return np.asarray(0.5 * np.subtract(*np.percentile(moved, (84, 16), axis=0)))
 
 
-def _of_motion(
-    tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
-) -> tuple[Fact, ...]:
-    """Return whether the package is fixed to its tool, or rests under a moving tool."""
+def fixed_packages(poses: Poses) -> Iterator[Remark]:
+    """Yield a package that is fixed to its tool, or rests under a moving tool."""
+    if poses.bodies is None:
+        return
+    bodies, package = poses.bodies, poses.package.trajectory()
     tool_motion, package_motion = map(_deviation, bodies)
     moves = bool(np.any(tool_motion >= MOVING))
-    tilt = float(np.linalg.norm(np.std(bodies[0].rotation[:, 2, :2], axis=0)))
-    noise = NOISE_DEVIATIONS * noise_of(package.trajectory())
+    noise = NOISE_DEVIATIONS * noise_of(package)
     if moves and np.all(package_motion < np.fmax(AT_REST, noise)):
-        return (Fact('package_at_rest', 'package', {
-            'position': float(package_motion[:3].max()),
-            'rotation': float(package_motion[3:].max())}),)
-    hand, eye = tool.trajectory(), package.trajectory()
-    if not one_frame:
-        try:
-            R = alignment.rotation_of(*(body.rotation for body in bodies))
-        except BellowsError:  # the tool hardly rotates
-            return ()
-        eye = replace(eye, position=lie.apply(R, eye.position) + _rigid_motion(*bodies, R)[0][3:],
-                      rotation=R @ eye.rotation)
-    relative = _seen_from(hand, eye)
-    if len(relative) < SAMPLES // 2:
-        return ()
+        yield Remark('package_at_rest', _sizes(package_motion), 'package')
+        return
+    relative = _relative_motion(poses, bodies)
+    if relative is None or len(relative) < SAMPLES // 2:
+        return
     noise, deviation = noise_of(relative), _deviation(relative)
+    tilt = float(np.linalg.norm(np.std(bodies[0].rotation[:, 2, :2], axis=0)))
     is_seen = moves or float(noise[3:].max()) < MIN_TILT_RATIO * tilt
     distance = float(np.median(np.linalg.norm(relative.position, axis=1)))
     if is_seen and distance < conventions.MAX_DISTANCE and np.all(
             deviation < np.fmax(FIXED, NOISE_DEVIATIONS * noise)) and np.all(
             noise < MOVING / 10.0):
-        return (Fact('one_body' if distance < 1e-3 else 'package_on_tool', 'package', {
-            'distance': distance, 'position': float(deviation[:3].max()),
-            'rotation': float(deviation[3:].max())}),)
-    return ()
+        yield Remark('one_body' if distance < 1e-3 else 'package_on_tool', {
+            'distance': distance, **_sizes(deviation)}, 'package')
+
+
+def _sizes(deviation: Array) -> dict[str, float]:
+    """Return the largest deviations of a pose (6,), m and rad."""
+    return {'position': float(deviation[:3].max()), 'rotation': float(deviation[3:].max())}
+
+
+def _relative_motion(poses: Poses, bodies: Bodies) -> Trajectory | None:
+    """Return the package in the axes of the tool; None in two worlds of a tool without turns."""
+    hand, eye = poses.tool.trajectory(), poses.package.trajectory()
+    if not poses.one_frame:
+        try:
+            R = alignment.rotation_of(*(body.rotation for body in bodies))
+        except BellowsError:  # the tool hardly rotates
+            return None
+        eye = replace(eye, position=lie.apply(R, eye.position) + _rigid_motion(*bodies, R)[0][3:],
+                      rotation=R @ eye.rotation)
+    return _seen_from(hand, eye)
 
 
 def _seen_from(tool: Trajectory, package: Trajectory) -> Trajectory:
@@ -316,16 +331,17 @@ def _inverted(body: Trajectory) -> Trajectory:
     return replace(body, position=-lie.apply(back, body.position), rotation=back)
 
 
-def _of_conventions(
-    tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
-) -> Iterator[Fact]:
+def wrong_conventions(poses: Poses) -> Iterator[Remark]:
     """Yield wrong units, quaternion orders and inverse poses that explain non-rigid motion."""
-    orders = conventions.conventions_of(tool, package)
+    if poses.bodies is None:
+        return
+    bodies = poses.bodies
+    orders = conventions.conventions_of(bodies, poses.one_frame)
     names = ('tool', 'package')
-    yield from (Fact('millimetres', body) for body, order in zip(names, orders, strict=True)
+    yield from (Remark('millimetres', body=body) for body, order in zip(names, orders, strict=True)
                 if order.millimetres)
     is_w_first = [order.w_first for order in orders]
-    if one_frame:
+    if poses.one_frame:
         fact, misfit = _of_one_frame(bodies)
         if any(is_w_first):
             read = (conventions.converted(*each) for each in zip(bodies, orders, strict=True))
@@ -334,23 +350,23 @@ def _of_conventions(
         if fact:
             yield fact
         else:
-            yield from (Fact('quaternion_order', body) for body, wrong in zip(
+            yield from (Remark('quaternion_order', body=body) for body, wrong in zip(
                 names, is_w_first, strict=True) if wrong)
         return
     plain, inverse = _similarities(bodies)
     if any(is_w_first) or inverse > MIN_SIMILARITY and (
             1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain)):
-        yield Fact('inverse_rotation', _worse_body(bodies))
+        yield Remark('inverse_rotation', body=_worse_body(bodies))
 
 
-def _of_one_frame(bodies: Bodies) -> tuple[Fact | None, float]:
+def _of_one_frame(bodies: Bodies) -> tuple[Remark | None, float]:
     """Return the fault of poses in one frame with the best correction, and its misfit."""
     tool, package = bodies
-    tried = list[tuple[Fact, Trajectory, Trajectory]]()
+    tried = list[tuple[Remark, Trajectory, Trajectory]]()
     for code, change in (('conjugated', _conjugated), ('inverted', _inverted)):
         one, other = change(tool), change(package)
-        tried += [(Fact(code, 'package'), tool, other), (Fact(code, 'tool'), one, package),
-                  (Fact(code, 'both'), one, other)]
+        tried += [(Remark(code, body=body), *pair) for body, pair in (
+            ('package', (tool, other)), ('tool', (one, package)), ('both', (one, other)))]
     is_inverse = _correlation(bodies) < OPPOSITE
     if is_inverse:
         tried = [each for each in tried if each[0].body != 'both']
@@ -358,12 +374,12 @@ def _of_one_frame(bodies: Bodies) -> tuple[Fact | None, float]:
         for axes in AXIS_ROTATIONS:
             angle = float(np.linalg.norm(lie.log_so3(axes)))
             one, other = (replace(body, rotation=axes @ body.rotation) for body in bodies)
-            tried.append((Fact('rotation_frame', 'both', {'angle': angle}), one, other))
+            tried.append((Remark('rotation_frame', {'angle': angle}, 'both'), one, other))
         for signs in 1.0 - 2.0 * np.eye(3):
             one, other = (replace(body, position=body.position * signs) for body in bodies)
-            tried.append((Fact('left_handed', 'both'), one, other))
+            tried.append((Remark('left_handed', body='both'), one, other))
     before, least = _misfit(*bodies), float('inf')
-    fact: Fact | None = None
+    fact: Remark | None = None
     for candidate, one, other in tried:
         if (misfit := _misfit(one, other)) < SIMPLER * least:
             fact, least = candidate, misfit
@@ -401,7 +417,7 @@ def _misfit(tool: Trajectory, package: Trajectory) -> float:
     """Return the relative motion of a package in its tool (distance, rad); infinite if far."""
     bodies, plain = (tool, package), (conventions.Convention(), conventions.Convention())
     distance, change = conventions.distance_of(bodies, plain)
-    if not (1e-3 < distance < conventions.REACH[1] and change < conventions.MAX_CHANGE):
+    if not (1e-3 < distance < conventions.MAX_REACH and change < conventions.MAX_CHANGE):
         return float('inf')
     offset = lie.apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
     hangs = np.median(offset[:, 2]) < 0.0
@@ -417,10 +433,11 @@ def _rigid_motion(tool: Trajectory, package: Trajectory, X: Array) -> tuple[Arra
     return constants, float(np.sqrt(3.0 * np.mean((b - A @ constants)**2)))
 
 
-def _of_frames(
-    tool: PoseStream, package: PoseStream, bodies: Bodies, one_frame: bool
-) -> Iterator[Fact]:
+def wrong_frames(poses: Poses) -> Iterator[Remark]:
     """Yield positions in a left-handed frame, or in another frame than the rotations."""
+    if poses.bodies is None:
+        return
+    bodies = poses.bodies
     try:
         A = alignment.rotation_of(*(body.rotation for body in bodies))
     except BellowsError:  # the tool hardly rotates
@@ -435,13 +452,13 @@ def _of_frames(
     (proper, turned), (mirrored, _) = (
         _best_axes(*bodies, A, handed) for handed in (1.0, -1.0))
     if mirrored < min(MAX_RESIDUAL_RATIO * min(before, proper), MAX_RESIDUAL):
-        yield Fact('left_handed')
+        yield Remark('left_handed')
     elif proper < min(MAX_RESIDUAL_RATIO * before, MAX_RESIDUAL):
         angle = float(np.linalg.norm(lie.log_so3(turned @ A.T)))
         of_rotations, of_positions = (_rotation_residual(bodies, X) for X in (A, turned))
         if angle > MIN_FRAME_ANGLE and of_rotations < MAX_RESIDUAL_RATIO * of_positions:
-            yield Fact('rotation_frame', _wrongly_turned(*bodies, A) if one_frame else '',
-                       {'angle': angle})
+            yield Remark('rotation_frame', {'angle': angle},
+                         _wrongly_turned(*bodies, A) if poses.one_frame else '')
 
 
 def _rotation_residual(bodies: Bodies, X: Array) -> float:
@@ -473,28 +490,46 @@ def _wrongly_turned(tool: Trajectory, package: Trajectory, A: Array) -> str:
         'package')
 
 
-def _of_arrangement(bodies: Bodies, one_frame: bool, R: Array) -> Iterator[Fact]:
-    """Yield exchanged topics, or a z axis of the tool that points out of the arm."""
-    tool, package = bodies
+def exchanged_topics(poses: Poses) -> Iterator[Remark]:
+    """Yield topics of which the package is above the tool, in its axes and in the world."""
+    if not (poses.one_frame and poses.bodies):
+        return
+    tool, package = poses.bodies
     offset = package.position - tool.position
-    if one_frame and np.median(np.linalg.norm(offset, axis=1)) < conventions.REACH[1]:
-        back = np.swapaxes(tool.rotation, 1, 2)
-        in_tool = float(np.median(lie.apply(back, offset)[:, 2]))
-        upward = float(np.median(offset @ R[2]))
-        if in_tool > 0.0 and upward > 0.0:
-            yield Fact('exchanged', 'both', {'in_tool': in_tool, 'upward': upward})
-            return
-    yield from _of_gravity(tool.rotation, R)
+    in_tool = float(np.median(lie.apply(np.swapaxes(tool.rotation, 1, 2), offset)[:, 2]))
+    upward = float(np.median(offset @ poses.R_world_recorded[2]))
+    if np.median(np.linalg.norm(offset, axis=1)) < conventions.MAX_REACH and (
+            min(in_tool, upward) > 0.0):
+        yield Remark('exchanged', {'in_tool': in_tool, 'upward': upward}, 'both')
 
 
-def _of_gravity(rotation: Array, R: Array) -> Iterator[Fact]:
+def tool_z(poses: Poses) -> Iterator[Remark]:
     """Yield a z axis of the tool that points down, out of the arm."""
-    up, angle = tool_up(rotation, R)
-    if up < MAX_UP:
-        yield Fact('tool_z', 'tool', {'angle': angle})
+    up, angle = tool_up(poses.tool.rotation, poses.R_world_recorded)
+    if up < MAX_UP and not poses.aligned:
+        yield Remark('tool_z', {'angle': angle}, 'tool')
 
 
 def tool_up(rotation: Array, R: Array) -> tuple[float, float]:
     """Return the vertical component of the tool's z axis (median), and its angle, rad."""
     up = float(np.median(rotation[:, :, 2] @ R[2]))
     return up, float(np.arccos(np.clip(up, -1.0, 1.0)))
+
+
+def impossible_packages(poses: Poses) -> Iterator[Remark]:
+    """Yield a mass, an inertia or a centre of mass that no package of a cup has."""
+    if poses.payload is None:
+        return
+    mass, com, moments = poses.payload.mass, poses.payload.com, np.diag(poses.payload.inertia)
+    gyration = float(np.sqrt(np.sum(moments) / mass))
+    if com[2] > MAX_COM_HEIGHT:
+        yield Remark('com_inside', {'height': float(com[2])})
+    if mass > structure.MAX_MASS:
+        yield Remark('mass', {'mass': mass})
+    elif tuple(moments) == NO_INERTIA[:3]:
+        return
+    elif gyration > structure.GYRATION[-1]:
+        yield Remark('inertia', {'moments': moments.tolist(), 'unit': structure.unit_of_inertia(
+            gyration)})
+    elif sentence := structure.too_dense(mass, gyration):
+        yield Remark('too_dense', {'sentence': sentence})

@@ -12,11 +12,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.identification.diagnosis.facts import MAX_UP, noise_of, tool_up
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.recording import alignment
-from bellows_ros.core.recording.outliers import find_outliers
-from bellows_ros.core.recording.recording import LOW_RATE_HZ
 from bellows_ros.core.signals import resampling
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
 from bellows_ros.core.signals.residuals import AXES
@@ -29,6 +25,11 @@ from bellows_ros.core.signals.trajectory import (
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
+
+from . import alignment
+from .outliers import find_outliers
+from .pose_faults import MAX_UP, noise_of, tool_up
+from .recording import LOW_RATE_HZ
 
 FLANGE_OUTWARD = '0 0 0 1 0 0 0'
 """Pose of the tool tip in a flange with z out of the arm: a half turn about x."""

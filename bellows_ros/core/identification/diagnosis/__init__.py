@@ -1,1 +1,0 @@
-"""Diagnosis of recordings and of given quantities."""

@@ -1,0 +1,290 @@
+"""
+Faults of a prepared recording, detected without a fit.
+
+The cup's lip must hang below the tool, and the package follows its tool at once. `faults` has the
+table of tests.
+"""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from operator import attrgetter
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.model.structure import THESIS_LENGTH
+from bellows_ros.core.signals.residuals import spectrum
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+from . import alignment, conventions
+from .alignment import Remark
+from .preparation import lasting_steps, MAX_POSE_STEPS, prepare
+from .recording import LOW_RATE_HZ, NOISE_SAMPLES, Recording
+
+MAX_TWIST_ERROR = 0.05
+"""Largest relative error of a recorded twist: the filter takes 2 % of a motion at 3 Hz."""
+
+MAX_ERROR_RATIO = 0.0625
+"""Largest ratio of the squared errors of twists with other axes or units: a quarter of the
+error."""
+
+MAX_LIP_DEPTH = 0.3
+"""Largest distance of a lip below its tool, m; beyond, tool and package are in two worlds."""
+
+MIN_LENGTH_OFFSET = 0.02
+"""Smallest error of cup.length detected without a fit, m. The lip must also be nearer by half of
+the length, or farther by all of it, more than by any weight."""
+
+MAX_SPREAD = 0.1
+"""Largest plausible spread of the lip in the tool frame, m; see `conventions.spread`."""
+
+MAX_SPREAD_RATIO = 0.3
+"""Largest ratio of the lip's spread in its own world to the spread in another world."""
+
+SAMPLE_STEP = 20
+"""Step between the samples that determine the arrangement of tool and package."""
+
+MIN_SWING = -0.2
+"""Smallest time offset explained by the swing of the package, which rotates after its tool, s."""
+
+MAX_SWING = 0.05
+"""Largest time offset left to a fit, s."""
+
+SWING_DELAY = 0.07
+"""Usual delay of the package's rotation behind the tool's, s."""
+
+MIN_CORRELATION_RATIO = 0.5
+"""Ratio of the correlation of rotations without a lag to the largest one, below which the package
+does not follow its tool as stamped."""
+
+MIN_CORRELATION_GAP = 0.1
+"""Smallest significant difference of two correlations of rotations by Fisher's transform (atanh),
+above chance and nearly repetitive motion."""
+
+SPECTRUM_SECONDS = 1.0
+"""Length of the periodograms of poses, s."""
+
+MIN_RATE_HZ = 100.0
+"""Lowest rate of poses with a spectrum of noise above the motion, Hz."""
+
+DIFFERENCES = 4
+"""Order of the differences that suppress motion."""
+
+NOISE_HZ = 25.0
+"""Lowest frequency of noise without motion, Hz."""
+
+NYQUIST_PART = 0.9
+"""Highest frequency of noise as a fraction of the Nyquist frequency."""
+
+MAX_NOISE_ORDER = 3.4
+"""Largest exponent of the decay of noise density with frequency: 2 with memory, up to 3 with heavy
+tails; 4 behind a filter of second order."""
+
+TAIL_SHARE = 0.25
+"""Relative size of other jumps that indicates noise with heavy tails."""
+
+MAX_SLIP_ANGLE = 1.2
+"""Largest rotation of a package on the lip between two poses, rad."""
+
+MIN_DENSITY = 1e-18
+"""Smallest density of noise from which a filter is detected, m^2/Hz: 10 nm in 100 Hz."""
+
+MAX_DENSITY_RATIO = 10.0
+"""Largest ratio of the densities in two seconds of stationary noise, 90 % and 10 % quantiles."""
+
+
+def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+    """Yield the reason why a package is mostly not below the tool."""
+    tool, package, in_world = _arrangement(recording)
+    if not len(tool):
+        return
+    back = np.swapaxes(tool.rotation, 1, 2)
+    lip = apply(back, in_world)
+    away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
+    if away <= conventions.MAX_DISTANCE and above <= 0.0 and conventions.spread(lip) < MAX_SPREAD:
+        return
+    with suppress(BellowsError):  # too short with other stamps
+        if (late := [*clocks_apart(recording)]) and not [*misplaced(_earlier(
+                recording, late[0].numbers['late']))]:
+            yield from late
+            return
+    if apart := [*_two_worlds(recording, tool, package, lip)]:
+        yield from apart
+    elif away > conventions.MAX_DISTANCE:
+        yield Remark('apart', {'away': away}, 'both')
+    elif above > 0.0:  # mostly: the package may have fallen
+        centre = apply(back, package.position - tool.position)
+        below, upward = (float(np.median(offset[:, 2])) for offset in (-centre, in_world))
+        yield Remark('package_frame', {'below': below, 'above': above}, 'package') if (
+            recording.settings.package_frame == 'com' and below > 0.0) else Remark(
+            'upside_down', {'above': above, 'below': -upward}, 'tool')
+
+
+def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
+    """Return selected poses of tool and package, and the lip from the tool in A (N, 3), m."""
+    some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
+    tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
+    lip = package.position - apply(package.rotation, recording.payload.com)
+    return tool, package, lip - tool.position
+
+
+def _two_worlds(
+    recording: Recording, tool: Trajectory, package: Trajectory, lip: Array
+) -> Iterator[Remark]:
+    """Yield another world of the package if that reduces the lip's spread."""
+    try:
+        pose = alignment.closed_form(recording.measured_tool, recording.measured_package,
+                                     THESIS_LENGTH, -recording.payload.com)
+    except BellowsError:  # too short
+        return
+    moved = pose[:3] - tool.position + apply(
+        lie.quaternion_to_rotation(pose[3:]),
+        package.position - apply(package.rotation, recording.payload.com))
+    before, after = map(conventions.spread, (lip, apply(np.swapaxes(tool.rotation, 1, 2), moved)))
+    if after <= MAX_SPREAD_RATIO * before:
+        body = recording.measured_package
+        motion = alignment.motion_of(pose, body.position[body.valid].mean(axis=0))
+        yield Remark('package_world', {'motion': alignment.motion_sentence(motion),
+                                       'before': before, 'after': after}, 'package')
+
+
+def _earlier(recording: Recording, seconds: float) -> Recording:
+    """Return a recording prepared from earlier stamps of the tool."""
+    twist = recording.tool_twist
+    return prepare(earlier(recording.tool_pose, seconds), recording.package_pose,
+                   recording.settings, twist and earlier(twist, seconds))
+
+
+def wrong_length(recording: Recording, length: float) -> Iterator[Remark]:
+    """Yield a distance of the lip below the tool that contradicts the cup's length (m)."""
+    tool, _, in_world = _arrangement(recording)
+    if not len(tool):
+        return
+    below = -apply(np.swapaxes(tool.rotation, 1, 2), in_world)
+    x, y, depth = np.median(below, axis=0)
+    offset, com = float(depth) - length, np.linalg.norm(recording.payload.com)
+    is_frame = abs(abs(offset) - com) < 0.5 * com  # poses of the lip instead of the com
+    if not (is_frame or depth > MAX_LIP_DEPTH or abs(offset) < MIN_LENGTH_OFFSET + length * (
+            1.0 if offset > 0.0 else 0.5) or np.hypot(x, y) + conventions.spread(below) > abs(
+            offset)):
+        yield Remark('length', {'offset': abs(offset)})
+
+
+def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+    """
+    Yield the offset of the clocks if the rotations of both bodies agree only at a lag.
+
+    Two parts of a motion may be similar by chance. If the correlation at small lags is less than
+    half of the largest, the package does not follow the tool as stamped, and a lower threshold is
+    used. If the rotations agree in axes without a lag, the larger correlation of angles at another
+    lag is due to nearly repetitive motion.
+    """
+    bodies = recording.aligned_tool, recording.aligned_package
+    lags, correlation = alignment.rotation_correlation(*bodies)
+    if not len(lags):
+        return
+    best, near = int(np.argmax(correlation)), (lags >= MIN_SWING) & (lags <= MAX_SWING)
+    largest, small = correlation[best], np.max(correlation[near], initial=0.0)
+    limit = alignment.MIN_CORRELATION * (1.0 if small < MIN_CORRELATION_RATIO * largest else 2.0)
+    if largest < limit or near[best] or _correlation_gap(small, largest) < MIN_CORRELATION_GAP:
+        return
+    in_axes = alignment.rotation_correlation(*bodies, one_world=True)[1]
+    near_in_axes = np.max(in_axes[near], initial=0.0)
+    if near_in_axes <= alignment.MIN_CORRELATION or (
+            _correlation_gap(near_in_axes, np.max(in_axes)) >= MIN_CORRELATION_GAP):
+        late = float(lags[best]) + SWING_DELAY
+        yield Remark('time_offset', {'late': late, 'offset': abs(late), 'side': (
+            'behind' if late > 0.0 else 'ahead of')}, 'tool')
+
+
+def _correlation_gap(small: float, large: float) -> float:
+    """Return the difference of two correlations by Fisher's transform."""
+    return float(np.subtract(*np.arctanh(np.minimum([large, small], 1.0 - 1e-12))))
+
+
+def wrong_twists(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+    """Yield the correct axes or unit of the tool's recorded twists, if not as given."""
+    measured, half_window = recording.measured_tool, recording.filters[1].half_window
+    if measured.twist is None or len(measured) <= 2 * half_window:
+        return
+    if len(measured) > NOISE_SAMPLES:  # the part with most motion
+        moved = np.cumsum(np.sum(measured.twist**2, axis=1))
+        first = int(np.argmax(moved[NOISE_SAMPLES:] - moved[:-NOISE_SAMPLES]))
+        measured = measured.select(slice(first, first + NOISE_SAMPLES))
+    tool = savgol(measured, half_window, recording.filters[1].order)
+    measured = measured.between(*tool.stamps_ns[[0, -1]]).select(tool.valid)
+    assert measured.twist is not None and tool.twist is not None
+    given, true = (twist.reshape(-1, 2, 3) for twist in (measured.twist, tool.twist[tool.valid]))
+    if not len(given):
+        return
+    R, markers = recording.settings.R_world_recorded, recording.alignment.R_tool_markers_tool
+    is_of_tool = recording.settings.tool_twist_frame == 'tool'
+    rotation = (np.swapaxes(measured.rotation, 1, 2) @ R @ markers if is_of_tool else
+                markers.T @ R.T @ measured.rotation)  # from the other axes
+
+    def misfit(twist: Array) -> float:
+        """Return the relative mean squared error of twists (N, 2, 3) by the poses' own twists."""
+        return float(np.sum(np.mean((twist - true) ** 2, axis=(0, 2))
+                            / np.mean(true**2 + 1e-12, axis=(0, 2))))
+
+    limit = MAX_ERROR_RATIO * misfit(given)
+    if misfit(given) < MAX_TWIST_ERROR**2:
+        return
+    if misfit(given @ np.swapaxes(rotation, 1, 2)) < limit:
+        yield Remark('twist_frame', {'axes': 'world' if is_of_tool else 'tool'}, 'tool')
+    elif misfit(given * [[1.0], [np.pi / 180.0]]) < limit and recording.tool_twist:
+        yield Remark('twist_in_degrees', {'topic': recording.tool_twist.name})
+
+
+def low_pass(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+    """Yield low-pass filtered poses: their noise decays too steeply."""
+    for body, poses in (('tool', recording.aligned_tool), ('package', recording.aligned_package)):
+        if noise_order(poses) > MAX_NOISE_ORDER:
+            yield Remark('low_pass', {'above': NOISE_HZ}, body)
+
+
+def noise_order(poses: Trajectory) -> float:
+    """
+    Return the exponent of the decay of position noise with frequency, 0 without noise.
+
+    Noise has similar densities in most seconds; otherwise quick modes of the package prevail.
+    """
+    rate_hz = uniform_rate_hz(poses.stamps_ns)
+    changes = np.diff(np.where(poses.valid[:, None], poses.position, np.nan), DIFFERENCES, axis=0)
+    size = round(SPECTRUM_SECONDS * rate_hz)
+    seconds = [part for part in (changes[start:start + size] for start in range(
+        0, len(changes) - size + 1, size)) if np.isfinite(part).all()]
+    if rate_hz < MIN_RATE_HZ or len(seconds) < 5:  # too few to tell noise from swings
+        return 0.0
+    spectra = [spectrum(part, rate_hz, SPECTRUM_SECONDS) for part in seconds]
+    hz = spectra[0].frequency
+    inside = (hz > NOISE_HZ) & (hz < 0.5 * NYQUIST_PART * rate_hz)
+    densities = np.array([one.density[inside].sum(axis=1) for one in spectra]) / (
+        2.0 * np.sin(np.pi * hz[inside] / rate_hz)) ** (2 * DIFFERENCES)
+    low, high = np.quantile(np.median(densities, axis=1), (0.1, 0.9))
+    if low < MIN_DENSITY or high > MAX_DENSITY_RATIO * low:
+        return 0.0
+    return -float(np.polyfit(np.log(hz[inside]), np.log(densities.mean(axis=0)), 1)[0])
+
+
+def jumps(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+    """Yield the largest of a few jumps without return, of package or marker."""
+    stream = recording.report.package
+    steps = lasting_steps(stream)
+    if not 0 < len(steps) <= MAX_POSE_STEPS:
+        return
+    R, stamps_ns = stream.recorded.rotation, stream.recorded.stamps_ns
+    before = np.array([step.before for step in steps])
+    turns = np.linalg.norm(lie.log_so3(np.swapaxes(R[before], 1, 2) @ R[before + 1]), axis=1)
+    *others, largest = sorted(steps, key=attrgetter('position'))
+    code, size = 'slipped', largest.position
+    if turns.max() > MAX_SLIP_ANGLE:
+        code, largest, size = 'turn', steps[np.argmax(turns)], float(turns.max())
+    elif stream.timing.rate_hz < LOW_RATE_HZ or any(
+            step.position > TAIL_SHARE * largest.position for step in others):
+        return  # the fit separates slips from tails
+    yield Remark(code, {
+        'size': size, 'at': float(stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S}, 'package')
