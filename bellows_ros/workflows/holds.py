@@ -73,7 +73,22 @@ def is_named(topic: str, name: str) -> bool:
 def spans_held(
     tool: PoseStream, signals: Sequence[Signal], values: Values
 ) -> list[tuple[int, int]]:
-    """Return the first and last stamp (ns) of each hold of a package, lifted from any support."""
+    """
+    Return the first and last stamp (ns) of each hold of a package, lifted from any support.
+
+    Raises
+    ------
+    BellowsError
+        If poses and vacuum are stamped by two clocks.
+
+    """
+    stamps = tool.stamps_ns
+    if signals[0][0] > stamps[-1] + MIXED_NS or signals[-1][0] < stamps[0] - MIXED_NS:
+        raise BellowsError(
+            f"The recording mixes two clocks: the header stamps of '{tool.name}' begin at "
+            f'{stamps[0] / NS_PER_S:.0f} s, and the vacuum, which has no header, was recorded '
+            f'at {signals[0][0] / NS_PER_S:.0f} s. With simulated time, record with '
+            "'ros2 bag record --use-sim-time', or set vacuum.signal: none.")
     up = world_rotation(values.recording.world, values.gravity.direction)[2]
     return [*holds(tool.stamps_ns, tool.position @ up, signals)]
 
@@ -89,13 +104,6 @@ def masks_held(path: File, streams: Mapping[str, Any], values: Values) -> list[M
 
     """
     signals = signals_of(path, values)
-    stamps = streams['tool_pose'].stamps_ns
-    if signals[0][0] > stamps[-1] + MIXED_NS or signals[-1][0] < stamps[0] - MIXED_NS:
-        raise BellowsError(
-            f"Recording '{path}' mixes two clocks: the header stamps of the tool begin at "
-            f'{stamps[0] / NS_PER_S:.0f} s, and the vacuum, which has no header, was recorded '
-            f'at {signals[0][0] / NS_PER_S:.0f} s. With simulated time, record with '
-            "'ros2 bag record --use-sim-time', or set vacuum.signal: none.")
     spans = spans_held(streams['tool_pose'], signals, values)
     if not spans:
         raise BellowsError(

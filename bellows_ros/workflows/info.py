@@ -360,9 +360,10 @@ def _registration_settings(
     """Add settings and notes on both poses; return the initial rest (s), and checks."""
     remarks, (tool, package) = list[str](), streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
-    error = ' '.join(remark_sentences([
-        remark for remark in pose_remarks(Poses(tool, package, R))
-        if remark.code != 'tool_z'], path))  # a check below
+    found = [remark for remark in pose_remarks(Poses(tool, package, R))
+             if remark.code != 'tool_z']  # a check below
+    error = ' '.join(remark_sentences([each for each in found if each.prevents], path))
+    notes += remark_sentences([each for each in found if not each.prevents])
     separate = '' if error else _why_separate(pair, tool, package)
     if separate:
         settings |= {

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -17,8 +18,6 @@ from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.commission import seems_tag
-from bellows_ros.core.recording.pose_faults import noise_of
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import (
     AXES,
@@ -30,7 +29,7 @@ from bellows_ros.core.signals.residuals import (
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
-from bellows_ros.report.sentences import finding_sentence, sentence, setting_of, texts
+from bellows_ros.report.sentences import finding_sentence, setting_of, texts
 from bellows_ros.workflows.recordings import remark_sentences
 import numpy as np
 
@@ -50,8 +49,15 @@ MAX_SOUND_RATIO = 2.0
 """Ratio of a free simulation's error to the noise above which the cause of a misfit is described:
 sound recordings whose noise has a memory of 26 ms are at 1.06 to 1.33 (10 seeds)."""
 
+MIN_INERTIA_RATIO = 0.05
+"""Smallest logarithm of a corrected ratio of inertia and mass that makes the mass doubtful: the
+usual standard deviation of an inertia by CAD."""
+
 SIGMAS = 3.0
 """Number of stated standard deviations beyond which an estimate is a finding of its own."""
+
+SENSORS = ('tag_as_body', 'body_as_tag')
+"""Remarks on another kind of sensor than stated."""
 
 CLOCK_RATE = 'rate of the clocks (ppm)'
 
@@ -125,7 +131,8 @@ class FitVerdict(NamedTuple):
     """
     Free simulations of recordings of the fit, and deviations from given quantities.
 
-    A definite cup of a converged search is rejected for a held-out error, or for a certain cause.
+    A definite cup of a converged search is rejected for a held-out error, or for a cause without
+    which K is wrong.
     """
 
     simulated: tuple[Simulated, ...]
@@ -149,11 +156,9 @@ class FitVerdict(NamedTuple):
 
     @property
     def wrong(self) -> list[causes.Finding]:
-        """Findings that reject a cup: certain ones, and a likely one that changes K materially."""
-        likely = [each for each in self.causing if each.name != 'unknown'][:1]
-        return [finding for finding in self.causing if finding.material or (
-            any(finding is own for own in likely) and finding.datum
-            and finding.share >= causes.DISTINCT and finding.moved > causes.MATERIAL)]
+        """The likeliest cause, if the cup is wrong without it."""
+        likely = [each for each in self.causing if each.name != 'unknown']
+        return [each for each in likely[:1] if each.material]
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -176,7 +181,7 @@ class FitVerdict(NamedTuple):
     def doubts(self) -> tuple[str, ...]:
         """Sentences on corrections by the fit that may be due to a wrong mass."""
         sentences = []
-        if abs(self.log_inertia_ratio) >= causes.MATERIAL:
+        if abs(self.log_inertia_ratio) >= MIN_INERTIA_RATIO:
             sentences.append(
                 f'package.inertia is {np.exp(-self.log_inertia_ratio):.3g} times the value '
                 'consistent with package.mass, and the fit has corrected the inertia. If the mass '
@@ -223,15 +228,14 @@ class FitVerdict(NamedTuple):
         if first.certain:
             return (finding_sentence(first, self.given),)
         likely = [each for each in self.causing if each.name != 'unknown']
-        if self.is_at_noise or self.simulated and not self.refusals and not (
-                likely and likely[0].share >= causes.DISTINCT or any(
-                    (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated)):
+        is_refused = bool(self.refusals) or not self.simulated
+        if self.is_at_noise or not (is_refused or likely and likely[0].share >= causes.DISTINCT):
             return ()
         listed = ' '.join(f'{number}. {finding_sentence(each, self.given)}'
                           for number, each in enumerate(likely, 1))
         return tuple(filter(None, (
-            finding_sentence(first, self.given) if first.name == 'unknown' else '', self.sensor,
-            f'Likeliest, but not certain: {listed}' if likely else '')))
+            finding_sentence(first, self.given) if first.name == 'unknown' and is_refused else '',
+            self.sensor, f'Likeliest, but not certain: {listed}' if likely else '')))
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -281,8 +285,9 @@ def verdict_of(
 
     """
     tested = recordings[:MAX_TESTED]
-    faults = tuple(text for recording in tested for text in remark_sentences(
-        [remark for remark in recording.report.remarks if remark.prevents], recording.name))
+    faults, sensors = (tuple(text for recording in tested for text in remark_sentences(
+        filter(chosen, recording.report.remarks), recording.name)) for chosen in (
+            attrgetter('prevents'), lambda remark: remark.code in SENSORS))
     if not tested:
         return None
     package = tested[0].payload
@@ -291,7 +296,7 @@ def verdict_of(
         'package.inertia': np.diag(package.inertia)})
     simulated = values.replaced({'cup.length': length, 'fit.method': 'output_error'})
     verdict = FitVerdict(
-        (), (), given, faults=faults, sensor=_other_sensor(tested[0], values))
+        (), (), given, faults=faults, sensor=''.join(sensors[:1]))
     verdict = _judged(verdict, fit, tested, length, values)
     if faults:
         return verdict
@@ -302,17 +307,6 @@ def verdict_of(
         fit = methods.fitted(tested, simulated, exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
     return verdict._replace(excess=excess, causing=fit.causes)
-
-
-def _other_sensor(recording: Recording, values: Values) -> str:
-    """Return a sentence on poses that seem to be of a tag of unknown size, or ''."""
-    report, body = recording.report.package, recording.tracked_package
-    noise, rate_hz = noise_of(body.select(body.valid)), report.timing.rate_hz
-    if values.measured.tag_size or not np.isfinite(noise).all() or not seems_tag(
-            noise, rate_hz, report.outliers.excursions / len(report.recorded)):
-        return ''
-    return sentence('causes', 'sensor', topic=report.recorded.name, rate=rate_hz,
-                    rotation=float(np.sqrt(np.mean(noise[3:]**2))))
 
 
 def _judged(

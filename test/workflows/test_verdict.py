@@ -8,8 +8,10 @@ from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.conversion import tag_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import Remark
+from bellows_ros.core.recording.faults import recording_remarks
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.workflows import verdict
 from bellows_ros.workflows.recordings import checked, load
@@ -184,10 +186,13 @@ def test_an_estimate_beyond_three_deviations_is_a_finding_of_its_own():
 
 
 @pytest.mark.parametrize(('size', 'noise', 'camera_hz', 'named'), [
-    (0.0, 6e-3, 30.0, 'set measured.tag_size'), (0.0, 5e-4, 240.0, ''), (0.05, 6e-3, 30.0, '')])
-def test_a_tag_of_unknown_size_is_named(size, noise, camera_hz, named):
+    (0.0, 6e-3, 30.0, ['tag_as_body']), (0.0, 5e-4, 240.0, []), (0.05, 6e-3, 30.0, []),
+    (0.05, 5e-4, 240.0, ['body_as_tag'])])
+def test_poses_of_another_kind_of_sensor_are_named(size, noise, camera_hz, named):
     laboratory = Laboratory(4, seconds=6.0, rate_hz=240.0)
     laboratory.noise, laboratory.camera_hz = ((3e-4, noise), laboratory.noise[1]), camera_hz
-    values = parameters(laboratory).replaced({'measured.tag_size': size})
-    said = verdict._other_sensor(laboratory.recording(), values)
-    assert named in said and bool(named) == bool(said)
+    recording = laboratory.recording()
+    recording = replace(recording, settings=replace(recording.settings, tag=tag_of(
+        parameters(laboratory).replaced({'measured.tag_size': size}))))
+    found = recording_remarks(recording, laboratory.length)
+    assert [remark.code for remark in found if not remark.prevents] == named

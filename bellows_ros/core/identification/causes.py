@@ -9,8 +9,8 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 import numpy as np
 
-MATERIAL = 0.05
-"""Smallest material relative change of an entry of K."""
+MATERIAL = 0.02
+"""Smallest material relative change of an entry of K: the error up to which K is called right."""
 
 DISTINCT = 0.5
 """Share of a misfit, and of the likeliest cause's, that counts as half."""
@@ -54,5 +54,6 @@ class Finding(NamedTuple):
 
     @property
     def material(self) -> bool:
-        """Whether the cup is wrong without the cause."""
-        return self.certain and self.datum
+        """Whether the cup is wrong without the cause: a setting, or a quantity that changes K."""
+        return self.datum and self.share >= DISTINCT and (
+            self.moved > MATERIAL or not len(self.theta))

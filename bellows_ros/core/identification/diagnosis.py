@@ -43,6 +43,7 @@ from bellows_ros.core.signals.residuals import AXES, spectrum
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
+from scipy.special import fdtri
 
 SIGNIFICANT = 6.0
 """Distance of a significant change from zero, standard errors."""
@@ -191,6 +192,20 @@ class Alternative(NamedTuple):
     gain: float
 
 
+def least_share(one: Alternative) -> float:
+    """
+    Return the share of a misfit that a free quantity explains by chance, by an F test.
+
+    Axes and seconds count as independent, as a misfit lasts about as long as a swing.
+    """
+    problem = one.found.problem
+    count = problem.places[one.name].shape[1]
+    blocks = len(AXES) * sum(last - first for outline in problem.outlines
+                             for first, last in outline.ends_ns) / NS_PER_S / BLOCK_S
+    F = count * float(fdtri(count, max(blocks, 1.0), 1.0 - FALSE_ALARMS))
+    return float(F / (F + blocks))
+
+
 def freed(before: Solution, name: str) -> Alternative:
     """Return the solution with a quantity free, from the start if the cup is implausible."""
     problem, more = before.problem, weak_prior([name])
@@ -226,9 +241,9 @@ def rank(end: Solution, given_std: Free) -> tuple[Finding, ...]:
         names = [*dict.fromkeys([*names, 'length', 'package_world'])]
     tried = sorted((freed(end, name) for name in names),
                    key=lambda one: one.gain, reverse=True)
-    tried = [one for one in tried if one.name in least or (
-        one.gain > SIGNIFICANT**2 * max(one.found.colour, 1.0))]
-    total = max(misfit_beyond_noise(end), *(one.gain for one in tried), 1e-9) if tried else 1.0
+    total = max([misfit_beyond_noise(end), 1e-9, *(one.gain for one in tried)])
+    tried = [one for one in tried if one.name in least or one.gain > max(
+        SIGNIFICANT**2 * max(one.found.colour, 1.0), least_share(one) * total)]
     best = tried[0] if tried else None
     frame = best and best.name in OF_LIP and _other_frame(end, best)
     if frame:
@@ -484,7 +499,8 @@ def likeliest_setting(near: Solution, cup: Cup) -> Finding | None:
     least, likeliest = min(ends, key=itemgetter(0))
     other = next((change for finding, change in settings_of(problem.outlines)
                   if finding[:2] == likeliest[:2]), None)
-    if not other or not minimise(problem.changed(other)).fits:
+    if not other or least > (1.0 - DISTINCT) * ends[0][0] or (
+            not minimise(problem.changed(other)).fits):
         return None
     instead = [finding.value for squares, finding in ends if finding is not likeliest and (
         finding.name == likeliest.name == 'yaw' and DISTINCT * squares < least)]

@@ -29,6 +29,7 @@ import numpy as np
 from . import alignment
 from .outliers import find_outliers
 from .pose_faults import MAX_UP, noise_of, tool_up
+from .prepared_faults import MAX_EXCURSIONS, seems_tag
 from .recording import LOW_RATE_HZ
 
 FLANGE_OUTWARD = '0 0 0 1 0 0 0'
@@ -55,13 +56,6 @@ SPEED_STEP = 20_000_000
 
 MAX_COMPARED = 1000
 """Number of poses from which the offset of two clocks is estimated."""
-
-TAG_ROTATION, TAG_DEPTH, TAG_RATE_HZ = 2e-3, 2.5, 70.0
-"""Limits of a tag detector: smallest noise of the orientation (rad), smallest ratio of depth noise
-to lateral noise, largest rate (Hz)."""
-
-MAX_EXCURSIONS = 1e-3
-"""Largest fraction of excursions in the poses of a tracked body."""
 
 BLUR_RATIO = 2.5
 """Smallest ratio of noise in fast motion to noise at rest that indicates blur."""
@@ -218,14 +212,6 @@ def _speeds(tool: Trajectory, stamps_ns: Stamps) -> Array:
         np.linalg.norm(after.position - before.position, axis=1) / seconds,
         np.linalg.norm(lie.log_so3(np.swapaxes(before.rotation, 1, 2) @ after.rotation), axis=1)
         / seconds])
-
-
-def seems_tag(noise: Array, rate_hz: float, excursions: float) -> bool:
-    """Return whether poses with a noise (6,), a rate and a share of excursions are of a tag."""
-    lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (noise[:2], noise[3:]))
-    return rate_hz < TAG_RATE_HZ and (
-        excursions > MAX_EXCURSIONS or rotation > TAG_ROTATION
-        or float(noise[2]) > TAG_DEPTH * lateral)
 
 
 def _detector(

@@ -55,6 +55,7 @@ OF_RECORDING = (
     Check(prepared_faults.wrong_twists, FIT, level=1),
     Check(prepared_faults.low_pass, FIT, level=1),
     Check(prepared_faults.jumps, FIT, level=1),
+    Check(prepared_faults.wrong_sensors, '', level=1),
     Check(prepared_faults.wrong_length, FIT, level=2))
 """Checks of a prepared recording, in one world and on one clock."""
 

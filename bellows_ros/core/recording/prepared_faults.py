@@ -21,8 +21,21 @@ import numpy as np
 
 from . import alignment, conventions
 from .alignment import Remark
+from .pose_faults import noise_of
 from .preparation import lasting_steps, MAX_POSE_STEPS, prepare
 from .recording import LOW_RATE_HZ, NOISE_SAMPLES, Recording
+
+TAG_ROTATION = 2e-3
+"""Smallest noise of the orientation of a detected tag, rad: ten times a tracked body's."""
+
+TAG_DEPTH = 2.5
+"""Smallest ratio of depth noise to lateral noise of a detected tag: distance over side."""
+
+TAG_RATE_HZ = 70.0
+"""Largest rate of a tag detector, Hz: usual cameras have 30 or 60."""
+
+MAX_EXCURSIONS = 1e-3
+"""Largest fraction of excursions in the poses of a tracked body."""
 
 MAX_TWIST_ERROR = 0.05
 """Largest relative error of a recorded twist: the filter takes 2 % of a motion at 3 Hz."""
@@ -94,6 +107,30 @@ MIN_DENSITY = 1e-18
 
 MAX_DENSITY_RATIO = 10.0
 """Largest ratio of the densities in two seconds of stationary noise, 90 % and 10 % quantiles."""
+
+
+def seems_tag(noise: Array, rate_hz: float, excursions: float) -> bool:
+    """Return whether poses with a noise (6,), a rate and a share of excursions are of a tag."""
+    lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (noise[:2], noise[3:]))
+    return rate_hz < TAG_RATE_HZ and (
+        excursions > MAX_EXCURSIONS or rotation > TAG_ROTATION
+        or float(noise[2]) > TAG_DEPTH * lateral)
+
+
+def wrong_sensors(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+    """Yield poses of a detected tag given as poses of a tracked body, or vice versa."""
+    report, body = recording.report.package, recording.tracked_package
+    noise, rate_hz = noise_of(body.select(body.valid)), report.timing.rate_hz
+    excursions = report.outliers.excursions / len(report.recorded)
+    is_of_tag, is_tag = (seems_tag(noise, own, excursions) for own in (0.0, rate_hz))
+    sizes = {'rate': rate_hz, 'rotation': float(np.sqrt(np.mean(noise[3:]**2)))}
+    if not np.isfinite(noise).all():
+        return
+    if is_tag and recording.settings.tag is None:
+        yield Remark('tag_as_body', sizes, 'package')
+    elif rate_hz > TAG_RATE_HZ and not is_of_tag and recording.settings.tag and (
+            report.recorded.corners is None):
+        yield Remark('body_as_tag', sizes, 'package')
 
 
 def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
