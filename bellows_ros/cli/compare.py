@@ -10,6 +10,7 @@ from .options import Outcome
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Compare two identified cups; not successful if they differ."""
     result = compare_files(arguments.before, arguments.after)
     return Outcome(result, not result.differs)
 

@@ -12,6 +12,7 @@ from .console import Console
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Convert trajectories to a recording, or a recording to trajectories."""
     span = options.interval_settings(arguments)
     text = arguments.out.lower().endswith(('.tum', '.txt'))
     frames = bool(arguments.tool_frame or arguments.package_frame) and not text

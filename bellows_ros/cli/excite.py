@@ -14,6 +14,7 @@ from .options import Outcome, read_settings
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Design a motion within the limits, and write it."""
     result = excite(
         read_settings(arguments, cup_for=console), load(arguments.limits), arguments.time,
         str(arguments.urdf or ''), arguments.beside, arguments.seed, console.progress,

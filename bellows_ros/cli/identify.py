@@ -25,6 +25,7 @@ OUTPUTS = {'out': 'output.parameters', 'out_cell': 'output.cell', 'json': 'outpu
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Identify a cup or a release from recordings, and write the parameter files."""
     settings = _settings(arguments, console)
     if arguments.release:
         return _release(arguments, settings, console)

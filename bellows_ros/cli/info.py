@@ -23,6 +23,7 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Examine a recording, and write its parameter file if requested."""
     options.require_absent(arguments.write_params, arguments.force)
     console.progress(f'reading {arguments.bag}')
     result = info(arguments.bag, options.interval_settings(arguments))

@@ -11,6 +11,7 @@ from .options import Outcome, read_settings
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Predict a plan."""
     values = read_settings(arguments, cup_for=console)
     console.progress('planning')
     report = plan(

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Play a recording to ROS."""
     if not (math.isfinite(arguments.rate) and arguments.rate > 0.0):
         raise BellowsError(f'--rate must be a number above 0, got {arguments.rate:g}.')
     require_ros()

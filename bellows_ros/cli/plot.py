@@ -19,6 +19,7 @@ MAX_SPEED = 100.0  # times real time
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Draw a picture of recordings or predictions."""
     needs_cup = arguments.what not in ('motion', 'spectra', 'path')
     values = options.read_settings(arguments, cup_for=console if needs_cup else None)
     has_cup = 'cup.stiffness' in values

@@ -12,6 +12,7 @@ from .console import Console
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Identify simulated recordings."""
     values = options.read_settings(arguments, cup_for=console)
     motion = load(arguments.motion) if arguments.motion else None
     result = rehearse(values, motion, arguments.runs, console.progress)

@@ -28,6 +28,7 @@ def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Predict a recording, and compare the prediction with the measured poses."""
     settings = options.read_settings(arguments, cup_for=console)
     _check(arguments, settings)
     result = replay.replay(

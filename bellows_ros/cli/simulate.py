@@ -13,6 +13,7 @@ from .console import Console
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Simulate a recording, and write it."""
     values = options.read_settings(arguments, cup_for=console)
     report = simulate_recording(
         values, load(arguments.motion), arguments.out, console.progress, arguments.force,

@@ -25,6 +25,7 @@ DEGREES = (*display_unit('rad'), 'rotation')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Evaluate the standstills of recordings."""
     settings = options.read_settings(arguments)
     named, masses = arguments.bags, arguments.masses
     if masses and len(masses) != len(named):

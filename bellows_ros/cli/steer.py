@@ -15,6 +15,7 @@ DEGREES = math.degrees(1.0)
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Steer a plan, and write it."""
     values = read_settings(arguments, cup_for=console)
     console.progress('planning')
     report = steer.steer_plan(

@@ -16,6 +16,7 @@ MILLI = 1e3
 
 
 def run(arguments: argparse.Namespace, console: Console) -> Outcome:
+    """Predict a toss."""
     result = toss_plan(
         arguments.plan, read_settings(arguments, cup_for=console), arguments.release,
         arguments.target, arguments.target_rotation, arguments.monte_carlo, console.progress,

@@ -14,8 +14,11 @@ import warnings
 
 from bellows_ros.errors import UnitWarning
 
-M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
-"""Options of glibc's allocator."""
+M_MMAP_THRESHOLD = -3
+"""Option of glibc's allocator: smallest size of an array with memory pages of its own."""
+
+M_ARENA_MAX = -8
+"""Option of glibc's allocator: largest number of separate heaps."""
 
 LARGE = 2 * 2**20
 """Size from which an array gets memory pages of its own, bytes."""
@@ -25,10 +28,9 @@ def configure_process(is_node: bool = False) -> None:
     """
     Set threads of linear algebra, allocator and garbage collector, before NumPy is imported.
 
-    More threads only contend: on two busy cores least squares takes two to seven times as long
-    with them. By default glibc keeps the memory of freed arrays: a tenth of the memory of a long
-    recording, and more with one arena per thread. The garbage collector takes a third of
-    the time of a compilation by default. Settings of the user prevail.
+    On two busy cores least squares with several threads takes two to seven times as long. By
+    default glibc keeps the memory of freed arrays, a tenth of the memory of a long recording, and
+    the garbage collector takes a third of the time of a compilation. Settings of the user prevail.
     """
     gc.set_threshold(10_000, 20, 20)
     warnings.simplefilter('ignore', UnitWarning)  # commands and nodes show these themselves

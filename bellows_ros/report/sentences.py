@@ -103,6 +103,7 @@ class _Sentence(Formatter):
     """Formatter of numbers with units, counts with nouns, lists, and foreign text."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a number with its unit, a count with its noun, or a list, as the format asks."""
         if format_spec.startswith('# '):
             return many(value, format_spec[2:])
         form, _, unit = format_spec.rpartition(' ')

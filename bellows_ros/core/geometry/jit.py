@@ -32,7 +32,7 @@ COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 
 CORE = Path(__file__).parents[1]
 UNUSED = 86_400.0
-"""Age from which a folder of another state of the source is removed, s."""
+"""Age from which compiled code of a former version of the source is removed, s."""
 
 OPTIONS = {'error_model': 'numpy', 'nogil': True, 'no_cfunc_wrapper': True}
 
@@ -42,9 +42,9 @@ Function = TypeVar('Function', bound=Callable[..., Any])
 
 def _folder_of_source() -> Path:
     """
-    Return the folder of this state of the source in the user's cache; remove unused older ones.
+    Return the folder for this version of the source in the user's cache; remove unused folders.
 
-    A folder of the last day stays: a process of another state of the source may use it.
+    A folder used within the last day is kept, because a process of another version may use it.
     """
     source = b''.join(path.read_bytes() for path in sorted(CORE.rglob('*.py')))
     digest = hashlib.sha256(numba.__version__.encode() + source)
@@ -62,8 +62,8 @@ def _use_folder() -> Path | None:
     """
     Let numba store machine code in a folder, and return it; return None if it cannot be written.
 
-    The folder is NUMBA_CACHE_DIR if set, or of the state of the source, as numba itself notices
-    changes in the file of an entry alone.
+    The folder is NUMBA_CACHE_DIR if set, otherwise a folder for this version of the source: numba
+    itself only notices changes in the file of an entry.
     """
     try:
         folder = Path(os.environ.get('NUMBA_CACHE_DIR') or _folder_of_source())
@@ -89,7 +89,7 @@ IS_NEW: bool = COMPILED and not (FOLDER and any(FOLDER.iterdir()))
 
 def kernel(function: Function) -> Function:
     """
-    Let entries call a function; Python interprets it.
+    Mark a function that entries call; called from Python, the function is interpreted.
 
     Division by zero gives inf or nan in compiled code and raises in interpreted code, so a
     kernel guards its divisors itself.
@@ -105,7 +105,7 @@ def entry(function: Function) -> Function:
 
 
 def damage(error: BaseException) -> str:
-    """Return what to do if an error is of stored machine code, else ''."""
+    """Return the remedy if an error is caused by damaged machine code on disk, else ''."""
     files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     return any(Path(file).match('numba/core/caching.py') for file in files) * (
         f"Compiled code in '{FOLDER}' cannot be used ({type(error).__name__}: {error}). Remove "

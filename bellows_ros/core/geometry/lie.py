@@ -155,7 +155,7 @@ def dexp_inverse(phi: Array) -> Array:
     """
     Return the inverse of `dexp`, valid for |phi| < 2 pi.
 
-    In the functions of the module's docstring: I - phi^/2 - (delta/beta) (phi^)^2.
+    The inverse is I - phi^/2 - (delta/beta) (phi^)^2, with delta and beta of the module.
 
     Parameters
     ----------

@@ -53,17 +53,17 @@ class Cycle:
         self.lowest = self._due_ns = 0.0
 
     def grip(self) -> None:
-        """Take up the next package."""
+        """Set the state of a newly gripped package."""
         self.state, self.lowest, self._due_ns = GRIPPED, float('inf'), 0.0
         self.follows = True
 
     def end(self, state: str) -> None:
-        """End with a state, if the cup has a package."""
+        """Set a final state (released or lost), if the cup has a package."""
         if self.state in ON_CUP:
             self.state, self._due_ns = state, 0.0
 
     def on_valve(self, on: bool) -> None:
-        """Grip or release by a reading of the valve."""
+        """Update the state by a reading of the valve: on grips, off releases."""
         before, self.valve = self.valve, on
         if on == before:
             return
@@ -112,16 +112,17 @@ class Cycle:
                 self.state = HELD
 
     def is_due(self, stamp_ns: int) -> bool:
-        """Return whether a package without vacuum has to be decided on."""
+        """Return whether a package without vacuum must now be judged as released or lost."""
         return 0.0 < self._due_ns <= stamp_ns
 
     def decide(self, departs: bool) -> None:
-        """Release a package without vacuum, or lose it if measured poses contradict a grip."""
+        """Set a package without vacuum to released, or to lost if measured poses show a fall."""
         self.end(LOST if departs else RELEASED)
 
 
 Signal = tuple[int, str, bool, int]
-"""Stamp (ns), 'vacuum' or 'valve', whether on, and the cup of a gripper, -1 for all."""
+"""A signal: stamp (ns), 'vacuum' or 'valve', whether on, and index of the cup (-1 for all
+cups)."""
 
 
 def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Iterator[
@@ -129,7 +130,8 @@ def holds(stamps_ns: Stamps, heights: Array, signals: Sequence[Signal]) -> Itera
     """
     Yield the first and last stamp (ns) of each hold in a recording, without contact.
 
-    A hold begins `LIFT` above the grip, and ends `LIFT` above a lower release.
+    A hold begins when the tool is `LIFT` above the grip, and ends when it is `LIFT` above the
+    release.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The package from the valve on: held until the release, in flight, landed. Pure code, no ROS."""
+"""The package after the valve is switched: held until the release, in flight, landed. No ROS."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,7 +27,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 AIM_TIME = 0.4
-"""Range of the search for a release that hits the target, s."""
+"""Duration of the range in which a release that hits the target is searched, s."""
 PATH_POINTS = 24
 ROOT_STEP = 0.01
 """Step of the covariance of a later state, s."""
@@ -47,12 +47,12 @@ class Landing(NamedTuple):
 
 
 def _after_now(tool: ToolRows | None) -> tuple[Array, Array]:
-    """Return rows and seconds of a tool after the present; empty if none."""
+    """Return rows and times (s) of a tool's motion after the present; empty if there are none."""
     return (np.empty((0, 13)), np.empty(0)) if tool is None else (tool.rows[1:], tool.seconds[1:])
 
 
 def at_constant_velocity(now: Prediction, tool: ToolRows | None, duration: float) -> ToolRows:
-    """Return the tool for a time (s) at least: as planned, then with constant twist."""
+    """Return the tool's motion for at least a time (s): as planned, then with constant twist."""
     tool = tool or ToolRows(np.zeros(1, np.int64), np.array([np.concatenate(now.tool)]))
     remaining_ns = round(duration * NS_PER_S) - int(tool.stamps_ns[-1])
     if remaining_ns <= 0:
@@ -137,7 +137,7 @@ class Flight:
 
     @property
     def grip(self) -> Grip | None:
-        """Grip before the valve was switched; the pressure changes only afterwards."""
+        """Grip before the valve was switched, with the pressure of that time."""
         return self._released_grip if self.state else self._grip_now()
 
     @property
@@ -270,7 +270,8 @@ class Flight:
         """
         Return the landing if the valve were switched now and the tool moved as planned.
 
-        Each call renews one derivative: all of them take as long as they remain nearly valid.
+        Each call renews one derivative, because the derivatives change slowly and all of them
+        together take too long.
 
         Parameters
         ----------
@@ -293,7 +294,7 @@ class Flight:
         def landing(
             change: Array, tool: ToolRows | None = plan
         ) -> tuple[float, State, float, State]:
-            """Return `toss_along` with a change (20,) of state and law along a motion."""
+            """Return the landing after a change (20,) of initial state and law of release."""
             switching = (model, self.grip or release.NO_GRIP,
                          release_with(self._release, self._factor @ change[12:]), 0.0)
             found = release.toss_along(
@@ -304,7 +305,7 @@ class Flight:
             return found
 
         def change_by(changed: tuple[float, State, float, State]) -> Array:
-            """Return the deviation of a landing (6,)."""
+            """Return the deviation (6,) of another landing: position (m), rotation (rad)."""
             return np.concatenate(release.landing_error(changed[3], nominal[3], model[2]))
 
         try:

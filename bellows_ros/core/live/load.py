@@ -23,13 +23,13 @@ LEAST_ABSOLUTE = 5000.0
 """Absolute pressure below which no ejector evacuates a cup, Pa."""
 
 AMBIENT_IN = (('in_bar', 0.8, 1.1), ('in_kpa', 80.0, 110.0), ('in_mbar', 800.0, 1100.0))
-"""Units other than Pa, with the range of the ambient pressure in them."""
+"""Units other than Pa, with the range of the ambient pressure in each unit."""
 
 GLITCHES = 3
 """Number of consecutive impossible pressures after possible ones that indicate another unit."""
 
 ALL = -1
-"""Index of the cup, or of all cups of a gripper together."""
+"""Index that stands for all cups of a gripper."""
 
 
 def deflection(
@@ -175,7 +175,7 @@ class Load:
 
 
 def why_no_pressure(pressure: float) -> str:
-    """Return the reason why a number is no absolute pressure of a cup in Pa, or ''."""
+    """Return the reason why a number cannot be the absolute pressure of a cup in Pa, or ''."""
     if not math.isfinite(pressure):
         return 'nan'
     if pressure < 0.0:
@@ -199,7 +199,8 @@ class Vacuum:
     open_cups : tuple of int
         Cups of cup.layout without vacuum; unchanged if no cup has vacuum.
     fault : str
-        Reason why the pressures are not absolute ones in Pa, until one shows an open cup; ''.
+        Reason why the pressures are no absolute pressures in Pa, or ''. The reason is reset by a
+        pressure of an open cup.
 
     """
 
@@ -245,7 +246,7 @@ class Vacuum:
         return (is_held, cup), (True, ALL)
 
     def _why_rejected(self, values: Values, pressure: float) -> str:
-        """Return the reason for the rejection of a pressure, or ''; note another unit."""
+        """Return the reason for the rejection of a pressure, or ''; store a wrong unit."""
         reason = why_no_pressure(pressure)
         if reason in ('', 'nan'):
             if not reason and self.fault and pressure > values.vacuum.detach_above:
@@ -262,7 +263,7 @@ class Vacuum:
 
 def check_live(values: Values) -> None:
     """
-    Raise BellowsError for values, each valid, with which no live prediction can be computed.
+    Raise BellowsError if valid values do not allow a live prediction in combination.
 
     Parameters
     ----------

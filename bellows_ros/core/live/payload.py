@@ -1,4 +1,4 @@
-"""State of the held package: initially at rest, propagated with the tool, extrapolated."""
+"""State of the held package: start at rest, propagation with the tool, extrapolation."""
 
 from functools import partial
 import math
@@ -73,7 +73,7 @@ def prepared(
 
 
 def _require_slow(matrix: Array) -> None:
-    """Raise for a model, by its system matrix (12, 12), that needs too many steps per second."""
+    """Raise for a system matrix (12, 12) whose model needs too many steps per second."""
     undamped = matrix.copy()
     undamped[6:12, 6:12] = 0.0
     for name, system in (('cup.stiffness', undamped), ('cup.damping', matrix)):
@@ -171,7 +171,7 @@ class LivePayload:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
 
     def feel(self, stamp_ns: int, wrench: Wrench, in_world: bool) -> str:
-        """Correct the package with a wrench in axes of sensor or world; return a rejection."""
+        """Correct the package with a wrench in sensor or world axes; return why not, or ''."""
         observer, sample = self.observer, self.sample
         if observer is None or sample is None:
             return 'not_held'
@@ -184,7 +184,7 @@ class LivePayload:
         return verdict
 
     def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
-        """Restart from rest at the next tool sample, with given rows of earlier estimates."""
+        """Restart from rest at the next tool sample, with the estimates in given rows kept."""
         if self.observer is not None:
             self.observer.forget(kept)
         self.sample = None
@@ -246,7 +246,7 @@ class LivePayload:
         self, body: State, start: State, end: State, duration: float, stored_ns: int = 0
     ) -> tuple[State, Wrench] | None:
         """
-        Return package and wrench at the end, or None if not finite.
+        Return package and wrench after the tool's step, or None if they are not finite.
 
         An observer stores the package at a given stamp (ns).
         """

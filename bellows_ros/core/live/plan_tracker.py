@@ -25,8 +25,8 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 MAX_WAIT = 10.0
-"""Largest time between a plan's stamp and the present, s: beyond, the stamp may be of another
-clock, and the plan begins with the tool."""
+"""Largest time between a plan's stamp and the present, s. A plan with a larger difference may have
+the stamp of another clock, and starts with the tool's motion."""
 MAX_DEVIATION = 0.05
 """Largest distance of a tool that follows the plan, m."""
 
@@ -38,8 +38,8 @@ TWIST_STD = 0.005
 START_STD = 0.5
 """Standard deviation of a driver's rate before its first motion, relative to the plan."""
 GATE = 4.0
-"""Squared innovation relative to its variance above which the driver has changed its rate, or the
-tool is elsewhere on the plan: two standard deviations."""
+"""Squared innovation over its variance above which the rate of the driver, or the tool's point on
+the plan, has changed: two standard deviations."""
 PAUSE_RATE = 0.1
 """Rate relative to the plan below which a driver pauses."""
 
@@ -65,12 +65,24 @@ MAX_JOIN_TIME = 0.1
 SPACING = 0.01
 """Shortest time between points of the remaining plan, s."""
 
-WAITING, DRIVEN, PAUSED, DEVIATED, DONE = 'waiting', 'driven', 'paused', 'deviated', 'done'
-"""States of a plan: not begun, driven, tool at rest on it, tool elsewhere, finished."""
+WAITING = 'waiting'
+"""State of a plan that the tool has not started."""
+
+DRIVEN = 'driven'
+"""State of a plan that the tool follows."""
+
+PAUSED = 'paused'
+"""State of a plan on which the tool has stopped before the end."""
+
+DEVIATED = 'deviated'
+"""State of a plan that the tool has left."""
+
+DONE = 'done'
+"""State of a plan at whose end the tool has arrived."""
 
 
 class PlanProgress(NamedTuple):
-    """Progress of the tool on a plan at a stamp, replaced as a whole, as threads read it."""
+    """Progress of the tool on a plan at a stamp; immutable, because several threads read it."""
 
     stamp_ns: int
     time: float
@@ -86,7 +98,7 @@ class PlanProgress(NamedTuple):
 
 @entry
 def pose_deviation(row: Any, o: Vector, q: Quaternion) -> float:
-    """Return the distance (m) of a tool from a point of a plan, rotation by `ROTATION_LEVER`."""
+    """Return a tool's distance (m) from a point of a plan; `ROTATION_LEVER` weights rotations."""
     x, y, z = row[0] - o[0], row[1] - o[1], row[2] - o[2]
     same = abs(row[3] * q[0] + row[4] * q[1] + row[5] * q[2] + row[6] * q[3])
     rotation = ROTATION_LEVER * ROTATION_LEVER * 4.0 * max(0.0, 2.0 - 2.0 * same)
@@ -95,7 +107,7 @@ def pose_deviation(row: Any, o: Vector, q: Quaternion) -> float:
 
 @kernel
 def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
-    """Return the inner product of two twists, rotation by `ROTATION_LEVER`."""
+    """Return the inner product of two twists; rates count by `ROTATION_LEVER`."""
     return t3.dot(v, linear) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, angular)
 
 
@@ -114,7 +126,7 @@ def point_at(rows: Any, seconds: Any, t: float) -> State:
 
 @entry
 def departure(rows: Any, seconds: Any) -> float:
-    """Return the time (s) of the first point that is distinguishable from the plan's first."""
+    """Return the time (s) of the first point that differs measurably from the start."""
     o, q = row_state(rows[0])[:2]
     for k in range(len(rows)):
         if pose_deviation(rows[k], o, q) ** 2 > GATE * POSE_STD * POSE_STD:
@@ -124,7 +136,7 @@ def departure(rows: Any, seconds: Any) -> float:
 
 @kernel
 def offset(point: State, tool: State) -> tuple[float, float, float]:
-    """Return squared distance (m^2) of a tool from a point, its part along, and speed^2."""
+    """Return a tool's squared distance (m^2) from a point, its part along the path, speed^2."""
     o, q, v, w = point[:4]
     step = t3.apply_transposed(t3.rotation_matrix(q), t3.subtract(tool[0], o))
     rotation = t3.rotation_between(q, tool[1])
@@ -160,7 +172,7 @@ def search(
     rows: Any, seconds: Any, tool: State, expected: float, ends: tuple[float, float]
 ) -> tuple[float, float]:
     """
-    Return the time (s) within a range at which the plan is nearest to the tool, and the step (s).
+    Return the time (s) at which the plan is nearest to the tool, within a range, and the step (s).
 
     Among equally near points, a point in the tool's direction of motion is preferred, then the one
     nearer to the expected time.
@@ -193,8 +205,8 @@ def track(
     """
     Return the tool's distance from the plan (m), and the corrected time, rate and covariance.
 
-    A prior is time (s), rate and their covariance; the plan is searched within a range (s) if the
-    tool is not at the predicted point.
+    The prior is the time (s), the rate and their covariance. If the tool is not at the predicted
+    point, the plan is searched within a range (s).
     """
     t, rate, variance, covariance, rate_variance = prior
     at, wide = corrected(rows, seconds, tool, t, variance)
@@ -235,7 +247,7 @@ def track(
 @entry
 def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> int:
     """
-    Move a limited number of states per second, and the last, to the front; return their number.
+    Keep a limited number of states per second, and the last, at the front; return their number.
 
     Twists are optionally rotated into axes of the world.
     """
@@ -256,7 +268,7 @@ def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> in
 
 class PlanTracker:
     """
-    A plan of the tool that is being driven, or will be.
+    A plan that the tool drives now or later.
 
     Parameters
     ----------
@@ -304,7 +316,7 @@ class PlanTracker:
     def _predicted(
         self, stamp_ns: int
     ) -> tuple[tuple[float, float], tuple[float, float, float, float, float]]:
-        """Return the range (s) of a search, and time, rate and covariance before a pose."""
+        """Return the range (s) of a search, and the predicted time, rate and covariance."""
         stored_ns, time, rate, variance, covariance, rate_variance = self.progress
         elapsed = max(0.0, (stamp_ns - stored_ns) / NS_PER_S) if stored_ns >= 0 else 0.0
         if self.state == WAITING:
@@ -333,7 +345,7 @@ class PlanTracker:
         return wait if is_soon else math.inf
 
     def is_driven(self, now: Prediction) -> bool:
-        """Return whether the tool is on the plan, or will be soon."""
+        """Return whether the tool is on the plan, or approaches its start."""
         return self.state == DRIVEN or (
             self.state == WAITING
             and -0.1 - self._leaves <= self._wait(now.stamp_ns) < math.inf)
@@ -342,9 +354,9 @@ class PlanTracker:
         """
         Return the present tool and the remaining plan, with stamps from the present on.
 
-        A plan without a time of begin begins now. The tool joins the plan at `JOIN_SPEED`, and
-        drives it at its last rate; points are thinned to a spacing (s). The progress, and the rate
-        of a driven plan, are changed by a number of their standard deviations.
+        A plan without a start time starts now. The tool joins the plan at `JOIN_SPEED`, and
+        follows the plan at its last rate. Points have at least a spacing (s). Progress and rate
+        are changed by a number of their standard deviations.
         """
         stored_ns, progress, rate, variance, _, rate_variance = self.progress
         seconds, last, wait = self.plan.seconds, len(self.plan) - 1, 0.0

@@ -53,7 +53,7 @@ MOVING_RATE = 0.1
 """Angular speed of the tool above which no package is released, rad/s."""
 
 STOPPED_NS = 100_000_000
-"""Time at rest before a release, ns: a vacuum that ends earlier has ended in motion."""
+"""Time at rest before a release, ns. A vacuum that ends earlier is a loss in motion."""
 
 MIN_UPWARD_GRAVITY = 0.5
 """Fraction of gravity along z of the tool above which the package is above the tool."""
@@ -279,7 +279,7 @@ class LivePredictor:
         return self.is_ok_at(self.arrivals.newest_ns or 0)
 
     def is_ok_at(self, arrival_ns: int) -> bool:
-        """Return `is_ok` at a time on the clock of arrivals."""
+        """Return `is_ok` for a given time on the clock of arrivals."""
         observer, load, latest = self.package.observer, self.load, self.latest
         return (self.state in ON_CUP and self.alarm is None and not self.is_above
                 and load is not None and load.grip is not None and not self.vacuum.fault
@@ -401,7 +401,7 @@ class LivePredictor:
 
     def reset(self, reason: str = '') -> None:
         """
-        Restart from rest at the next pose, in any frame; in the current one for one of `RESTARTS`.
+        Restart from rest at the next pose, in any frame unless the reason is in `RESTARTS`.
 
         Without a reason, all estimates of the package are reset, too.
         """
@@ -417,7 +417,7 @@ class LivePredictor:
         self._forget_motion(SAME_PACKAGE if reason else CAMERA_ROWS)
 
     def expect_twists(self, expected: bool) -> None:
-        """Let poses wait for twists or not, until received twists indicate otherwise."""
+        """Set whether poses wait for twists; received twists change this setting."""
         self._twists_expected = self.pairing.expect = expected
 
     def set_attached(self, attached: bool) -> list[Prediction]:
@@ -462,7 +462,7 @@ class LivePredictor:
     # ------------------------------------------------------ valve, vacuum, loss
 
     def on_valve(self, on: bool, stamp_ns: int) -> None:
-        """Process a reading of the valve: switched off, it releases the package."""
+        """Process a reading of the valve; a valve that is off releases the package."""
         before = self.state
         self._cycle.on_valve(on)
         self._follow_cycle(before, stamp_ns)
@@ -691,12 +691,12 @@ class LivePredictor:
 
     @property
     def wrench_fault(self) -> str:
-        """Wrong set-up of the force-torque sensor, by which its wrenches are not used, or ''."""
+        """Fault in the set-up of the force-torque sensor, or ''; its wrenches are then ignored."""
         observer = self.package.observer
         return '' if observer is None else observer.wrenches.set_up.fault
 
     def _observing(self) -> Observer | None:
-        """Return the observer, made by the first measurement after a pose of the tool."""
+        """Return the observer; the first measurement after a tool pose creates it."""
         if self.package.observer is None and self.values and self.newest_ns >= 0:
             observer = Observer(self.values)
             observer.alarms = self.alarms
@@ -728,7 +728,7 @@ class LivePredictor:
     # ------------------------------------------------------------- prediction
 
     def _release(self) -> list[Prediction]:
-        """Predict for the poses that need not wait any longer."""
+        """Predict for the poses whose twist has arrived, or is no longer awaited."""
         return [
             prediction for pose, twist in self.pairing.ready()
             if (prediction := self._predict(pose, twist)) is not None]
@@ -784,7 +784,7 @@ class LivePredictor:
     def _tool_states(
         self, pose: PoseSample, twist: TwistSample | None
     ) -> tuple[State | None, State]:
-        """Return the tool with measured or estimated twist, and improved at the previous pose."""
+        """Return the tool with its twist, and a better estimate of it at the previous pose."""
         self.tool.add(pose)
         last = self.package.sample
         if twist is not None:
@@ -825,7 +825,7 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
 
 
 MESSAGE_BLOCK = 2000
-"""Number of messages held as Python objects at a time, for the garbage collector's sake."""
+"""Number of messages held as Python objects at a time; more slow down the garbage collector."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ Screening of the tool's poses and twists: a state machine over stamps, frames an
 Each pose is accepted, rejected with a reason, or accepted as a restart with a reason. A single
 implausible pose is rejected; a consistent run of them is accepted, so that the predictor recovers
 when a clock was set, a recording restarts, a driver changes its frame or a tool was moved unseen.
-Of two tools on one topic the first is followed.
+If two tools publish on one topic, the poses of the first tool are accepted.
 """
 
 import math
@@ -26,11 +26,11 @@ REFUSALS = (
 """Reasons for rejecting poses and twists of the tool."""
 
 JUMP_RUN = 5
-"""Number of consecutive poses, near to each other but far from the last accepted one, that are a
-new place."""
+"""Number of consecutive poses, near to each other but far from the last accepted pose, after which
+the new place is accepted."""
 
 SHIFT_TOLERANCE = 0.05
-"""Largest displacement of an arm beyond its largest speed times the duration, m."""
+"""Tolerance of a displacement in addition to the largest speed times the duration, m."""
 
 ROTATION_TOLERANCE = 0.3
 """Tolerance of a rotation about the reach of an arm's motion, rad."""
@@ -48,10 +48,10 @@ SUSPECT_TOLERANCE = (0.015, 0.15)
 """Largest unsuspicious displacement and rotation of an arm without acceleration, m and rad."""
 
 SUSPICION_AFTER_JUMPS = 0.2
-"""Fraction of the suspicious limit at which doubt begins after rejected poses."""
+"""Fraction of the suspicious limit that applies after rejected poses."""
 
 JITTER = 0.025
-"""Largest error of stamps, s; stamps of arrival come in bursts."""
+"""Largest error of stamps, s, as of bursts of messages that are stamped on arrival."""
 
 MAX_DECELERATION = (30.0, 300.0)
 """Largest deceleration of an arm to a stop within one sample, m/s^2 and rad/s^2."""
@@ -81,8 +81,8 @@ class PoseStep(NamedTuple):
     jump: tuple[float, float]
     """Deviation from a steady motion, m and rad."""
     speeds: tuple[float, float]
-    """Smaller speed (m/s) and rate (rad/s) of this step and the previous one: a single jump is not
-    a motion."""
+    """Smaller speed (m/s) and rate (rad/s) of this step and the previous step, so that a single
+    jump does not count as motion."""
     velocity: Vector
     """Velocity in axes of the poses' frame, m/s."""
     rate: Vector
@@ -112,7 +112,7 @@ class Reference(NamedTuple):
 
 @kernel
 def change(a: Vector, b: Vector) -> tuple[float, float]:
-    """Return the length of b - a, and the smaller length of both, 0 if a and b are opposed."""
+    """Return |b - a|, and the smaller of |a| and |b| (0 if a and b have opposite directions)."""
     return t3.norm(t3.subtract(b, a)), min(t3.norm(a), t3.norm(b)) if t3.dot(a, b) > 0.0 else 0.0
 
 
@@ -124,8 +124,8 @@ def _pose_step(
     """
     Return the `PoseStep` from a pose to another after some seconds, as a tuple for numba.
 
-    The change of velocity counts for the shorter of the two periods, and less in a steady motion,
-    so that neither bursts nor jitter of stamps appear as jumps.
+    The change of velocity is multiplied by the shorter of the two periods, and reduced in a steady
+    motion, so that bursts and jitter of stamps do not count as jumps.
     """
     shift = t3.subtract(other_o, o)
     rotation = t3.rotation_between(q, other_q)
@@ -166,11 +166,12 @@ class ToolArrivals:
         self.clear()
 
     def clear(self) -> None:
+        """Forget all arrivals."""
         self.newest_ns: int | None = None
         self._pause_ns = 0
 
     def add(self, arrival_ns: int | None) -> None:
-        """Add the arrival of a pose; None if messages do not arrive in real time."""
+        """Add the arrival (ns) of a pose, or None if messages do not arrive in real time."""
         if arrival_ns is not None and self.newest_ns is not None:
             pause_ns = arrival_ns - self.newest_ns
             if pause_ns <= 100_000_000:  # ns, between bursts; grows quickly, shrinks slowly
@@ -179,7 +180,7 @@ class ToolArrivals:
         self.newest_ns = arrival_ns
 
     def silent_ns(self, now_ns: int, period_ns: int) -> int:
-        """Return the time without a pose, 0 while usual at the poses' period."""
+        """Return the time (ns) without a pose; 0 if usual for the period of the poses."""
         silent_ns = 0 if self.newest_ns is None else now_ns - self.newest_ns
         usual_ns = max(20_000_000, 4 * period_ns, 3 * self._pause_ns // 2)
         return silent_ns if silent_ns > usual_ns else 0
@@ -187,7 +188,7 @@ class ToolArrivals:
 
 class Frame:
     """
-    The frame of messages: the first, or another one that has come alone for long enough.
+    The accepted frame of messages: the first, or a later one that was alone for long enough.
 
     Attributes
     ----------
@@ -246,7 +247,7 @@ class Screen(StampScreen):
         self.forget_motion()
 
     def forget_motion(self) -> None:
-        """Accept any next stamp and place, in the same frame."""
+        """Accept any next stamp and position, in the same frame."""
         self.forget_stamps()
         self._last: Reference | None = None
         self._step = REST  # from there, if its place was judged
@@ -303,7 +304,7 @@ class Screen(StampScreen):
         return self.judge_stamp(stamp_ns, arrival_ns) or self._judge_place(stamp_ns, o, q)
 
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> str:
-        """Reject poses of a tracker that has lost its body: repeated, or far away."""
+        """Reject poses of a tracker that has lost its body: repeated or distant poses."""
         last = self._last
         if t3.norm(o) > screening.MAX_PLACE:
             return 'millimetres'
@@ -328,7 +329,7 @@ class Screen(StampScreen):
         return 'millimetres' if is_far else 'jump'
 
     def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
-        """Return whether a pose continues the last rejected rather than the last accepted pose."""
+        """Return whether a pose is near the last rejected pose, not the last accepted one."""
         refused, last = self._elsewhere, self._last
         if refused is None or last is None or stamp_ns <= refused.stamp_ns:
             return False

@@ -83,7 +83,7 @@ class Pairing:
         self._poses.append(pose)
 
     def add_twist(self, twist: TwistSample) -> None:
-        """Queue a twist, or process one that came after its pose was released."""
+        """Queue a twist, or compare it if its pose has already been released."""
         stamp_ns = twist.stamp_ns
         self._received += 1
         self._drop_leaps(stamp_ns)
@@ -107,7 +107,7 @@ class Pairing:
             self._twists.append(twist)
 
     def _drop_leaps(self, stamp_ns: int) -> None:
-        """Drop twists with stamps in the future once an earlier twist follows."""
+        """Drop twists with later stamps when an earlier twist follows: their stamps were wrong."""
         while self._twists and self._twists[-1].stamp_ns > max(
             stamp_ns, self._newest_ns + MAX_WAIT_NS
         ):
@@ -168,20 +168,20 @@ class Pairing:
             for a, b in zip(before[1:], after[1:], strict=True)))
 
     def _note_late(self, stamp_ns: int) -> None:
-        """Wait for twists again when twists of released poses come later."""
+        """Let poses wait for twists again, as a twist came after the release of its pose."""
         if self._newest_ns - stamp_ns <= MAX_WAIT_NS and any(
                 abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist):
             self._count(True)
 
     def _count(self, is_paired: bool) -> None:
-        """Wait for twists after poses with one in a row, and not after poses without."""
+        """Let poses wait for twists after poses with a twist, and not after poses without."""
         self._run = max(self._run, 0) + 1 if is_paired else min(self._run, 0) - 1
         if not -3 < self._run < 2:  # consecutive poses without a twist, and with one
             self.expect = is_paired
 
 
 def smoothed(mean: float, value: float) -> float:
-    """Return a running mean with a new value; a gap or a leap counts as twice the mean."""
+    """Return a running mean with a new value, which is limited to twice the mean."""
     # one lost twist hardly changes the mean
     return mean + 0.1 * (min(value, 2.0 * mean) - mean) if mean else value
 
@@ -243,10 +243,10 @@ def slope_weights(
     n: float, s1: float, s2: float, s3: float, s4: float
 ) -> tuple[float, float, float]:
     """
-    Return the row of a quadratic fit's inverse normal matrix for the slope at s = 0.
+    Return the row for the slope at s = 0 of the inverse normal matrix of a quadratic fit.
 
-    The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. If it is
-    nearly singular, as for two samples or two bursts, a line is fitted.
+    The normal matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]], with the sums of powers of s.
+    If the matrix is nearly singular, as for two samples, a line is fitted.
     """
     determinant = n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
     if determinant < 1e-4:  # 0.06 for three uniform samples
@@ -262,7 +262,7 @@ LATER_POSES = 2
 """Number of later poses for an accurate slope."""
 
 FORGETTING = 0.98
-"""Forgetting factor: about 50 comparisons count, 1 s."""
+"""Forgetting factor of the comparisons: the last 50, or 1 s, have most of the weight."""
 
 MAX_MISFIT = 0.25
 """Largest fraction of the mean square of correct twists that poses do not explain."""
@@ -320,9 +320,9 @@ def with_measured_twist(
 
     A pose that lags (s) behind its twist is extrapolated by the twist.
 
-    The deviation is given relative to the largest of an arm, relative to the suspicious limit, and
-    as a shift (m) and an angle (rad). The shift between two poses differs from the mean velocity
-    times the time by at most j t^3 / 12, with the largest jerk j.
+    The deviation is given relative to the largest possible deviation of an arm, relative to the
+    suspicious deviation, and as a shift (m) and an angle (rad). The shift between two poses
+    differs from the mean velocity times the time by at most j t^3 / 12, with the largest jerk j.
     """
     R_before, R = t3.rotation_matrix(before[1]), t3.rotation_matrix(q)
     v, w = linear, angular
@@ -347,11 +347,9 @@ class ToolMotion:
     """
     Motion of E from messages of its pose and twist, or of another frame of the tool.
 
-    A missing twist is the slope of a quadratic through the last poses, fitted by least squares to
-    the positions and to the rotation vectors relative to one of the poses; its slope there is that
-    pose's body twist. Three poses give the exact quadratic; more of them average noise. Measured
-    twists are compared with such slopes regularly. Poses whose slopes lag behind the twists are
-    delayed, and are extrapolated.
+    A missing twist is the slope of a quadratic, fitted by least squares to the last positions and
+    rotation vectors. Measured twists are regularly compared with such slopes. If the slopes lag
+    behind the twists, the poses are late, and are extrapolated.
 
     Parameters
     ----------
@@ -376,6 +374,7 @@ class ToolMotion:
             tuple(tip[:3, 3].tolist()), tuple(rotation_to_quaternion(tip[:3, :3]).tolist()))
 
     def clear(self) -> None:
+        """Forget all poses and the comparison of twists."""
         self._count = self._origin_ns = self._compared = 0
         self._recent.clear()
         self._due_ns = -1
@@ -421,7 +420,7 @@ class ToolMotion:
             self._lag)
 
     def _compare_velocity(self, slope: Vector) -> None:
-        """Estimate the lag from the slope (m/s, in body axes) at the first of the last poses."""
+        """Estimate the lag of the poses: their slope (m/s, body axes) against the twist."""
         (q, first, _), (_, last, _) = self._recent[0], self._recent[-1]
         newest = self._count - 1
         seconds = self._rows[newest][0] - self._rows[newest - LATER_POSES][0]
@@ -439,7 +438,7 @@ class ToolMotion:
         self._lag += min(max(found * is_late - self._lag, -step), step)
 
     def estimated(self, has_before: bool) -> tuple[State | None, State]:
-        """Return E at the last two poses (the first, if any) with twists of the poses alone."""
+        """Return E at the last two poses, or one, with twists estimated from poses alone."""
         self._recent.clear()
         # a later pose improves the slope at the previous one
         return self.state(back=1) if has_before else None, self.state()

@@ -27,14 +27,13 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 COASTING_STD = np.tile(np.repeat([5.0, 25.0], 3), 2)
-"""Standard deviations of an unobserved arm's acceleration, for pose and twist, m/s^2 and
-rad/s^2."""
+"""Standard deviations of the acceleration of an arm without poses: m/s^2, rad/s^2."""
 
 UNKNOWN_ROOT = 1e3 * np.eye(12)
 """Factor of an unknown covariance (m, rad, m/s, rad/s)."""
 
 RETRY_NS = 100_000_000
-"""Time until a failed computation, which takes milliseconds, is repeated, ns."""
+"""Time until a failed computation is repeated, ns, because a computation takes milliseconds."""
 
 STEP_NS = 4_000_000
 """Shortest step of the filter, ns, short for the package's modes."""
@@ -245,7 +244,7 @@ def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float
 
 
 SPAN_NS = 100_000_000
-"""Time after a start for the estimate of the tool's motion, in two halves, ns."""
+"""Time after a start in which the tool's motion is estimated from three poses, ns."""
 
 MIN_DECAY_RATE, MIN_FREQUENCY = 0.1, 1.0
 """Smallest assumed decay rate (1/s) and frequency (rad/s) of a package."""
@@ -328,7 +327,7 @@ class Settling:
         return self.now
 
     def since(self, stamp_ns: int) -> int:
-        """Return the time (ns) after which an initial error has decayed, or 1 s."""
+        """Return the time (ns) after which an initial error has decayed, at least 1 s."""
         return stamp_ns - self.now.since_ns if self.now else 1_000_000_000
 
     def _error_at_rest(

@@ -270,7 +270,8 @@ def regressor(
     length : float
         Length of the cup, m.
     basis : list of ndarray (6, 6)
-        The n symmetric matrices that K and P are sums of; x holds the factors of K, then of P.
+        The n symmetric matrices whose weighted sums are K and P; x has the weights of K, then of
+        P.
     position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
         E_o_S (m), E_R_S and the body twist of the lip relative to the tool.
     has_stretch : bool
@@ -333,7 +334,7 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
     """
     Return a model with other numbers (52,), but the same length and gravity.
 
-    K and P describe each of the equal cups at the places (n, 4): x, y, z (m) in E, and the index.
+    K and P are of each of n equal cups; places (n, 4) are x, y, z (m) in E, and the index.
     """
     K, P = np.zeros((2, 6, 6))
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
@@ -370,12 +371,12 @@ def contributions(
     uncertain: Uncertain, model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> tuple[list[str], Array]:
     """
-    Return the contribution of each uncertain parameter to the standard deviations of outputs.
+    Return the contribution of each uncertain number to the standard deviations of outputs.
 
-    The standard deviation of an output is |J sigma|, with J its derivatives by the uncertain
-    numbers, which are taken to be independent. Derivatives are central differences of whole
-    predictions: an output may be a maximum over time, or refer to the instant of release or
-    landing, and its analytic slope can differ from the slope over half a sigma.
+    The standard deviation of an output is |J sigma|, with the derivatives J of the output by the
+    uncertain numbers, which are assumed independent. Derivatives are central differences of whole
+    predictions, because an output may be a maximum over time, whose analytic slope differs from
+    the slope over half a sigma.
 
     Parameters
     ----------
@@ -406,8 +407,8 @@ def mean_square(
     """
     Return the mean square of a vector over the uncertain parameters; see `contributions`.
 
-    Near zero the derivative of a norm is useless, but the squared norm is quadratic in each
-    number.
+    The mean square is computed from the squared norm, which is quadratic in each number, because
+    the derivative of a norm is undefined at zero.
     """
     square = compute(model) ** 2
     changes = sum(compute(up) ** 2 + compute(down) ** 2 - 2.0 * square

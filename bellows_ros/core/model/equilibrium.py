@@ -2,8 +2,7 @@
 Static equilibrium of the package, and its small motions about a state.
 
 Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium.
-`bellows_equilibrium` in files/bellows_cup.h repeats the scalar code of the static equilibrium step
-by step in C, with bitwise equal results; so its derivatives are differences.
+`bellows_equilibrium` in files/bellows_cup.h has the same steps in C, with bitwise equal results.
 """
 
 import math
@@ -65,7 +64,7 @@ def moved_by(body: State, e: Any) -> State:
 
 @entry
 def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
-    """Return shift and rotation with which `moved` takes a body to a pose: log(T_hat^-1 Z)."""
+    """Return shift and rotation from a body to a pose, log(T_hat^-1 Z), the inverse of `moved`."""
     return (
         t3.apply_transposed(t3.rotation_matrix(body[1]), t3.subtract(position, body[0])),
         t3.rotation_between(body[1], q))
@@ -106,8 +105,8 @@ def nominal_system_matrix(model: ModelTuple) -> Array:
     """
     Return the `system_matrix` of the nominal pose, at rest and without load, in closed form.
 
-    There h = 0 and J = 2 I (3.18, 3.23): the wrench on the package is -X^T (K d + P v) for its
-    small displacements d and twists v, X = X(S1_H_B). No kernel has to be compiled.
+    At the nominal pose h = 0 and J = 2 I (3.18, 3.23): for small displacements d and twists v the
+    wrench on the package is -X^T (K d + P v), X = X(S1_H_B). No kernel is compiled.
     """
     (l1, _, K, P, *branches), (mass, com, _, inverse), gravity = model
     X, M_inverse, by_pose = np.eye(6), np.eye(6) / mass, np.zeros((6, 6))
@@ -181,9 +180,10 @@ def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = Non
     """
     Return the state in which the package hangs at rest from a tool at rest (3.9).
 
-    From the nominal pose the load grows in steps, each solved by Newton's method: this finds the
-    equilibrium of a real cup among several. From a guess of the package at rest the full load is
-    applied at once. The search is in tool axes: the tool's pose in the world does not matter.
+    From the nominal pose the load grows in steps, each solved by Newton's method, which leads to
+    the equilibrium of a real cup among several equilibria. With a guess of the package at rest,
+    the full load is applied at once. The search is in tool axes, so the position of the tool has
+    no effect.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def _solve(A: Any, x: Any) -> tuple[float, bool]:
     """
     Write A^-1 x into x by Gauss elimination; return its norm, and whether all pivots are positive.
 
-    At rest A is the Hessian of the energy: positive pivots are a minimum.
+    At rest A is the Hessian of the energy, so positive pivots mean a minimum.
     """
     stable, square = True, 0.0
     for k in range(6):

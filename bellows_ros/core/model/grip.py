@@ -1,12 +1,13 @@
 """
 Safety factors of a vacuum grip against peel and slip; data of its release.
 
-Each cup holds by its own wrench: the safety factor of a gripper is the smallest of its cups, whose
-K_1 and P_1 are solved from the sums (see `structure`). The vacuum presses the package on a lip
-with V = pressure below ambient times effective area (N). The wrench (f, m) of the cup on the
-package is taken at S in S axes: f_z > 0 pulls the package into the cup, and the contact force of
-the lip is N = V - f_z. Each factor is the largest s for which s (f, m) still holds with the same
-V; infinite if no wrench of this direction lets go, below 1 if the grip is lost.
+The safety factor of a gripper is the smallest safety factor of its cups, each with its own wrench;
+K_1 and P_1 of one cup follow from the sums K and P (see `structure`). The vacuum presses the
+package on a lip with V = pressure below ambient times effective area (N). The wrench (f, m) of the
+cup on the package is taken at S in S axes: f_z > 0 pulls the package into the cup, and the contact
+force of the lip is N = V - f_z. A safety factor is the largest s for which the lip holds the
+wrench s (f, m) with the same V. It is infinite if the lip holds any multiple, and below 1 if the
+grip is lost.
 """
 
 import math
@@ -22,9 +23,9 @@ from bellows_ros.core.model.simulation import row_state
 import numpy as np
 
 Grip = tuple[float, float, float, *tuple[Array, ...]]
-"""Suction force V (N), radius of the lip r (m) and friction between lip and package, of one cup;
-for a gripper, V, r and friction of the cup with the least suction, and an array (n, 5) of the cups
-that hold: rows of `places_of`, and each cup's suction force relative to V."""
+"""Suction force V (N), lip radius r (m) and friction of one cup. For a gripper, V, r and friction
+are of the cup with the least suction; an array (n, 5) follows with the holding cups: the rows of
+`places_of`, and the suction force relative to V."""
 
 MODES = ('peel', 'slip')
 """Failure modes of the grip; an elastic lip peels before it tips."""
@@ -37,10 +38,10 @@ RELEASE_NAMES = tuple(f'release.{name}' for name in (
 """Parameters of the law of release, in the order of `Law`."""
 
 Law = tuple[float, float, float, float, float, float, float, float]
-"""Delay (s) from the valve to the fall of suction, its time constant tau (s), impulse of the
-blow-off (N s); blow-off b; force F0 that closes the bellows (N), stretch L at which open bellows
-pull with F0 (m), 0 for none; damping of the open bellows along z (N s/m), 0 for the cup's damping;
-and the sticking of the lip. Blow-off and sticking are relative to the holding suction."""
+"""Law of release: delay of the suction's fall (s), time constant tau of the fall (s), impulse of
+the blow-off (N s), blow-off b, closing force F0 of the bellows (N), stretch L at which open
+bellows pull with F0 (m, 0 for none), damping of the open bellows along z (N s/m, 0 for the cup's
+damping), and sticking of the lip. Blow-off and sticking are relative to the holding suction."""
 NO_LAW: Law = (0.0,) * 8
 """Law of a cup with immediate release."""
 
@@ -73,13 +74,12 @@ def peel_load(radius: float, f: Vector, m: Vector) -> float:
 @entry
 def safety_factors(grip: tuple[float, float, float], f: Vector, m: Vector) -> tuple[float, float]:
     """
-    Return the safety factors against peel and slip, as in `MODES`; the smaller one counts.
+    Return the safety factors against peel and slip, as in `MODES`.
 
-    Peel: the pressure of an elastic lip, linear across the ring, stays nonnegative all around, 2
-    m_t / r <= N. Slip, by sliding and twisting: q <= friction N, a circle in force and moment. A
-    thin ring with Coulomb friction holds less under a lateral force combined with m_z: the factor
-    is up to 11 % too high with even pressure, and up to 33 % if bending uses half of the
-    resistance to peel.
+    The lip does not peel if the pressure on an elastic lip is nonnegative all around, 2 m_t / r <=
+    N. The lip does not slip if q <= friction N, a circle in force and moment. A thin ring with
+    Coulomb friction holds less under a lateral force combined with m_z: the factor is up to 11 %
+    too large, and up to 33 % under strong bending.
     """
     suction, radius, friction = grip
     twist = m[2] / radius
@@ -118,7 +118,7 @@ def wrench_at(
     """
     Return the wrench of one cup of a gripper on the package, at its lip in S axes.
 
-    The cup stands at a. Pose and twist are of S; internal strains are of the gripper.
+    The position of the cup is a. Pose and twist are of S; internal strains are of the gripper.
     """
     o = t3.add(o, t3.subtract(t3.apply(R, a), a))
     return kernels.cup_wrench(one, o, R, t3.add(v, t3.cross(w, a)), w, strains_at(strains, a))
@@ -126,7 +126,7 @@ def wrench_at(
 
 @kernel
 def strains_at(strains: Strains, a: Vector) -> Strains:
-    """Return A z of internal strains z."""
+    """Return the internal strains A z of one cup, from the strains z of the gripper."""
     if len(strains) == 0:
         return ()
     (b, c), (d, e) = strains
@@ -139,7 +139,7 @@ def least_factors(
     f: Vector, m: Vector,
 ) -> tuple[float, float, int, int]:
     """
-    Return the smallest safety factors of all cups against peel and slip, and the cups' rows.
+    Return the smallest safety factors against peel and slip, and the rows of the two cups.
 
     Pose and twist are of S in E, as `cup_wrench` takes them, and (f, m) is its wrench.
     """
@@ -178,7 +178,7 @@ def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -
 @entry
 def factors_along(model: ModelTuple, grip: Grip, tool: Array, body: Array) -> Array:
     """
-    Return safety factors (N, 2), as in `MODES`, and the rows of their cups in the grip (N, 2).
+    Return safety factors (N, 2), as in `MODES`, and the rows (N, 2) of the weakest cups.
 
     Motions are rows (N, 13) of tool and package.
     """

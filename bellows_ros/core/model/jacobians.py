@@ -307,7 +307,7 @@ def acceleration_at(package: PackageTuple, c: Vector, f: Vector, m: Vector) -> W
 def accelerations_at(
     package: PackageTuple, c: Vector, forces: Matrix, moments: Matrix, couples: Matrix
 ) -> tuple[Wrench, Wrench, Wrench, Wrench, Wrench, Wrench]:
-    """Return accelerations of rows of forces with rows of moments, then of rows of couples."""
+    """Return the accelerations by rows of forces with moments, then by rows of couples."""
     return (
         acceleration_at(package, c, row(forces, 0), row(moments, 0)),
         acceleration_at(package, c, row(forces, 1), row(moments, 1)),

@@ -9,9 +9,9 @@ A cup is the tuple ``(l1, l0, K, P)`` and a 6x6 symmetric matrix its blocks ``(o
 package is ``(mass, com, inertia, inertia_inverse)``; a model is ``(cup, package, gravity)`` with
 gravity the acceleration vector in ``A``. `cup_package.Cup` and `Package` make these tuples.
 
-The fourth entry of K are the coefficients of the stretch. A cup that relaxes has two branches
-behind P, and the package's state two internal strains: the length of these tuples differs, so that
-each kernel is compiled separately for cups that relax.
+The fourth entry of K has the coefficients of the stretch. For a cup that relaxes, P is followed by
+two branches, and the package's state by two internal strains. These tuples are longer, so each
+kernel is compiled separately for cups that relax.
 """
 
 from typing import Any
@@ -129,9 +129,8 @@ def spring_wrench(
     """
     Return the spring wrench on the package at S1, f1 = -1/4 J^T s (3.23, 3.27).
 
-    The wrench is minus the gradient of the energy 1/8 h^T K h (3.17), so that s = K h; `stretched`
-    has the additional terms of a cup with stretch. `effective_strain` replaces h of a cup that
-    relaxes.
+    The wrench is minus the gradient of the energy 1/8 h^T K h (3.17), with s = K h. `stretched`
+    adds the terms of stretch; for a cup that relaxes, `effective_strain` replaces h.
     """
     h = strain(o, R)
     e = effective_strain(h, branches, strains)

@@ -1,11 +1,11 @@
 """
-Coordinates of rigid bodies that cannot leave the set of possible ones.
+Coordinates of mass and inertia whose values always describe a possible rigid body.
 
-A body is possible if its pseudo-inertia is positive definite (Wensing, Kim and Slotine, 2018): its
-mass is above zero, and so are the second moments Sigma = tr(I) / 2 - I about its centre of mass.
-The logarithms of the mass and of the diagonal of the Cholesky factor of Sigma, and the centre of
-mass, are any numbers (Rucker and Wensing, 2022). A change d (3,) of these logarithms stretches the
-body along its axes: Sigma_ij exp(d_i + d_j).
+A body is possible if its pseudo-inertia is positive definite (Wensing, Kim and Slotine, 2018): the
+mass is positive, and the second moments Sigma = tr(I) / 2 - I about the centre of mass are
+positive definite. The logarithms of the mass and of the diagonal of the Cholesky factor of Sigma,
+and the centre of mass, are any numbers (Rucker and Wensing, 2022). A change d (3,) of these
+logarithms stretches the body along its axes: Sigma_ij exp(d_i + d_j).
 """
 
 import math
@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 MIN_FLATNESS = 1e-4
-"""Smallest ratio of two principal second moments: a plate as thin as 1 % of its side."""
+"""Smallest ratio of two principal second moments, of a plate whose thickness is 1 % of its
+side."""
 
 
 @kernel
@@ -40,9 +41,9 @@ def stretched(inertia: Matrix, d: Vector) -> Matrix:
 
 def with_moments(inertia: Array, factors: ArrayLike) -> Array:
     """
-    Return the inertia (3, 3) of a body stretched so that its moments have logarithmic factors.
+    Return the inertia (3, 3) of a stretched body, from logarithmic factors (3,) of its moments.
 
-    If no body has such moments, the nearest one with the least thickness is returned.
+    If no body has these moments, the inertia of the nearest body of least thickness is returned.
     """
     inertia = nearest(inertia)
     d = stretch_of(inertia, factors)
@@ -70,13 +71,13 @@ def by_moments(inertia: Array) -> Array:
 
 
 def flatness(inertia: Array) -> float:
-    """Return the ratio of the smallest and largest second moments; not above 0 for no body."""
+    """Return the ratio of smallest to largest second moment; at most 0 for an impossible body."""
     squares = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
     return float(squares[0] / squares[2])
 
 
 def nearest(inertia: Array) -> Array:
-    """Return the inertia of the nearest possible body, the same for a possible one."""
+    """Return the inertia (3, 3) of the nearest possible body; unchanged for a possible body."""
     if flatness(inertia) >= MIN_FLATNESS:
         return inertia
     squares, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)

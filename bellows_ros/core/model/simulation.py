@@ -36,12 +36,12 @@ def stands(twist: Array) -> bool:
 
 
 def rest(model: ModelTuple, row: Array, guess: State | None = None) -> State:
-    """Return the package at rest under the tool of a row (13,), searched from a guess, if any."""
+    """Return the package at rest under a tool (13,), searched from a guess if given."""
     return equilibrium.static_equilibrium(model, state_row(row[:3], row[3:7]), guess)
 
 
 def require_steps(steps: float, max_steps: int = 10_000_000) -> None:
-    """Raise BellowsError for a prediction of too many steps, which take some seconds."""
+    """Raise BellowsError for a prediction with too many steps, which would take some seconds."""
     if not steps <= max_steps:
         raise BellowsError(
             f'The prediction takes {steps:.3g} integration steps; expected at most '
@@ -55,8 +55,8 @@ def steady_start(
     """
     Return the package in steady motion at a plan's first point; at rest under a tool at rest.
 
-    Under a moving tool the package hangs as after a long time under the plan's first acceleration:
-    both move as one body. The search at rest starts from a guess.
+    Under a moving tool, package and tool move as one rigid body with the first acceleration of the
+    plan. Under a tool at rest the search starts from a guess.
 
     Raises
     ------
@@ -170,11 +170,11 @@ def simulate(
     tool : Trajectory
         N poses of E in the world with body twists; interpolated by cubic Hermite curves.
     start : State, optional
-        State of B in the world at the first sample; static equilibrium when left out.
+        State of B in the world at the first sample; default: static equilibrium.
     gravity : float or array_like (3,)
         Magnitude along -z of the world, or vector in the world, m/s^2.
     substeps : int, optional
-        Integration steps per tool sample; chosen from the model's fastest mode when left out.
+        Integration steps per tool sample; default: chosen from the model's fastest mode.
 
     Returns
     -------

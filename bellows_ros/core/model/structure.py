@@ -1,13 +1,12 @@
 """
 Structures of K and P: free entries, tied entries, and the sum of equal cups.
 
-A new structure is one entry in `STRUCTURES`: methods, tables and exports follow.
+A new structure is one entry in `STRUCTURES`; methods, tables and exports use all entries.
 
 Cup i of a gripper stands at a_i in E, and its lip at a_i in S. Its strain (3.18) and twist are
 linear in strain and twist of a cup at the origin, h_i = A_i h and v_i = A_i v, A_i = [[I, -a_i^],
 [0, I]], as (I + R^T)(R - I) a = (R - R^T) a. Hence K = sum A_i^T K_1 A_i and P = sum A_i^T P_1 A_i
-are exactly one equivalent cup of the same kernel, at any rotation and in motion. Each cup holds by
-itself: see `grip`.
+describe exactly one equivalent cup of the same kernel, at any rotation and in motion.
 
 Checks of parameter values: a 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz,
 ixy, ixz, iyz]; units are SI.
@@ -28,8 +27,7 @@ from numpy.typing import ArrayLike
 THESIS_STIFFNESS = (6417.0, 6417.0, 1.153e4, 3.868, 3.868, 1.123)
 THESIS_DAMPING = (66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736)
 THESIS_LENGTH = 0.0481
-"""Length l0 of the cup in chapter 3 of the thesis, m; diagonals of K (4.78), N/m and N m/rad, and
-of P (4.79), N s/m and N m s/rad."""
+"""Length l0 of the cup in chapter 3 of the thesis, m."""
 
 MAX_CUPS = 32
 """Largest number of cups."""
@@ -103,13 +101,14 @@ def composition(places: Array) -> Array:
 
 
 RELAXATION_TIMES = (0.06, 0.8)
-"""Times of the two branches of relaxing rubber, s; other times fit equally well (within 0.1 %)."""
+"""Times of the two branches of relaxing rubber, s; fits with other times have errors within 0.1
+%."""
 
 CoupledAxes = tuple[tuple[int, float], ...]
 """Axes coupled with each other, each with its sign."""
 
 Entry = tuple[int, int, float]
-"""Row and column in the upper triangle, and the parameter's sign there."""
+"""Row and column in the upper triangle, and the sign of the parameter in this entry."""
 
 
 @dataclass(frozen=True)
@@ -124,9 +123,9 @@ class Structure:
     meaning : str
         Assumption on the cup, in a few words.
     groups : tuple of str
-        Blocks of coupled axes; blocks joined by '=' hold the same numbers, and a minus inverts an
-        axis: with 'x ry = y -rx' K[x,x] = K[y,y], K[ry,ry] = K[rx,rx], K[x,ry] = -K[y,rx]. Axes of
-        different blocks are not coupled.
+        Blocks of coupled axes. Blocks joined by '=' have equal numbers, and a minus inverts an
+        axis: 'x ry = y -rx' stands for K[x,x] = K[y,y], K[ry,ry] = K[rx,rx], K[x,ry] = -K[y,rx].
+        Axes of different blocks are not coupled.
     places : tuple of (x, y, z, index)
         Positions (m, in E) of cups of a gripper, each with these K and P; empty for one cup.
 
@@ -161,7 +160,7 @@ class Structure:
 
     @property
     def leads(self) -> tuple[tuple[int, int], ...]:
-        """Row and column of the first entry of every parameter, which has its value."""
+        """Row and column of the first entry of every parameter."""
         return tuple(entries[0][:2] for entries in self.entries)
 
     @property
@@ -249,7 +248,8 @@ class Structure:
         """
         Return Q (6, 6) of six-vectors in the form of this structure.
 
-        Blocks are full (4.69); tied blocks are pooled about their common mean (4.80).
+        Each block is a full covariance (4.69); equal blocks share one covariance, about their
+        common mean (4.80).
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ OF_LAYOUT = Structure('layout', 'each cup of cup.layout axisymmetric',
 """Structure of one cup of a gripper; `places` are filled in."""
 
 AUTO = 'auto'
-"""Value of fit.structure for the selection between the two of `AUTO_STRUCTURES`."""
+"""Value of fit.structure for the automatic selection from `AUTO_STRUCTURES`."""
 
 AUTO_STRUCTURES = STRUCTURES['axisymmetric'], STRUCTURES['axisymmetric_coupled']
 """Candidates of the automatic selection, the simpler one first."""
@@ -314,7 +314,7 @@ ROUNDING = 1e-12
 """Relative size of eigenvalues that are rounding errors."""
 
 MIN_STIFFNESS = 1e-6
-"""Smallest eigenvalue of a stiffness, a millionth of a soft cup's, N/m or N m/rad."""
+"""Smallest eigenvalue of a stiffness matrix: one millionth of a soft cup's, N/m or N m/rad."""
 
 
 def matrix(values: ArrayLike) -> Array:
@@ -414,10 +414,11 @@ def require_symmetric(values: Array, name: str) -> None:
 
 
 INERTIA_STD = 0.05
-"""Relative standard deviation of moments of inertia that is assumed unless it is stated."""
+"""Relative standard deviation of moments of inertia if none is given."""
 
 INERTIA_ROUNDING = 1e-3
-"""Relative rounding of moments of inertia, which makes thin plates impossible."""
+"""Tolerance for rounded moments of inertia, relative; without it rounded thin plates are
+rejected."""
 
 
 def check_inertia(inertia: Array, std: ArrayLike = 0.0) -> None:
@@ -435,7 +436,7 @@ def check_inertia(inertia: Array, std: ArrayLike = 0.0) -> None:
 
 
 def no_body(moments: Sequence[float]) -> BellowsError:
-    """Return the error of principal moments (3,) of inertia, kg m^2, that no body has."""
+    """Return the error for principal moments of inertia (3,), kg m^2, of an impossible body."""
     shown = ', '.join(f'{moment:.6g}' for moment in moments)
     return BellowsError(
         f'No body has this package.inertia: its principal moments are {shown} kg m^2; expected '
@@ -459,7 +460,7 @@ MAX_PLAUSIBLE_LENGTH = 0.3
 """Largest plausible length of a cup, m."""
 
 LEVER = (1e-3, 0.5)
-"""Plausible lever arms at which a cup's translational stiffness is its rotational one, m."""
+"""Plausible range of the lever arm sqrt(K rotational / K translational) of a cup, m."""
 
 INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 """Other units of moments of inertia, and their number in 1 kg m^2."""

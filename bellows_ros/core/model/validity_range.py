@@ -1,7 +1,7 @@
 """
 Validity range of a fit: deflection, rates, frequencies, mass and vacuum; range of the law.
 
-Outside the ranges of its identification a prediction is an extrapolation.
+A prediction outside the ranges of the identification is an extrapolation.
 """
 
 from collections.abc import Sequence
@@ -130,7 +130,7 @@ class Distance:
     Parameters
     ----------
     value : float
-        0 in the middle of all ranges, 1 on the edge of one, above 1 outside.
+        0 in the middle of all ranges, 1 on the edge of a range, above 1 outside of a range.
     outside : tuple of str
         A phrase for each exceeded range, the farthest first.
 

@@ -37,10 +37,10 @@ MIN_VACUUM = 1000.0
 """Smallest vacuum in the correct unit, Pa below ambient."""
 
 MAX_INERTIA_STD = 0.2
-"""Largest relative standard deviation of moments of inertia by which a body may be impossible."""
+"""Largest relative standard deviation that excuses an impossible inertia."""
 
 VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (MIN_VACUUM, 'mbar', 1e2))
-"""Number below which a pressure is likely in a unit, the unit, and its size in Pa."""
+"""Upper bounds of pressures in units other than Pa, each with the unit and its size in Pa."""
 
 
 def validate(name: str, value: object) -> Value:
@@ -212,7 +212,7 @@ def _text(parameter: Parameter, value: object, where: str = '') -> str:
 
 
 def _number(parameter: Parameter, value: object, where: str = '') -> int | float:
-    """Return a finite number in range, a whole one if required; truth values are rejected."""
+    """Return a finite number in range, an integer if required; Boolean values are rejected."""
     is_integer = parameter.kind == 'integer'
     kinds = (int, np.integer) if is_integer else (int, float, np.integer, np.floating)
     if isinstance(value, bool) or not isinstance(value, kinds):
@@ -343,8 +343,8 @@ class Settings:
     path : str
         Path of the block for messages: '' or, for example, 'tool.outliers'.
     where : callable, optional
-        Prefix of errors on a setting, such as its line, by the names that lead to the setting;
-        default: the prefix of the values, if any.
+        Function of the names that lead to a setting; returns the prefix of error messages, such as
+        the line. Default: the prefix of the values, if any.
 
     Raises
     ------
@@ -411,7 +411,7 @@ class Settings:
         return values
 
     def block(self, name: str) -> 'Settings':
-        """Return a block of this one, empty if not given."""
+        """Return a block inside this block, empty if not given."""
         self._asked.append(name)
         return self._inside(name, self._values.get(name))
 
@@ -424,7 +424,7 @@ class Settings:
         return [self._inside(f'{name}[{i}]', item) for i, item in enumerate(value)]
 
     def _inside(self, name: str, values: object) -> 'Settings':
-        """Return a block inside this block; `done` also checks it."""
+        """Return a block inside this block, and register the block for `done`."""
         self._blocks[name] = Settings(values, self.name(name), self._where)
         return self._blocks[name]
 

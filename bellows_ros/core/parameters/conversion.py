@@ -27,7 +27,7 @@ STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
 """Relative change of the diagonal of K per vacuum, for finite-element bellows, 1/Pa."""
 
 NO_CUPS: Mapping[int, float] = MappingProxyType({})
-"""Quantities of single cups, none of them measured."""
+"""Empty default for measured quantities of single cups."""
 
 EXTRAPOLATION = 2.0
 """Relative growth of the law's standard deviations per factor e of mass beyond its range, from
@@ -46,7 +46,7 @@ def cup_of(values: Values) -> Cup:
 
 
 def one_cup_of(values: Values) -> Cup:
-    """Return a single cup of parameter values, without regard to cup.layout."""
+    """Return a single cup of parameter values; cup.layout is ignored."""
     stiffness = structure.matrix(values.cup.stiffness)
     a, b = values.get('cup.stretch', (0.0, 0.0))
     ends = [values.get(f'envelope.deflection_{end}', np.zeros(6))[2] for end in ('low', 'high')]
@@ -227,8 +227,8 @@ def grip_of(
     vacuum : float, optional
         Measured pressure below ambient (Pa), instead of vacuum.holding.
     of_cups : mapping of int to float
-        Measured pressure below ambient (Pa) in single cups of a gripper; others have `vacuum`,
-        which is the least of them.
+        Measured pressure below ambient (Pa) in single cups of a gripper; the other cups have
+        `vacuum`, the smallest of these pressures.
 
     """
     radius = float(values.cup.lip_radius)
@@ -314,7 +314,7 @@ def release_law_of(values: Values) -> Law:
 
 def release_factor(values: Values) -> Array:
     """
-    Return L (8, 8) with the covariance L L^T of the law; 0 for numbers without effect.
+    Return L (8, 8), where L L^T is the covariance of the law of release; unused rows are 0.
 
     The covariance grows with the distance of the mass from the packages of the fitted law.
     """

@@ -147,7 +147,8 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
             'axisymmetric',
             *(f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
               for s in map(structure.structure_named, structure.STRUCTURE_NAMES[1:]))]) + '.'}}
-"""Entries that depend on the structures of K and P, by name; they complement the file."""
+"""Fields of parameters that depend on the structures of K and P, by name; the file has the
+others."""
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:

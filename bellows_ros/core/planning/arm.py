@@ -24,7 +24,7 @@ MAX_JOINT_STEP = 0.5
 """Longest step of the joints in an iteration, rad or m."""
 
 MIN_RATIO = 1e-4
-"""Smallest used ratio of a singular value to the largest."""
+"""Smallest ratio of a singular value to the largest one; smaller singular values are ignored."""
 
 TURNING = 'revolute', 'continuous'
 
@@ -47,7 +47,7 @@ class Joint(NamedTuple):
     """Name of the mimicked joint, with its range and speed; '' for an independent joint."""
     ratio: float = 1.0
     offset: float = 0.0
-    """Offset of the position, which is ratio times the drive's position plus this, rad or m."""
+    """Offset of the position, rad or m: position = ratio * position of the drive + offset."""
 
 
 class Arm(NamedTuple):
@@ -79,7 +79,7 @@ class Arm(NamedTuple):
 
     @property
     def moving_joints(self) -> tuple[Joint, ...]:
-        """Joints that are not fixed, with each drive of several once."""
+        """Joints that are not fixed; a joint that drives several others appears once."""
         drives = {joint.drive or joint.name: joint
                   for joint in reversed(self.joints) if joint.kind != 'fixed'}
         return tuple(joint._replace(name=name) for name, joint in reversed(drives.items()))
@@ -189,7 +189,8 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     ------
     BellowsError
         If it is not a URDF, the link is missing or does not move, or a joint of the chain is not
-        fixed, revolute, continuous or prismatic, or mimics a mimicking one.
+        fixed, revolute, continuous or prismatic, or a joint mimics a joint that itself mimics
+        another.
 
     """
     robot = _robot(urdf)

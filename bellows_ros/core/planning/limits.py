@@ -34,8 +34,8 @@ MIN_STRETCH = 1.02
 STRETCH_RESOLUTION = 1.001
 """Resolution of the factor on the time, as a ratio."""
 STEEPNESS = 4
-"""Largest additional power of the time in the decrease of demands on the tool, relative to a rigid
-package: the inverse has two more derivatives of the package's motion, and smooths it."""
+"""Exponent by which the demands on a steered tool fall with the time more steeply than for a rigid
+package, at most: the inverse takes two more derivatives of the package's motion."""
 
 NO_LIMIT = 1e12
 """Placeholder for no limit."""
@@ -75,7 +75,7 @@ def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float
     """
     Return the largest speed, acceleration and jerk, and the angular ones, SI, as in `RATES`.
 
-    They are differences of rotations (N, 3, 3) to the world and body twists (N, 6) with a time
+    They are computed by differences from rotations (N, 3, 3) and body twists (N, 6) with a time
     step (s).
     """
     rates = [apply(rotation, part) for part in (twist[:, :3], twist[:, 3:])]
@@ -162,7 +162,7 @@ SCAN_STEP = 0.006
 """Relative spacing of the time scales in the scan."""
 
 UPDATE_WITHIN = 0.03
-"""Distance from the required factor, relative, and change of scale, within which standard
+"""Relative distance from the required factor, and relative change of scale, within which standard
 deviations are not recomputed."""
 
 TOLERANCE = 1e-4
@@ -214,7 +214,7 @@ def fastest(
     fine = PlanSimulation(model, grip, tool, tail=tail, longest=longest)
 
     def margin(scale: float, part: float, run: PlanSimulation) -> float:
-        """Return the excess of the factor, minus two sigma, over the required one."""
+        """Return the safety factor minus two sigma, minus the required safety factor."""
         needed = required / max(1.0 - 2.0 * part, 0.01)
         # a run far below the required factor is aborted
         return run.safety(scale, 0.95 * needed) / needed - 1.0
@@ -245,7 +245,7 @@ def fastest(
 
 
 def _local_maximum(margin: Callable[[float], float], scale: float) -> tuple[float, float]:
-    """Return place and size of the largest margin within the last two steps of the scan."""
+    """Return the time scale and size of the largest margin in the last two steps of the scan."""
     lowest = scale / (1.0 + SCAN_STEP) ** 2
     top = scipy.optimize.minimize_scalar(
         lambda s: -margin(s), bounds=(lowest, scale), method='bounded',

@@ -35,16 +35,17 @@ COARSE_STEP_FACTOR = 3.0
 """Ratio of coarse and normal integration steps; accurate to 1e-4."""
 
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
-"""Quantities whose peaks are stored: loads, rad, m, N, N m, N m, rad."""
+"""Quantities whose peaks are stored: loads (1), angles (rad), deflection (m), force (N), moments
+(N m)."""
 
 NO_ABORT = np.zeros(1, np.bool_)
 """Flag that never stops a prediction."""
 
 Extremes = tuple[Array, Array, Array]
-"""Peaks (8, 3) as in `PlanPrediction`; time and value of each at the two previous samples (8, 4);
-and the range of the lip's shift and rotation vector with the largest twist (6, 3)."""
+"""Three arrays: peaks (8, 3) as in `PlanPrediction`; times and values of the two previous samples
+(8, 4); smallest and largest deflection and largest twist of the lip (6, 3)."""
 Watch = tuple[Extremes, float, Mask]
-"""Stored results; load above which, and flag (1,) with which, a simulation ends."""
+"""Stored results, the load above which a simulation ends, and the flag (1,) that ends it."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Placeholder for an unknown grip, whose loads are ignored."""
@@ -182,7 +183,7 @@ class PlanSimulation:
         return other
 
     def safety(self, duration_scale: float, least: float = 0.0) -> float:
-        """Return the smallest safety factor, or any one below `least`, if there is one."""
+        """Return the smallest safety factor, or the first safety factor below `least`."""
         ceiling = 1.0 / least if least else math.inf
         if self._simulate_plan(duration_scale, ceiling):
             self._simulate_decay(ceiling)
@@ -195,7 +196,7 @@ class PlanSimulation:
         return self.prediction()
 
     def states(self) -> Array:
-        """Predict along the plan alone, which is available first, as an array (N, 13)."""
+        """Return the states (N, 13) along the plan alone, without the time after its end."""
         self._simulate_plan(1.0, math.inf)
         if not np.isfinite(self._samples[0]).all():
             raise simulation.diverged()
@@ -358,8 +359,7 @@ def _simulate_decay(
     """
     Let the package swing under a tool at rest, until a load exceeds the ceiling.
 
-    Steps are their length (s) and largest number. Return the time (s) after which the rotation
-    from rest stays below `SETTLED_ANGLE`.
+    Return the time (s) after which the rotation from rest stays below `SETTLED_ANGLE`.
     """
     (h, count), (extremes, ceiling, stop) = steps, watch
     wrench, loads = np.empty(6), np.empty(2)

@@ -67,7 +67,7 @@ def plan_of(
     name : str
         Name of the plan for messages.
     given : bool
-        Whether the twists are given, and not estimated from the poses: only given ones are tested.
+        Whether the twists are given, and not estimated from the poses. Given twists are tested.
 
     Raises
     ------
@@ -484,9 +484,9 @@ class Joints(NamedTuple):
 
     def along(self, tool: Trajectory, planned: Trajectory) -> JointPath:
         """
-        Return the motion of these joints that moves the tool along another motion.
+        Return the joint motion for another motion of the tool, in the configuration of this plan.
 
-        Its points are points of the tool, with about the spacing of the plan, at most 10 ms.
+        The points have about the spacing of the plan, at most 10 ms.
 
         Parameters
         ----------

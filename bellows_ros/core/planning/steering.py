@@ -1,9 +1,10 @@
 """
 Tool motions that leave the package without swing: inverse dynamics, and input shaping.
 
-The cup transmits all six axes, so the package's pose is a flat output: its motion determines the
-wrench of the cup, and through the damper, linear in the relative twist, the motion of the tool.
-Input shaping (Singer and Seering) sums delayed copies of a motion, whose swings cancel.
+The cup transmits all six axes, so the package's pose is a flat output: the motion of the package
+determines the wrench of the cup, and this wrench, linear in the relative twist, determines the
+motion of the tool. Input shaping (Singer and Seering) sums delayed copies of a motion, whose
+swings cancel.
 """
 
 from collections.abc import Sequence
@@ -56,7 +57,7 @@ ARRIVAL_TOLERANCE = (2e-5, 1e-4)
 MAX_ARRIVAL = 12.0
 """Longest wait for the arrival, in the cup's longest relaxation times."""
 FADE_TIME = 0.02
-"""Duration of the fading of a motion after its end, without a step of twist or acceleration, s."""
+"""Duration in which a motion fades after its end, without a step of twist or acceleration, s."""
 
 MIN_RESIDUAL_SWING = planning.SETTLED_ANGLE
 """Swing of the package above which a mode is shaped, rad."""
@@ -138,7 +139,7 @@ def _invert_kernel(
     out: Array, package: Array,
 ) -> int:
     """
-    Write the states of tool and package along a motion; return their number.
+    Write the states of tool and package along a motion; return the number of states.
 
     The reference of the package (N, 19) has a spacing of half a step h (s), and rests at its end.
     Once the tool is slower than speed (m/s) and rate (rad/s), it stops over `FADE_TIME`.
@@ -182,7 +183,7 @@ def relaxation_rates(model: ModelTuple) -> Array:
     """
     Return the relaxation rates (1/s) of the cup under a wrench: the eigenvalues of P^-1 K.
 
-    With internal strains they are rates of P dh/dt = -K (h + sum_b r_b (h - z_b)) and
+    With internal strains the rates are eigenvalues of P dh/dt = -K (h + sum_b r_b (h - z_b)),
     dz_b/dt = (h - z_b) / tau_b.
 
     Raises
@@ -353,8 +354,8 @@ def is_smooth(curve: Any) -> bool:
     """
     Return whether a motion from rest to rest, as returned by `curve_of`, is C^4.
 
-    Otherwise the change of the fourth derivative between neighbours does not decrease with their
-    distance.
+    In a motion that is not C^4, the change of the fourth derivative between neighbours does not
+    decrease with their distance.
     """
     duration = float(curve.x[-1])
     count = round(duration / max(SPACING, float(np.median(np.diff(curve.x)))))
@@ -374,8 +375,8 @@ def residual_modes(model: ModelTuple, prediction: planning.PlanPrediction) -> li
     """
     Return the modes of the hanging package, with the swing of each after a plan.
 
-    The modes are of the model linearised at rest after the plan, slowest first, without overdamped
-    ones.
+    The model is linearised at rest after the plan. The slowest mode is first; overdamped modes are
+    left out.
     """
     last = simulation.tool_rows(prediction.tool)[-1]
     tool = simulation.state_row(last[:3], last[3:7])
@@ -434,10 +435,10 @@ def best_shaper(
     """
     Return a shaped motion, its shaped modes, its residual swing (rad), and its method.
 
-    Shapers of none, one and more of the modes are simulated, the shortest first, up to
-    `ALLOWED_TIME`: the first with a residual swing below `MIN_RESIDUAL_SWING` is selected. Without
-    one, ZV shapers are simulated after ZVD shapers; otherwise the motion with the least swing is
-    selected, possibly the unchanged one (method 'none').
+    Shapers of no mode, one mode and several modes are simulated, from short to long, up to
+    `ALLOWED_TIME`: ZVD shapers, then ZV shapers. The first motion with a residual swing below
+    `MIN_RESIDUAL_SWING` is selected, otherwise the motion with the least swing, which may be the
+    unchanged motion (method 'none').
     """
     swinging = to_shape(residual_modes(model, residual))
     allowed = max(ALLOWED_TIME, float(tool.seconds[-1]))

@@ -1,11 +1,10 @@
 """
 From recorded marker frames to tool tip E, lip S and centre of mass B (4.1-4.13).
 
-A motion capture system gives poses of marker bodies whose axes are rotated relative to E and S,
-and the package hangs with a lateral offset from the cup's axis. At rest the axes of E and S are
-parallel to the axes of the world, and S lies below E: deviations at the first standstill are
-removed by constant rigid transformations of each body. Poses without need of correction are
-transformed by the identity.
+Motion capture gives poses of marker bodies whose axes are rotated relative to E and S, and the
+package hangs with a lateral offset from the cup's axis. At rest the axes of E and S are parallel
+to the axes of the world, and S lies below E. Constant rigid transformations of each body remove
+the deviations from this pose at the first standstill.
 
 The offset of two clocks follows from the correlation of both bodies' rotations.
 
@@ -121,9 +120,8 @@ class Alignment:
         """
         Return the poses of B from recorded poses in the world (4.13), (4.64).
 
-        The lateral offset is constant in S, as for a package that is gripped off-centre. (4.10)
-        takes it in axes of E, which is equal at rest and differs by the offset times the bending
-        angle in motion.
+        The lateral offset is constant in S, as for a package that is gripped off-centre. In (4.10)
+        the offset is constant in E, which differs in motion by the offset times the bending angle.
 
         Parameters
         ----------
@@ -279,7 +277,7 @@ class Rest(NamedTuple):
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
-    """Return the rest of both bodies from the first common samples; poses in the world, z up."""
+    """Return the initial rest of both bodies from their first common samples; world with z up."""
     begin, _ = common_span(tool, package)
     spans = [body.between(begin, begin + 20 * NS_PER_S) for body in (tool, package)]
     if not all(body.valid.any() for body in spans):
@@ -343,8 +341,8 @@ ROTATION_SAMPLES = 15
 """Number of samples of each compared rotation."""
 
 MIN_CORRELATION = 0.3
-"""Smallest correlation of the rotations of two aligned clocks; other recordings have less than
-0.2."""
+"""Smallest correlation of the rotations with aligned clocks; with wrong clocks the correlation is
+below 0.2."""
 
 
 def rotation_correlation(
@@ -384,8 +382,8 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
     """
     Return the likely delays (s) of the tool's stamps behind the package's, by their rotations.
 
-    Repetitive motion has several lags of similar correlation, and with a swinging package the true
-    lag may not have the largest. The lag nearest to 0 comes first.
+    A repetitive motion has several lags of similar correlation, and a swinging package can have a
+    larger correlation at a wrong lag. The lag nearest to 0 is the first of the result.
 
     Raises
     ------

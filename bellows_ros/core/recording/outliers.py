@@ -1,13 +1,13 @@
 """
 Detection of tracking errors: excursions, lasting steps and frozen poses (appendix H).
 
-A body with finite speed cannot jump. The jump between two samples is the least distance, within
-the interval between them, of two straight continuations: of the two samples before, and of the two
-after. Constant acceleration and sudden changes of velocity cause no jump. A Hampel filter detects
-jumps above a multiple of the local median. Jumps that cancel each other enclose an excursion,
-whose samples are all marked. A jump without a cancelling one is a lasting step. Exact repeats of a
-pose are marked if the body moved meanwhile. Positions (m) and rotation vectors (rad) are treated
-alike.
+A body with finite speed cannot jump. The jump between two samples is the smallest distance between
+two straight lines in the interval between the samples: the line through the two earlier samples,
+and the line through the two later ones. Constant acceleration and sudden changes of velocity cause
+no jump. A Hampel filter detects jumps above a multiple of the local median. Jumps that cancel each
+other enclose an excursion, whose samples are all marked. A jump without a cancelling one is a
+lasting step. Exact repeats of a pose are marked if the body moved meanwhile. Positions (m) and
+rotation vectors (rad) have the same treatment.
 """
 
 from collections.abc import Iterable
@@ -47,7 +47,7 @@ MAX_EXCURSION = 2.0
 """Longest excursion, s."""
 
 MIN_EXCURSION_SAMPLES = 15
-"""Number of samples that an excursion may have irrespective of the rate."""
+"""Number of samples that an excursion may have at any rate."""
 
 LONG_GAP = 0.05
 """Longest gap over which a jump is estimated, s."""
@@ -65,7 +65,7 @@ SIDES = slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)
 """Samples before and after a jump."""
 
 ROUNDING_FACTOR = 4.0
-"""Smallest step of a moving body over the smallest nonzero step, which is rounding."""
+"""Ratio of a step of a moving body to the smallest nonzero step, which is due to rounding."""
 
 MIN_STEP = 1e-9
 """Smallest step of a moving body, m or rad."""
@@ -115,6 +115,7 @@ class _Jumps(NamedTuple):
 
     @property
     def strength(self) -> Array:
+        """Ratio (M,) of each jump to its threshold."""
         return pose_distances(self.size, self.threshold)
 
 
@@ -155,7 +156,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
 
 
 def find_repeats(poses: Trajectory) -> Outliers:
-    """Find the frozen poses of a tag, whose other errors its measurement weighs."""
+    """Find the frozen poses of a tag; its other errors are weighted in the fit."""
     good = np.full(len(poses), True)
     _exclude(good, _frozen(poses))
     return Outliers(good, (), 0, dict.fromkeys(QUANTITIES, np.zeros(3)))
@@ -187,9 +188,9 @@ def _jumps(poses: Trajectory) -> _Jumps:
 
 def _cancel_half_turns(rotation: Array) -> None:
     """
-    Choose the sign of large rotation vectors (M, 3) so that successive ones cancel.
+    Choose the signs of large rotation vectors (M, 3) such that opposite jumps cancel.
 
-    A rotation near 180 degrees has two vectors, between which noise decides.
+    A rotation near 180 degrees has two rotation vectors, and noise selects one of them.
     """
     total = np.zeros(3)
     for i in np.flatnonzero(np.linalg.norm(rotation, axis=1) > 2.5):  # rad
@@ -282,7 +283,7 @@ def _to_an_end(i: int, first: int, last: int, seconds: Array) -> slice | None:
 
 
 def _lasts(poses: Trajectory, jumps: _Jumps, i: int) -> bool:
-    """Return whether lines fitted to the samples on both sides also have a jump."""
+    """Return whether two lines, fitted to the samples before and after, also have the jump."""
     around = np.arange(i + 1 - SIDE_SAMPLES, i + 1 + SIDE_SAMPLES)
     if around[0] < 0 or around[-1] >= len(poses):
         return True
@@ -320,7 +321,7 @@ def _repeats(poses: Trajectory | PoseStream) -> Mask:
 
 def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
     """
-    Count the poses that repeat the previous one while poses on both sides change.
+    Count the poses equal to the previous pose while earlier and later poses change.
 
     Repeats of a slow noise-free motion are rounding, and do not count.
     """
@@ -337,7 +338,7 @@ def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
 
 
 def _frozen(poses: Trajectory) -> list[slice]:
-    """Return the exact repeats that end with a step too large for the surrounding motion."""
+    """Return the repeated poses that end with a step too large for the surrounding motion."""
     repeats = _repeats(poses)
     moves = np.flatnonzero(~repeats)
     if len(moves) in (0, len(repeats)):

@@ -52,9 +52,9 @@ def prepare(
     settings : PrepareSettings
         Settings of the preparation.
     tool_twist : TwistStream, optional
-        Recorded twist of the tool tip, used in `measured_tool` alone: least squares need the
-        filter's twist even if the recorded one is exact, because tool and package then lose equal
-        parts of their motion, which cancel in the relative twist.
+        Recorded twist of the tool tip, used in `measured_tool` alone. Least squares needs filtered
+        twists of both bodies: the filter attenuates them equally, and the attenuation cancels in
+        the relative twist.
     alignment : Alignment, optional
         Alignment of another recording with the current markers and grasp, instead of a standstill
         of this recording.
@@ -226,7 +226,7 @@ def _shifted_alike(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> St
 
 
 def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[Remark]:
-    """Return remarks on the lateral offsets of lip and centre of mass."""
+    """Return remarks on the lateral offsets of the lip and of the centre of mass."""
     aside = float(np.linalg.norm(alignment.lateral_offset))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
     return [Remark(code, {'aside': size}) for code, size, is_due in (

@@ -42,17 +42,18 @@ ORDER = 4
 """Order of a polynomial that follows the motion of a package up to noise."""
 
 NOISE_SAMPLES = 20_000
-"""Number of windows or samples that determine the noise to 1 %; slightly more are used."""
+"""Smallest number of windows or samples for the noise, which gives the noise to 1 %."""
 
-TOOL_HALF_WINDOW, TOOL_ORDER = 6, 6
+TOOL_HALF_WINDOW = 6
 """
-Half window and order of the polynomials that give the tool's pose and twist from its measured
-poses.
+Half window of the polynomials that give the tool's pose and twist from its measured poses.
 
-At 125 Hz a motion of 3 Hz has an error of 1e-5. Shorter windows leave more noise in the twists,
-whose products with the noise of the poses (which linearised noise models neglect) bias the
-damping.
+At 125 Hz a motion of 3 Hz has a relative error of 1e-5. Shorter windows leave more noise in the
+twists, which biases the damping.
 """
+
+TOOL_ORDER = 6
+"""Order of the polynomials that give the tool's pose and twist from its measured poses."""
 
 PLACES = 8
 """Number of interpolation points between two tool poses that represent all others."""
@@ -132,7 +133,8 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
     """
     Return the standard deviations (6,) of poses at a uniform rate, in body axes, m and rad.
 
-    The noise is of first order, with a given correlation from pose to pose. Raises like `ripple`.
+    The noise is of first order, with a given correlation from pose to pose. A recording without a
+    valid window raises UndeterminedError.
     """
     residuals, rotation = ripple(poses)
     residuals[:, :3] = apply(np.swapaxes(rotation, 1, 2), residuals[:, :3])
@@ -180,8 +182,9 @@ def noise_of(poses: Trajectory) -> Noise:
     """
     Estimate the white noise of poses at a uniform rate.
 
-    The estimate is the median residual of a local polynomial, insensitive to outliers. Noise-free
-    recordings give their rounding. Raises like `ripple`.
+    The estimate is the median residual of a local polynomial, insensitive to outliers. A
+    noise-free recording gives its rounding. A recording without a valid window raises
+    UndeterminedError.
     """
     scale = resampling.MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of the fit
     return Noise(*(float(scale * np.median(part))
@@ -253,7 +256,8 @@ class FilterNoise:
     tool, package : Noise
         White noise of the measured poses, m and rad per axis.
     tool_weights, package_weights : ndarray (3, m)
-        Weights of the filters (see `trajectory.Filtered`), or other weights with equal products.
+        Weights of the filters for pose, rate and acceleration, or other weights with equal
+        products.
 
     """
 
@@ -267,8 +271,8 @@ def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) ->
     """
     Return weights (3, m) with the mean products of a filtered motion at other stamps.
 
-    Between two filtered poses are the cubic polynomials of `resample`, whose slope contains the
-    difference of the two poses, and hence more noise than the twists at its ends.
+    `resample` interpolates by cubic polynomials, whose slope between two poses has more noise than
+    the twists at the two poses.
 
     Parameters
     ----------
@@ -716,7 +720,7 @@ class Recording:
         """
         Return the measured poses of B at stamps of simulated ones, with errors (6,), m and rad.
 
-        Those of a tag show its corners near the simulation, as a flat tag has two solutions.
+        A flat tag has two solutions; the pose near the simulation is returned.
         """
         if self.views:
             return self.views.at(package.stamps_ns).poses_near(package)

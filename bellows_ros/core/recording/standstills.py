@@ -28,9 +28,11 @@ MAX_MOTION = Noise(1.5e-4, 1.5e-3)
 NOISE_DEVIATIONS = 5.0
 """Largest difference of block means due to noise, standard deviations."""
 
-CREEP_CHI2, MAX_SPREAD = 45.0, 8.0
-"""Smallest chi^2 of significant creep with 6 degrees of freedom (false-alarm rate 5e-8), and
-largest ratio of the standard errors of the rest pose and the mean pose."""
+CREEP_CHI2 = 45.0
+"""Smallest chi^2 of significant creep with 6 degrees of freedom (false-alarm rate 5e-8)."""
+
+MAX_SPREAD = 8.0
+"""Largest ratio of the standard errors of the rest pose and the mean pose."""
 
 BLOCK_SECONDS = 0.1
 """Duration of a block, shorter than a period of swing, s."""
@@ -94,10 +96,9 @@ def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
     """
     Return the standstills of a recording in the order of time, and the number of failed ones.
 
-    The unfiltered poses are averaged over short blocks. From the end of a standstill, where the
-    package has come to rest, blocks are added backwards while both bodies keep their poses, so
-    that swinging after a move is excluded. A standstill of the tool fails if the package does not
-    come to rest.
+    The unfiltered poses are averaged over short blocks. Blocks are added backwards from the end of
+    a standstill while both bodies keep their poses, which excludes the swing after a move. A
+    standstill of the tool fails if the package does not come to rest.
 
     Raises
     ------

@@ -21,8 +21,11 @@ from numpy.typing import ArrayLike
 DISTORTIONS = {'': 0, 'plumb_bob': 5, 'rational_polynomial': 8}
 """Distortion models with their number of coefficients."""
 
-UNDISTORTION_STEPS, UNDISTORTED = 50, 1e-9
-"""Largest number of steps to a direction, and its largest error, 1."""
+UNDISTORTION_STEPS = 50
+"""Largest number of iterations for the direction of a distorted corner."""
+
+UNDISTORTED = 1e-9
+"""Largest error of the direction (X/Z, Y/Z) of a distorted corner after the iterations."""
 POSE_STEPS = 10
 """Number of Gauss-Newton steps to the pose of a tag; an error of the start falls by 10 in each."""
 

@@ -53,8 +53,11 @@ EXPOSURE_STEP = 1e-3
 USUAL_EXPOSURE = 0.3
 """Exposure in periods of a camera if not stated, as uncertain as it is long."""
 
-NEAR, NEAR_ITERATIONS = np.repeat([0.05, 0.1], 3), 4
-"""Standard deviations of a tag's pose about a prediction, m and rad, and number of steps to it."""
+NEAR = np.repeat([0.05, 0.1], 3)
+"""Standard deviations of a tag's pose about its predicted pose, m and rad."""
+
+NEAR_ITERATIONS = 4
+"""Number of Gauss-Newton steps from the predicted pose of a tag to its pose."""
 
 Sight = tuple[Vector, Matrix, Vector, Matrix, float]
 """

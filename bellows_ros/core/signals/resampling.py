@@ -1,13 +1,13 @@
 """
 Rates and gaps of stamps; trajectories at other stamps, on SO(3) x R^3, never extrapolated.
 
-The filter needs uniform samples. If stamps are uniform up to rounding, samples are kept; others
-are interpolated along geodesics. Samples in a gap get interpolated poses, so that arrays stay
-finite, and are invalid.
+The filter needs uniform samples. If stamps are uniform up to rounding, samples are kept; otherwise
+samples are interpolated along geodesics. Samples in a gap get interpolated poses, so that arrays
+stay finite, and are invalid.
 
-Poses that come over a network in bursts have delayed stamps, with which a moving body seems to
-oscillate. If a sensor samples uniformly, the delay of each pose follows from all stamps; the
-delays are corrected if this makes the motion smoother.
+Poses that arrive over a network in bursts, and are stamped on arrival, have delayed stamps: a
+moving body seems to oscillate. For a sensor that samples uniformly, the delay of each pose follows
+from all stamps. The delays are corrected if the corrected motion is smoother.
 """
 
 from dataclasses import dataclass, replace
@@ -33,17 +33,17 @@ MAX_RELATIVE_JITTER = 0.1
 """Jitter above which a warning is given, as a fraction of the period."""
 
 MIN_CLOCK_STEP = 0.02
-"""Smallest step of a clock that is found, s: larger than ordinary delays of messages."""
+"""Smallest detected step of a clock, s; it is larger than usual delays of messages."""
 
 CLOCK_WINDOW = 1.0
-"""Time compared before and after a step, s: as long as ordinary stalls of a recorder."""
+"""Time compared before and after a step, s; usual stalls of a recorder are shorter."""
 
 MAX_CLOCK_STEPS = 20
-"""Number of jumps of the delay that are examined, the largest ones."""
+"""Number of examined jumps of the delay, from the largest on."""
 
 CLOCK_DEVIATIONS = 10.0
-"""Smallest step of a clock in median absolute deviations of the delays beside it: a recorder that
-stalls shows a ramp of delays, which has only 4."""
+"""Smallest step of a clock, in median absolute deviations of the delays before and after it. The
+ramp of delays of a stalling recorder has 4 median absolute deviations."""
 
 SAMPLES_BESIDE_GAP = 30
 """Number of samples compared on both sides of a gap."""
@@ -77,7 +77,7 @@ class Timing:
     rate_hz : float
         Samples per second without gaps.
     jitter_s : float
-        Robust standard deviation of the steps between samples, s.
+        Robust standard deviation of the durations between samples, s.
     uniform : bool
         Whether the stamps are uniform, so that no sample needs interpolation.
     gaps : tuple of Gap
@@ -100,7 +100,8 @@ def timing(stamps_ns: Stamps) -> Timing:
     """
     Estimate the rate and jitter of stamps, and find the gaps.
 
-    Medians of the steps give the rate, so that neither gaps nor a drifting clock biases it.
+    The rate is computed from medians of the steps, so that gaps and a drifting clock do not bias
+    the rate.
 
     Parameters
     ----------
@@ -137,8 +138,8 @@ def resolution(stamps_ns: Stamps) -> float:
     """
     Return the resolution of rounded stamps of a uniform rate, s; 0 if it is fine enough.
 
-    Rounded stamps have few different steps, multiples of the resolution, and stay close to a line;
-    lost samples cause fewer unusual steps in a window, or larger deviations from the line.
+    Rounded stamps have few different steps, which are multiples of the resolution, and stay close
+    to a line. Lost samples cause fewer unusual steps, or larger deviations from the line.
     """
     n, equal_us = 100, 5.0  # steps in a window; difference of equal steps, us
     steps = np.diff(stamps_ns[:4000]) / 1e3  # us
@@ -161,9 +162,10 @@ def resolution(stamps_ns: Stamps) -> float:
 
 def clock_steps(stamps_ns: Stamps, arrivals_ns: Stamps) -> tuple[tuple[int, float], ...]:
     """
-    Return the steps of the clock that stamps messages: stamps before (ns), and sizes (s).
+    Return the steps of the stamping clock: the stamp before each step (ns), and its size (s).
 
-    Stamp minus arrival steps and stays; the steps of a recorder's clock are left out.
+    At a step, the difference of stamp and arrival changes permanently. Steps of the recorder's
+    clock are left out.
 
     Parameters
     ----------
@@ -196,8 +198,8 @@ def in_bursts(stamps_ns: Stamps, timing: Timing) -> bool:
     """
     Return whether samples come in bursts, like messages after a delay.
 
-    Bursts have short steps, or short gaps that take most of the time in proportion to the samples
-    of the burst; lost samples leave gaps of any length and number.
+    In bursts, most steps between samples are short, and each gap is as long as the samples of the
+    next burst should take. Lost samples leave gaps of any length.
     """
     steps = np.diff(stamps_ns) / NS_PER_S
     if np.mean(steps * timing.rate_hz < 0.2) > 0.3:  # no sensor samples this early
@@ -214,9 +216,8 @@ def _period(steps: Stamps) -> float:
     """
     Return the time between samples without gaps, ns.
 
-    The median step is accurate to the stamps' resolution; the mean of steps near the median
-    averages the resolution out. For stamps in pairs or bursts only the mean over many steps is the
-    period.
+    The median step is as accurate as the resolution of the stamps; the mean of the steps near the
+    median is more accurate. For stamps in pairs or bursts the period is the mean over many steps.
     """
     count = min(20, max(len(steps) // 4, 1))  # number of averaged steps
     typical = _typical_value(steps)
@@ -301,11 +302,11 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
 
 def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
     """
-    Return the latest possible times of sampling from times of arrival; None if unknown.
+    Return the latest possible times of sampling (ns) from times of arrival; None if unknown.
 
-    No sample arrives before it is taken: the uniform stamps are the line below all arrivals. After
-    lost samples later ones seem delayed by whole periods, which is corrected. Frequent losses, or
-    jitter of many periods, make the times unknown.
+    No sample arrives before its time of sampling, so the uniform times are the line below all
+    arrivals. Lost samples delay all later samples by whole periods, which is corrected. Frequent
+    losses, or jitter of many periods, make the times unknown.
     """
     since, number = (stamps_ns - stamps_ns[0]).astype(np.float64), np.arange(len(stamps_ns))
     n = SAMPLES_BESIDE_GAP
@@ -364,8 +365,8 @@ def resample(
     c'(0) = h w_0, c(1) = log(R_0^T R_1) and c'(1) = dexp(-c(1))^-1 h w_1, where w is the body rate
     and h the interval. The interpolant is once differentiable and of fourth order; its body twist
     is returned. Without twists, positions are interpolated linearly, rotations along the geodesic,
-    and no twist is returned. At a stamp of the trajectory its sample is returned unchanged. The
-    result has no accelerations.
+    and no twist is returned. A sample whose stamp is wanted is returned unchanged. The result has
+    no accelerations.
 
     Parameters
     ----------
@@ -379,7 +380,8 @@ def resample(
     Returns
     -------
     Trajectory
-        Valid where the copied sample, or both neighbours of an interpolated one, are valid.
+        Copied samples keep their validity; an interpolated sample is valid if both neighbours are
+        valid.
 
     Raises
     ------

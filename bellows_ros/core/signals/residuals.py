@@ -2,8 +2,7 @@
 Errors of a prediction against a measurement: per axis, their spectra and whiteness.
 
 With missing samples (NaN), powers and correlations are computed from the available samples.
-Motions are interpolated first: with zeros for missing samples a motion would have power at all
-frequencies.
+Missing samples of motions are interpolated, because zeros would add power at all frequencies.
 """
 
 from dataclasses import dataclass
@@ -164,10 +163,10 @@ class SpectralLine(NamedTuple):
 
 def line(found: Comparison) -> SpectralLine | None:
     """
-    Return the strongest spectral line of the errors, None where the prediction has a larger one.
+    Return the strongest spectral line of the errors; None if the prediction has a stronger line.
 
-    A vibration of a base or a camera is in the measured poses alone; a wrong cup errs at the
-    frequencies of the motion.
+    A vibration of the robot's base or of a camera appears in the measured poses alone, while the
+    errors of a wrong cup have the frequencies of the motion.
     """
     present = np.asarray(np.isfinite(found.error).all(axis=1))
     t = (found.stamps_ns - found.stamps_ns[0]) * 1e-9
@@ -192,7 +191,7 @@ def line(found: Comparison) -> SpectralLine | None:
 
 
 PADDING = 8
-"""Length of the zero-padded errors, whose spectrum is searched, over their own length."""
+"""Ratio of the length of the zero-padded errors to the length of the errors."""
 
 SEGMENT_S = 2.0
 """Length of the segments of a spectrum, s: a resolution of 0.5 Hz."""
@@ -259,8 +258,8 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
     ----------
     values : ndarray (N, C)
         Values at a uniform rate; their mean is subtracted. A missing sample (NaN) counts as zero,
-        and the density is scaled up for the missing power. This is right for white signals; see
-        `interpolated` for others.
+        and the density is scaled up for the missing power. This is correct for white signals;
+        interpolate other signals first.
     rate_hz : float
         Samples per second.
     segment_s : float

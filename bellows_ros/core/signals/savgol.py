@@ -98,15 +98,15 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     Returns
     -------
     Filtered
-        The N - 2n samples with a full window, the first and last such included. A sample is valid
-        if its whole window is, and if the body turns by less than `MAX_ROTATION` between the
-        centre and every sample in it.
+        The N - 2n samples with a full window. A sample is valid if all samples of its window are
+        valid, and if the body rotates by less than `MAX_ROTATION` between the centre and every
+        sample of the window.
 
     Raises
     ------
     BellowsError
-        If the window or the order leaves no such polynomial, the trajectory is shorter than one
-        window, or its rate is not uniform.
+        If window and order determine no polynomial, the trajectory is shorter than one window, or
+        its rate is not uniform.
 
     Examples
     --------
@@ -182,7 +182,7 @@ def _fit(
     Return the fit relative to each centre (3, M - 2n, 3), and the largest increments.
 
     The rows are the value and its first and second derivative. The increment from k to k - j is
-    minus the one from k - j to k, so each pair of samples is computed once. Increments of a
+    minus the increment from k - j to k, so each pair of samples is computed once. Increments of a
     standstill are exactly zero.
     """
     n = W.shape[1] // 2
@@ -212,7 +212,7 @@ def with_filtered_noise(
     draw: np.random.Generator,
 ) -> Trajectory:
     """
-    Return a filtered motion with added noise that is equal in distribution to its own.
+    Return a filtered motion with added noise of the distribution of its own noise.
 
     Parameters
     ----------

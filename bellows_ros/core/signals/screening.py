@@ -3,8 +3,8 @@ Checks of stamps and poses, live and recorded.
 
 A state machine judges header stamps by their times of arrival. A single wrong stamp is rejected; a
 consistent run of them is accepted: a clock was set, or a recording has restarted. Recorded
-messages are judged by the same state machine with hindsight: after a clock was set back, the
-stamps before and after overlap, and as few messages as possible are omitted.
+messages are judged by the same state machine. If a clock was set back, the stamps before and after
+the change overlap; as few messages as possible are then omitted.
 """
 
 import math
@@ -21,10 +21,10 @@ MAX_TOOL_RATE = 60.0
 """Largest angular speed of an arm, rad/s."""
 
 UNIT_TOLERANCE = 0.01
-"""Largest deviation of a quaternion's length from 1 that is normalised."""
+"""Largest deviation of a quaternion's length from 1; such a quaternion is normalised."""
 
 MAX_PLACE = 100.0
-"""Largest distance of a body from the origin of its frame, m: a larger one is in millimetres."""
+"""Largest distance of a body from the origin of its frame, m. Larger numbers are millimetres."""
 
 LONGEST_GAP_NS = 500_000_000
 """Longest gap over which a prediction continues; after it, prediction restarts from rest, ns."""
@@ -110,7 +110,7 @@ class StampScreen:
         return 'clock_set_forward' if leads else 'gap'  # or fast playback
 
     def accept_stamp(self, stamp_ns: int, arrival_ns: int | None, restart: str) -> None:
-        """Make a stamp the reference; after a restart, the only one."""
+        """Make a stamp the reference of the next stamps; a restart forgets earlier stamps."""
         if restart:
             self.forget_stamps()
         elif self.newest_ns >= 0:
@@ -125,7 +125,7 @@ class StampScreen:
         self._leaps = restart == 'clock_set_forward'
 
     def _leads(self, stamp_ns: int, arrival_ns: int) -> bool:
-        """Return whether a stamp is in the future: a pause explains less than half of its step."""
+        """Return whether a stamp is in the future: a pause explains less than half of the step."""
         lead_ns = self._least_age_ns - (arrival_ns - stamp_ns)
         step_ns = stamp_ns - self.newest_ns
         if step_ns > LONGEST_GAP_NS:
@@ -201,8 +201,8 @@ def _first_is_smaller_loss(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps])
     """
     Return whether the overlapping stamps of the first of two parts are dropped.
 
-    With similar costs, as after a clock was set back, the shorter part is dropped: this choice is
-    equal for all topics of a recording.
+    If both parts lose a similar number of messages, the stamps of the shorter part are dropped,
+    which is the same choice for all topics of a recording.
     """
     costs = np.count_nonzero(one[0]), np.count_nonzero(other[0])
     if max(costs) > 2 * min(costs):

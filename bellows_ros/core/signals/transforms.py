@@ -31,7 +31,7 @@ class Chain:
     Attributes
     ----------
     dropped : int
-        Number of stamps without a sample of some link, or after too long a wait for one.
+        Number of stamps for which a link had no sample, or none in time.
 
     """
 
@@ -134,7 +134,7 @@ class Chain:
 
 
 def interpolated_pose(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSample:
-    """Return a link at a stamp from the first to the last; rotations follow the chord."""
+    """Return a link's pose at a stamp between two samples, the rotation along the chord."""
     after = bisect_left(samples, stamp_ns, key=lambda sample: sample.stamp_ns)
     new = samples[after]
     if new.stamp_ns == stamp_ns:

@@ -10,8 +10,11 @@ from bellows_ros.core.model import kernels
 from bellows_ros.core.model.grip import Box
 from bellows_ros.core.model.kernels import PackageTuple, State
 
-ROTATION_PER_STEP, MAX_FLIGHT_STEP = 0.01, 0.02
-"""Rotation per integration step of the flight (rad), and its longest step (s)."""
+ROTATION_PER_STEP = 0.01
+"""Rotation per integration step of the flight, rad."""
+
+MAX_FLIGHT_STEP = 0.02
+"""Longest integration step of the flight, s."""
 COARSE_ROTATION_PER_STEP = 0.1
 """Rotation per step of a flight accurate to 0.01 mrad, as for a landing, rad."""
 
@@ -23,13 +26,13 @@ MAX_FLIGHT_TIME = 10.0
 
 
 Bracket = tuple[float, float, float, float, float]
-"""Two ends with a root in between, their values (the first above 0, the second not), and the end
-replaced last: -1 for the second, 1 for the first; 0 without a root."""
+"""Bracket of a root: two ends, their values (positive at the first end), and the last replaced
+end: 1 for the first, -1 for the second, 0 without a root."""
 
 
 @kernel
 def secant_root(bracket: Bracket, margin: float) -> float:
-    """Return the zero of the secant between two ends, at a margin from both."""
+    """Return the zero of the secant between two ends, moved inside by a margin."""
     low, high, above, below, _ = bracket
     s = low + (high - low) * above / (above - below)
     return min(max(s, low + margin), high - margin)

@@ -2,8 +2,8 @@
 Covariance of a landing, its contributions, and the time of release for a target.
 
 A landing has six components: position in the plane of the floor (m), without a part along gravity,
-and the rotation vector from a nominal landing, in world axes (rad). Each toss lands at its own
-instant: the shift along the flight is projected out.
+and the rotation vector from a nominal landing, in world axes (rad). Tosses land at different
+instants, so the shift along the flight is projected out.
 """
 
 from contextlib import suppress
@@ -31,7 +31,7 @@ CANDIDATES = 8
 """Number of the best times in the scan that are refined."""
 
 SECOND_ORDER = 'release, second order'
-"""Second-order contribution of the law of release."""
+"""Name of the second-order contribution of the law of release."""
 
 ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % in a plane, standard deviations."""
@@ -89,6 +89,7 @@ def release_with(release: Release, by: Array) -> Release:
 
 
 def as_law(numbers: Array) -> Law:
+    """Return the law of release of eight numbers, in the order of `Law`."""
     law: Any = tuple(numbers.tolist())
     return law  # type: ignore[no-any-return]
 
@@ -97,8 +98,8 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     """
     Return the contributions of cup, package and release, by differences as in `perturbed`.
 
-    The law of release also acts to second order: with a normal z along each axis of its
-    covariance, a z + b z^2 has the second moment a^2 + 2 b^2 about its mean, the sum of all b.
+    The law of release has second-order effects: along each axis of its covariance, with a standard
+    normal z, the landing shifts by a z + b z^2, which has the mean b and the variance a^2 + 2 b^2.
     """
     held, release, switched, numbers, factor = case
     names, parts = cup_package.contributions(
@@ -109,7 +110,7 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
 
     def both(by: Array) -> tuple[Array, Array]:
-        """Return the landings for a change of the law, and for the opposite change."""
+        """Return the landings for a change of the law of release, and for the opposite change."""
         up, down = (case.error(toss(held, release_with(release, step), switched), nominal)
                     for step in (by, -by))
         return up, down
@@ -185,7 +186,7 @@ class Aim(NamedTuple):
     distance: float
     """Distance from the target in the plane, m."""
     angle: float
-    """Angle from the wanted rotation, rad; 0 if none is given."""
+    """Angle from the wanted rotation, rad; 0 without a wanted rotation."""
     target: tuple[float, float]
     """Target x and y in the world, m."""
 

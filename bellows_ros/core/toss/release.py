@@ -7,11 +7,11 @@ axial force at a stretch y along the lip's z, from the cup length, is
 
     F = F0 s - max(0, F0 - K_z y) + F0 (max(0, y) / L)^2,
 
-the sum of suction, folds in contact and open bellows, with its own damping. For a holding suction
-(s = 1) this is K_z y, and always without an opening (L = 0): the cup keeps its length. The cup's
-kernel gives the wrench, for the cup length at which its axial force is F. The package is released
-at the first instant after the valve at which the lip's load reaches its suction V0 s and its
-sticking. A blow-off pulse pushes the package along -z of S. The flight is without air resistance,
+the sum of suction, folds in contact and open bellows, with its own damping. For the holding
+suction (s = 1), F is K_z y. Without an opening (L = 0), F is always K_z y: the cup keeps its
+length. The wrench is computed with the cup length at which the axial force is F. The package is
+released at the first instant after the valve at which the load of the lip reaches V0 (s +
+sticking). A blow-off pulse pushes the package along -z of S. The flight is without air resistance,
 and ends when a corner of the box is at the floor's height, measured against gravity.
 """
 
@@ -41,7 +41,7 @@ the numbers of the law of release (standard deviations)."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
 """Grip of unknown radius or vacuum: the release is after the delay, or at the suction at which the
-lip stops sticking, under any load."""
+lip stops sticking; the load has no effect."""
 
 
 @kernel
@@ -95,7 +95,7 @@ def suction_margin(
     model: ModelTuple, grip: Grip, law: Law, since_valve: float, tool: State, body: State
 ) -> float:
     """
-    Return the suction (N) in excess of the load of the first lip to peel, after the valve (s).
+    Return the suction minus the load (N) of the lip that peels first, a time (s) after the valve.
 
     The release is at 0 or below. Without a grip model the margin is the remaining suction, or the
     remaining time (s) for a cup that does not open.
@@ -113,10 +113,10 @@ def _held_substep(
     high: float,
 ) -> tuple[State, State]:
     """
-    Return tool and package at a fraction of a segment, from the package at a lower one.
+    Return tool and package at a fraction of a segment, from the package at a smaller fraction.
 
-    The segment begins a time (s) after the valve. The length of an opening cup is the mean over
-    both ends: second order.
+    The segment begins a time (s) after the valve. The cup length is the mean of the lengths at
+    both ends, which is accurate to second order.
     """
     before, middle = kernels.tool_at(segment, low), kernels.tool_at(segment, 0.5 * (low + high))
     tool, h = kernels.tool_at(segment, high), (high - low) * segment[0]
@@ -254,8 +254,8 @@ def toss_along(
     """
     Return the times (s) of release and landing, each with the state of the package.
 
-    Tool and package are those at the start (s), before or after the valve is switched. The first
-    time is -1 without a release in time, with the last state; the second is -1 without a landing.
+    Tool and package are those at the start (s), before or after the valve is switched. Without a
+    release the first time is -1, with the last state; without a landing the second time is -1.
     Below the floor the landing is immediate.
     """
     (_, package, gravity), _, release, _ = switching
@@ -274,9 +274,9 @@ def landing_error(landed: State, nominal: State, gravity: Vector) -> tuple[Vecto
     """
     Return the deviation of a landing from a nominal one.
 
-    It consists of the position in the plane of the floor (m), without a part along gravity, and
-    the rotation vector in world axes (rad). Each toss lands at its own instant: the shift along
-    the flight is projected out.
+    The deviation is the position in the plane of the floor (m), without a component along gravity,
+    and the rotation vector in world axes (rad). Each toss lands at its own instant: the shift
+    along the flight is projected out.
     """
     up, moved = free_flight.upward(gravity), t3.subtract(landed[0], nominal[0])
     rotation = t3.quaternion_product(landed[1], t3.quaternion_conjugate(nominal[1]))
@@ -462,7 +462,7 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
 
 
 def latest_release(law: Law) -> float:
-    """Return the longest time (s) from valve to release; without load for an opening cup."""
+    """Return the longest time (s) from valve to release; an opening cup is taken without load."""
     delay, tau, _, blow_off, _, opening, _, sticking = law
     if opening > 0.0 and blow_off > sticking:
         return delay + tau * math.log((1.0 + blow_off) / (blow_off - sticking))

@@ -1,12 +1,12 @@
 """
 Identification of the law of release from drops and tosses of packages of one or more masses.
 
-The poses from before each valve until the package has fallen are compared with the law's
-prediction: the law's free numbers are common to all drops; each drop has its own delay, and its
-own offset of the package on the lip at rest, or else its own initial state. The sum of squared
-residuals of positions, of velocities by local polynomials, and of rotations is minimised by
-`scipy.optimize.least_squares`. The covariance is the sum of two, with drops and with masses as
-clusters: H^-1 (sum of g g^T) H^-1 with the gradients g of the clusters and the Hessian H.
+The law's prediction is compared with the poses from shortly before each valve to the end of the
+fall. The free numbers of the law are common to all drops. Each drop has its own delay, and its own
+offset of the package at rest, or its own initial state. `scipy.optimize.least_squares` minimises
+the squared residuals of positions, of velocities by local polynomials, and of rotations. The
+covariance is the sum of two covariances H^-1 (sum of g g^T) H^-1, with the Hessian H and the
+gradients g of clusters: single drops, and all drops of a mass.
 """
 
 from collections.abc import Sequence
@@ -72,12 +72,14 @@ OPENING = (0, 3, 4, 5, 6, 7)
 """Indices of the free numbers of an opening cup: all but tau and impulse."""
 
 TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
-"""The law of an opening cup for numbers that are neither given nor identifiable, similar to the
-law of the drops in docs/toss.md."""
+"""Law of an opening cup for numbers that are neither given nor identifiable; it is similar to the
+law identified from real drops."""
 
-MAX_RELATIVE_STD, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
-"""Largest relative standard error of an identifiable number, and default of a given one's standard
-deviation; and smallest scales of the numbers."""
+MAX_RELATIVE_STD = 0.5
+"""Largest relative standard error of an identifiable number; default for a given number."""
+
+ABSOLUTE_SCALES = np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
+"""Smallest scales (8,) of the numbers of the law of release, SI units."""
 
 MAX_EVALUATIONS = 16
 """Largest number of evaluations of a fit, for each free number of the law."""
@@ -98,12 +100,17 @@ OWN_STD = np.array([DELAY_STD, 0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
 START_STD = np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
 """Prior standard deviations of the first state: pose and twist, m, rad, m/s and rad/s."""
 
-COMMON, OWN_LAW, OWN_START = slice(8), slice(8, 16), slice(16, 28)
-"""The numbers of a drop (28,) in a fit: of the common law, in `SCALES`, and its own of the law and
-of the first state, in prior standard deviations."""
+COMMON = slice(8)
+"""Numbers of the common law among the numbers (28,) of a drop, in units of `SCALES`."""
+
+OWN_LAW = slice(8, 16)
+"""Deviations of one drop from the common law, in prior standard deviations."""
+
+OWN_START = slice(16, 28)
+"""Deviations of the first state of one drop, in prior standard deviations."""
 
 EXACT_STEPS = {'regularize': False, 'atol': 1e-12, 'btol': 1e-12, 'conlim': 0.0, 'maxiter': 2000}
-"""Options of LSMR: the law's numbers are too correlated for inexact steps."""
+"""Options of LSMR for exact steps, as the law's numbers are strongly correlated."""
 
 DIFFERENCE = 1e-3
 """Step of the derivatives, in units of the numbers."""
@@ -156,7 +163,7 @@ class Drop:
         """
         Return the time of release (s since the first stamp, -1 without), and states (N, 13).
 
-        The start may be changed (12,), in units of `START_STD`.
+        The first state may be changed by numbers (12,), in units of `START_STD`.
         """
         rows, seconds, max_step, _ = self._inputs
         start = adapted(self.model, row_state(rows[0]), self.start)
@@ -169,7 +176,7 @@ class Drop:
 
     @cached_property
     def sizes(self) -> Array:
-        """Standard deviations in the fit of positions, velocities and rotations (9, 1)."""
+        """Standard deviations (9, 1) of positions, velocities and rotations in the fit."""
         position, rotation = np.maximum(self.noise, MIN_NOISE)
         return np.repeat([position, VELOCITY_SCALE * position, rotation], 3)[:, None]
 
@@ -240,8 +247,8 @@ class ReleaseFit(NamedTuple):
     free : tuple of int
         Indices of the fitted numbers.
     covariance : ndarray (8, 8)
-        Covariance of the numbers, from the scatter between drops, and from the prior for
-        unidentifiable ones; 0 for others that were not fitted.
+        Covariance of the numbers: from the scatter between drops for identifiable numbers, from
+        the prior for unidentifiable ones, and 0 for other numbers.
     scatter : ndarray (8,)
         Standard deviations between drops; 0 for common numbers.
     drops : tuple of Explained
@@ -376,7 +383,7 @@ def _identifiable(
 
 
 def _fall(drop: Drop) -> float:
-    """Return the time at which a package finally begins to fall, s since the first stamp."""
+    """Return the time at which the last fall of a package begins, s since the first stamp."""
     position, seconds = drop.package.position, drop.package.seconds
     return float(seconds[free_fall_samples(position, seconds, drop.model[2])[0]])
 
@@ -438,7 +445,7 @@ def _openings(drops: Sequence[Drop], fall: float) -> list[Array]:
 def _fitted(
     drops: Sequence[Drop], start: Array, free: tuple[int, ...], fixed_std: Array | None = None
 ) -> ReleaseFit:
-    """Return the law with some free numbers, from a start; others have `fixed_std` (8,)."""
+    """Return the law fitted in its free numbers; fixed numbers have `fixed_std` (8,)."""
     count, common = len(free), list(free)
     is_own = np.zeros((len(drops), 28), bool)
     is_own[:, [8 + k for k in free if OWN_STD[k]]] = True
@@ -473,7 +480,7 @@ def _as_fit(
     drops: Sequence[Drop], rows: Array, is_own: Array, free: tuple[int, ...],
     fixed_std: Array | None,
 ) -> ReleaseFit:
-    """Return a fit from the numbers (28,) of each drop, of which some are its own."""
+    """Return a fit from the numbers (28,) of each drop."""
     hessians, gradients, variances = (np.array(part) for part in zip(
         *map(_eliminated, drops, rows, is_own), strict=True))
     results = [drop.explained_by(row) for drop, row in zip(drops, rows, strict=True)]
@@ -494,7 +501,7 @@ def _as_fit(
 
 
 def _eliminated(drop: Drop, row: Array, is_own: Array) -> tuple[Array, Array, Array]:
-    """Return matrix and gradient of the law without a drop's own numbers, and their variances."""
+    """Return Hessian and gradient of the law after elimination of a drop's own numbers."""
     places = np.flatnonzero(is_own)
     J = drop.slopes(row, [*range(8), *places])
     matrix, gradient, variances = J.T @ J, J.T @ drop.residuals(row), np.zeros(28)
@@ -517,7 +524,7 @@ def _clustered(gradients: Array, inverse: Array) -> Array:
 
 
 def _explained(drop: Drop, row: Array, result: tuple[float, Array, Array]) -> Explained:
-    """Return the residuals of a drop with numbers (28,), and what `explained_by` returns."""
+    """Return the residuals of a drop with numbers (28,), and the result of `explained_by`."""
     released, states, errors = result
     seconds, up = drop.package.seconds, np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
     n, after = half_window(seconds), int(np.searchsorted(seconds[:-1], max(released, 0.0)))
