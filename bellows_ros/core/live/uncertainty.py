@@ -289,6 +289,7 @@ class Settling:
         self.clear()
 
     def clear(self) -> None:
+        """Set the error to zero."""
         self.now: Unsettled | None = None
         self._samples: list[tuple[int, State]] = []  # after a start, until its motion is estimated
         self._until_ns = 0

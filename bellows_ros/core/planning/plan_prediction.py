@@ -196,7 +196,7 @@ class PlanSimulation:
         return self.prediction()
 
     def states(self) -> Array:
-        """Return the states (N, 13) along the plan alone, without the time after its end."""
+        """Predict along the plan, without the time after its end, and return (N, 13) rows of B."""
         self._simulate_plan(1.0, math.inf)
         if not np.isfinite(self._samples[0]).all():
             raise simulation.diverged()
