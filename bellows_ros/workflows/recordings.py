@@ -220,7 +220,8 @@ def _conversions(remarks: Iterable[Remark], name: File) -> str:
     options: dict[str, list[str]] = {}
     for remark in remarks:
         if remark.code in CONVERSIONS:
-            options.setdefault(remark.numbers['topic'], []).append(CONVERSIONS[remark.code])
+            for topic in remark.numbers['topic'].split("' and '"):
+                options.setdefault(topic, []).append(CONVERSIONS[remark.code])
     source = first = shown(os.fspath(name)) or 'RECORDING'
     commands = []
     for number, own in enumerate(sorted({tuple(each) for each in options.values()}), 1):

@@ -1,14 +1,19 @@
-"""Units and quaternion orders with which poses of tool and package are consistent."""
+"""
+Wrong units, axes and quaternion orders of recorded poses.
 
-from collections.abc import Sequence
+Each is a correction of one body or of both, after which the package moves least in its tool.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import product
-from typing import NamedTuple
+from itertools import permutations, product
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.signals.trajectory import Posed, Trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
+
+from .alignment import Remark
 
 MAX_DISTANCE = 2.0
 """Largest distance of a package from the tool, m: ten times the longest cup with its package."""
@@ -25,19 +30,44 @@ MAX_REACH = 0.5
 MAX_CHANGE = 0.25
 """Largest relative variation of this distance: a cup stretched by a quarter."""
 
-MIN_SIMILARITY = 0.95
-"""Smallest similarity of two bodies' rotations with another quaternion order."""
+MIN_UNIT_RATIO = 100.0
+"""Smallest ratio of the paths of two bodies in two units, between 1 and 1000."""
 
-MAX_DIFFERENCE_RATIO = 0.25
-"""Largest ratio of the remaining differences: with w first, a rotation is inverted in world
-axes."""
+MAX_MISFIT_RATIO = 0.4
+"""Largest ratio of relative motion after and before the correction of a convention."""
 
+MAX_MISFIT = 0.6
+"""Largest relative motion of bodies on one cup, rad plus path relative to the distance: twice the
+swing at which a cup flips."""
 
-class Convention(NamedTuple):
-    """Convention of recorded poses: positions in mm, quaternions with w first."""
+SIMPLER = 0.9
+"""Ratio of misfits below which a later candidate replaces an earlier one."""
 
-    millimetres: bool = False
-    w_first: bool = False
+OPPOSITE = -0.6
+"""Largest correlation of two rotations of which one is inverse."""
+
+AXIS_ROTATIONS = [
+    axes for order in permutations(np.eye(3)) for signs in product((1.0, -1.0), repeat=3)
+    if np.linalg.det(axes := np.multiply(order, np.array(signs)[:, None])) > 0.0][1:]
+"""Rotations (3, 3) that permute axes."""
+
+DECISIVE = 0.5
+"""Ratio of misfits below which another candidate replaces another order of quaternions, the most
+frequent fault."""
+
+UPRIGHT = 0.2
+"""Largest misalignment of a package that hangs below its tool, a sum of two cosines from 1: 36
+degrees of one of the two."""
+
+TILTED = 0.5
+"""Smallest misalignment that another order of quaternions explains: 60 degrees of one body."""
+
+Bodies = tuple[Trajectory, Trajectory]
+
+Change = Callable[[Trajectory], Trajectory]
+
+WRONG = {'package': (False, True), 'tool': (True, False), 'both': (True, True)}
+"""Whether tool and package are wrong, by the name of the body."""
 
 
 def reordered(rotation: Array) -> Array:
@@ -45,51 +75,98 @@ def reordered(rotation: Array) -> Array:
     return lie.quaternion_to_rotation(np.roll(lie.rotation_to_quaternion(rotation), -1, axis=-1))
 
 
-def converted(poses: Posed, convention: Convention) -> Posed:
-    """Return poses in metres, with w last, from poses of another convention."""
-    return replace(
-        poses, position=poses.position * (1e-3 if convention.millimetres else 1.0),
-        rotation=reordered(poses.rotation) if convention.w_first else poses.rotation)
+def w_last(body: Trajectory) -> Trajectory:
+    """Return poses from poses of quaternions with w first."""
+    return replace(body, rotation=reordered(body.rotation))
 
 
-def conventions_of(
-    bodies: Sequence[Trajectory], one_frame: bool
-) -> tuple[Convention, Convention]:
-    """Return the conventions of two bodies in one frame or two: standard ones if consistent."""
-    units = Convention(), Convention()
+def in_metres(body: Trajectory) -> Trajectory:
+    """Return poses from poses in millimetres."""
+    return replace(body, position=1e-3 * body.position)
+
+
+def conjugated(body: Trajectory) -> Trajectory:
+    """Return poses with inverse rotations."""
+    return replace(body, rotation=np.swapaxes(body.rotation, 1, 2))
+
+
+def inverted(body: Trajectory) -> Trajectory:
+    """Return the inverse poses."""
+    back = np.swapaxes(body.rotation, 1, 2)
+    return replace(body, position=-lie.apply(back, body.position), rotation=back)
+
+
+def changed(bodies: Bodies, wrong: Sequence[bool], change: Change) -> Bodies:
+    """Return both bodies, the wrong ones changed."""
+    tool, package = (change(body) if is_wrong else body
+                     for body, is_wrong in zip(bodies, wrong, strict=True))
+    return tool, package
+
+
+def units_of(bodies: Bodies, one_frame: bool) -> tuple[bool, bool]:
+    """Return whether tool and package are in millimetres."""
     if not one_frame:
-        return _of_two_worlds(bodies)
-    if distance_of(bodies, units)[0] > MAX_DISTANCE:
-        both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
-        units = min((each for each in both if _is_on_cup(bodies, each)),
-                    key=lambda each: distance_of(bodies, each)[1], default=units)
-    if not _is_on_cup(bodies, units):
-        return units
-    orders = [(units[0]._replace(w_first=a), units[1]._replace(w_first=b))
-              for a, b in product((False, True), repeat=2)]
-    motions = [motion_in_tool(bodies, each) for each in orders]
-    best = min(range(4), key=lambda i: sum(motions[i]))
-    (moves, tilt), (moves_read, tilt_read) = motions[best], motions[0]
-    upright = moves < moves_read and tilt < 0.2 and 0.5 < tilt_read  # rad
-    # the threshold for another order
-    return orders[best] if moves < 0.4 * moves_read or upright else units
+        tool, package = (float(np.linalg.norm(np.ptp(np.percentile(
+            body.position, (1, 99), axis=0), axis=0))) for body in bodies)
+        least = min(tool, package)
+        return (tool > MIN_UNIT_RATIO * least or least > MAX_MOTION,
+                package > MIN_UNIT_RATIO * least or least > MAX_MOTION)
+    if distance_of(bodies)[0] <= MAX_DISTANCE:
+        return False, False
+    tried = [((a, b), changed(bodies, (a, b), in_metres))
+             for a, b in product((False, True), repeat=2)]
+    return min(((distance_of(both)[1], wrong) for wrong, both in tried if is_on_cup(both)),
+               default=(0.0, (False, False)))[1]
 
 
-def _of_two_worlds(bodies: Sequence[Trajectory]) -> tuple[Convention, Convention]:
-    """Return the conventions with which motions of two bodies agree, each in its world."""
-    lengths = [float(np.linalg.norm(np.ptp(np.percentile(body.position, (1, 99), axis=0), axis=0)))
-               for body in bodies]
-    units = [Convention(x > 100.0 * min(lengths) or min(lengths) > MAX_MOTION)
-             for x in lengths]
-    turns = [[lie.log_so3(R[len(R) // 2].T @ R) for R in (body.rotation, reordered(body.rotation))]
-             for body in bodies]  # relative to the middle of the path
-    alike = {(a, b): similarity(turns[0][a], turns[1][b])
-             for a, b in ((0, 0), (1, 0), (0, 1))}
-    a, b = max(alike, key=lambda order: alike[order])
-    if alike[a, b] < MIN_SIMILARITY or (
-            1.0 - alike[a, b] > MAX_DIFFERENCE_RATIO * (1.0 - alike[0, 0])):
-        a = b = 0
-    return units[0]._replace(w_first=bool(a)), units[1]._replace(w_first=bool(b))
+def corrections(bodies: Bodies, is_opposite: bool) -> Iterator[tuple[Remark, Bodies]]:
+    """Yield the faults that both bodies may have, with the bodies after their correction."""
+    for code, change in (
+            ('quaternion_order', w_last), ('conjugated', conjugated), ('inverted', inverted)):
+        for body, wrong in WRONG.items():
+            if not (is_opposite and body == 'both' and code != 'quaternion_order'):
+                yield Remark(code, body=body), changed(bodies, wrong, change)
+    if is_opposite:
+        return
+    tool, package = bodies
+    for axes in AXIS_ROTATIONS:
+        angle = float(np.linalg.norm(lie.log_so3(axes)))
+        yield Remark('rotation_frame', {'angle': angle}, 'both'), (
+            replace(tool, rotation=axes @ tool.rotation),
+            replace(package, rotation=axes @ package.rotation))
+    for signs in 1.0 - 2.0 * np.eye(3):
+        yield Remark('left_handed', body='both'), (
+            replace(tool, position=signs * tool.position),
+            replace(package, position=signs * package.position))
+
+
+def best_correction(bodies: Bodies) -> Remark | None:
+    """Return the fault of poses in one frame whose correction makes the motion rigid, or None."""
+    is_opposite = _correlation(bodies) < OPPOSITE
+    before = misfit(bodies)
+    limit = before if is_opposite else min(MAX_MISFIT_RATIO * before, MAX_MISFIT)
+    found, least = None, float('inf')
+    for remark, both in corrections(bodies, is_opposite):
+        is_order = remark.code == 'quaternion_order'
+        own = misfit(both)
+        is_less = own < (MAX_MISFIT_RATIO * before if is_order else limit) or (
+            is_order and _is_righted(bodies, both))
+        is_first = found is not None and found.code == 'quaternion_order' and not is_order
+        if is_less and own < (DECISIVE if is_first else SIMPLER) * least:
+            found, least = remark, own
+    return found
+
+
+def _is_righted(before: Bodies, after: Bodies) -> bool:
+    """Return whether a package hangs below its tool only after a correction, and moves less."""
+    (moved, tilted), (moves, tilt) = (motion_in_tool(both) for both in (before, after))
+    return is_on_cup(before) and moves < moved and tilt < UPRIGHT and TILTED < tilted
+
+
+def _correlation(bodies: Bodies) -> float:
+    """Return the correlation of the rotations of two bodies about axes of one world."""
+    a, b = (lie.log_so3(body.rotation @ body.rotation[len(body) // 2].T) for body in bodies)
+    return float(np.sum(a * b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
 
 
 def similarity(first: Array, second: Array) -> float:
@@ -99,32 +176,39 @@ def similarity(first: Array, second: Array) -> float:
     return float(sizes.sum() / max(np.linalg.norm(first) * np.linalg.norm(second), 1e-12))
 
 
-def _is_on_cup(bodies: Sequence[Trajectory], units: tuple[Convention, Convention]) -> bool:
-    """Return whether the distance of the bodies is plausible for a cup, in given units."""
-    distance, change = distance_of(bodies, units)
+def is_on_cup(bodies: Bodies) -> bool:
+    """Return whether the distance of the bodies is plausible for a cup."""
+    distance, change = distance_of(bodies)
     return MIN_REACH < distance < MAX_REACH and change < MAX_CHANGE
 
 
-def distance_of(
-    bodies: Sequence[Trajectory], units: tuple[Convention, Convention]
-) -> tuple[float, float]:
+def distance_of(bodies: Bodies) -> tuple[float, float]:
     """Return the median distance of the bodies, m, and its relative variation."""
-    tool, package = map(converted, bodies, units)
+    tool, package = bodies
     distance = np.linalg.norm(package.position - tool.position, axis=1)
     low, middle, high = np.percentile(distance, (25, 50, 75))
     return float(middle), float((high - low) / max(middle, 1e-12))
 
 
-def motion_in_tool(
-    bodies: Sequence[Trajectory], given: tuple[Convention, Convention]
-) -> tuple[float, float]:
+def misfit(bodies: Bodies) -> float:
+    """Return the relative motion of a package in its tool (distance, rad); infinite if far."""
+    distance, change = distance_of(bodies)
+    if not (1e-3 < distance < MAX_REACH and change < MAX_CHANGE):
+        return float('inf')
+    tool, package = bodies
+    offset = lie.apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
+    hangs = np.median(offset[:, 2]) < 0.0
+    return (1.0 if hangs else 1.0 / SIMPLER**2) * motion_in_tool(bodies)[0]
+
+
+def motion_in_tool(bodies: Bodies) -> tuple[float, float]:
     """
     Return the motion of the package in the tool, and its misalignment with the tool's z axis.
 
     The motion is a rotation (rad) plus a path in units of the distance, the misalignment a sum of
     two deviations of cosines from 1.
     """
-    tool, package = map(converted, bodies, given)
+    tool, package = bodies
     back = np.swapaxes(tool.rotation, 1, 2)
     offset, turned = lie.apply(back, package.position - tool.position), back @ package.rotation
     offset = offset / np.median(np.linalg.norm(offset, axis=1))

@@ -8,7 +8,6 @@ of one of the two poses breaks this relation in a specific manner. `faults` has 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations, product
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
@@ -21,6 +20,7 @@ import numpy as np
 
 from . import alignment, conventions
 from .alignment import Remark
+from .conventions import Bodies
 
 SAMPLES = 300
 """Number of compared pairs of poses."""
@@ -83,26 +83,8 @@ MIN_SAMPLES = 20
 MAX_SAMPLES = 3000
 """Largest number of differences for an estimate of noise, which is then accurate to 2 %."""
 
-MAX_MISFIT_RATIO = 0.4
-"""Largest ratio of relative motion after and before the correction of a convention."""
-
-MAX_MISFIT = 0.6
-"""Largest relative motion of bodies on one cup, rad plus path relative to the distance: twice the
-swing at which a cup flips."""
-
-SIMPLER = 0.9
-"""Ratio of misfits below which a later candidate replaces an earlier one."""
-
-OPPOSITE = -0.6
-"""Largest correlation of two rotations of which one is inverse."""
-
 DISSIMILAR = 0.5
 """Largest ratio of the misfits of two kinds of candidates that decides between them."""
-
-AXIS_ROTATIONS = [
-    axes for order in permutations(np.eye(3)) for signs in product((1.0, -1.0), repeat=3)
-    if np.linalg.det(axes := np.multiply(order, np.array(signs)[:, None])) > 0.0][1:]
-"""Rotations (3, 3) that permute axes."""
 
 MIN_RIGID_SIMILARITY = 0.8
 """Smallest similarity of the rotations of two bodies on one cup."""
@@ -134,9 +116,6 @@ MAX_COM_HEIGHT = 1e-3
 
 NO_INERTIA = (0.0101, 0.0101, 0.0101, 0.0, 0.0, 0.0)
 """Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
-
-
-Bodies = tuple[Trajectory, Trajectory]
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,77 +299,21 @@ def noise_of(body: Trajectory, chosen: Mask | None = None) -> Array:
     return np.asarray(MAD_TO_STD * np.median(np.abs(change), axis=0) / DIFFERENCES_NORM)
 
 
-def _conjugated(body: Trajectory) -> Trajectory:
-    """Return poses with inverse rotations."""
-    return replace(body, rotation=np.swapaxes(body.rotation, 1, 2))
-
-
-def _inverted(body: Trajectory) -> Trajectory:
-    """Return the inverse poses."""
-    back = np.swapaxes(body.rotation, 1, 2)
-    return replace(body, position=-lie.apply(back, body.position), rotation=back)
-
-
 def wrong_conventions(poses: Poses) -> Iterator[Remark]:
     """Yield wrong units, quaternion orders and inverse poses that explain non-rigid motion."""
     if poses.bodies is None:
         return
-    bodies = poses.bodies
-    orders = conventions.conventions_of(bodies, poses.one_frame)
-    names = ('tool', 'package')
-    yield from (Remark('millimetres', body=body) for body, order in zip(names, orders, strict=True)
-                if order.millimetres)
-    is_w_first = [order.w_first for order in orders]
+    units = conventions.units_of(poses.bodies, poses.one_frame)
+    yield from (Remark('millimetres', body=body) for body, is_wrong in zip(
+        ('tool', 'package'), units, strict=True) if is_wrong)
     if poses.one_frame:
-        fact, misfit = _of_one_frame(bodies)
-        if any(is_w_first):
-            read = (conventions.converted(*each) for each in zip(bodies, orders, strict=True))
-            if not misfit < DISSIMILAR * _misfit(*read):
-                fact = None
-        if fact:
-            yield fact
-        else:
-            yield from (Remark('quaternion_order', body=body) for body, wrong in zip(
-                names, is_w_first, strict=True) if wrong)
+        bodies = conventions.changed(poses.bodies, units, conventions.in_metres)
+        if found := conventions.best_correction(bodies):
+            yield found
         return
-    plain, inverse = _similarities(bodies)
-    if any(is_w_first) or inverse > MIN_SIMILARITY and (
-            1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain)):
-        yield Remark('inverse_rotation', body=_worse_body(bodies))
-
-
-def _of_one_frame(bodies: Bodies) -> tuple[Remark | None, float]:
-    """Return the fault of poses in one frame with the best correction, and its misfit."""
-    tool, package = bodies
-    tried = list[tuple[Remark, Trajectory, Trajectory]]()
-    for code, change in (('conjugated', _conjugated), ('inverted', _inverted)):
-        one, other = change(tool), change(package)
-        tried += [(Remark(code, body=body), *pair) for body, pair in (
-            ('package', (tool, other)), ('tool', (one, package)), ('both', (one, other)))]
-    is_inverse = _correlation(bodies) < OPPOSITE
-    if is_inverse:
-        tried = [each for each in tried if each[0].body != 'both']
-    else:
-        for axes in AXIS_ROTATIONS:
-            angle = float(np.linalg.norm(lie.log_so3(axes)))
-            one, other = (replace(body, rotation=axes @ body.rotation) for body in bodies)
-            tried.append((Remark('rotation_frame', {'angle': angle}, 'both'), one, other))
-        for signs in 1.0 - 2.0 * np.eye(3):
-            one, other = (replace(body, position=body.position * signs) for body in bodies)
-            tried.append((Remark('left_handed', body='both'), one, other))
-    before, least = _misfit(*bodies), float('inf')
-    fact: Remark | None = None
-    for candidate, one, other in tried:
-        if (misfit := _misfit(one, other)) < SIMPLER * least:
-            fact, least = candidate, misfit
-    limit = before if is_inverse else min(MAX_MISFIT_RATIO * before, MAX_MISFIT)
-    return (fact, least) if least < limit else (None, float('inf'))
-
-
-def _correlation(bodies: Bodies) -> float:
-    """Return the correlation of the rotations of two bodies about axes of one world."""
-    a, b = (lie.log_so3(body.rotation @ body.rotation[len(body) // 2].T) for body in bodies)
-    return float(np.sum(a * b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
+    plain, inverse = _similarities(poses.bodies)
+    if inverse > MIN_SIMILARITY and 1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain):
+        yield Remark('inverse_rotation', body=_worse_body(poses.bodies))
 
 
 def _similarities(bodies: Bodies) -> tuple[float, float]:
@@ -405,23 +328,12 @@ def _worse_body(bodies: Bodies) -> str:
     """Return the body whose inverse rotations make the motion rigid, '' if undecided."""
     tool, package = bodies
     residuals = []
-    for each in ((_conjugated(tool), package), (tool, _conjugated(package))):
+    for each in ((conventions.conjugated(tool), package), (tool, conventions.conjugated(package))):
         R = alignment.rotation_of(*(body.rotation for body in each))
         residuals.append(_best_axes(*each, R, 1.0)[0])
     of_tool, of_package = residuals
     return 'tool' if of_tool < 0.5 * of_package else (
         'package' if of_package < 0.5 * of_tool else '')
-
-
-def _misfit(tool: Trajectory, package: Trajectory) -> float:
-    """Return the relative motion of a package in its tool (distance, rad); infinite if far."""
-    bodies, plain = (tool, package), (conventions.Convention(), conventions.Convention())
-    distance, change = conventions.distance_of(bodies, plain)
-    if not (1e-3 < distance < conventions.MAX_REACH and change < conventions.MAX_CHANGE):
-        return float('inf')
-    offset = lie.apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
-    hangs = np.median(offset[:, 2]) < 0.0
-    return (1.0 if hangs else 1.0 / SIMPLER**2) * conventions.motion_in_tool(bodies, plain)[0]
 
 
 def _rigid_motion(tool: Trajectory, package: Trajectory, X: Array) -> tuple[Array, float]:
@@ -485,9 +397,10 @@ def _best_axes(
 
 def _wrongly_turned(tool: Trajectory, package: Trajectory, A: Array) -> str:
     """Return the body whose rotations are in another frame, by the better correction."""
-    other = _misfit(replace(tool, rotation=A.T @ tool.rotation), package)
-    return 'tool' if other < _misfit(tool, replace(package, rotation=A @ package.rotation)) else (
-        'package')
+    of_tool, of_package = map(conventions.misfit, (
+        (replace(tool, rotation=A.T @ tool.rotation), package),
+        (tool, replace(package, rotation=A @ package.rotation))))
+    return 'tool' if of_tool < of_package else 'package'
 
 
 def exchanged_topics(poses: Poses) -> Iterator[Remark]:
