@@ -285,11 +285,14 @@ def lasting_steps(report: StreamReport) -> list[LastingStep]:
         typical = np.maximum(np.percentile(moved, 99.0, axis=1), (0.1, 0.5))
 
     def exceeds_motion(step: LastingStep) -> bool:
-        """Return whether a step is larger than frequent steps and the effect of jitter."""
+        """Return whether a step exceeds frequent steps, jitter and steps of the clock."""
         around = slice(max(step.before - 5, 0), step.before + 6)
         speed = moved[:, around.start:around.stop - 1].sum(axis=1) / (
             np.ptp(poses.stamps_ns[around]) / NS_PER_S)
-        return not any(np.all(step[1:] < limit) for limit in (
+        stamp_ns = poses.stamps_ns[step.before]
+        is_of_clock = any(abs(stamp_ns - at_ns) < 1.5 * abs(size) * NS_PER_S
+                          for at_ns, size in poses.clock_steps)
+        return not is_of_clock and not any(np.all(step[1:] < limit) for limit in (
             typical, 10.0 * time.jitter_s * speed))
 
     return list(filter(exceeds_motion, report.outliers.steps))
