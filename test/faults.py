@@ -71,7 +71,7 @@ def outcome(laboratory, cause, other=''):
 def before_a_fit(recording, length):
     """Return the codes of the faults that prevent a fit."""
     poses = Poses(recording.tool_pose, recording.package_pose, recording.settings.R_world_recorded,
-                  recording.payload)
+                  recording.payload, twist=recording.tool_twist)
     found = *recording.report.remarks, *pose_remarks(poses)
     wrong = [own.code for own in found if own.prevents]
     return wrong or [own.code for own in recording_remarks(recording, length) if own.prevents]

@@ -13,8 +13,7 @@ import re
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply, log_so3
+from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import PARAMETERS
@@ -23,11 +22,9 @@ from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.commission import Check, checks_of
 from bellows_ros.core.recording.faults import pose_remarks
 from bellows_ros.core.recording.outliers import find_outliers
-from bellows_ros.core.recording.pose_faults import Poses
+from bellows_ros.core.recording.pose_faults import Poses, twist_errors, TWIST_TOLERANCE
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
-from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import (
-    any_within,
     NS_PER_S,
     PoseStream,
     Trajectory,
@@ -69,12 +66,11 @@ PACKAGE_WORDS = frozenset(
     'package packet parcel box carton object item payload load plate workpiece camera marker tag '
     'aruco apriltag'.split())
 
-MAX_DISTANCE = 1.0  # m, between tool and package
+MAX_DISTANCE = 1.0
+"""Largest distance of tool and package of one cup, m."""
 
-SAMPLES = 2000  # number of compared samples of two streams
-TWIST_WINDOW = 0.05  # s, for the comparison of a twist with poses
-MIN_SHIFT, MIN_ROTATION = 2e-3, 5e-3  # m and rad within the window; smaller motion is not compared
-TWIST_TOLERANCE = 0.3  # largest relative difference of matching streams
+SAMPLES = 2000
+"""Number of compared samples of two streams."""
 
 
 class TopicInfo(NamedTuple):
@@ -514,57 +510,17 @@ def _twist_of(
 
     If the tool hardly moves, it is the topic with the stamps of the tool's poses.
     """
-    matches = {name: _twist_match(tool, twist) for name, twist in twists.items()}
-    compared = [(error, frame, name) for name, (error, frame, _) in matches.items() if frame]
-    error, frame, name = min(compared, default=(np.inf, '', ''))
+    matches = {name: twist_errors(tool, twist) for name, twist in twists.items()}
+    compared = [(min(errors.values()), name) for name, (errors, _) in matches.items() if errors]
+    error, name = min(compared, default=(np.inf, ''))
     if error < TWIST_TOLERANCE:
+        errors, in_degrees = matches[name]
+        # without rotation of the tool both agree, and the usual one is selected
+        frame = 'world' if errors['world'] <= 1.2 * errors['tool'] else 'tool'
         why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
-        return Guess(name, (why,), frame), matches[name][2]
-    for name, (_, frame, in_degrees) in matches.items():
-        if not frame and np.mean(np.isin(twists[name].stamps_ns, tool.stamps_ns)) > 0.5:
+        return Guess(name, (why,), frame), in_degrees
+    for name, (errors, in_degrees) in matches.items():
+        if not errors and np.mean(np.isin(twists[name].stamps_ns, tool.stamps_ns)) > 0.5:
             why = 'it has the stamps of the tool, which moves too little to determine its axes'
             return Guess(name, (why,), 'world'), in_degrees
     return None, False
-
-
-def _twist_match(tool: PoseStream, twist: TwistStream) -> tuple[float, str, bool]:
-    """
-    Compare a twist, integrated over `TWIST_WINDOW`, with the change of the poses.
-
-    Return the relative error, its axes ('' if unknown), and whether angles are in degrees.
-    """
-    inside = (tool.stamps_ns[0] <= twist.stamps_ns) & (twist.stamps_ns <= tool.stamps_ns[-1])
-    if np.count_nonzero(inside) < 10:
-        return np.nan, '', False
-    body = resample(tool.trajectory(), twist.stamps_ns[inside])
-    steps = np.diff(body.stamps_ns)[:, None] / NS_PER_S
-    window = max(1, round(TWIST_WINDOW / float(np.median(steps))))
-    if len(body) <= 2 * window:
-        return np.nan, '', False
-
-    def integrated(rates: Array) -> Array:
-        sums = np.cumsum(np.vstack([np.zeros(3), 0.5 * steps * (rates[1:] + rates[:-1])]), axis=0)
-        return np.asarray(sums[window:] - sums[:-window])
-
-    linear, angular = twist.linear[inside], np.radians(twist.angular[inside])
-    distances = np.linalg.norm(np.diff(body.position, axis=0), axis=1)
-    whole = ~any_within(distances > MAX_TOOL_SPEED * steps[:, 0], window)
-    shift = (body.position[window:] - body.position[:-window])[whole]
-    if not len(shift):
-        return np.nan, '', False
-    angle = _rms(log_so3(
-        np.swapaxes(body.rotation[:-window], 1, 2) @ body.rotation[window:])[whole])
-    in_degrees = angle > MIN_ROTATION and (
-        abs(_rms(integrated(angular)[whole]) / angle - 1.0) < TWIST_TOLERANCE)
-    if _rms(shift) <= MIN_SHIFT:
-        return np.nan, '', in_degrees
-    in_world, in_tool = (_rms(integrated(rates)[whole] - shift) / _rms(shift)
-                         for rates in (linear, apply(body.rotation, linear)))
-    # Without rotation of the tool both agree, and the usual one is selected.
-    error, frame = (in_world, 'world') if in_world <= 1.2 * in_tool else (in_tool, 'tool')
-    return error, frame, in_degrees
-
-
-def _rms(vectors: Array) -> float:
-    """Return the root mean square of the lengths of vectors (N, 3)."""
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

@@ -267,7 +267,8 @@ def _prepared(
                      or 'package_marker' in values.fit.free)
     package = as_measured(in_camera(package, tool.frame_id, values), values)
     found = pose_remarks(Poses(
-        tool, package, settings.R_world_recorded, settings.payload, settings.align_at_rest)) if (
+        tool, package, settings.R_world_recorded, settings.payload, settings.align_at_rest, twist,
+        settings.tool_twist_frame)) if (
             min(len(tool), len(package)) >= MIN_POSES) else ()
     require_none(found, FIT if registers else REPLAY, name, accepted)
     recording = _joined(tool, package, twist, settings, values, registers)

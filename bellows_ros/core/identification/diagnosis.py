@@ -81,8 +81,11 @@ MIN_KNOWN = 0.01
 """Smallest relative reduction of a given variance by the recordings for a test of the
 deviation."""
 
-MAX_TRIED, MAX_CAUSES = 2, 3
-"""Number of fitted candidates, and largest number of reported causes."""
+MAX_TRIED = 2
+"""Number of fitted candidates: a third one decides no cause, and a fit takes seconds."""
+
+MAX_CAUSES = 3
+"""Largest number of reported causes, as many as a user tests."""
 
 MIN_FRAME_SHIFT = 0.5
 """Smallest shift by exchanged frames, and largest shift left with them, relative to the distance
@@ -91,9 +94,12 @@ from lip to com: half of it separates the two."""
 MIN_SLIP_PERIOD = 0.03
 """Resolution of the instant of a slip, s."""
 
-BAND, BLOCK_S = 0.8, 1.0
-"""Share of the residual's power in the reported frequency band, and resolution of the reported
-time span (s)."""
+BAND = 0.8
+"""Share of the residual's power in the reported frequency band."""
+
+BLOCK_S = 1.0
+"""Resolution of the reported time span, and length of independent parts of a misfit, s: several
+periods of a swing."""
 
 
 def is_explained(found: Solution, given: Free) -> bool:

@@ -63,8 +63,11 @@ BLUR_RATIO = 2.5
 FAST_PART = 0.7
 """Quantile of the speeds above which motion is fast."""
 
-MIN_TILT, MIN_TILTS = np.deg2rad(5.0), 2
-"""Smallest tilt (rad), and smallest number of tilt directions, that separate world and marker."""
+MIN_TILT = np.deg2rad(5.0)
+"""Smallest tilt that separates world and marker, rad: ten times the error of a tag's pose."""
+
+MIN_TILTS = 2
+"""Smallest number of tilt directions that separate world and marker."""
 
 MAX_K_ERROR = 0.1
 """Largest acceptable relative error of an entry of K."""

@@ -46,13 +46,13 @@ OF_POSES = (
     Check(pose_faults.wrong_conventions, REPLAY, level=2),
     Check(pose_faults.exchanged_topics, REPLAY, level=3),
     Check(pose_faults.tool_z, REPLAY, level=4),
+    Check(pose_faults.wrong_twists, FIT, level=4),
     Check(pose_faults.impossible_packages, FIT, level=4))
 """Checks of recorded poses and of the given package."""
 
 OF_RECORDING = (
     Check(prepared_faults.misplaced, REPLAY),
     Check(prepared_faults.clocks_apart, FIT, level=1),
-    Check(prepared_faults.wrong_twists, FIT, level=1),
     Check(prepared_faults.low_pass, FIT, level=1),
     Check(prepared_faults.jumps, FIT, level=1),
     Check(prepared_faults.wrong_sensors, '', level=1),

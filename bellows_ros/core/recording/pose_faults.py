@@ -14,7 +14,14 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
+from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
+from bellows_ros.core.signals.trajectory import (
+    any_within,
+    NS_PER_S,
+    PoseStream,
+    Trajectory,
+    TwistStream,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -114,6 +121,21 @@ from the vertical, beyond any tilt of a recording."""
 MAX_COM_HEIGHT = 1e-3
 """Largest height of a centre of mass above the lip, m: z of the lip points into the cup."""
 
+TWIST_WINDOW = 0.05
+"""Time over which a twist is compared with poses, s: a sixth of a swing."""
+
+MIN_TWIST_SHIFT = 2e-3
+"""Smallest motion within this time that is compared, m: twenty times the noise of a pose."""
+
+MIN_TWIST_ROTATION = 5e-3
+"""Smallest rotation within this time that is compared, rad: ten times the noise of a pose."""
+
+TWIST_TOLERANCE = 0.3
+"""Largest relative difference of matching twists and poses; in degrees they differ 57 times."""
+
+MIN_TWISTS = 10
+"""Smallest number of twists that are compared."""
+
 NO_INERTIA = (0.0101, 0.0101, 0.0101, 0.0, 0.0, 0.0)
 """Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
 
@@ -132,6 +154,10 @@ class Poses:
         Mass, inertia and centre of mass as given.
     aligned : bool
         Whether the axes of both follow from the standstill at the beginning.
+    twist : TwistStream or None
+        Recorded twists of the tool.
+    twist_frame : str
+        Axes of the twists as given: 'world' or 'tool'.
 
     """
 
@@ -140,6 +166,8 @@ class Poses:
     R_world_recorded: Array
     payload: Package | None = None
     aligned: bool = False
+    twist: TwistStream | None = None
+    twist_frame: str = 'world'
 
     @cached_property
     def bodies(self) -> Bodies | None:
@@ -446,3 +474,54 @@ def impossible_packages(poses: Poses) -> Iterator[Remark]:
             gyration)})
     elif sentence := structure.too_dense(mass, gyration):
         yield Remark('too_dense', {'sentence': sentence})
+
+
+def wrong_twists(poses: Poses) -> Iterator[Remark]:
+    """Yield the correct axes or unit of the tool's recorded twists, if not as given."""
+    if poses.twist is None:
+        return
+    errors, in_degrees = twist_errors(poses.tool, poses.twist)
+    if in_degrees:
+        yield Remark('twist_in_degrees', {'topic': poses.twist.name})
+    elif errors and errors[poses.twist_frame] > TWIST_TOLERANCE > min(errors.values()):
+        yield Remark('twist_frame', {'axes': min(errors, key=lambda axes: errors[axes])})
+
+
+def twist_errors(tool: PoseStream, twist: TwistStream) -> tuple[dict[str, float], bool]:
+    """
+    Compare a twist, integrated over `TWIST_WINDOW`, with the change of the poses.
+
+    Return the relative errors by axes, 'world' and 'tool', empty for too little motion, and
+    whether angles are in degrees.
+    """
+    inside = (tool.stamps_ns[0] <= twist.stamps_ns) & (twist.stamps_ns <= tool.stamps_ns[-1])
+    if np.count_nonzero(inside) < MIN_TWISTS:
+        return {}, False
+    body = resample(tool.trajectory(), twist.stamps_ns[inside])
+    steps = np.diff(body.stamps_ns)[:, None] / NS_PER_S
+    window = max(1, round(TWIST_WINDOW / float(np.median(steps))))
+    if len(body) <= 2 * window:
+        return {}, False
+
+    def integrated(rates: Array) -> Array:
+        sums = np.cumsum(np.vstack([np.zeros(3), 0.5 * steps * (rates[1:] + rates[:-1])]), axis=0)
+        return np.asarray(sums[window:] - sums[:-window])[whole]
+
+    distances = np.linalg.norm(np.diff(body.position, axis=0), axis=1)
+    whole = ~any_within(distances > MAX_TOOL_SPEED * steps[:, 0], window)
+    shift = (body.position[window:] - body.position[:-window])[whole]
+    if not len(shift):
+        return {}, False
+    linear, angular = twist.linear[inside], np.radians(twist.angular[inside])
+    angle = _rms(lie.log_so3(
+        np.swapaxes(body.rotation[:-window], 1, 2) @ body.rotation[window:])[whole])
+    in_degrees = angle > MIN_TWIST_ROTATION and (
+        abs(_rms(integrated(angular)) / angle - 1.0) < TWIST_TOLERANCE)
+    return ({axes: _rms(integrated(rates) - shift) / _rms(shift) for axes, rates in (
+        ('world', linear), ('tool', lie.apply(body.rotation, linear)))}
+        if _rms(shift) > MIN_TWIST_SHIFT else {}), in_degrees
+
+
+def _rms(vectors: Array) -> float:
+    """Return the root mean square of the lengths of vectors (N, 3)."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

@@ -28,14 +28,25 @@ from .outliers import (
 )
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
-# Default half window of the filter, s. With order 6 the filter reduces K and P of a cup shaken at
-# 3 Hz by less than 0.1 %, with the most averaging of noise at that error.
 AUTOMATIC_HALF_WINDOW = 1 / 12
-# Thresholds of warnings: lateral offset of the lip at rest (m), lateral centre of mass (m),
-# fraction of poses repeated in motion, and travel (m), beyond which positions are in mm.
-MAX_LATERAL_OFFSET, MAX_LATERAL_COM, MAX_REPEAT_FRACTION, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
-# Largest number of lasting steps of a slipping package; more are noise with outliers and memory.
+"""Default half window of the filter, s. With order 6 the filter reduces K and P of a cup shaken at
+3 Hz by less than 0.1 %, with the most averaging of noise at that error."""
+
+MAX_LATERAL_OFFSET = 5e-3
+"""Largest lateral offset of the lip at rest without a warning, m: a tenth of a cup's length."""
+
+MAX_LATERAL_COM = 1e-6
+"""Largest lateral centre of mass that counts as none, m."""
+
+MAX_REPEAT_FRACTION = 0.05
+"""Largest fraction of poses that repeat the previous one in motion, as single lost messages do."""
+
+MAX_TRAVEL = 20.0
+"""Largest travel of a body in metres, m: a larger one is in millimetres."""
+
 MAX_POSE_STEPS = 6
+"""Largest number of lasting steps of a slipping package; more are noise with outliers and
+memory."""
 
 
 def prepare(

@@ -14,7 +14,6 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.signals.residuals import spectrum
-from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -23,7 +22,7 @@ from . import alignment, conventions
 from .alignment import Remark
 from .pose_faults import noise_of
 from .preparation import lasting_steps, MAX_POSE_STEPS, prepare
-from .recording import LOW_RATE_HZ, NOISE_SAMPLES, Recording
+from .recording import LOW_RATE_HZ, Recording
 
 TAG_ROTATION = 2e-3
 """Smallest noise of the orientation of a detected tag, rad: ten times a tracked body's."""
@@ -36,13 +35,6 @@ TAG_RATE_HZ = 70.0
 
 MAX_EXCURSIONS = 1e-3
 """Largest fraction of excursions in the poses of a tracked body."""
-
-MAX_TWIST_ERROR = 0.05
-"""Largest relative error of a recorded twist: the filter takes 2 % of a motion at 3 Hz."""
-
-MAX_ERROR_RATIO = 0.0625
-"""Largest ratio of the squared errors of twists with other axes or units: a quarter of the
-error."""
 
 MAX_LIP_DEPTH = 0.3
 """Largest distance of a lip below its tool, m; beyond, tool and package are in two worlds."""
@@ -240,40 +232,6 @@ def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterato
 def _correlation_gap(small: float, large: float) -> float:
     """Return the difference of two correlations by Fisher's transform."""
     return float(np.subtract(*np.arctanh(np.minimum([large, small], 1.0 - 1e-12))))
-
-
-def wrong_twists(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
-    """Yield the correct axes or unit of the tool's recorded twists, if not as given."""
-    measured, half_window = recording.measured_tool, recording.filters[1].half_window
-    if measured.twist is None or len(measured) <= 2 * half_window:
-        return
-    if len(measured) > NOISE_SAMPLES:  # the part with most motion
-        moved = np.cumsum(np.sum(measured.twist**2, axis=1))
-        first = int(np.argmax(moved[NOISE_SAMPLES:] - moved[:-NOISE_SAMPLES]))
-        measured = measured.select(slice(first, first + NOISE_SAMPLES))
-    tool = savgol(measured, half_window, recording.filters[1].order)
-    measured = measured.between(*tool.stamps_ns[[0, -1]]).select(tool.valid)
-    assert measured.twist is not None and tool.twist is not None
-    given, true = (twist.reshape(-1, 2, 3) for twist in (measured.twist, tool.twist[tool.valid]))
-    if not len(given):
-        return
-    R, markers = recording.settings.R_world_recorded, recording.alignment.R_tool_markers_tool
-    is_of_tool = recording.settings.tool_twist_frame == 'tool'
-    rotation = (np.swapaxes(measured.rotation, 1, 2) @ R @ markers if is_of_tool else
-                markers.T @ R.T @ measured.rotation)  # from the other axes
-
-    def misfit(twist: Array) -> float:
-        """Return the relative mean squared error of twists (N, 2, 3) by the poses' own twists."""
-        return float(np.sum(np.mean((twist - true) ** 2, axis=(0, 2))
-                            / np.mean(true**2 + 1e-12, axis=(0, 2))))
-
-    limit = MAX_ERROR_RATIO * misfit(given)
-    if misfit(given) < MAX_TWIST_ERROR**2:
-        return
-    if misfit(given @ np.swapaxes(rotation, 1, 2)) < limit:
-        yield Remark('twist_frame', {'axes': 'world' if is_of_tool else 'tool'}, 'tool')
-    elif misfit(given * [[1.0], [np.pi / 180.0]]) < limit and recording.tool_twist:
-        yield Remark('twist_in_degrees', {'topic': recording.tool_twist.name})
 
 
 def low_pass(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
