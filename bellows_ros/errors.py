@@ -85,8 +85,8 @@ def install(extra: str) -> str:
     """
     Return the command that installs an extra in this Python.
 
-    Python of Ubuntu 24.04, which ROS uses, lacks pip, and accepts packages for a user only; its
-    NumPy has to stay, as its SciPy requires it.
+    The Python of Ubuntu 24.04, which ROS uses, lacks pip, and accepts packages for a user only.
+    The NumPy of Ubuntu must stay, because the SciPy of Ubuntu requires it.
     """
     marker = Path(sysconfig.get_path('stdlib'), 'EXTERNALLY-MANAGED')
     if sys.prefix != sys.base_prefix or not marker.exists():

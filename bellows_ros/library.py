@@ -1,8 +1,8 @@
 """
 The public API, `import bellows_ros`: arrays and paths in, arrays and frozen data out.
 
-Most of it is in other rooms; the functions here are shortcuts. A workflow is loaded when its
-function is called.
+The functions of this module are shortcuts to other modules; a workflow is loaded when its function
+is called.
 """
 
 from __future__ import annotations  # signatures show names, not their members
@@ -451,7 +451,7 @@ def toss(
         Target of B, m, for which the time of the valve is searched. With a `release` as well,
         `distance_as_asked` is the distance (m) of its landing from the target.
     target_rotation : array_like (4,) or Rotation, optional
-        Quaternion (x, y, z, w) wanted at the landing, or a SciPy rotation.
+        Orientation wanted at the landing: a quaternion (x, y, z, w) or a SciPy rotation.
     monte_carlo : int
         Number of additional random tosses.
 

@@ -6,12 +6,12 @@ Finds the command, runs it, and turns errors into a message and an exit code. A 
 of this package with its name, whose `run(arguments, console)` does the work and returns an
 `options.Outcome`. The module is imported only to run; help and arguments are in `commands.toml`.
 
-An argument of the table has `name` (with what stands for its values in the help) and `help`, and
+An argument of the table has `name` (with placeholders of its values in the help) and `help`, and
 
 - `type`: path, int or float; output, binary or folder of an output; or switch;
 - `repeat`: an option may be repeated, a positional argument may have several values;
 - `optional`: its value may be left out;
-- what `add_argument` of a parser takes: default, choices, required, dest, nargs.
+- arguments of `add_argument` of a parser: default, choices, required, dest, nargs.
 
 Instead it may `use` shared arguments, with texts for their placeholders.
 """
@@ -111,7 +111,7 @@ class Parser(argparse.ArgumentParser):
         print(message, end='', file=file or sys.stderr, flush=True)
 
     def error(self, message: str) -> NoReturn:
-        """Report the fault of the command line and its likely meaning, and exit with 2."""
+        """Report the fault of the command line and a likely correction, and exit with 2."""
         known = [*self._option_string_actions, *self.commands]
         for word in (word.partition('=')[0] for word in (
                 self._words[:1] if self.commands else self._words)):
@@ -147,7 +147,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(args: Sequence[str], console: Console) -> int:
-    """Run the named command, or answer for `bellows` itself."""
+    """Run the named command, or handle options of `bellows` itself."""
     program = program_parser()
     if '_ARGCOMPLETE' in os.environ:
         _complete(program)

@@ -1,8 +1,8 @@
 """
 Output, exit codes and signals of the commands.
 
-Results go to one stream, all else to stderr. Colour is used only on terminals, and not if NO_COLOR
-is set or TERM is dumb. A signal ends a command in order, without partial output.
+Results go to one stream, everything else to stderr. Colour is used only on terminals, unless
+NO_COLOR is set or TERM is dumb. A signal ends a command in order, without partial output.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ STDOUT = '-'
 
 WIDTH = 79
 MAX_TEXT = 100_000
-"""Longest printed text, characters: more than any result, less than floods a terminal."""
+"""Longest printed text, characters; every result is shorter."""
 GUTTER = 2
 """Space between columns of a table, characters."""
 BAR = 24  # characters
@@ -43,7 +43,7 @@ STYLES: Mapping[str, str] = {'bold': '1', 'dim': '2', 'red': '31', 'yellow': '33
 
 
 class Output(str):
-    """The name of a text file to write, '-' for stdout; inputs are a Path."""
+    """Name of a text file to write, '-' for stdout. Names of input files have the type Path."""
 
 
 class Binary(Output):
@@ -94,7 +94,7 @@ class Console:
             raise KeyboardInterrupt
 
     def line(self, text: str = '', style: str = '') -> None:
-        """Print a line of the result, by default an empty one, but never two, nor first."""
+        """Print a line of the result. Empty lines are never printed twice, or first."""
         if not text:
             self._gap = self._begun
             return
@@ -133,7 +133,7 @@ class Console:
 
     @contextmanager
     def asking(self) -> Iterator[None]:
-        """Print each question about a package or a cup once, as soon as one is made of values."""
+        """Print each question about a package or a cup once, as soon as their values are read."""
         show = warnings.showwarning
 
         def ask(message: Any, category: type[Warning], *more: Any, **options: Any) -> None:
@@ -175,7 +175,7 @@ class Console:
 
 
 COMPILING = '; compiling, once on this machine'
-"""Suffix of a stage on a machine where nothing is compiled yet."""
+"""Suffix of the stage's name on a machine without compiled code."""
 
 
 class Progress:
@@ -250,7 +250,8 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
     """
     Return rows as lines with aligned columns, all but the first right-aligned.
 
-    On a narrow terminal, columns follow in blocks, each with the first one repeated.
+    On a narrow terminal the columns are split into blocks; each block begins with the first
+    column.
     """
     room = shutil.get_terminal_size((0, 0)).columns - 2  # indented
     columns = [
@@ -283,12 +284,11 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     """
     Do some work with the streams of this process; return the exit code.
 
-    An error ends with a message, and so do signals that would otherwise end the process at once:
-    they raise the exception of Ctrl-C, so that temporary files are removed. After a signal every
-    exception is that interruption, as compiled code turns it into others. Only the first signal
-    raises, as signals often come twice, to a process and to its group, and a second one must not
-    stop the cleanup. Signals are also recorded: an exception in a callback of a library is lost,
-    and the command then ends at its next output.
+    An error ends the work with a message. A signal raises the exception of Ctrl-C, so that
+    temporary files are removed. After a signal, every exception counts as this interruption,
+    because compiled code converts it to other exceptions. Only the first signal raises: signals
+    often come twice, and the second must not stop the cleanup. Signals are also recorded, because
+    an exception in a callback of a library is lost; the command then ends at its next output.
     """
     ended = list[int]()
     first = 0.0
@@ -353,7 +353,7 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
 
 
 def _unwritable(error: OSError, console: Console, ended: Sequence[int]) -> int:
-    """Say that a stream cannot be written, if that is the error; return the exit code."""
+    """Print that a stream cannot be written, if the error says so; return the exit code."""
     if not _of_stream(error):
         raise error
     _discard(sys.stdout)
@@ -367,7 +367,7 @@ def _unwritable(error: OSError, console: Console, ended: Sequence[int]) -> int:
 
 
 def _interrupted(console: Console, ended: Sequence[int]) -> int:
-    """Say that a signal has ended the work, and return its exit code."""
+    """Print that a signal has ended the work, and return the exit code of the signal."""
     for each in STOP_SIGNALS if ended else ():  # only the message remains
         signal.signal(each, signal.SIG_IGN)
     number = (*ended, signal.SIGINT)[0]
@@ -389,7 +389,7 @@ def _of_stream(error: BaseException) -> bool:
 
 @contextmanager
 def _lost_if_unwritable() -> Iterator[None]:
-    """Give a last message up if stderr cannot be written either."""
+    """Omit the last message if stderr cannot be written either."""
     try:
         yield
         sys.stderr.flush()

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
 
 def _is_of_units(arguments: argparse.Namespace) -> bool:
-    """Return whether poses are to be converted to m, and to quaternions with w last."""
+    """Return whether poses must be converted to m, and to quaternions with w last."""
     return bool(arguments.unit != 'm' or arguments.quaternion != 'xyzw')
 
 

@@ -60,7 +60,7 @@ def _names(path: str) -> set[str]:
 
 
 def _next(arguments: argparse.Namespace, result: Identification) -> tuple[str, ...]:
-    """Return the verdict on the cup, and the next step."""
+    """Return the exit status of the cup, and the next step as sentences."""
     out, cell = arguments.out, arguments.out_cell
     if result.refusals:
         written = 'written because of --force' if (
@@ -143,7 +143,7 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
 
 
 def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
-    """Return the parameters, and those with an argument; outputs are arguments then."""
+    """Return all parameters, and the parameters set by arguments; outputs are taken out."""
     values = options.read_settings(arguments, 'identifier', console if arguments.release else None)
     if arguments.bags:
         values['bags'] = tuple(map(str, arguments.bags))

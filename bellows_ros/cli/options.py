@@ -25,15 +25,14 @@ class Outcome(NamedTuple):
     Parameters
     ----------
     result
-        Result for `print_result` of its module, whose `as_json()` is written to --json, with the
-        version.
+        Result for `print_result` of the command's module; its `as_json()` is written to --json.
     succeeded : bool
         Whether the exit code is 0.
     then : tuple of str
         Next steps after a file was written.
     inputs : sequence of path or None
         Recordings and plans named in the JSON file with their digests, in addition to the
-        parameter files; None for a JSON file without provenance, or with its own.
+        parameter files; None if the result has no inputs, or names them itself.
     content : mapping or None
         Content for --json instead of the result.
     draw : str
@@ -88,7 +87,7 @@ def require_absent(output: str, force: bool) -> None:
 
 
 def require_drawable(arguments: argparse.Namespace) -> None:
-    """Raise for a name for --plot that is neither a picture nor, if available, a film."""
+    """Raise for a name for --plot that is not the name of a picture or, with ffmpeg, of a film."""
     if getattr(arguments, 'plot', ''):
         from bellows_ros.plots import style
 
@@ -211,7 +210,7 @@ def _hard_links(arguments: argparse.Namespace) -> Iterator[str]:
 
 def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] = ()) -> None:
     """
-    Check, before any work, every `Output` of a command line against every `Path` and other input.
+    Check every `Output` of a command line against all inputs, before any work.
 
     Raises
     ------

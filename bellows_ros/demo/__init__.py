@@ -4,7 +4,7 @@ The demonstration on the recordings in bags/: `python -m bellows_ros.demo`.
 Identifies a cup, starts the node predictor with it, plays another recording to it over DDS at
 recorded speed, and reports the errors of the predicted poses.
 
-`isolate`, for it and the tests, restricts ROS to this machine and an unused domain.
+`isolate`, for the demonstration and the tests, restricts ROS to this machine and an unused domain.
 """
 
 import os

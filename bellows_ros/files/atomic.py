@@ -25,7 +25,7 @@ _HERE, _EXCHANGE = -100, 2
 PREFIX = '.bellows-'
 
 ABANDONED = 86400.0
-"""Age (s) above which a hidden file or folder is of a killed run."""
+"""Age (s) above which a hidden file or folder is assumed to be left by a killed run."""
 
 
 def write_text(path: File, text: str) -> None:
@@ -105,7 +105,7 @@ def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
     Yields
     ------
     Path
-        Path with equal last name that does not exist yet; the caller makes the folder there.
+        Temporary path with the name of the folder; the caller makes the folder at this path.
 
     Raises
     ------

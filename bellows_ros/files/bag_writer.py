@@ -1,7 +1,7 @@
 """
 Writing rosbag2 recordings of poses and twists, whole or not at all.
 
-Equal content, name and rosbags version give equal bytes.
+The bytes depend only on content, name and version of rosbags.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """
 Reading of rosbag2 recordings: SQLite and MCAP, plain and zstd, by folder or by file.
 
-Files are not trusted: sizes are bounded, and every fault is a BellowsError with the remedy. The
-recording of a crashed recorder is read as far as possible, with a note.
+Files are not trusted: sizes are bounded, and every fault is a BellowsError with the remedy. A
+recording of a crashed recorder is read up to its damage, with a note.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -375,7 +375,7 @@ class _Collector:
             stored, times_ns, self._layout, self._part, self._frames))
 
     def stream(self, recording: Path) -> Stream:
-        """Return the usable messages in the recorded order, measured poses by their stamps."""
+        """Return the usable messages in the recorded order; measured poses in order of stamps."""
         decoded = np.concatenate(self._decoded)
         order = np.argsort(decoded['stamp' if self._by_stamp else 'arrival'], kind='stable')
         make: Any = messages.twist_stream if self._twists else messages.pose_stream
@@ -422,7 +422,7 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
 
 
 def _decompressed(topic: Channel, data: bytes) -> bytes:
-    """Return a decompressed message; a damaged one is empty, and counted later."""
+    """Return a decompressed message; a damaged message becomes empty, and is counted later."""
     is_layout = topic.type_name in messages.MOTIONS
     with suppress(DamagedError):
         return bag_folder.decompressed(

@@ -174,7 +174,7 @@ def read_views(
 
 
 def _number_of(topic: str, path: File, arrays: list[Any], number: int) -> int:
-    """Return the number of the tag that is meant."""
+    """Return the number of the selected tag."""
     seen = Counter(int(each.id) for array in arrays for each in array.detections)
     listed = ', '.join(f'{each} ({count} views)' for each, count in sorted(seen.items())) or 'none'
     if number == ANY and len(seen) == 1:
@@ -208,7 +208,7 @@ def _calibration(path: File, frame: str, rectified: bool) -> tuple[Camera, str]:
 
 
 def _usable(views: CornerViews, arrivals: Any, places: Any, path: File) -> CornerViews:
-    """Return the usable views, with the others by reason."""
+    """Return the usable views, and the indices of the unusable ones by reason."""
     refused = dict(views.refused)
     tests: dict[str, Mask] = {
         'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~tags_shown(views.corners)[0]}

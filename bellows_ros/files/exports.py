@@ -2,8 +2,9 @@
 Cups for other programs: MuJoCo (MJCF), SDF and C, and the limits of each.
 
 The simulators have a spring with the diagonals of K and P between the tool tip and the package, in
-the middle of the cup. None has the energy (3.17) of the thesis, off-diagonal entries, or a damper
-of (3.35). The C header (bellows_cup.h, followed by the numbers) is the model itself.
+the middle of the cup. These springs have neither the energy (3.17) of the thesis, nor off-diagonal
+entries, nor the damper (3.35). The C header (bellows_cup.h, followed by the numbers) is the model
+itself.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -87,8 +88,8 @@ def header(
     """
     Return a C99 header with the model, and the numbers of this cup and package by their name.
 
-    The model has a separate guard, so that a program may include several cups; two of one name do
-    not compile. Gravity is in the world, m/s^2.
+    The model has a separate include guard, so that a program may include several cups; two cups
+    with the same name do not compile. Gravity is in the world, m/s^2.
 
     Raises
     ------
@@ -120,7 +121,7 @@ def _fields(cup: kernels.CupTuple) -> tuple[Any, ...]:
 
 
 def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
-    """Return the definition of the grip; for a gripper of one of its cups, with their places."""
+    """Return the definition of the grip; for a gripper, of one cup, with the places of all."""
     if grip is None:
         return [f'/* There is no {name}_grip: cup.lip_radius and vacuum.holding are not set. */']
     gripper, rest = [], '0, 0, 0'
@@ -136,7 +137,7 @@ def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
 
 
 def _braced(values: Any) -> str:
-    """Return nested tuples of numbers as C initialisers; a matrix is an array in a struct."""
+    """Return nested tuples of numbers as C initialisers; a matrix becomes an array in a struct."""
     if not isinstance(values, tuple):
         return float(values).hex()
     inner = ', '.join(_braced(value) for value in values)

@@ -2,9 +2,9 @@
 The codec of frequent messages, for recordings and topics, and their conversion to streams.
 
 These messages consist of a header, one or two frame names, and a fixed row of doubles, in CDR.
-Messages with equal first bytes and names therefore form one array in memory: recordings are
-decoded as arrays (`decode`, `encode`), topics one message at a time (`Decoder`, `pack`), both by
-`LAYOUTS`.
+Messages with equal first bytes and names therefore form one array in memory. Recordings are
+decoded as arrays (`decode`, `encode`), messages of topics one at a time (`Decoder`, `pack`); both
+use `LAYOUTS`.
 
 Unusable messages are omitted from a stream, and counted by reason.
 """
@@ -234,10 +234,10 @@ def same_layout(
     messages: Sequence[bytes], strings: int
 ) -> dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]]:
     """
-    Return messages that agree in everything but the stamp and the doubles.
+    Return groups of messages that differ only in the stamp and the doubles.
 
-    Messages of a group agree in size, head and the bytes of their strings. Each group has the
-    strings and the indices of the messages; messages with damaged strings are omitted.
+    Messages of a group have equal sizes, heads and strings. A group consists of its strings and
+    the indices of its messages; messages with damaged strings are omitted.
     """
     groups: dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]] = {}
     if messages and len(set(map(len, messages))) == 1:
@@ -438,7 +438,7 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
 
 def twist_stream(name: str, decoded: np.ndarray, frames: Frames) -> TwistStream:
     """
-    Return the usable twists in their recorded axes; in Odometry those are axes of its child.
+    Return the usable twists in their recorded axes; in Odometry these are axes of the child frame.
 
     Parameters
     ----------
@@ -486,7 +486,7 @@ def _drop_invalid(
 
 
 def _drop(refused: Refused, reason: str, usable: Stamps, bad: Mask) -> Stamps:
-    """Add the bad ones among usable messages to the rejections, and return the others."""
+    """Add some messages to the rejections, and return the remaining usable ones."""
     if bad.any():
         refused[reason] = tuple(usable[bad].tolist())
     return usable[~bad]

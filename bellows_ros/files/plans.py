@@ -2,10 +2,9 @@
 Plans and tool motions from files: messages of several types in recordings, or YAML.
 
 The results are points in the form of `plan_messages.PlanMessage`, unchecked and not interpolated.
-
-Transforms are a tree of frames on /tf and /tf_static, with individual times and rates of the
-links: results have the stamps of the moving link next to the wanted frame, at which other links
-are interpolated.
+The transforms on /tf and /tf_static are a tree of frames, whose links have different times and
+rates. Results have the stamps of the moving link next to the wanted frame; the other links are
+interpolated at these stamps.
 """
 
 from collections import Counter, defaultdict
@@ -117,8 +116,8 @@ def interpolation_noise(
     """
     Return the links between two frames that are interpolated, with rate (Hz) and error (m, RMS).
 
-    The middle of two neighbours deviates by h^2 a / 2 at steps h, with the acceleration a; linear
-    interpolation at random times by h^2 a / sqrt(120).
+    At steps h, with the acceleration a, the middle of two neighbours deviates by h^2 a / 2, and
+    linear interpolation at random times deviates by h^2 a / sqrt(120) (RMS).
     """
     between, _ = _path(transforms, frame.lstrip('/'), world.lstrip('/'), of)
     moving, found = moving_frames(transforms), list[tuple[str, float, float]]()
@@ -172,7 +171,7 @@ def connected(transforms: Iterable[Transform], frame: str, world: str) -> bool:
 
 
 def _frames_above(parents: Parents, frame: str, of: str) -> list[str]:
-    """Return a frame and those above, up to the root or to one with two parents."""
+    """Return a frame and its ancestors, up to the root or to a frame with two parents."""
     known = {*parents, *(name for each in parents.values() for name in each)}
     if frame not in known:
         raise BellowsError(
@@ -192,7 +191,7 @@ def _frames_above(parents: Parents, frame: str, of: str) -> list[str]:
 
 
 def _require_one_parent(parents: Parents, frame: str, of: str) -> None:
-    """Raise for a frame with two parents, above which no path is unique."""
+    """Raise for a frame with two parents, because the path to the root is then not unique."""
     if len(parents.get(frame, ())) > 1:
         first, second, *_ = parents[frame]
         raise BellowsError(

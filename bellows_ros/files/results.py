@@ -1,9 +1,9 @@
 """
 The result of a fit as a JSON file, with its provenance.
 
-Numbers keep every digit. NaN and infinity, which JSON lacks, become null: an undetermined number.
-Counts, stamps in ns and rates in Hz have the unit in their keys; all other numbers of a fit have
-their units in `units` or `unit` of the same mapping.
+Numbers keep every digit. NaN and infinity, which JSON lacks, become null, which stands for an
+undetermined number. Counts, stamps in ns and rates in Hz have the unit in their keys; all other
+numbers of a fit have their units in `units` or `unit` of the same mapping.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -41,7 +41,7 @@ UNIT_OF: Mapping[str, Any] = {
 """Units of numbers by their keys, and of their standard errors."""
 
 UNITLESS = ('settings', 'provenance', 'units')
-"""Mappings whose numbers have their units in their names, or none."""
+"""Mappings whose numbers have units in their names, or no units."""
 
 
 def write_json(path: File, content: Any) -> None:

@@ -36,7 +36,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 MCAP_MAGIC, SQLITE_MAGIC, ROS1_MAGIC = b'\x89MCAP0\r\n', b'SQLite format 3\0', b'#ROSBAG'
 
 BATCH = 4096
-"""Largest number of messages of a topic that are given together."""
+"""Largest number of messages in a batch."""
 
 MAX_INFLATED = 2**27
 """Largest decompressed content of a small file, bytes."""
@@ -100,7 +100,7 @@ def batches(path: Path, wanted: Wanted, counts: Counts, notes: list[str]) -> Ite
 
 
 class _Pending:
-    """The messages of a topic that are not given yet, and number and last time of the others."""
+    """Messages of a topic that wait for a batch; number and last time of the yielded ones."""
 
     def __init__(self, topic: Channel, wanted: bool) -> None:
         self.topic, self._wanted = topic, wanted
@@ -123,7 +123,7 @@ def _utc(stamp_ns: int) -> np.datetime64:
 
 
 def _stored(path: Path, wanted: Wanted, counts: Counts, notes: list[str]) -> Iterator[Stored]:
-    """Yield messages, the wanted ones among them, up to the exception of a damage."""
+    """Yield the wanted messages up to the first exception due to damage."""
     with _plain(path, notes) as plain:
         magic = _first(plain, len(SQLITE_MAGIC))
         if magic.startswith(MCAP_MAGIC):

@@ -8,10 +8,10 @@ The tracked poses of rigid bodies are read from Motive's CSV exports (formats 1.
 is omitted if its cells are blank, or if fewer markers of its body are visible than a rigid body
 needs. A marker is visible if its quality is at least 0.99 (appendix H); in an export without
 qualities, if its measured position is not blank. (The positions of a 'Rigid Body Marker' are
-expected ones, and always present.) The layout is: a row of settings, alternately name and value; a
-blank row; rows for Type, Name, ID, since format 1.25 Parent, and quantity; the row of axes, which
-begins with Frame and Time (Seconds) and, if the take has one, TimeCode; then a row per frame.
-These heads identify columns in any order.
+expected positions, which are always present.) The layout is: a row of settings, alternately name
+and value; a blank row; rows for Type, Name, ID, since format 1.25 Parent, and quantity; the row of
+axes, which begins with Frame and Time (Seconds) and, if the take has one, TimeCode; then a row per
+frame. These heads identify columns in any order.
 """
 
 from array import array

@@ -282,9 +282,9 @@ def _connect(
     """
     Wait until the predictor answers a stream of probes, and reset it.
 
-    Answers show that messages arrive both ways, and that kernels are compiled. Twists are
-    announced before poses, and announcements arrive in order: an answered pose implies that the
-    predictor receives twists. The reset discards the probes.
+    Answers show that messages arrive in both directions, and that kernels are compiled. The
+    publisher of twists is announced first, so the predictor that answers a pose also receives
+    twists. The reset discards the probes.
     """
     # an hour earlier
     probe_stamps = count(player.first_ns - 3_600 * NS_PER_S, round(POLL_PERIOD * NS_PER_S))

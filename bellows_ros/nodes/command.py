@@ -33,7 +33,7 @@ HELP_WIDTH = 96
 NODES = {
     'predictor': 'bellows_ros.nodes.predictor_node:PredictorNode',
     'identifier': 'bellows_ros.nodes.identifier_node:IdentifierNode'}
-"""Module, which imports ROS, and class of each command."""
+"""Module and class of each command; the module imports ROS."""
 
 
 def interface(name: str) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
         Command line; default: the arguments of this process.
     node : str, optional
         The node's module and class, instead of those in `NODES`. A node has a future `finished`:
-        its result ends the process with 0, its exception is raised here.
+        the result of the future ends the process with 0, and its exception is raised here.
 
     Returns
     -------
@@ -142,8 +142,9 @@ def _run_node(argv: Sequence[str], node: str) -> None:
     """
     Create a node and spin it until it has finished, or the process is asked to end.
 
-    Signals are only recorded: an exception could be raised anywhere, also in a callback from C.
-    During its creation and possible compilation, the node has nothing to close.
+    Signals are only recorded, because an exception could be raised in any code, also in a callback
+    from C. A signal during the creation of the node ends the process at once, as there is nothing
+    to close.
     """
     received: list[int] = []
     created: list[Any] = []
@@ -210,7 +211,7 @@ def _initialise(argv: Sequence[str]) -> None:
 
 
 def _in_doubles(option: str, argument: str, folder: Path) -> str:
-    """Return an argument for ROS; lists of integers and doubles, also in its file, in doubles."""
+    """Return an argument for ROS; mixed lists of integers and doubles become lists of doubles."""
     from ..files.safe_yaml import load
 
     name, _, value = argument.partition(':=')

@@ -1,9 +1,9 @@
 """
 A node and a worker thread that survive exceptions in callbacks: logged once, then counted.
 
-The node is woken by each message, with garbage collection between messages. A waiting executor of
-rclpy rebuilds its list of entities after each callback, which takes longer than the callback; an
-executor woken by events does not.
+Each message wakes the node; the garbage is collected between messages. The usual executor of rclpy
+rebuilds its list of entities after each callback, which takes longer than the callback; an
+executor that is woken by events does not.
 """
 
 from collections import Counter
@@ -34,7 +34,8 @@ PACKAGE = Path(__file__).parents[1]
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY)
-"""QoS that parameters can override; durability for a vacuum switch with rare messages."""
+"""QoS that parameters can override; durability is among them for vacuum switches with rare
+messages."""
 
 
 COMPILE_TIME = 1.0
@@ -65,7 +66,7 @@ class GuardedNode(Node):
         super().__init__(*arguments, **options)
 
     def note_failure(self, error: Exception, place: str = '') -> None:
-        """Count an exception by a place, by default its line of code; log the first one there."""
+        """Count an exception by its place, by default its line of code; log the first one."""
         frames = traceback.extract_tb(error.__traceback__)
         ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
         innermost = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
@@ -102,7 +103,7 @@ class GuardedNode(Node):
 
     @contextmanager
     def noticed(self, text: str) -> Iterator[None]:
-        """Log a text if the work takes long enough for a compilation."""
+        """Log a text if the work takes so long that something was compiled."""
         notice = Timer(COMPILE_TIME, self.get_logger().info, (text,))
         notice.start()
         try:
@@ -122,7 +123,7 @@ class GuardedNode(Node):
         Subscribe with a callback that may fail, and QoS that can be overridden.
 
         A second callback may receive the number of matching publishers when it changes. rclpy also
-        subscribes to the clock here.
+        subscribes to the clock by this function.
         """
         if on_publishers:
             options['event_callbacks'] = SubscriptionEventCallbacks(
@@ -185,7 +186,7 @@ class Worker:
         return sum(isinstance(each, kind) for each in list(self._pending))
 
     def submit(self, kind: object, work: Callable[..., None], *arguments: Any) -> None:
-        """Process a request; it replaces one of its kind that is waiting or in progress."""
+        """Process a request, which replaces a waiting or running request of its kind."""
         with self._changed:
             if self._running == kind:
                 self.stop[0] = True
@@ -257,9 +258,9 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     """
     Let a node work until it has finished or is asked to stop, and close it.
 
-    The garbage collector ignores objects from before, and runs only here, between two callbacks.
-    Each call of the executor ends after `MAX_SPIN_WAIT`: an endless one would keep Python from
-    seeing a signal, and fails if the C++ library overflows on an endless wait.
+    The garbage collector ignores objects made before the call, and runs between two callbacks.
+    Each call of the executor ends after `MAX_SPIN_WAIT`, because Python cannot process a signal
+    during an endless call.
 
     Parameters
     ----------

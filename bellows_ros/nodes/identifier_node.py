@@ -131,5 +131,5 @@ class IdentifierNode(TableNode):
         self.get_logger().info(f"Set the cup on '{name}'.")
 
     def close(self) -> None:
-        """Stop; unfinished work is abandoned, as files are written only at its end."""
+        """Stop the node. Unfinished work is abandoned; it has written no files."""
         self.destroy_node()

@@ -62,7 +62,7 @@ class TableNode(GuardedNode):
     Attributes
     ----------
     values : dict
-        All values in the form of core; replaced as a whole by changes.
+        All values in the form of core; a change replaces the whole mapping.
     doubts : tuple of str
         Questions about unlikely values.
     overridden : frozenset of str
@@ -113,7 +113,7 @@ class TableNode(GuardedNode):
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """
-        Set parameters: all in one step, or otherwise related ones together, and others singly.
+        Set all parameters in one step or, if this fails, related ones together and others singly.
 
         Setting a parameter to its current value succeeds without effect, so that the output of
         `ros2 param dump` can be loaded.

@@ -37,7 +37,7 @@ from ..files import messages
 from ..files.messages import pack
 
 QUEUE = 500
-"""Length of each queue, messages: the longest bridged gap, 0.5 s, at 1 kHz."""
+"""Length of each queue, messages: the longest bridged gap (0.5 s) at 1 kHz."""
 
 
 class Predicting:
@@ -57,7 +57,7 @@ class Predicting:
 
     @property
     def values(self) -> Values:
-        """Parameters in use: with the chosen cup, without a gripper's cups that do not hold."""
+        """Parameters in use: with the chosen cup, without cups of a gripper that do not hold."""
         return self.live.values
 
     @property
@@ -241,7 +241,7 @@ class Outputs:
         Publish the pose of a prediction.
 
         Each pose of the tool gives exactly one pose of the package on package/pose. On other
-        topics stamps never go back behind an extrapolated one.
+        topics, no stamp is earlier than the stamp of an extrapolated prediction.
         """
         stamp_ns = prediction.stamp_ns
         self._is_late = 0 <= self._extrapolated_ns - stamp_ns < 1_000_000_000  # of one clock

@@ -1,9 +1,9 @@
 """
 From messages to predictions: inputs, live predictor and outputs of a configured predictor.
 
-Inputs are subscriptions to sensors, best effort unless overridden, monitored for rate, age and
-QoS: the tool's poses and twists; the vacuum, which attaches and detaches the package like two
-services; and measured poses of the package, which correct the prediction.
+Inputs are subscriptions, best effort unless overridden, and monitored for rate, age and QoS: poses
+and twists of the tool; the vacuum, which attaches and detaches the package; measured poses of the
+package and wrenches, which correct the prediction.
 """
 
 from collections import Counter
@@ -177,7 +177,7 @@ class Pipeline(Predicting):
             self.live.reset(reason)
 
     def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
-        """Publish the predictions of a step, in spite of failures of other outputs."""
+        """Publish the predictions of a step, even if other outputs fail."""
         was_predicting, before = self.latest is not None, self.live.state
         for prediction in self.advance(step, *arguments):
             self.outputs.publish(prediction)
@@ -362,8 +362,8 @@ class SensorInput:
         """
         Record a message, and its age if it has a stamp; return its arrival (ns), monotonic.
 
-        Reading the node's clock takes 2.5 us, the system's 0.04 us: both are equal unless time is
-        simulated, which is checked once per report.
+        The system's clock is read in 0.04 us instead of 2.5 us for the node's clock. Both are
+        equal unless time is simulated, which is checked once per report.
         """
         arrival_ns = time.monotonic_ns()
         if not self.arrivals.count:

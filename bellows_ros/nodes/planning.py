@@ -48,14 +48,15 @@ TAIL = 2.0
 """Predicted time after the end of a plan, s."""
 
 MAX_STEERED_DURATION = 60.0
-"""Longest motion that is steered live, s; its splines block the interpreter."""
+"""Longest motion that is steered live, s; longer ones would delay the live prediction."""
 
 
 class Answers:
     """
     Answers to the newest message, computed in a thread.
 
-    The kernels release the interpreter, and other code returns it soon.
+    The thread hardly delays the live prediction: kernels run without Python's lock, and other code
+    is short.
 
     Parameters
     ----------
@@ -92,11 +93,11 @@ class Answers:
             raw=kind is MultiDOFJointTrajectory)
 
     def submit(self, work: Callable[..., None], *content: Any) -> None:
-        """Answer by some work, instead of a waiting one."""
+        """Answer a message by some work, which replaces waiting work."""
         self.worker.submit(self._what, self._attempt, work, *content)
 
     def _attempt(self, work: Callable[..., None], *content: Any) -> None:
-        """Do some work; reject an unanswerable request, unless obsolete."""
+        """Do some work; reject a request without an answer, unless a newer request is waiting."""
         try:
             work(*content)
         except BellowsError as error:
@@ -110,7 +111,7 @@ class Answers:
             self.worker.submit('warm up', self._compile_ahead)
 
     def _compile_ahead(self) -> None:
-        """Compile unless the cup cannot hold the package; the first answer then compiles."""
+        """Compile ahead of the first answer, unless the cup cannot hold the package."""
         with suppress(BellowsError):
             self._warm_up()
 
@@ -286,7 +287,7 @@ class Planning:
             'skipped. Send fewer.', throttle_duration_sec=1.0)
 
     def _predict_at(self, stamp_ns: int) -> None:
-        """Publish the package at a stamp (ns), with the tool moving as planned or steadily."""
+        """Publish the package at a stamp (ns); the tool follows its plan or its twist."""
         live, now = self._live, self._pipeline.latest
         try:
             if now is None:

@@ -35,16 +35,15 @@ CUP_DEFAULTS = {
     'cup.stiffness': 'cup.stiffness K of (4.78)',
     'cup.damping': 'cup.damping P of (4.79)',
     'cup.length': 'cup.length l0 = 0.0481 m'}
-"""Parameters of a cup, with their default values in words."""
+"""Parameters of a cup, and words for their default values."""
 
 
 class PredictorNode(ManagedNode):
     """
     Predict the package's pose and twist and the cup's wrench from the tool arm's messages.
 
-    A managed node: in the configured state it has its model and its topics, in the active state it
-    predicts. The parameter autostart selects both at once. Invalid transitions, at which rclpy
-    would end, are rejected and cleaned up.
+    The node has a lifecycle: configured, it has its model and its topics; active, it predicts.
+    With the parameter autostart it becomes active at its start. Invalid transitions are rejected.
 
     Parameters
     ----------
@@ -198,7 +197,7 @@ class PredictorNode(ManagedNode):
         return response
 
     def destroy_node(self) -> None:
-        """Leave the graph; rclpy forgets the state machine, which would keep the node there."""
+        """Leave the graph, with the state machine that rclpy leaves behind."""
         super().destroy_node()
         if hasattr(self, '_state_machine'):  # missing if the parameters were rejected
             self._state_machine.destroy_when_not_in_use()
@@ -355,7 +354,7 @@ class Diagnostics:
     def _log(
         self, line: health.Status, wrong: bool, after: float = 0.0, kind: object = None
     ) -> None:
-        """Log a line whose fault persists (s); faults of one level and kind only at intervals."""
+        """Log a line whose fault persists; faults of one level and kind only at intervals."""
         now, key = time.monotonic(), (line.name, (line.level, kind))
         if not wrong:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}

@@ -109,7 +109,7 @@ def _write(
     path: File, views: Sequence[View], title: str, note: str, theme: str,
     progress: recordings.Progress, speed: float,
 ) -> None:
-    """Write views side by side, from the first to the last time of all."""
+    """Write views side by side, from the first to the last time of all views."""
     ending = f'.{require_picture(path, FILMS)}'
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else _mp4

@@ -1,8 +1,8 @@
 """
 Style of the pictures: a light and a dark theme, layouts of panels, and atomic output.
 
-A measured quantity is a wide pale line, a predicted one a thin strong line on top of it: both also
-differ in width, and their colours are distinct with all common kinds of colour vision.
+A measured quantity is a wide pale line, a predicted quantity a thin strong line on top. The lines
+differ in width, and in colours that are distinct with all common kinds of colour vision.
 """
 
 from collections.abc import Iterator, Sequence
@@ -292,7 +292,7 @@ def six_pairs(
     units: Sequence[str] = DISPLAY_UNITS,
 ) -> Any:
     """
-    Draw six coordinates over time, with an error of each below, to another scale.
+    Draw six coordinates over time, each with its error below in another scale.
 
     Parameters
     ----------

@@ -73,8 +73,8 @@ class Arrivals:
         """
         Return statistics of the arrivals since the last call, and reset them.
 
-        They are number, rate (Hz), jitter and age (s) as in `InputReport`; NaN for too few
-        messages.
+        The statistics are number, rate (Hz), jitter and age (s) as in `InputReport`; NaN for too
+        few messages.
         """
         count, self.count, intervals = self.count, 0, taken(self._intervals)
         mean = float(intervals.mean()) if len(intervals) else math.nan
@@ -83,7 +83,7 @@ class Arrivals:
 
 
 MAX_AGE = 1.0
-"""Largest absolute age of a message on the node's clock, s; other stamps are of another clock."""
+"""Largest absolute age of a message on the node's clock, s; larger ages mean another clock."""
 
 say = partial(sentence, 'live')
 """Function that returns the sentence of a code of the live predictor."""

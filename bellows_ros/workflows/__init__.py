@@ -1,5 +1,5 @@
 """
-One complete job each: files in, `bellows_ros.core` in the middle, files out.
+Each workflow is one complete job: files in, `bellows_ros.core` in the middle, files out.
 
 Nothing is printed and ROS is not imported, so that commands, nodes and scripts share the work.
 Results draw and write themselves. Rarely needed modules are loaded at their first use.

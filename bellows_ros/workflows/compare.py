@@ -18,10 +18,11 @@ FALSE_ALARMS = 0.01
 """Fraction of comparisons of one cup in which the largest z-score exceeds its limit."""
 
 MATERIAL_DIFFERENCE = 0.05
-"""Smallest material relative difference of an entry; 5 % of K shift a frequency by 2.5 %."""
+"""Smallest relative difference of an entry that matters in use: 5 % of K shift a frequency by 2.5
+%."""
 
 Estimates = tuple[Structure, Array, Array]
-"""Structure of a fit, its parameters (p,), and their covariance, infinite if unidentifiable."""
+"""Structure of a fit, parameters (p,), and their covariance, infinite for unidentifiable ones."""
 
 
 class ComparedFits(NamedTuple):
@@ -66,7 +67,7 @@ class ComparedFits(NamedTuple):
 
     @property
     def limit(self) -> float:
-        """Largest z-score by chance, with `FALSE_ALARMS` in all entries together (Bonferroni)."""
+        """Limit of the largest z-score, exceeded by chance in `FALSE_ALARMS` (Bonferroni)."""
         count = self.values.size if len(self.names) > 2 else self.values.shape[1]
         return -NormalDist().inv_cdf(0.5 * FALSE_ALARMS / count)
 

@@ -21,7 +21,8 @@ from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_
 import numpy as np
 
 MAX_REPEATED = 0.1
-"""Largest share of lines with the time of the line before that is a fault of single lines."""
+"""Largest share of lines with the time of the previous line that is treated as faults of single
+lines."""
 
 TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
 
@@ -183,8 +184,8 @@ def bodies_in_transforms(
     tool_frame, package_frame : str
         Frames of the tool tip E and of the package.
     world_frame : str
-        Frame of the returned poses; default: the farthest ancestor of the tool frame. A body that
-        no transforms connect with it is in the farthest ancestor of its own frame.
+        Frame of the returned poses; default: the farthest ancestor of the tool frame. A body
+        without a connection to this frame has poses in the farthest ancestor of its own frame.
     names : sequence of str, optional
         Topics of tool and package; default: '/tool_arm/pose' and '/package/pose'.
 
@@ -224,7 +225,7 @@ def bodies_in_recording(
     bag: File, names: Sequence[str] = (), millimetres: bool = False, w_first: bool = False
 ) -> list[Body]:
     """
-    Return poses of a recording converted to m and to quaternions with w last; others copied.
+    Return poses of a recording, converted to m and to quaternions with w last, and other messages.
 
     Parameters
     ----------

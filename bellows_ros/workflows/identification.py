@@ -37,7 +37,7 @@ NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
 
 CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.stretch', 'cup.layout')
-"""Parameters that K and P depend on, in the cup file unless they have the default."""
+"""Parameters on which K and P depend; the cup file has them unless they have the default."""
 
 NO_VERDICT = (
     'None of the first recordings could be used: the error of a free simulation, and whether the '
@@ -71,7 +71,7 @@ class Identification(CommandResult):
     parts : tuple of ReducedRecording
         Used recordings, reduced.
     recordings : tuple of Recording
-        First of the used recordings, as far as a later step needs recordings.
+        The first of the used recordings, kept for later steps.
     consistency : ComparedFits or None
         Test for one cup by each recording alone, None if not requested.
     static : StaticResult or None
@@ -156,8 +156,8 @@ class Identification(CommandResult):
         """
         Return the parameters of the cup file: the cup with standard errors and validity.
 
-        Without a cell file, the length places the package as the fit did, with the given centre of
-        mass and marker.
+        Without a cell file, the length is corrected such that the package has the pose of the fit
+        with the given centre of mass and marker.
         """
         values = {
             name: value for name, value in self.cup_values().items()
@@ -406,7 +406,7 @@ class Identification(CommandResult):
             'K and P were not found, as the search did not converge: see the warnings.',)
 
     def require_usable(self, force: bool = False) -> None:
-        """Raise BellowsError for a rejected cup; with force, only if prediction is impossible."""
+        """Raise BellowsError for a rejected cup; with force, only for a cup unable to predict."""
         if self.refusals and not (force and self.fit.usable):
             causes = self.verdict.cause if self.verdict else ()
             more = () if self.fit.usable else (*self.assumed, *self._fit_warnings())

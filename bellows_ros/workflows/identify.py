@@ -2,7 +2,7 @@
 Identification of a cup: recordings in, K and P with their uncertainty out.
 
 Every recording is reduced to the statistics of a fit, in this process, in others or on a cluster,
-with equal results. Steps that need the recordings themselves get them here.
+with equal results. Steps that need whole recordings read them in this process.
 """
 
 from collections.abc import Container, Iterator, Mapping, Sequence
@@ -52,7 +52,7 @@ FIT_ENDS = 0.9
 """Fraction of the work at which the fit ends, for the progress display."""
 
 FORCE = "The cup was not fitted; 'bellows identify --force' fits it all the same."
-"""Remedy of a user who accepts the faults of a recording."""
+"""Remedy for users who accept the faults of a recording."""
 
 CAUSE_TESTS = 'testing possible causes'
 """Name of the diagnosis in the progress display."""
@@ -66,7 +66,7 @@ def identify(
     """
     Identify a cup from the recordings of the parameter `bags`.
 
-    A recording with faults, or with a package that cannot be, is not fitted.
+    A recording with faults, or with an impossible package, is not fitted.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def read_part(
     values: Values,
 ) -> tuple[methods.Pair, AnyRecording]:
     """
-    Read and reduce a recording; return the pair kept for a fit, and the rest.
+    Read and reduce a recording; return the reduced recording for a fit, and the recording if kept.
 
     Parameters
     ----------
@@ -256,7 +256,8 @@ def read_all(
     """
     Return usable recordings, their pairs for a fit, and unusable recordings.
 
-    They are read by processes or a cluster, or sequentially, in which case all must be usable.
+    Processes or a cluster read the recordings. Without them this process reads the recordings one
+    after the other, and all must be usable.
     """
     bags = [os.fspath(bag) for bag in values.bags]
     keep, each = frozenset(bags[:MAX_TESTED]), reading.values_of_each(values)

@@ -47,7 +47,7 @@ MIN_TILT = 0.1
 """Smallest tilt of a hold in which creep of rubber is observable, rad."""
 
 IMPLAUSIBLE_DISTANCE = (0.3, 10.0)
-"""Range of implausible distances from tool to package, m."""
+"""Range of distances that are implausible for a package on its tool, m."""
 
 MAX_CHANGE = 0.05
 """Largest change of a plausible distance from tool to package, m."""

@@ -187,7 +187,7 @@ class PlanReport(CommandResult):
     @cached_property
     def driven(self) -> tuple[Trajectory, Array, str]:
         """
-        The motion to write: the plan, or the plan in its shortest safe time if requested.
+        The written motion: the plan, or the plan in its shortest safe time if requested.
 
         It consists of the tool, the package's states (N, 13), and the limit of a joint that
         requires more time, or ''.
@@ -519,7 +519,8 @@ def stands_at_first(measured: Trajectory) -> bool:
     """
     Return whether a recorded tool is at rest in the first `START_WINDOW`.
 
-    Its mean twist there, fitted to the poses, must be below `START_DEVIATIONS` standard errors.
+    The mean twist in this time, fitted to the poses, must be below `START_DEVIATIONS` standard
+    errors.
     """
     window = measured.select(measured.seconds <= START_WINDOW)
     if len(window) < MIN_START_POSES:
@@ -567,9 +568,9 @@ def write_prediction(
     """
     Write a motion of the tool, and of the package, as a recording.
 
-    Its topics are tool_arm/plan and package/plan (MultiDOFJointTrajectory), package/plan_path
-    (Path), tool_arm/pose, tool_arm/twist and package/pose, stamped from the plan's start; and
-    tool_arm/plan_joints (JointTrajectory) for a plan of joints.
+    The topics of the recording are tool_arm/plan and package/plan (MultiDOFJointTrajectory),
+    package/plan_path (Path), tool_arm/pose, tool_arm/twist and package/pose, stamped from the
+    plan's start; and tool_arm/plan_joints (JointTrajectory) for a plan of joints.
 
     Parameters
     ----------

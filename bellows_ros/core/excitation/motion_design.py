@@ -3,15 +3,14 @@ Design of the motion with the most information on K and P, within limits of arm,
 
 The motion is a Fourier series in each axis, with ramps at both ends. Its coefficients maximise the
 determinant of the Fisher information (D-optimal) of small motions, for the guess of K and for a
-softer and a stiffer one (`GUESS_FACTORS`). The largest ratio of a signal to its limit, as a p-norm
-over limits and time, divides the coefficients: only their shape is searched. After each pass the
-whole model simulates the motion, and corrects the limits of the loads in the linear model. The
-most informative pass is scaled to satisfy all limits.
+softer and a stiffer one (`GUESS_FACTORS`). The coefficients are divided by the largest ratio of a
+signal to its limit, a p-norm over limits and time, so only the shape of the motion is searched.
+After each pass the nonlinear model simulates the motion, and corrects the limits of the loads in
+the linear model. The most informative pass is scaled to satisfy all limits.
 
-The information of a motion, planned or recorded, is the information of an output error fit, by the
-same code: pose differences are whitened by the noise of both bodies (see
-`identification.whitening`). For small motions the linear response gives the information fast
-enough for a search.
+The information of a motion is the information of an output error fit, computed by the same code:
+pose differences are whitened by the noise of both bodies (see `identification.whitening`). For
+small motions the linear response gives the information fast enough for a search.
 """
 
 from collections import Counter
@@ -59,7 +58,7 @@ GUESS_FACTORS = (1.0, 0.7, 1.3)
 """Ratios of the true K to its guess for which the limits hold."""
 
 STAGES = ((16, 1000), (64, 400), (64, 400))
-"""Exponent of the norm that approximates the largest ratio to a limit, and largest number of its
+"""Stages of the search: exponent of the p-norm over the ratios to limits, and largest number of
 steps."""
 
 MIN_GAIN = 1e-6
@@ -70,7 +69,7 @@ MARGIN = 1e-3
 HOLD = 7.0
 """Default duration of the hold for the relaxation of rubber, s."""
 SAMPLES_AT_ONCE = 4096
-"""Number of samples of a motion computed at once, which bounds the memory."""
+"""Number of samples of a motion that are computed together, which limits the memory."""
 
 DIFFERENCE = 1e-4
 """Step of numerical derivatives by parameters, in units of their scale."""
@@ -286,16 +285,17 @@ def standard_errors(information: Array) -> Array:
 
 class Response(NamedTuple):
     """
-    Small motions of the package about its rest at frequencies, for small motions of the tool.
+    Frequency response of the package about its rest to small motions of the tool.
 
     Parameters
     ----------
     package : ndarray (F, 6, 6)
         Transfer matrix from displacements of E to displacements of B (m, rad, body axes).
     changes : ndarray (n, F, 6, 6)
-        Its derivatives by parameters, in units of the standard deviation of a pose's innovation.
+        Derivatives of the transfer matrix by parameters, over the standard deviations of the
+        innovation.
     constant : ndarray (n, n)
-        Information per pose by the package's place at rest.
+        Information per pose from the package's pose at rest.
 
     """
 
@@ -619,7 +619,7 @@ def design(
     cup, package, gravity
         Initial guess of the cup, and the package.
     structure : Structure
-        Structure of K and P: their free entries.
+        Structure of K and P, which defines their free entries.
     checks : Checks
         Limits of the arm, the cup and the grip, with the models of `cups_near` the guess.
     tracking : Tracking

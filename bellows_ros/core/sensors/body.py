@@ -2,8 +2,8 @@
 A tracked body, measured by its pose.
 
 The residual of a view is the difference of the measured and the simulated pose of B: shift and
-rotation in body axes, as of `pose_error`. Nuisances of the sensor are frames (com, world, marker),
-scale and clocks.
+rotation in body axes, as of `pose_error`. The nuisances of the sensor are the frames (com, world,
+marker), the scale and the clocks.
 """
 
 from collections.abc import Mapping
@@ -32,10 +32,10 @@ class Views(NamedTuple):
     """
     Measured poses of B, or the residuals of other views about a simulated package.
 
-    The poses (N, 8) with their small delay (s) after a node; minus their derivatives (N, 6, p) in
-    body axes by the unknowns, of the clocks per unit of the simulated twist; the unknowns of the
-    clocks; and of other views the residuals (N, 6) with derivatives (N, 6, 6) by the package's
-    error, empty for poses.
+    Fields in order: poses (N, 8) with their small delay (s) after a node; negative derivatives (N,
+    6, p) of the poses by the unknowns, in body axes (by clocks per unit of the simulated twist);
+    indices of the clocks among the unknowns; residuals (N, 6) and their derivatives (N, 6, 6) by
+    the package's error for other views, empty for poses.
     """
 
     rows: Array
@@ -116,9 +116,10 @@ def columns_of(
     scaled: Trajectory,
 ) -> Array:
     """
-    Return minus the derivatives (N, 6, p) of the poses of B by p unknowns.
+    Return the negative derivatives (N, 6, p) of the poses of B by p unknowns.
 
-    For a scale of the positions of other poses, where their noise would bias it.
+    The derivative by the scale uses positions of other poses, without the noise of the measured
+    poses.
     """
     columns = np.zeros((len(poses), 6, count))
     for name, place in places.items():
@@ -134,8 +135,8 @@ def poses_of(
     """
     Return the poses of B, and twists if any, for given free quantities.
 
-    Moves (3,) is 1 for the components of the com that shift B, else 0. The world rotates about a
-    middle, see `middle_of`; by default of the poses. Positions are scaled about a camera (3,).
+    Moves (3,) is 1 for the components of the com that shift B, else 0. The world rotates about the
+    mean position of the poses, or a given point. Positions are scaled about a camera (3,).
     """
     if 'scale' in values:
         package = replace(
@@ -167,7 +168,7 @@ def middle_of(package: Trajectory) -> Array:
 
 def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
     """
-    Return the package as if fixed to the tool's smooth path.
+    Return the poses of a package that is fixed to the tool on its smooth path.
 
     Noisy positions in the derivative by their scale would bias the scale towards zero.
     """

@@ -27,10 +27,10 @@ UNDISTORTION_STEPS = 50
 UNDISTORTED = 1e-9
 """Largest error of the direction (X/Z, Y/Z) of a distorted corner after the iterations."""
 POSE_STEPS = 10
-"""Number of Gauss-Newton steps to the pose of a tag; an error of the start falls by 10 in each."""
+"""Number of Gauss-Newton steps to the pose of a tag; each step reduces the error tenfold."""
 
 LEAST_AREA = 1e-8
-"""Smallest area of a tag at unit distance, a hundredth of a pixel."""
+"""Smallest area of a tag in the image of unit focal length; about a hundredth of a pixel."""
 
 MAX_DIRECTION = 100.0
 """Largest coordinate X/Z or Y/Z that a camera sees: 89.4 degrees from its axis."""
@@ -39,7 +39,7 @@ ANY = -1
 """Number that stands for the only tag."""
 
 MAX_KEPT = 8
-"""Largest numbers of cameras and of tags that a live input remembers."""
+"""Largest number of cameras, and of tags, that a live input stores."""
 
 
 class Camera(NamedTuple):
@@ -114,7 +114,7 @@ class TagCamera:
         """
         Return position (3,) and rotation (3, 3) of a tag with a side (m) in the camera.
 
-        Without a pose, the result is the reason, '' if the tag is not seen.
+        Without a pose, the result is the reason as a string, '' if the tag is not visible.
         """
         seen_now = {int(each.id) for each in array.detections}
         self.numbers = set(sorted(self.numbers | seen_now)[:MAX_KEPT])
@@ -137,14 +137,14 @@ def camera_of(info: Any, is_rectified: bool) -> Camera:
 
 
 def pixels_of(array: Any, number: int = ANY) -> list[list[tuple[float, float]]]:
-    """Return the corners of all tags of a number in an AprilTagDetectionArray, in pixels."""
+    """Return the corners (pixels) of all tags with a given number in an AprilTagDetectionArray."""
     return [[(corner.x, corner.y) for corner in each.corners] for each in array.detections
             if number in (ANY, each.id)]
 
 
 def tags_shown(corners: Array) -> tuple[Mask, Array, Array]:
     """
-    Return which directions (N, 4, 2) show a tag before the camera, and the poses of these (M).
+    Return a mask (N,) of directions (N, 4, 2) of a tag before the camera, and M poses.
 
     Positions are of tags with a side of 1 m; NaN shows no tag.
     """
@@ -162,7 +162,7 @@ def directions(
     pixels: Array, matrix: ArrayLike, model: str, coefficients: ArrayLike
 ) -> Array:
     """
-    Return the coordinates X/Z and Y/Z that pixels show, NaN where there are none.
+    Return the coordinates X/Z and Y/Z of pixels, NaN for pixels outside of the lens model.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def distorted(direction: Array, k: Array) -> Array:
     Return directions (..., 2) as a lens with coefficients k (8,) shows them.
 
     Source: OpenCV, camera calibration: x (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 +
-    k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and y alike.
+    k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and the same formula for y.
     """
     x, y = direction[..., 0], direction[..., 1]
     r2 = x * x + y * y
@@ -227,7 +227,7 @@ def poses_of_corners(corners: Array, side: float) -> tuple[Array, Array]:
     """
     Return the poses of tags in the camera, the least squares of their corners.
 
-    A flat tag has a second solution, nearly as good; either shows the same corners.
+    A flat tag has a second pose with nearly the same corners.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def poses_of_corners(corners: Array, side: float) -> tuple[Array, Array]:
 
 
 def _from_homography(corners: Array, plane: Array) -> tuple[Array, Array]:
-    """Return poses by the map of a plane (4, 2) to four directions (N, 4, 2) each."""
+    """Return poses from the homographies of a plane's corners (4, 2) to directions (N, 4, 2)."""
     x, y = np.broadcast_to(plane, corners.shape)[..., 0], np.broadcast_to(
         plane, corners.shape)[..., 1]
     one, none = np.ones_like(x), np.zeros((*x.shape, 3))

@@ -3,13 +3,13 @@ A flat tag, measured by the directions of its four corners in the camera.
 
 In the camera's frame a corner has the image (X/Z, Y/Z), the coordinates of an undistorted pinhole
 camera of unit focal length. The residual of a view is the difference of its eight measured and
-predicted coordinates. Errors of corners are nearly white and equal, while a pose made from them
-errs in depth and tilt many times more, and has a second solution. Every pose of a tag can be
-turned back into its corners, with either solution.
+predicted coordinates. The errors of corners are nearly white and equal. The pose computed from the
+corners has much larger errors in depth and tilt, and a second solution. The corners can be
+computed back from either solution.
 
 Derivatives are by the package's error: shift and rotation in body axes, as of `pose_error`. With
-their QR factors J = Q R, the six numbers Q^T r with the derivative R have all information on the
-pose; the other two directions of a view have none.
+the QR factors J = Q R of the derivatives, the first six numbers of Q^T r have all information on
+the pose, with the derivative R; the last two have none.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ LEAST_DEPTH = 0.05
 """Smallest distance of a corner from the camera along its axis, the limit of focus, m."""
 
 LEAST_SLOPE = 1e-4
-"""Smallest derivative of a direction by which a view determines the pose, rad/m or 1."""
+"""Smallest derivative of a corner's direction by the pose in a usable view, rad/m or 1."""
 
 SAME_IMAGE = 3e-4
-"""Largest motion of the corners between two frames of one view, rad: a third of a pixel."""
+"""Largest motion of the corners between two frames of one view, rad; about a third of a pixel."""
 
 SAME_VIEW = 0.8
 """Share of a corner's variance that all frames of one view have in common."""
@@ -51,7 +51,7 @@ EXPOSURE_STEP = 1e-3
 """Time (s) before and after an exposure for the acceleration of the corners."""
 
 USUAL_EXPOSURE = 0.3
-"""Exposure in periods of a camera if not stated, as uncertain as it is long."""
+"""Exposure if not stated, in periods of the camera; its standard deviation is equal."""
 
 NEAR = np.repeat([0.05, 0.1], 3)
 """Standard deviations of a tag's pose about its predicted pose, m and rad."""
@@ -127,7 +127,7 @@ def reduce_view(J: Any, X: Any) -> None:
 
 @kernel
 def _reflect(J: Any, k: int, square: float, X: Any, j: int) -> None:
-    """Reflect column j of X by the vector in column k of J, with half of its square."""
+    """Reflect column j of X by the vector in column k of J, whose half square is given."""
     along = 0.0
     for i in range(k, 8):
         along += J[i, k] * X[i, j]
@@ -189,8 +189,9 @@ def views(
     Returns
     -------
     ndarray (N, 8, 2)
-        Q^T times the residual (rad) and the acceleration of the image (rad/s^2), by which a mean
-        over an exposure T differs by T^2/24. The last two rows do not depend on the pose.
+        Q^T times the residual (rad), and Q^T times the acceleration of the image (rad/s^2); the
+        mean over an exposure T differs from the middle by T^2/24 of this acceleration. The last
+        two rows do not depend on the pose.
     ndarray (N, 6, 6)
         Derivatives R by the package's error.
     ndarray (N,)
@@ -213,9 +214,9 @@ def corners_of_poses(position: Array, rotation: Array, side: float) -> Array:
 
 Sensor = tuple[bool, float, float, Vector, Matrix, float, float]
 """
-Whether a tag is measured instead of a tracked body; standard deviations of a pose (m, rad), or of
-a corner and its growth (`CornerNoise`); of a tag position (m) and axes of the camera in the world,
-half its side (m), and exposure (s).
+Fields in order: whether a tag is measured instead of a tracked body; standard deviations of a pose
+(m, rad), or the numbers of `CornerNoise`; and for a tag the position (m) and axes of the camera in
+the world, half the tag's side (m), and the exposure (s).
 """
 
 
@@ -224,10 +225,10 @@ def equivalent_pose(
     body: State, acceleration: tuple[Vector, Vector], sight: Sight, sensor: Sensor, seen: Any
 ) -> tuple[Array, Array]:
     """
-    Return the shift and rotation (6,) from a body to the pose that one view shows.
+    Return the shift and rotation (6,) from a body to the pose measured in one view.
 
-    The second result is its covariance (6, 6); both to first order, in body axes. They have all
-    information of the view: a direction that its corners hardly show is as uncertain.
+    The second result is the covariance (6, 6) of shift and rotation. Both are of first order, in
+    body axes, and contain all information of the view.
     """
     rows, accelerations = np.empty((1, 13)), np.empty((1, 6))
     write_row(rows[0], (body[0], body[1], body[2], body[3]))
@@ -271,7 +272,7 @@ class CornerNoise(NamedTuple):
     growth: float = 30.0
 
     def variance(self, smear: Array, frames: Array) -> Array:
-        """Return the variances (N,) of corners, rad^2, with smears (rad) and frames a view."""
+        """Return the variances (N,) of corners, rad^2, from smears (rad) and numbers of frames."""
         return np.asarray((self.sigma**2 + (self.growth * smear**2) ** 2)
                           * ((1.0 - SAME_VIEW) + SAME_VIEW * frames))
 
@@ -306,7 +307,7 @@ class Tag:
     T_world_camera: Array = field(default_factory=partial(np.eye, 4))
 
     def moved(self, T: Array) -> Tag:
-        """Return the tag in a world in which its world has a pose (4, 4)."""
+        """Return the tag in another world, in which the tag's world has a pose (4, 4)."""
         return replace(self, T_world_camera=T @ self.T_world_camera)
 
 
@@ -318,8 +319,8 @@ class Seen(NamedTuple):
     """
     Views of a tag about a simulated package.
 
-    Residuals; variance (N,) of each, rad^2; smear (N,) by motion during the exposure, rad; and
-    effect (6,) of a residual on the pose, m and rad per rad.
+    Fields in order: residuals; their variances (N,), rad^2; smears (N,) by motion during the
+    exposure, rad; effect (6,) of a residual on the pose, m and rad per rad.
     """
 
     views: poses.Views
@@ -353,7 +354,7 @@ class TagViews:
 
     @classmethod
     def of(cls, tag: Tag, stream: PoseStream, T_package_tag: Array) -> TagViews:
-        """Return the views of recorded poses, of which the corners may be recorded as well."""
+        """Return the views of recorded poses, from recorded corners or corners of the poses."""
         corners = stream.corners
         if corners is None:
             R = tag.T_world_camera[:3, :3].T
@@ -441,9 +442,9 @@ class TagViews:
 
     def poses_near(self, package: Trajectory) -> tuple[Trajectory, Array]:
         """
-        Return the poses of B that show the corners, near predicted ones, and RMS errors (6,).
+        Return the poses of B for the corners, near predicted poses, and RMS errors (6,).
 
-        A wide prior about the prediction decides between the two solutions of a flat tag.
+        A wide prior about the predicted pose selects one of the two solutions of a flat tag.
         """
         position, rotation, still = package.position, package.rotation, np.zeros((len(package), 6))
         twist = still if package.twist is None else package.twist

@@ -1,8 +1,8 @@
 """
 The checked content of a motion file: motions, tosses, and a tracking system.
 
-In a recording with tosses each package hangs, is released, flies and lands, and the next is picked
-up.
+In a recording with tosses, each package hangs, is released, flies and lands; then the tool picks
+up the next package.
 
 A recorded pose of a body with the true pose (R, o) in the world is
 
@@ -95,7 +95,7 @@ class TwistSensor(NamedTuple):
 
 class Schedule(NamedTuple):
     """
-    Times of a stream's samples, and the faults of each.
+    Times and faults of a stream's samples.
 
     Parameters
     ----------
