@@ -16,7 +16,8 @@ def read_text(path: File, largest: int, what: str = 'File') -> str:
     Raises
     ------
     BellowsError
-        If it is not such a file, or cannot be read; `what` is its name in the message.
+        If the path is not a text file in UTF-8, or cannot be read; `what` is its name in the
+        message.
 
     """
     file = Path(path)

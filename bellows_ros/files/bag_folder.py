@@ -130,7 +130,7 @@ def require_no_input(path: File, inputs: Iterable[File]) -> None:
     Raises
     ------
     BellowsError
-        If it would replace or change an input.
+        If the output would replace or change an input.
 
     """
     for name in inputs:
@@ -265,7 +265,7 @@ def recording_digest(path: File, files: Sequence[Mapping[str, Any]] = ()) -> str
     """
     Return the SHA-256 of a recording's stored messages, independent of path and storage.
 
-    Its `digests` are computed unless given.
+    The digests of the files are computed unless given.
 
     Raises
     ------

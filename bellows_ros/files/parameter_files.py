@@ -3,8 +3,8 @@ Parameter files: YAML in the form of ROS, read and written.
 
 Accepted forms are `/**:`, a node's name or its full name above `ros__parameters:`, and files
 without either; names may be nested or dotted. ROS reads written files unchanged: every double has
-a decimal point. Their first line names the schema of this installation, with which editors that
-have the YAML language server complete names, show meanings and mark errors.
+a decimal point. The first line of a written file names the schema of this installation, with which
+editors with the YAML language server complete names, show meanings and mark errors.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

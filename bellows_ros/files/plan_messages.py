@@ -68,7 +68,7 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
     Raises
     ------
     BellowsError
-        If it is damaged, has several joints or names, or points with different fields.
+        If the message is damaged, has several joints or names, or points with different fields.
 
     """
     reader = Reader(data)

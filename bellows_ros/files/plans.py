@@ -47,7 +47,7 @@ def read_transforms(path: File) -> list[Transform]:
     Raises
     ------
     BellowsError
-        If it cannot be read.
+        If the recording cannot be read.
 
     """
     transforms = list[Transform]()
@@ -254,7 +254,7 @@ def plans_in_yaml(content: Mapping[str, Any], name: str) -> list[PlanMessage | J
     Raises
     ------
     BellowsError
-        If it is not a message with a plan.
+        If the text is not a message with a plan.
 
     """
     try:
@@ -347,7 +347,7 @@ def joints_or_tf(path: File, urdf: File, tool_link: str) -> PlanMessage:
     Raises
     ------
     BellowsError
-        If a recording has neither.
+        If a recording has neither joint states nor transforms.
 
     """
     try:

@@ -81,7 +81,8 @@ def read_result(path: File) -> dict[str, Any]:
     Raises
     ------
     BellowsError
-        If the file cannot be read, or is not such a result; `content_of` reports damage in it.
+        If the file cannot be read, or is not the result of a fit; `content_of` reports damage in
+        it.
 
     """
     text = read_text(path, MAX_FILE_BYTES, 'Result')

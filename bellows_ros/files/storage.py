@@ -1,8 +1,8 @@
 """
 Reading of one storage file of a recording: MCAP or SQLite, plain or compressed.
 
-rosbags reads sound files. An MCAP file whose end is missing or damaged is read linearly by mcap,
-and a damaged database row by row. Every file is read up to its damage, with a note.
+rosbags reads undamaged files. An MCAP file whose end is missing or damaged is read linearly by
+mcap, and a damaged database row by row. Every file is read up to its damage, with a note.
 """
 
 from collections import Counter

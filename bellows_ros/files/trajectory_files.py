@@ -11,7 +11,7 @@ qualities, if its measured position is not blank. (The positions of a 'Rigid Bod
 expected positions, which are always present.) The layout is: a row of settings, alternately name
 and value; a blank row; rows for Type, Name, ID, since format 1.25 Parent, and quantity; the row of
 axes, which begins with Frame and Time (Seconds) and, if the take has one, TimeCode; then a row per
-frame. These heads identify columns in any order.
+frame. The rows of the head identify the columns in any order.
 """
 
 from array import array
@@ -55,7 +55,7 @@ def read_tum(path: File) -> tuple[Stamps, Array]:
     Raises
     ------
     BellowsError
-        With the line, if it is not such a file.
+        With the line, if the file is not a TUM file.
 
     """
     lines = _lines(path)
@@ -78,7 +78,7 @@ def write_tum(path: File, stamps_ns: Stamps, values: Array) -> None:
     Raises
     ------
     BellowsError
-        If it cannot be written.
+        If the file cannot be written.
 
     """
     _write(path, '# time x y z qx qy qz qw (s, m)', '%d.%09d' + 7 * ' %.9g',
@@ -101,7 +101,7 @@ def write_csv(path: File, stamps_ns: Stamps, values: Array) -> None:
     Raises
     ------
     BellowsError
-        If it cannot be written.
+        If the file cannot be written.
 
     """
     _write(path, 'time (s),x,y,z (m),qx,qy,qz,qw,vx,vy,vz (m/s),wx,wy,wz (rad/s)',
@@ -136,7 +136,7 @@ def write_urscript(
     Raises
     ------
     BellowsError
-        If it cannot be written.
+        If the file cannot be written.
 
     """
     poses = ['p[' + ', '.join(f'{x:.6f}' for x in row) + ']'
@@ -251,7 +251,7 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody,
     Raises
     ------
     BellowsError
-        If it is not such a file, or was exported with other options.
+        If the file is not an export of Motive, or was exported with other options.
 
     """
     try:

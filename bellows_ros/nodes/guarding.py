@@ -233,8 +233,8 @@ def executor_for(node: Any) -> Any:
     """
     Return an executor for a node, woken by events if possible.
 
-    The event executor is available since rclpy 7.1.4. It supports no guard conditions, and raises
-    RuntimeError at its first spin if the middleware has no callbacks.
+    The event executor is available since rclpy 7.1.4. This executor supports no guard conditions,
+    and raises RuntimeError at its first spin if the middleware has no callbacks.
     """
     with suppress(ImportError):
         from rclpy.experimental.events_executor import EventsExecutor

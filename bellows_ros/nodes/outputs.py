@@ -98,8 +98,8 @@ class Topic:
     name : str
         Relative name.
     make : callable, optional
-        Function that makes the message of a prediction. It is called at once for a package at
-        rest, so that all its kernels are compiled before the topic exists.
+        Function that makes the message of a prediction. The function is called at once for a
+        package at rest, so that all its kernels are compiled before the topic exists.
     qos : QoSProfile, optional
         Default: reliable with a queue; it can be overridden.
     prepare : callable, optional

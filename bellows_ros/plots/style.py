@@ -85,8 +85,8 @@ def description(figure: Any) -> str:
     """
     Return the content of a figure as text.
 
-    It has a row of texts and legends, then a row per panel: title, labels, legend, and for each
-    line its name, number of points, and smallest and largest value.
+    The text has a row of texts and legends, then a row per panel: title, labels, legend, and for
+    each line its name, number of points, and smallest and largest value.
     """
     def words(*texts: Any) -> str:
         return ', '.join(filter(None, (text if isinstance(text, str) else text.get_text()

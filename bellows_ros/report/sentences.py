@@ -76,7 +76,7 @@ def flip_warning(angle: float, code: str = 'flips', begin: float = 0.0) -> str:
 
 
 def listed(items: Sequence[str]) -> str:
-    """Return a list in words; of many items the first ones and the number of the others."""
+    """Return a list in words: of a long list the first items, and the number of further items."""
     if len(items) > MAX_LISTED:
         return f'{", ".join(items[:MAX_LISTED])} and {len(items) - MAX_LISTED} more'
     return ' and '.join(filter(None, [', '.join(items[:-1]), items[-1]]))

@@ -192,7 +192,7 @@ def bodies_in_transforms(
     Raises
     ------
     BellowsError
-        If no chain of transforms leads from either frame to a named world.
+        If no chain of transforms leads from a frame to a named world.
 
     """
     transforms, bodies = plans.read_transforms(bag), list[Body]()

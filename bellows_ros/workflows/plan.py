@@ -189,8 +189,8 @@ class PlanReport(CommandResult):
         """
         The written motion: the plan, or the plan in its shortest safe time if requested.
 
-        It consists of the tool, the package's states (N, 13), and the limit of a joint that
-        requires more time, or ''.
+        The motion consists of the tool, the package's states (N, 13), and the limit of a joint
+        that requires more time, or ''.
         """
         source = self.source
         if self.fastest is None:

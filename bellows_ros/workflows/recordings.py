@@ -84,7 +84,7 @@ def load(
     Raises
     ------
     BellowsError
-        If it cannot be read, or is unusable for the identification of a cup.
+        If the recording cannot be read, or is unusable for the identification of a cup.
 
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
@@ -307,7 +307,8 @@ def in_camera(package: PoseStream, world: str, values: Values) -> PoseStream:
     Raises
     ------
     BellowsError
-        If the camera of poses in the tool's world has no given pose there.
+        If the poses are in the tool's world, and the pose of the camera in this world is not
+        given.
 
     """
     if not values.measured.tag_size or package.corners is not None or package.frame_id != world:

@@ -340,7 +340,7 @@ def replay(
         Topic with measured poses of the package, which correct a second live prediction; default:
         none.
     calibrate : bool
-        Whether to calibrate the measurement model on this recording of sound work.
+        Whether to calibrate the measurement model on this recording, which must be without faults.
 
     Raises
     ------
@@ -532,7 +532,7 @@ def observed(
     signals : sequence of Signal
         Vacuum and valve; without signals the package is held from start to end.
     calibrate : bool
-        Whether to calibrate the measurement model, see `calibrated`.
+        Whether to calibrate the measurement model.
 
     Raises
     ------

@@ -159,7 +159,7 @@ def steer_plan(
     method : str
         One of `core.planning.steering.METHODS`.
     limits : path or mapping
-        YAML file with limits or its content, see `read_limits`; '' for none.
+        YAML file with limits, or its content; '' for none.
 
     Raises
     ------

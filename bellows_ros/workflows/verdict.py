@@ -47,7 +47,7 @@ MAX_NOISE_RATIO = 3.0
 
 MAX_SOUND_RATIO = 2.0
 """Ratio of a free simulation's error to the noise above which the cause of a misfit is described:
-sound recordings whose noise has a memory of 26 ms are at 1.06 to 1.33 (10 seeds)."""
+recordings without faults, whose noise has a memory of 26 ms, have 1.06 to 1.33 (10 seeds)."""
 
 MIN_INERTIA_RATIO = 0.05
 """Smallest logarithm of a corrected ratio of inertia and mass that makes the mass doubtful: the

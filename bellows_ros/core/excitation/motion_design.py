@@ -1,7 +1,7 @@
 """
 Design of the motion with the most information on K and P, within limits of arm, grip and cup.
 
-The motion is a Fourier series in each axis, with ramps at both ends. Its coefficients maximise the
+The motion is a Fourier series in each axis, with ramps at both ends. The coefficients maximise the
 determinant of the Fisher information (D-optimal) of small motions, for the guess of K and for a
 softer and a stiffer one (`GUESS_FACTORS`). The coefficients are divided by the largest ratio of a
 signal to its limit, a p-norm over limits and time, so only the shape of the motion is searched.
@@ -340,7 +340,7 @@ def response(
 def _linear(
     model: ModelTuple, tool: State, omega: Array, tracking: Tracking | None = None
 ) -> tuple[Any, Any, State]:
-    """Return transfer (F, 6, 6), spectrum of the measured poses' noise (F, 6, 6), and the rest."""
+    """Return transfer (F, 6, 6), spectrum of the measured noise (F, 6, 6), and rest pose."""
     rest = static_equilibrium(model, tool)
     J, s = linearise(model, tool, rest), 1j * omega.reshape(-1, 1, 1)
     dynamics: Any = s**2 * np.eye(6) - s * J.body_twist - J.body_pose

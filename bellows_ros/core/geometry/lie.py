@@ -14,8 +14,8 @@ The exponential map and its derivatives are combinations of five even functions 
     delta  = (alpha - beta) / t^2
     eps    = (beta/2 - 3 gamma) / t^2
 
-Their closed forms cancel catastrophically near zero, so below `SERIES_BELOW` their Taylor series
-are summed.
+The closed forms of these functions cancel catastrophically near zero, so below `SERIES_BELOW` the
+Taylor series are summed.
 """
 
 from collections.abc import Callable
@@ -175,7 +175,7 @@ def d2exp(phi: Array, a: Array) -> Array:
     """
     Return the derivative of `dexp` along a, applied to a (G.73 with both directions a).
 
-    This is the right-trivialised geometric Hessian of the exponential map for the (+)
+    The result is the right-trivialised geometric Hessian of the exponential map for the (+)
     Cartan-Schouten connection: with R = exp(phi(t)) the spatial angular acceleration is
     ``d2exp(phi, phi_dot) + dexp(phi) @ phi_ddot`` (4.55). At phi = 0 it is zero.
 

@@ -119,7 +119,7 @@ class Load:
     def set_pressure(
         self, pressure: float | None, of_cups: Mapping[int, float] = NO_CUPS
     ) -> None:
-        """Store the absolute pressure (Pa) in the cup, if measured, and those in single cups."""
+        """Store the measured absolute pressures (Pa) in the cup and in single cups."""
         self.pressure, ambient = pressure, self._values.vacuum.ambient
         self.grip = conversion.grip_of(
             self._values, None if pressure is None else ambient - pressure,

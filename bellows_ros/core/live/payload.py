@@ -49,8 +49,8 @@ def prepared(
     """
     Return the model of a cup and a package, and quantities derived from it.
 
-    These are the longest stable integration step (s), the largest plausible displacement of the
-    lip (m), and the modes.
+    The derived quantities are the longest stable integration step (s), the largest plausible
+    displacement of the lip (m), and the modes.
 
     Raises
     ------
@@ -194,7 +194,7 @@ class LivePayload:
 
     def follow(self, stamp_ns: int, before: State | None, now: State) -> Prediction | None:
         """
-        Advance to a tool sample, or start from rest there.
+        Advance to a tool sample, or start from rest at this sample.
 
         Parameters
         ----------

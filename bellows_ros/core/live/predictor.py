@@ -1,8 +1,8 @@
 """
 The live predictor without ROS: tool messages in, predicted package states out.
 
-The node and `bellows replay` share this code. It reads no clock: time is in the stamps, and the
-caller passes the arrival of each message.
+The node and `bellows replay` share this code. The predictor reads no clock: time is in the stamps,
+and the caller passes the arrival of each message.
 """
 
 from __future__ import annotations  # signatures show names, not their members
@@ -271,7 +271,7 @@ class LivePredictor:
         """
         Whether the package is held, predicted without an alarm for 0.5 s, and gripped safely.
 
-        It is False with an unknown safety factor or vacuum, and while cup or payload in use
+        The value is False with an unknown safety factor or vacuum, and while cup or payload in use
         deviate from their parameters by more than allowed.
         """
         if self.latest is not None:
@@ -326,7 +326,7 @@ class LivePredictor:
         """
         Return the 12 by 12 covariance of a prediction; None if unavailable.
 
-        Its order is displacement (m), rotation (rad), linear and angular twist (m/s, rad/s), in
+        The order is displacement (m), rotation (rad), linear and angular twist (m/s, rad/s), in
         body axes. Without measured poses it is available for the newest prediction, with them for
         the last 0.5 s.
         """
@@ -341,9 +341,9 @@ class LivePredictor:
         """
         Return the phase of the prediction at a time on the clock of arrivals.
 
-        It is 'detached', 'waiting' (before the first pose), 'predicting', 'settling' (predicting
-        with a remaining initial error), 'coasting' (a short gap of poses) or 'lost' (a longer gap,
-        or no prediction); after the valve 'released', 'flying' or 'landed'.
+        The phase is 'detached', 'waiting' (before the first pose), 'predicting', 'settling'
+        (predicting with a remaining initial error), 'coasting' (a short gap of poses) or 'lost' (a
+        longer gap, or no prediction); after the valve 'released', 'flying' or 'landed'.
         """
         if not self.attached:
             return 'detached'
@@ -734,7 +734,7 @@ class LivePredictor:
             if (prediction := self._predict(pose, twist)) is not None]
 
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
-        """Advance the package to a pose's stamp, or start from rest there."""
+        """Advance the package to a pose's stamp, or start from rest at this pose."""
         before, now = self._tool_states(pose, twist)
         if self._cycle.follows:
             if is_moving(now):

@@ -355,7 +355,8 @@ def motion_through(
     """
     Return speed (m/s), rate (rad/s) at the start, and accelerations (m/s^2, rad/s^2).
 
-    They follow from quadratics through three poses, s and t seconds after the start.
+    Speed, rate and accelerations follow from quadratics through three poses, s and t seconds after
+    the start.
     """
     v, a = quadratic(
         t3.subtract(middle[0], start[0]), t3.subtract(end[0], start[0]), s, t)

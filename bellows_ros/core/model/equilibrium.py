@@ -19,7 +19,8 @@ from bellows_ros.errors import UnstableError
 import numpy as np
 
 PHASE_PER_STEP = 0.1
-"""Largest |eigenvalue| * step (rad) of one integration step: RK4 is accurate and stable there."""
+"""Largest |eigenvalue| * step (rad) of one integration step with which RK4 is accurate and
+stable."""
 
 
 def resting_on_tool(model: ModelTuple, tool: State) -> State:
@@ -74,8 +75,8 @@ class Jacobian(NamedTuple):
     """
     Derivatives (6, 6) of the package's acceleration about a state.
 
-    They are derivatives by displacements (m, rad) and twists (m/s, rad/s) of body and tool, in
-    body axes.
+    The derivatives are by displacements (m, rad) and twists (m/s, rad/s) of body and tool, in body
+    axes.
     """
 
     body_pose: Array

@@ -6,8 +6,8 @@ K_1 and P_1 of one cup follow from the sums K and P (see `structure`). The vacuu
 package on a lip with V = pressure below ambient times effective area (N). The wrench (f, m) of the
 cup on the package is taken at S in S axes: f_z > 0 pulls the package into the cup, and the contact
 force of the lip is N = V - f_z. A safety factor is the largest s for which the lip holds the
-wrench s (f, m) with the same V. It is infinite if the lip holds any multiple, and below 1 if the
-grip is lost.
+wrench s (f, m) with the same V. The safety factor is infinite if the lip holds any multiple, and
+below 1 if the grip is lost.
 """
 
 import math

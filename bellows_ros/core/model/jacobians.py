@@ -115,8 +115,8 @@ def spring_jacobian(
     """
     Return the derivative of `spring_wrench` by shift and rotation of S1.
 
-    It is the sum of -1/4 J^T dS/dh J and the change of J under the stress s = (s_o, s_R): -1/4
-    [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]] with q = R^T o.
+    The derivative is the sum of -1/4 J^T dS/dh J and the change of J under the stress s = (s_o,
+    s_R): -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]] with q = R^T o.
     """
     h_now = kernels.strain(o, R)
     h, h_R = kernels.effective_strain(h_now, branches, strains), h_now[1]

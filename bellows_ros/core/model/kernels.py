@@ -403,7 +403,8 @@ def rotation_rate(sigma: Vector, w: Vector) -> Vector:
     """
     Return the rate of sigma in R0 exp(sigma) for the body rate w, to the order of RKMK4.
 
-    It is w + 1/2 sigma x w + 1/12 sigma x (sigma x w), the truncated inverse of dexp(-sigma).
+    The rate is w + 1/2 sigma x w + 1/12 sigma x (sigma x w), the truncated inverse of
+    dexp(-sigma).
     """
     once = t3.cross(sigma, w)
     return t3.add_scaled(t3.add_scaled(w, 0.5, once), 1.0 / 12.0, t3.cross(sigma, once))

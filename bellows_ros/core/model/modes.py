@@ -37,9 +37,9 @@ def modes(cup: Cup, package: Package, gravity: float) -> list[Mode]:
     """
     Return the six modes about static equilibrium under an upright tool at rest, lowest first.
 
-    The damping ratio is phi^T C phi / (2 omega) with mode shapes phi of unit modal mass. It is
-    exact for proportional damping, and of first order otherwise. The direction is determined at
-    the middle of the cup, the place of its spring (3.13).
+    The damping ratio is phi^T C phi / (2 omega) with mode shapes phi of unit modal mass. This
+    ratio is exact for proportional damping, and of first order otherwise. The direction is
+    determined at the middle of the cup, the place of its spring (3.13).
 
     Parameters
     ----------

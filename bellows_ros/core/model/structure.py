@@ -50,7 +50,7 @@ def positions_of(layout: Sequence[float]) -> Array:
     Raises
     ------
     BellowsError
-        If they are not x, y, z of 1 to 32 cups, or not plausible for a gripper.
+        If the positions are not x, y, z of 1 to 32 cups, or not plausible for a gripper.
 
     """
     if not layout or len(layout) % 3:

@@ -91,8 +91,8 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
     Returns
     -------
     Values
-        Parameters in the table's order, without those that have neither a default nor a given
-        value.
+        Parameters in the table's order; parameters without a default and a given value are
+        omitted.
 
     Raises
     ------

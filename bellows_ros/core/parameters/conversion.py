@@ -41,7 +41,7 @@ def is_gripper(values: Values) -> bool:
 
 
 def cup_of(values: Values) -> Cup:
-    """Return the cup of parameter values (see `parameters`), composed of several if given."""
+    """Return the cup of parameter values, composed of several cups if given."""
     return gripper_of(one_cup_of(values), places_of(values))
 
 
@@ -87,7 +87,7 @@ def wrench_sensor_of(values: Values) -> WrenchSensor:
 
 def package_of(values: Values) -> Package:
     """
-    Return the package of parameter values (see `parameters`).
+    Return the package of parameter values.
 
     An inertia that is impossible within its standard deviations becomes the nearest possible one.
     """

@@ -188,8 +188,8 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     Raises
     ------
     BellowsError
-        If it is not a URDF, the link is missing or does not move, or a joint of the chain is not
-        fixed, revolute, continuous or prismatic, or a joint mimics a joint that itself mimics
+        If the text is not a URDF, the link is missing or does not move, or a joint of the chain is
+        not fixed, revolute, continuous or prismatic, or a joint mimics a joint that itself mimics
         another.
 
     """

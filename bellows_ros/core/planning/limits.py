@@ -75,8 +75,8 @@ def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float
     """
     Return the largest speed, acceleration and jerk, and the angular ones, SI, as in `RATES`.
 
-    They are computed by differences from rotations (N, 3, 3) and body twists (N, 6) with a time
-    step (s).
+    The rates are computed by differences from rotations (N, 3, 3) and body twists (N, 6) with a
+    time step (s).
     """
     rates = [apply(rotation, part) for part in (twist[:, :3], twist[:, 3:])]
     sizes = [np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / step ** order

@@ -323,8 +323,8 @@ def levelling(direction: ArrayLike) -> Array:
     """
     Return the smallest rotation (3, 3) that maps a direction to -z.
 
-    It maps poses of a world with gravity in this direction to a world with z up; for gravity along
-    z, the half turn is about x.
+    The rotation maps poses of a world with gravity in this direction to a world with z up; for
+    gravity along z, the half turn is about x.
     """
     down = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
     axis = np.cross(down, DOWN)

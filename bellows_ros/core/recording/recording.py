@@ -84,7 +84,7 @@ class Noise(NamedTuple):
 
 def ripple(poses: Trajectory) -> tuple[Array, Array]:
     """
-    Return the residuals of quartics through nine poses at their centres, and the rotations there.
+    Return residuals and rotations at the centres of quartics through nine poses.
 
     Parameters
     ----------

@@ -216,8 +216,8 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
     """
     Return the standard errors of the mean of relative poses (N, 6).
 
-    They are the larger of the standard error by noise and the standard error by the scatter of
-    block means, which includes residual swing.
+    The result is the larger of the standard error by noise and the standard error by the scatter
+    of block means, which includes residual swing.
     """
     blocks = (stamps_ns - stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
     starts = np.unique(blocks, return_index=True)[1]

@@ -156,7 +156,7 @@ def poses_of(
 
 
 def of_fixed_frame(motion: Trajectory, rotation: Array, shift: Array) -> Trajectory:
-    """Return the motion of a frame fixed in a body, rotated (rad) and shifted (m) there."""
+    """Return the motion of a frame with a fixed rotation (rad) and position (m) in a body."""
     return at_tip(motion, lie.transform(lie.exp_so3(rotation), shift))
 
 

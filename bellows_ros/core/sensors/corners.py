@@ -178,7 +178,7 @@ def views(
     Parameters
     ----------
     rows : ndarray (N, 13)
-        The package at the exposures, see `row_state`.
+        The package at the exposures: position, quaternion, body twist.
     accelerations : ndarray (N, 6)
         Derivatives of its velocity and its rate in body axes, m/s^2 and rad/s^2.
     sight : tuple
@@ -340,7 +340,7 @@ class TagViews:
     stamps_ns : ndarray (N,)
     corners : ndarray (N, 8)
     frames : ndarray (N,)
-        Number of frames of each view, see `frames_of`.
+        Number of frames of each view.
     T_package_tag : ndarray (4, 4)
         Pose of the tag in B.
 
@@ -417,7 +417,7 @@ class TagViews:
         noise : CornerNoise
             Noise of the corners.
         values, places, units, context
-            Nuisances, see `body.views`.
+            Nuisances, as in `body.views`.
 
         """
         at = self.corrected(values, *context[:2])

@@ -114,7 +114,7 @@ def smooth_step(s: Array) -> Array:
     """
     Return the quintic from 0 to 1 and its rate (2, N).
 
-    Its velocity and acceleration are zero at both ends, and the integral of its squared jerk is
+    Velocity and acceleration are zero at both ends, and the integral of its squared jerk is
     minimal. Outside 0..1 it is constant.
     """
     s = np.clip(s, 0.0, 1.0)
@@ -129,8 +129,8 @@ class Vibration(Motion):
         """
         Return the displacement since the start and its rate (2, N, 6).
 
-        It is in world axes (m, m/s), followed by the rotation vector in axes of the start (rad,
-        rad/s).
+        The displacement is in world axes (m, m/s), followed by the rotation vector in axes of the
+        start (rad, rad/s).
         """
 
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
@@ -336,7 +336,7 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
 
 
 def pose_from(settings: Settings) -> Pose:
-    """Return a pose given by position and either rpy or quaternion_xyzw; identity if neither."""
+    """Return a pose given by position and rpy or quaternion_xyzw; default: identity."""
     position = settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m')
     rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
     quaternion = settings.vector('quaternion_xyzw', 4, (0.0, 0.0, 0.0, 1.0))

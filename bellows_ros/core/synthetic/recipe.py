@@ -414,7 +414,7 @@ def _topics(settings: Settings) -> dict[str, str]:
 
 
 def generator(seed: int, purpose: str) -> Generator:
-    """Return random numbers for one purpose, independent of those for other purposes."""
+    """Return random numbers for one purpose, independent of the numbers for other purposes."""
     return default_rng(SeedSequence(seed, spawn_key=(_PURPOSES.index(purpose),)))
 
 

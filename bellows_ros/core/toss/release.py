@@ -2,8 +2,8 @@
 The toss: the valve is switched, the cup opens and releases the package, which flies and lands.
 
 The suction, relative to the holding suction, is 1 until a delay after the valve, and s(t) = (1 +
-b) exp(-t / tau) - b from then on, with the blow-off b. Its force F0 s closes the bellows, whose
-axial force at a stretch y along the lip's z, from the cup length, is
+b) exp(-t / tau) - b from then on, with the blow-off b. The force F0 s of the suction closes the
+bellows, whose axial force at a stretch y along the lip's z, from the cup length, is
 
     F = F0 s - max(0, F0 - K_z y) + F0 (max(0, y) / L)^2,
 
@@ -254,7 +254,7 @@ def toss_along(
     """
     Return the times (s) of release and landing, each with the state of the package.
 
-    Tool and package are those at the start (s), before or after the valve is switched. Without a
+    Tool and package are given at the start (s), before or after the valve is switched. Without a
     release the first time is -1, with the last state; without a landing the second time is -1.
     Below the floor the landing is immediate.
     """

@@ -515,7 +515,7 @@ def _clustered(gradients: Array, inverse: Array) -> Array:
     """
     Return the covariance (n, n) from gradients (G, n) of clusters, by an inverse Hessian.
 
-    Its 95 % intervals follow Student's t with G - 1 degrees of freedom.
+    The 95 % intervals follow Student's t with G - 1 degrees of freedom.
     """
     moves = (gradients - gradients.mean(axis=0)) @ inverse
     degrees = len(moves) - 1.0
