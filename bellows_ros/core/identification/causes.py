@@ -54,6 +54,11 @@ class Finding(NamedTuple):
 
     @property
     def material(self) -> bool:
-        """Whether the cup is wrong without the cause: a setting, or a quantity that changes K."""
-        return self.datum and self.share >= DISTINCT and (
-            self.moved > MATERIAL or not len(self.theta))
+        """
+        Whether the cup is wrong without the cause.
+
+        A certain error of a given quantity makes K uncertain by more than its standard errors; a
+        slip is harmless where K is equal without it.
+        """
+        return self.datum and (self.certain and self.name != 'slip' or (
+            self.share >= DISTINCT and self.moved > MATERIAL))

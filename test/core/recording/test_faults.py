@@ -7,6 +7,7 @@ import time
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import apply, exp_so3
+from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.faults import pose_remarks
@@ -172,6 +173,20 @@ def test_faults_are_seen_in_two_frames(name, seed):
     code, body = TWO_FRAMES[name]
     ((found, place),) = faults(*FAULTS[name][0](*apart(*streams(seed), seed)))
     assert found == code and body in (place, None)
+
+
+PACKAGES = {
+    'com_inside': {'com': (0.0, 0.0, 0.03)}, 'mass': {'mass': 1800.0},
+    'inertia': {'inertia': np.diag([4.38, 6.54, 9.84])}, 'too_dense': {'mass': 18.0}}
+"""Wrong numbers of a package by the code of their fault."""
+
+
+@pytest.mark.parametrize('code', [*PACKAGES, None])
+def test_each_impossible_package_is_seen_beside_sound_poses(code):
+    package = Package(**{'mass': 1.8, 'inertia': np.diag([0.00438, 0.00654, 0.00984]),
+                         'com': (0.0, 0.0, -0.03), **PACKAGES.get(code, {})})
+    found = pose_remarks(Poses(*streams(3), np.eye(3), package))
+    assert [(one.code, one.prevents) for one in found] == [(code, 'fit')] * bool(code)
 
 
 @pytest.mark.parametrize('seed', range(3, 13))
