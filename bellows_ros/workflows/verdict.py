@@ -181,7 +181,9 @@ class FitVerdict(NamedTuple):
     def doubts(self) -> tuple[str, ...]:
         """Sentences on corrections by the fit that may be due to a wrong mass."""
         sentences = []
-        if abs(self.log_inertia_ratio) >= MIN_INERTIA_RATIO:
+        inertia = self.found.get('package.inertia', (np.zeros(3),))[0]
+        if abs(self.log_inertia_ratio) >= MIN_INERTIA_RATIO and not self._in_order(
+                'package.inertia', inertia):
             sentences.append(
                 f'package.inertia is {np.exp(-self.log_inertia_ratio):.3g} times the value '
                 'consistent with package.mass, and the fit has corrected the inertia. If the mass '
@@ -201,7 +203,7 @@ class FitVerdict(NamedTuple):
 
     def _in_order(self, name: str, value: Array) -> str:
         """Return a sentence on moments of inertia that were given in another order, or ''."""
-        if name != 'package.inertia' or name not in self.given:
+        if name != 'package.inertia' or not {name} <= self.given.keys() & self.found.keys():
             return ''
         given = np.array(self.given[name])[:3]
 
