@@ -212,9 +212,10 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     wanted : mapping of role to topic
-        A role that ends in 'twist' is read as twists, any other as poses, and 'measured' as poses
-        with their covariances, if any. Topics are as recorded, optionally without a leading '/'. A
-        role with the topic '' is omitted.
+        A role that ends in 'twist' is read as twists, one in 'wrench' as wrenches, in the
+        form of twists, any other as poses, and 'measured' as poses with their covariances, if any.
+        Topics are as recorded, optionally without a leading '/'. A role with the topic '' is
+        omitted.
 
     Returns
     -------
@@ -347,6 +348,8 @@ def absolute(topic: str) -> str:
 
 def accepted_types(role: str) -> tuple[str, ...]:
     """Return the message types from which a role can be read."""
+    if role.endswith('wrench'):
+        return (messages.WRENCH,)
     twists = role.endswith('twist')
     return tuple(name for name, x in messages.LAYOUTS.items() if (x.twist if twists else x.pose))
 
@@ -357,8 +360,8 @@ class _Collector:
     def __init__(self, topic: Channel, role: str) -> None:
         self.topic = topic
         self._layout = layout = messages.LAYOUTS[topic.type_name]
-        self._twists, self._by_stamp = role.endswith('twist'), role == 'measured'
-        part = layout.twist if self._twists else layout.pose
+        self._pairs, self._by_stamp = role.endswith(('twist', 'wrench')), role == 'measured'
+        part = layout.twist or slice(0, 6) if self._pairs else layout.pose
         assert part  # for all accepted types
         covariance = layout.pose_covariance if self._by_stamp else 0
         self._part = slice(part.start, part.stop + covariance)
@@ -378,7 +381,7 @@ class _Collector:
         """Return the usable messages in the recorded order; measured poses in order of stamps."""
         decoded = np.concatenate(self._decoded)
         order = np.argsort(decoded['stamp' if self._by_stamp else 'arrival'], kind='stable')
-        make: Any = messages.twist_stream if self._twists else messages.pose_stream
+        make: Any = messages.twist_stream if self._pairs else messages.pose_stream
         name = self.topic.name
         stream: Stream = make(name, decoded[order], list(self._frames))
         if not len(stream):

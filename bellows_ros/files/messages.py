@@ -370,7 +370,8 @@ def encode(stamps_ns: Indices, values: Array, names: tuple[str, ...], kind: str)
     raw = np.tile(np.frombuffer(message, f'V{len(message)}'), len(stamps_ns))
     rows = raw.view(_dtype('<', len(message) - 8 * layout.doubles, len(message), layout))
     rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, NS_PER_S)
-    rows['doubles'][:, np.r_[*filter(None, (layout.pose, layout.twist))]] = values
+    filled = [*filter(None, (layout.pose, layout.twist))] or [slice(0, layout.doubles)]
+    rows['doubles'][:, np.r_[*filled]] = values
     return raw
 
 

@@ -53,7 +53,7 @@ FREE_PARAMETERS = {
 """Parameter and unit of each estimated quantity of cup and package."""
 
 CELL_PREFIXES = ('package.', 'recording.', 'topics.', 'tool_pose.', 'tool_twist.', 'gravity.',
-                 'measured.', 'filter.', 'vacuum.')
+                 'measured.', 'filter.', 'vacuum.', 'wrench.', 'gripper.')
 """Prefixes of the parameters of a cell and its package."""
 
 

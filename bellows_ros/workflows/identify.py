@@ -32,6 +32,7 @@ from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bag_folder
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
+from bellows_ros.workflows.gripper import with_gripper
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult, with_spring
 from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
@@ -96,7 +97,7 @@ def identify(
     """
     values = resolved(settings)
     conversion.fitted_structure(values)
-    static = None
+    values, static = with_gripper(values, progress), None
     if values.static.bags:
         static = read_standstills(values.replaced({**FULL_RANGE}), progress)
     effective = values

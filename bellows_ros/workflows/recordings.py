@@ -6,7 +6,7 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import (
     apply,
     exp_so3,
@@ -23,9 +23,11 @@ from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import NO_INERTIA, Poses
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
+from bellows_ros.core.sensors.wrench import Readings
 from bellows_ros.core.signals import trajectory
+from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, NoTopicError, shown, UnexplainedError
 from bellows_ros.files import bag_folder, detections, File, parameter_files
 from bellows_ros.report.sentences import sentence
@@ -88,7 +90,7 @@ def load(
 
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
-    roles = ('tool_pose', 'package_pose', 'tool_twist')
+    roles = ('tool_pose', 'package_pose', 'tool_twist', 'tool_wrench')
     topics = {role: values[f'topics.{role}'] for role in roles}
     if values.measured.type == 'tf':
         topics['package_pose'] = detections.TF_TOPIC
@@ -181,7 +183,9 @@ def prepare_streams(
     Streams are poses of tool and package, and twists of the tool, if any, by the names of their
     topics.
     """
-    return _with_remarks(_prepared(streams, settings, values, name, accepted), ())
+    recording = _prepared(streams, settings, values, name, accepted)
+    return _with_remarks(replace(
+        recording, felt=_felt(recording, streams.get('tool_wrench'), values)), ())
 
 
 def checked(recording: Recording, length: float) -> Recording:
@@ -205,6 +209,36 @@ def _with_remarks(recording: Recording, more: tuple[Remark, ...]) -> Recording:
     return replace(recording, report=replace(
         recording.report, remarks=remarks,
         warnings=(*recording.report.warnings, *remark_sentences(more or remarks))))
+
+
+def _felt(
+    recording: Recording, wrenches: trajectory.TwistStream | None, values: Values
+) -> Readings | None:
+    """Return recorded wrenches in the axes of the sensor, on the corrected clock of the tool."""
+    if wrenches is None:
+        return None
+    offset = recording.report.time_offset
+    wrenches = trajectory.earlier(wrenches, offset.value if offset else 0.0)
+    return readings_of(wrenches, recording.aligned_tool, recording.tool_pose.frame_id,
+                       recording.settings.R_world_recorded, values)
+
+
+def readings_of(
+    wrenches: trajectory.TwistStream, tool: Trajectory, world: str, R_world_recorded: Array,
+    values: Values,
+) -> Readings:
+    """
+    Return recorded wrenches during the motion of a tool, in the axes of the sensor.
+
+    Those with the frame of the tool's poses, the world, are in recorded axes.
+    """
+    sensor, stamps = conversion.wrench_sensor_of(values), wrenches.stamps_ns
+    used = (stamps >= tool.stamps_ns[0]) & (stamps <= tool.stamps_ns[-1])
+    pairs = np.stack([wrenches.linear, wrenches.angular])[:, used]
+    if wrenches.frame_id == world:
+        R = resample(tool, stamps[used]).rotation @ np.reshape(sensor.mount[1], (3, 3))
+        pairs = apply(np.swapaxes(R, 1, 2) @ R_world_recorded, pairs)
+    return Readings(sensor, stamps[used], np.hstack([*pairs]))
 
 
 def remark_sentences(remarks: Iterable[Remark], name: File = '') -> tuple[str, ...]:

@@ -73,7 +73,7 @@ from bellows_ros.core.recording.recording import BodyNoise, Recording
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 import numpy as np
 
 MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
@@ -124,6 +124,13 @@ in the worst axis robustly, as a few views of a half-hidden tag leave a large me
 HELD_OUT = 5
 """Number of seconds of a recording per held-out second."""
 
+MAX_FELT_SIGMAS = 5.0
+"""Largest deviation of a quantity of a force-torque sensor, standard deviations."""
+
+FELT_NAMES = {'wrench_gain': 'wrench.gain_std', 'gripper': 'gripper.std',
+              'wrench_bias': 'wrench.bias_std', 'wrench_delay': 'wrench.delay'}
+"""Parameters by quantities of a force-torque sensor."""
+
 MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
 
@@ -142,6 +149,7 @@ def output_error(
     stretch: str = 'off',
     common: tuple[str, ...] = (),
     standstills: Sequence[Standstill] = (),
+    felt: Free = NOTHING,
 ) -> Fit:
     """
     Fit K and P so that the model, driven by the measured tool, reproduces the package's poses.
@@ -176,6 +184,9 @@ def output_error(
         Names of quantities that all recordings share instead of having their own.
     standstills : sequence of Standstill
         Standstills of the cup, whose balance is part of the fit.
+    felt : mapping, optional
+        Standard deviations of the quantities of a force-torque sensor, and of the mass, with which
+        they are free in the last search.
 
     Raises
     ------
@@ -194,6 +205,9 @@ def output_error(
         segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
     problem = Problem.of(held, structure, start, free, common=common,
                          standstills=tuple(standstills))
+    if not any(outline.is_felt for outline in problem.outlines):
+        felt = NOTHING
+    given = {**given, **{name: std for name, std in felt.items() if name == 'mass'}}
     if any(outline.is_tag for outline in problem.outlines) and 'com' in given:
         problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
     given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
@@ -207,6 +221,9 @@ def output_error(
     if not (end.is_plausible and end.robust_chi2 < MISFIT_CHI2):  # given quantities hide the cause
         tested = found if first.problem is problem else minimise(problem)
     reasons = () if is_explained(tested, given) else rank(tested, given)
+    if felt and end.is_plausible:
+        end, given = _weighed(end, felt, record), {**given, **felt}
+        named = *named, *{'mass'}.difference(named)
     return _fit(end, iterations, named, given, reasons)
 
 
@@ -337,6 +354,28 @@ def with_given(found: Solution, given: Free, report: Report = no_report) -> Solu
         return replace(found, converged=False)
     end = settled(near, report)
     return end if end.converged else replace(near, converged=True)
+
+
+def _weighed(found: Solution, felt: Free, report: Report) -> Solution:
+    """
+    Return the minimum with wrenches, near the minimum without.
+
+    Raises
+    ------
+    UnexplainedError
+        If there is none within the deviations of the sensor's quantities.
+
+    """
+    end = settled(found.freed(felt), report)
+    problem = end.problem
+    names = [name for name in felt if name != 'mass']
+    sizes = np.abs(end.theta) * np.sqrt(problem.weights)
+    off = {name: float(np.max(sizes[problem.places[name]])) for name in names}
+    worst = max(names, key=off.__getitem__)
+    if not end.converged or off[worst] > MAX_FELT_SIGMAS:
+        raise UnexplainedError(NOTES['contradicting_wrenches'].format(
+            name=FELT_NAMES[worst], sigmas=off[worst]))
+    return end
 
 
 def _of_given(found: Solution, given: Free) -> Array:
@@ -476,8 +515,9 @@ def _fit(
         iterations=tuple(iterations),
         delays=tuple(x[offsets].tolist()),
         delays_std=tuple(own_std[offsets].tolist()),
-        freed=tuple(Freed(name, *(tuple(each[places[name][0]].tolist()) for each in (x, own_std)))
-                    for name in results),
+        freed=tuple(
+            Freed(name, *(tuple(each[places[name][0]].tolist()) for each in (x, total_std)))
+            for name in results),
         causes=reasons,
         nuisances={name: x[place] for name, place in nuisances.items()},
         standstills=_standstills(found),

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
-from bellows_ros.core.identification import quantities, whitening
+from bellows_ros.core.identification import quantities, weighing, whitening
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
@@ -42,8 +42,10 @@ from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import Seen
+from bellows_ros.core.sensors.wrench import BLOCK_NS
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import first_order
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -103,6 +105,9 @@ It is negligible but for a thin plate, whose thickness the moments do not determ
 
 LOSS_FACTOR = 0.25
 """Loss factor of ordinary rubber, without which a fit to noise would ring."""
+
+LOAD_STEP = 1e-4, 1e-2
+"""Steps of unknowns of the cup, and of others, for derivatives of the load on a sensor."""
 
 MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
@@ -686,8 +691,67 @@ class Problem:
             nodes.used, seen.scale if seen else np.ones(6),
             first_order(change, segment.measured.tool_noise.correlation) + marker,
             whitening.shifted(start, correction),
-            *_sums_of_blocks(slopes, innovations, segment.period),
+            *self._sums(theta, segment, course, nodes, path, slopes, innovations),
             seen.smear if seen else np.empty(0))
+
+    def _sums(
+        self, theta: Array, segment: Segment, course: Course, nodes: Nodes, path: whitening.Path,
+        slopes: Array, innovations: Array,
+    ) -> tuple[Array, Array]:
+        """Return information (c, q, q) and slope (c, q) of each second, also of wrenches."""
+        seen = _sums_of_blocks(slopes, innovations, segment.period)
+        if 'wrench_bias' not in self.rows or segment.measured.felt is None or self.forgetting:
+            return seen
+        felt = _sums_of_blocks(
+            *self._felt(theta, segment, course, nodes, path), BLOCK_NS / NS_PER_S)
+        order = np.argsort(np.concatenate([
+            np.linspace(0.0, 1.0, len(each[0])) for each in (seen, felt)]), kind='stable')
+        information, slope = (
+            np.concatenate(pair)[order] for pair in zip(seen, felt, strict=True))
+        return information, slope
+
+    def _felt(
+        self, theta: Array, segment: Segment, course: Course, nodes: Nodes, path: whitening.Path
+    ) -> tuple[Array, Array]:
+        """Return derivatives (B, 6, q) and residuals (B, 6) of wrenches, whitened."""
+        measured, free, felt = segment.measured, self._values(theta), segment.measured.felt
+        assert felt is not None
+        blocks, seconds = weighing.Blocks.of(felt, nodes.stamps), nodes.stamps / NS_PER_S
+        now = self._load(theta, segment, course, path)
+        slopes = np.zeros((len(blocks.means), 6, len(theta)))
+        payload = quantities.payload_of(measured.payload, free)
+        columns = self._columns(payload, measured.gravity, free)[:, :-1]
+        for j in np.flatnonzero(np.any(columns, axis=0)).tolist():
+            step = np.zeros(len(theta))
+            step[j] = LOAD_STEP[j >= self.count]
+            change = self._load(theta + step, segment, course, path) - now
+            slopes[:, :, j] = blocks.averaged(change) / (step[j] * self.units[j])
+        regressors = weighing.of_gripper(
+            path.rows, seconds, quantities.gravity_of(measured.gravity, free), felt.sensor.mount)
+        shown = now + regressors @ np.array(felt.sensor.gripper)
+        J, r = weighing.compared(
+            blocks, blocks.averaged(now), blocks.averaged(np.gradient(shown, seconds, axis=0)),
+            blocks.averaged(regressors), felt.sensor, free, self.rows, slopes)
+        begin = (segment.span_ns or segment.ends_ns)[0] / NS_PER_S
+        return weighing.whitened(
+            J * self.units, r, blocks.seconds - begin, felt.sensor, blocks.size)
+
+    def _load(
+        self, theta: Array, segment: Segment, course: Course, path: whitening.Path
+    ) -> Array:
+        """Return the load (M, 6) of the simulated package on the sensor at nodes, N and N m."""
+        (model, free), measured = self.model(theta, segment), segment.measured
+        assert measured.felt is not None
+        start = _start_near_rest(model, path.rows[0], adapted(
+            model, simulation.row_state(path.rows[0]), course.start), course.std)
+        motion = np.empty((len(path.rows), 19))
+        whitening.write_motion(
+            whitening.relaxing(model), whitening.with_inner(start), path,
+            np.arange(len(motion)), np.zeros(len(motion)), motion)
+        return weighing.loads(
+            quantities.payload_of(measured.payload, free),
+            quantities.gravity_of(measured.gravity, free), motion, path.rows,
+            measured.felt.sensor.mount)
 
     def _integration_step(self, model: ModelTuple, segment: Segment) -> float:
         """Return the longest step (s) of the integrator, or raise for too fast a cup."""

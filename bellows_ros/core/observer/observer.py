@@ -34,9 +34,10 @@ from bellows_ros.core.observer.measurement import (
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, CAMERA_ROWS, CUP_ROWS, STATE
 from bellows_ros.core.observer.support import Support
 from bellows_ros.core.observer.wrench_alarms import Watch
-from bellows_ros.core.observer.wrenches import BLOCK_NS, Wrenches
+from bellows_ros.core.observer.wrenches import Wrenches
 from bellows_ros.core.parameters.conversion import wrench_sensor_of
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.sensors.wrench import BLOCK_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 

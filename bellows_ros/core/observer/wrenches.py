@@ -45,9 +45,6 @@ import numpy as np
 if TYPE_CHECKING:
     from bellows_ros.core.observer.correction import Correction, Track
 
-BLOCK_NS = 62_500_000
-"""Longest block, ns: the low pass has its first zero at 16 Hz, -3 dB at 7 Hz."""
-
 NODE_NS = 4_000_000
 """Interval of the derivatives, ns."""
 

@@ -81,8 +81,7 @@ def wrench_sensor_of(values: Values) -> WrenchSensor:
     return WrenchSensor(
         ((x, y, z), R, 1.0 if given.sign == 'load' else -1.0), noise, drift, bias,
         given.gain_std, round(NS_PER_S * given.delay),
-        inertial_numbers(gripper.mass, np.array(gripper.com), np.array(gripper.inertia)),
-        gripper.std)
+        inertial_numbers(gripper.mass, np.array(gripper.com), np.array(gripper.inertia)))
 
 
 def package_of(values: Values) -> Package:

@@ -61,7 +61,8 @@ class GripperGroup:
     mass: float
     com: tuple[float, ...]
     inertia: tuple[float, ...]
-    std: float
+    std: tuple[float, ...]
+    bags: tuple[str, ...]
 
 class WrenchGroup:
     frame: str
@@ -197,6 +198,7 @@ class RecordingGroup:
 class TopicsGroup:
     tool_pose: str
     tool_twist: str
+    tool_wrench: str
     package_pose: str
     valve: str
     held: str

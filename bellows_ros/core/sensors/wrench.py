@@ -11,7 +11,7 @@ body axes, as in `core.model.jacobians`.
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model import jacobians as jac
@@ -29,6 +29,10 @@ Twist = tuple[Vector, Vector]
 INERTIAL_NUMBERS = 10
 """Number of inertial numbers of the gripper."""
 
+BLOCK_NS = 62_500_000
+"""Longest block of averaged wrenches, ns: the low pass has its first zero at 16 Hz, -3 dB at
+7 Hz."""
+
 
 class WrenchSensor(NamedTuple):
     """Settings of a sensor, SI units; pairs are of force and moment."""
@@ -43,8 +47,14 @@ class WrenchSensor(NamedTuple):
     delay_ns: int
     gripper: tuple[float, ...]
     """Inertial numbers phi (10,)."""
-    gripper_std: float
-    """Relative standard deviation of phi."""
+
+
+class Readings(NamedTuple):
+    """Wrenches (N, 6) of a sensor in its axes, N and N m, with stamps by the tool's clock, ns."""
+
+    sensor: WrenchSensor
+    stamps_ns: Stamps
+    values: Array
 
 
 def inertial_numbers(mass: float, com: Array, inertia: Array) -> tuple[float, ...]:

@@ -1,0 +1,69 @@
+"""Recordings with a force-torque sensor, from files to the cup and the cell."""
+
+from dataclasses import replace
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import bags, messages
+from bellows_ros.files.bag_writer import as_messages, write_bag
+from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.recordings import load, readings_of
+import numpy as np
+import pytest
+
+from ..core.identification import felt
+
+TOPICS = {'tool_pose': '/tool', 'package_pose': '/package', 'tool_wrench': '/wrench'}
+
+
+@pytest.fixture(scope='module')
+def cell(tmp_path_factory):
+    """Return settings with recordings of a package and of the empty gripper."""
+    folder = tmp_path_factory.mktemp('cell')
+    for name, package in (('held', felt.PACKAGE), ('empty', None)):
+        *poses, wrenches = felt.streams(1, 'ATI', 6.0, package=package)
+        write_bag(folder / name, [
+            *(as_messages(f'/{each.name}', messages.POSE, each.stamps_ns, np.hstack([
+                each.position, lie.rotation_to_quaternion(each.rotation)])) for each in poses),
+            as_messages(TOPICS['tool_wrench'], messages.WRENCH, wrenches.stamps_ns, np.hstack(
+                [wrenches.linear, wrenches.angular]), 'sensor')])
+    values = felt.settings('ATI')
+    stated = {name: values[name] for name in values if name.startswith(('wrench.', 'package.'))}
+    return {**stated, **{f'topics.{role}': topic for role, topic in TOPICS.items()},
+            'package.mass': 1.1 * felt.PACKAGE.mass, 'cup.length': felt.CUP.length,
+            'fit.structure': 'axisymmetric', 'recording.package_frame': 'com',
+            'fit.method': 'output_error', 'bags': [str(folder / 'held')],
+            'gripper.bags': [str(folder / 'empty')]}
+
+
+def test_identify_weighs_the_package(cell):
+    """Mass, gripper and sensor are in the cell file; the mass is within three deviations."""
+    result = identify(cell)
+    mass, std, _ = result.found['package.mass']
+    assert abs(mass - felt.PACKAGE.mass) < 3.0 * np.max(std) < 0.05 * mass
+    written = result.cell_parameters()
+    assert abs(written['gripper.mass'] - 0.6) < 0.01
+    assert written['wrench.frame'] == cell['wrench.frame']
+    assert written['package.mass'] == mass
+
+
+def test_wrenches_in_axes_of_the_world_are_turned(cell):
+    """A message with the frame of the tool's poses gives the same readings."""
+    values = resolve(cell)
+    recording = load(cell['bags'][0], values)
+    stream = bags.read_streams(cell['bags'][0], {'tool_wrench': '/wrench'})['tool_wrench']
+    tool = recording.aligned_tool
+    inside = stream.stamps_ns <= tool.stamps_ns[-1]
+    R = tool.rotation[np.searchsorted(tool.stamps_ns, stream.stamps_ns[inside])]
+    turned = replace(
+        stream, frame_id='world', stamps_ns=stream.stamps_ns[inside],
+        **{name: lie.apply(R, getattr(stream, name)[inside]) for name in ('linear', 'angular')})
+    found = readings_of(turned, tool, 'world', np.eye(3), values)
+    np.testing.assert_allclose(found.values, recording.felt.values, atol=1e-6)
+
+
+def test_a_topic_of_another_type_is_named(cell):
+    """Poses are no wrenches; the topic of wrenches is proposed."""
+    with pytest.raises(BellowsError, match='topics.tool_wrench to one of: /wrench'):
+        load(cell['bags'][0], resolve({**cell, 'topics.tool_wrench': '/tool'}))
