@@ -1,9 +1,10 @@
 """Find the cup's length from standstills, and check its spring alone."""
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import math
 from pathlib import Path
+from typing import Any
 
 from bellows_ros.core.identification.statics import PoseCheck
 from bellows_ros.core.parameters.checks import resolve
@@ -12,7 +13,9 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.report.text import column, display_unit
 from bellows_ros.version import __version__
 from bellows_ros.workflows import static
+from bellows_ros.workflows.pressed import pressed_check, PressedResult, save_stiffness
 from bellows_ros.workflows.static import StaticBag, StaticResult
+import numpy as np
 
 from . import options
 from .console import Console
@@ -33,9 +36,11 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
             f'{len(masses)} masses are given for {len(named)} recordings. Give --mass once for '
             'each BAG, in the same order, or not at all.')
     each = [{'package.mass': mass} for mass in masses] or [{}] * len(named)
-    bags: list[StaticBag] = [
-        *zip(map(str, named), each, strict=True)] or [*static.static_bags(resolve(settings))]
+    bags: list[StaticBag] = [*zip(map(str, named), each, strict=True)] or [
+        *static.static_bags(resolve(settings))]
     options.require_named_outputs(arguments, [bag for bag, _ in bags])
+    if arguments.wrench:
+        return _pressed(arguments, [bag for bag, _ in bags], settings, console)
     result = static.static_check(bags, settings, console.progress)
     if arguments.out:
         static.save_length(result, arguments.out)
@@ -44,8 +49,34 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
         content={**result.as_json(), 'settings': settings, 'version': __version__})
 
 
-def print_result(result: StaticResult, console: Console) -> None:
-    """Print standstills, length and spring."""
+def _pressed(
+    arguments: argparse.Namespace, bags: Sequence[str], settings: Mapping[str, Any],
+    console: Console,
+) -> options.Outcome:
+    """Return K from wrenches, and write it."""
+    result = pressed_check(bags, settings, console.progress)
+    if arguments.out:
+        save_stiffness(result, arguments.out)
+    return options.Outcome(result, content={
+        **result.as_json(), 'settings': settings, 'version': __version__})
+
+
+def _print_pressed(result: PressedResult, console: Console) -> None:
+    """Print K and the residuals."""
+    cup = result.cup
+    console.table([('', *'xyz', 'rx', 'ry', 'rz'), *(
+        (name, *(f'{x:.4g}' for x in np.diag(matrix)))
+        for name, matrix in (('K', cup.stiffness), ('±', cup.stiffness_std)))], right=True,
+        title=f'K from {cup.standstills} standstills with wrenches, N/m and N m/rad')
+    force, moment = cup.residuals
+    console.paragraph(f'Residuals: {force:.2g} N and {moment:.2g} N m.')
+
+
+def print_result(result: StaticResult | PressedResult, console: Console) -> None:
+    """Print standstills, length and spring, or K."""
+    if isinstance(result, PressedResult):
+        _print_pressed(result, console)
+        return
     console.table(_standstill_rows(result), right=True, title='Standstills')
     if result.creep:
         console.paragraph(result.creep)

@@ -1,0 +1,136 @@
+"""
+K of a cup at rest on a fixed plate, from poses of the tool and wrenches of a force-torque sensor.
+
+Moving the tool strains the cup; no package is recorded. At rest the sensor shows the spring and
+the gripper. Unknown beside K are the pose of the lip in the world, the zero of the sensor and,
+within their standard deviations, its gains and the gripper. Residuals of force and of moment give their noise.
+"""
+
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.tuples import ZERO
+from bellows_ros.core.model.cup_package import regressor
+from bellows_ros.core.model.simulation import row_state, tool_rows
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.sensors.wrench import (
+    INERTIAL_NUMBERS,
+    WrenchSensor,
+    write_gripper_regressor,
+)
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import UndeterminedError
+import numpy as np
+from scipy.optimize import least_squares
+
+LIP_STD = np.repeat([0.02, 0.2], 3)
+"""Standard deviations of the pose of the lip about the least loaded standstill, m and rad."""
+
+SPRING_STD = 3.0
+"""Standard deviation of K, in units of a usual cup."""
+
+MAX_ERROR = 0.5
+"""Largest relative standard error of an entry of K."""
+
+MIN_STANDSTILLS = 8
+"""Smallest number of standstills for K with the other unknowns."""
+
+
+class PressedCup(NamedTuple):
+    """
+    K (6, 6) with its standard errors, of a number of standstills.
+
+    Residuals (2,) are of force and moment, RMS, N and N m.
+    """
+
+    stiffness: Array
+    stiffness_std: Array
+    standstills: int
+    residuals: Array
+
+
+def pressed_cup(
+    tool: Trajectory, wrenches: Array, sensor: WrenchSensor, gripper_std: Array,
+    structure: Structure, usual: Array, length: float, gravity: float,
+) -> PressedCup:
+    """
+    Return K from standstills of a tool above a fixed lip.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        N poses at rest.
+    wrenches : ndarray (N, 6)
+        Mean wrenches in axes of the sensor, N and N m.
+    sensor, gripper_std : WrenchSensor, ndarray (10,)
+        The sensor with its gripper, and the standard deviations of its inertial numbers.
+    structure, usual, length : Structure, ndarray (6, 6), float
+        Structure of K, a usual K, and the length of the cup, m.
+    gravity : float
+        m/s^2.
+
+    Raises
+    ------
+    UndeterminedError
+        With too few standstills, or if they do not determine K.
+
+    """
+    size, count = structure.size, len(tool)
+    if count < MIN_STANDSTILLS:
+        raise UndeterminedError(
+            f'{count} standstills of the tool do not determine K; at least {MIN_STANDSTILLS} are '
+            'expected. Hold more poses, with shifts along x, y, z and tilts to all sides.')
+    units = structure.parameters(usual, usual)[:size]
+    units = np.where(units > 0.0, units, np.sqrt(np.prod([
+        np.diag(usual)[list(pair)] for pair in structure.leads], axis=1)))
+    Y = of_gripper_at_rest(tool, sensor, gravity)
+    shown = wrenches - Y @ sensor.gripper
+    least = int(np.argmin(np.linalg.norm(shown[:, :3], axis=1)))
+    T_E = lie.transform(tool.rotation, tool.position)
+    first = T_E[least] @ lie.transform(np.eye(3), np.array([0.0, 0.0, -length]))
+    T_E_F = lie.transform(np.reshape(sensor.mount[1], (3, 3)), np.array(sensor.mount[0]))
+    prior = np.concatenate([np.full(size, SPRING_STD), LIP_STD, np.repeat(sensor.bias_std, 3),
+                            np.full(6, sensor.gain_std), np.maximum(gripper_std, 1e-9)])
+    start = np.zeros(len(prior))
+    start[:size] = structure.parameters(usual, usual)[:size] / units
+
+    def residual(x: Array, noise: Array) -> Array:
+        spring, lip, bias, gain, phi = np.split(x, size + 6 * np.arange(4))
+        T = lie.inverse_transform(T_E) @ first @ lie.transform(lie.exp_so3(lip[3:]), lip[:3])
+        L = regressor(length, structure.basis, T[:, :3, 3], T[:, :3, :3], np.zeros((count, 6)))
+        to_sensor = np.swapaxes(lie.adjoint(lie.inverse_transform(T) @ T_E_F), 1, 2)
+        load = -sensor.mount[2] * to_sensor @ (L[:, :, :size] @ (units * spring))[:, :, None]
+        off = shown - (1.0 + gain) * load[:, :, 0] - bias - Y @ phi
+        return np.append(off / noise, (x - start) / prior)
+
+    x, noise = start, np.repeat(sensor.noise, 3)
+    for _ in range(3):
+        found = least_squares(residual, x, x_scale=prior, args=(noise,))
+        x, off = found.x, found.fun[:6 * count].reshape(count, 2, 3)
+        freedom = max(1.0 - (len(x) - INERTIAL_NUMBERS) / (6.0 * count), 0.1)
+        rms = np.sqrt(np.mean(off**2, axis=(0, 2)) / freedom) * noise[[0, 3]]
+        noise = np.repeat(rms, 3)
+    jacobian: Any = found.jac
+    covariance = np.linalg.inv(jacobian.T @ jacobian)[:size, :size]
+    std = np.sqrt(np.diag(covariance))
+    is_axis = np.array([row == column for row, column in structure.leads])
+    if np.any((std > MAX_ERROR * np.abs(x[:size])) & is_axis):
+        worst = structure.labels[int(np.argmax(is_axis * std / np.abs(x[:size])))]
+        raise UndeterminedError(
+            f'The standstills do not determine {worst}. Hold poses shifted along x, y and z by '
+            'some millimetres, and tilted and turned by some degrees.')
+    K, _ = structure.matrices(np.tile(units * x[:size], 2))
+    return PressedCup(K, structure.spread(np.tile(units * std, 2))[0], count, rms)
+
+
+def of_gripper_at_rest(tool: Trajectory, sensor: WrenchSensor, gravity: float) -> Array:
+    """Return s Y (N, 6, 10) of a gripper at rest, less its value at the zero of the sensor."""
+    out = np.zeros((len(tool) + 1, 6, INERTIAL_NUMBERS))
+    upright = np.zeros(13)
+    upright[6] = 1.0
+    rest = Trajectory(tool.stamps_ns, tool.position, tool.rotation, np.zeros((len(tool), 6)))
+    for k, row in enumerate((*tool_rows(rest), upright)):
+        write_gripper_regressor(
+            row_state(row), (ZERO, ZERO), (0.0, 0.0, -gravity), sensor.mount, out[k])
+    return np.asarray(out[:-1] - out[-1])
