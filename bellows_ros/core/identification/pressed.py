@@ -3,7 +3,8 @@ K of a cup at rest on a fixed plate, from poses of the tool and wrenches of a fo
 
 Moving the tool strains the cup; no package is recorded. At rest the sensor shows the spring and
 the gripper. Unknown beside K are the pose of the lip in the world, the zero of the sensor and,
-within their standard deviations, its gains and the gripper. Residuals of force and of moment give their noise.
+within their standard deviations, its gains and the gripper. Residuals of force and of moment give
+their noise.
 """
 
 from typing import Any, NamedTuple
