@@ -67,7 +67,7 @@ def test_it_writes_the_pictures(outcome, root):
 
 
 @pytest.mark.parametrize('missing', ['validation', 'package.yaml'])
-def test_a_missing_recording_is_said(missing, root, tmp_path, capsys):
+def test_a_missing_recording_is_reported(missing, root, tmp_path, capsys):
     """End with 2 and say what is not there, before anything is made."""
     bags = shutil.copytree(root / 'bags', tmp_path / 'bags', ignore=lambda *_: [missing])
     assert main(['--bags', str(bags), '--out', str(tmp_path / 'out')]) == 2
@@ -77,7 +77,7 @@ def test_a_missing_recording_is_said(missing, root, tmp_path, capsys):
 
 
 @pytest.mark.parametrize('module', ['rclpy', 'matplotlib'])
-def test_missing_software_is_said(module, root, tmp_path, capsys, monkeypatch):
+def test_missing_software_is_reported(module, root, tmp_path, capsys, monkeypatch):
     """End with 2 and say what to install."""
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, 'find_spec',

@@ -67,7 +67,7 @@ def test_cup_and_package_come_back(tmp_path):
     assert np.array_equal(held.com, package.com)
 
 
-def test_what_a_file_lacks_is_said(tmp_path):
+def test_missing_content_of_a_file_is_reported(tmp_path):
     """Name the parameters that are missing."""
     bellows_ros.write_parameters(tmp_path / 'some.yaml', {'cup.length': 0.05})
     with pytest.raises(BellowsError, match=r"some\.yaml'.* cup\.stiffness, cup\.damping"):

@@ -121,7 +121,7 @@ def test_interleaved_takes_turns():
     assert found['a']['runs'] == 2
 
 
-def test_a_measurement_that_fails_is_said():
+def test_a_failed_measurement_is_reported():
     with pytest.raises(BellowsError, match='boom'):
         timing.in_process('raise SystemExit("boom")')
 
@@ -138,7 +138,7 @@ def test_table_of_nodes_has_the_bare_node_and_the_predictor_with_lost_poses():
         ('bare, 125 Hz', '800 us', '0 of 10'), ('predictor, 125 Hz', '400 us', '3 of 10')]
 
 
-def test_passage_takes_as_long_as_wald_says():
+def test_passage_time_agrees_with_wald():
     """Pass on average after the threshold, and 0.583 std beyond it (Siegmund), by the drift."""
     one = np.ones(1)
     for d2 in (0.3, 1.0):
@@ -149,7 +149,7 @@ def test_passage_takes_as_long_as_wald_says():
     assert (passages(np.zeros((10, 6, 1)), one, one[None], 0) == -1).all()
 
 
-def test_test_that_knows_a_slip_is_the_sooner_one():
+def test_test_for_a_slip_is_faster_than_a_general_test():
     """Name a slip no sooner than tests that know its time and size, and its direction, find it."""
     directed, least = (np.median(each) for each in least_delays('slip', 2, 'white', 2.0))
     right, named = delays('slip', 2, 'white', 2.0)
@@ -161,7 +161,7 @@ def test_test_that_knows_a_slip_is_the_sooner_one():
     ('robot, 30 Hz camera, 1 mm, apart', 2, 30.0, 'axisymmetric'),
     ('motion capture, 0.3 mm', 0, 8.0, 'full'),
     ('robot, 30 Hz camera, 1 mm', 16, 8.0, 'full')])  # there steps swing
-def test_all_that_the_recording_determines_is_told_with_its_error(
+def test_all_estimates_are_printed_with_their_errors(
         sensors, seed, seconds, structure):
     """From a start twice too large."""
     found = trial(CELLS[sensors], seed, seconds, structure)

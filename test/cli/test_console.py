@@ -24,7 +24,7 @@ ROWS = [['axis', *(f'column {k}' for k in range(8))]] + [
 
 
 @pytest.mark.parametrize('right', [False, True])
-def test_a_table_fits_a_narrow_terminal_and_loses_nothing(right, monkeypatch):
+def test_a_table_fits_a_narrow_terminal_with_all_cells(right, monkeypatch):
     monkeypatch.setenv('COLUMNS', '60')
     lines = aligned(ROWS, right)
     assert max(map(len, lines)) <= 58

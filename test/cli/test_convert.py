@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 
-def test_a_recording_goes_out_as_text_and_comes_back(succeed, quietly, workshop, tmp_path):
+def test_a_recording_survives_a_round_trip_through_text(succeed, quietly, workshop, tmp_path):
     """Write both bodies as TUM, and make a recording of them."""
     for name, topic in (('tool', '/tool_arm/pose'), ('box', '/package/pose')):
         done = quietly('convert', 'recording', '--topic', topic, '--out', tmp_path / f'{name}.tum',
@@ -42,7 +42,7 @@ def test_millimetres_and_w_first_are_named_and_converted_as_the_sentence_says(
     done = succeed('replay', 'raw_converted', *with_cup, cwd=tmp_path)
 
 
-def test_poses_are_converted_whatever_the_name_of_their_topic(bellows, succeed, tmp_path):
+def test_poses_are_converted_for_any_topic_name(bellows, succeed, tmp_path):
     """Convert poses on a topic whose name ends as those of twists do; no twists of that name."""
     poses = np.tile([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0], (3, 1))
     stamps_ns = 1_000_000_000 * np.arange(1, 4)

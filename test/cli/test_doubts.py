@@ -39,7 +39,7 @@ def test_each_is_asked_about_by_its_name(name):
 
 
 @pytest.mark.parametrize('command', COMMANDS)
-def test_every_command_asks_once(command, bellows, workshop, transport, tmp_path):
+def test_every_command_prints_a_question_once(command, bellows, workshop, transport, tmp_path):
     """Ask about a package and a cup at once, of sizes that still can be computed with."""
     odd = {name: DOUBTFUL[name][0] for name in ('package.com', 'cup.length')}
     cup = write_yaml(tmp_path / 'cup.yaml', {**TRUTH, **odd})

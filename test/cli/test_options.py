@@ -51,6 +51,6 @@ def test_an_output_that_is_a_hard_link_of_an_input_is_named(bellows, tmp_path):
         (1.0, 9.0, f'[{"#" * 24}] 100%  reading, 0 s left'),
     ],
 )
-def test_progress_says_how_far_and_how_long(fraction, elapsed, line):
+def test_progress_shows_fraction_and_remaining_time(fraction, elapsed, line):
     """Show a bar and the time left once it is known."""
     assert progress_line('reading', fraction, elapsed) == line

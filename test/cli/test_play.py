@@ -10,7 +10,7 @@ needs_ros = pytest.mark.skipif(
 
 
 @needs_ros
-def test_what_was_played_is_said(succeed, workshop, tmp_path):
+def test_played_messages_are_printed(succeed, workshop, tmp_path):
     """Count the messages of each topic between two times, and warn where nobody listens."""
     done = succeed(
         'play', 'recording', '--topic', '/tool_arm/pose:=/pose', '--rate', 8, '--from', 2, '--to',
@@ -31,7 +31,7 @@ def test_what_cannot_be_played_is_refused(bellows, workshop):
         assert done.returncode == 2 and '--rate' in done.stderr
 
 
-def test_without_ros_it_says_how_to_get_it(bellows, workshop, tmp_path):
+def test_missing_ros_is_reported_with_the_remedy(bellows, workshop, tmp_path):
     """End with 2, and name both ways."""
     (tmp_path / 'sitecustomize.py').write_text(
         'import importlib.util as u\nfind = u.find_spec\n'

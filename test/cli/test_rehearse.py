@@ -11,7 +11,7 @@ import pytest
 from ..conftest import ROOT
 
 
-def test_a_rehearsal_tells_errors_and_whether_the_truth_is_within_them(succeed, tmp_path):
+def test_a_rehearsal_prints_errors_and_their_coverage(succeed, tmp_path):
     """By the sensors of the file; of a cup that was drawn, not of the given one."""
     file = tmp_path / 'rehearsal.json'
     done = succeed('rehearse', '--params', ROOT / 'bags' / 'cup.yaml', '--runs', 1, '--json', file,

@@ -57,7 +57,7 @@ def test_twists_in_degrees_are_named_and_left_out_as_the_sentence_says(
     quietly(*given, '--set', 'topics.tool_twist=')
 
 
-def test_a_time_offset_is_said_and_json_and_page_are_written(succeed, workshop, tmp_path):
+def test_a_time_offset_is_printed_and_json_and_page_are_written(succeed, workshop, tmp_path):
     """Say what was taken from the tool's stamps, on the screen and the page; JSON on stdout."""
     page = tmp_path / 'page.html'
     done = succeed('replay', 'recording', '--params', 'cup.yaml', '--set', 'fit.time_offset=true',

@@ -11,7 +11,7 @@ BAGS = Path(__file__).parents[2] / 'bags'
 PLAN, PARAMS = BAGS / 'throw.yaml', BAGS / 'tossing.yaml'
 
 
-def test_lands_and_says_what_to_fix_first(succeed, tmp_path):
+def test_toss_prints_landing_and_largest_contribution(succeed, tmp_path):
     """Give the names of the JSON, a budget that adds up, a picture, and the advice."""
     file, picture = tmp_path / 'toss.json', tmp_path / 'toss.png'
     done = succeed(

@@ -172,7 +172,7 @@ def test_blocks_are_found_with_their_marks():
     assert [(c.text, c.output) for c in second.commands] == [('three', 'out\n'), ('four', '')]
 
 
-def test_nothing_is_installed_or_started_by_accident():
+def test_blocks_with_pip_or_ros_are_only_parsed():
     """Leave pip and ROS alone on pages that forget to say so."""
     text = '```bash\nbellows --help\npip install x\n```\n```bash\nros2 topic list\n```\n'
     assert [block.mode for block in PAGES.blocks(text)] == ['parse', 'parse']

@@ -56,7 +56,7 @@ def test_a_folder_appears_when_it_is_complete(tmp_path):
     assert os.listdir(tmp_path) == ['bag']
 
 
-def test_a_folder_that_fails_leaves_nothing(tmp_path):
+def test_a_failed_folder_leaves_no_files(tmp_path):
     with pytest.raises(RuntimeError), new_folder(tmp_path / 'bag') as folder:
         folder.mkdir()
         raise RuntimeError('half way')

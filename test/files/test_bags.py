@@ -241,7 +241,7 @@ def test_a_folder_without_metadata_is_read_with_a_note(tmp_path):
     assert re.search(r'crashed_\d+\.mcap and other\.db3', error_of(folder))
 
 
-def test_other_numbers_of_messages_than_metadata_says_are_noted(tmp_path):
+def test_wrong_numbers_of_messages_in_metadata_are_noted(tmp_path):
     content = {('/a', made.POSE): made.poses(9), ('/b', made.POSE): made.poses(4)}
     folder = made.write(tmp_path / 'b', content)
     assert bags.read_contents(folder, {'p': 'a'}).notes == ()

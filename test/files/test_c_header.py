@@ -122,7 +122,7 @@ def test_step_wrench_and_safety_factor_are_the_kernels_bit_for_bit(library, size
         assert library.factor(pointer(rows)) == min(factors[:2])
 
 
-def test_rest_is_where_nothing_accelerates(library):
+def test_acceleration_at_rest_is_zero(library):
     """Find what Python finds, bit for bit; say so where the cup cannot carry the package."""
     rng, model = np.random.default_rng(4), library.model
     for _ in range(5):

@@ -80,7 +80,7 @@ def test_sdf_holds_its_schema():
 
 
 @pytest.mark.parametrize('name', TARGETS)
-def test_what_is_lost_is_said(name):
+def test_losses_are_reported(name):
     """Name off-diagonal entries only where there are some, with their size."""
     assert not any(word in sentence for sentence in limits(TARGETS[name], CUP)
                    for word in ('off-diagonal', 'relaxation', 'stretch'))
@@ -97,7 +97,7 @@ def test_what_is_lost_is_said(name):
     assert 'off-diagonal entries of K' in lost[0] and '20 %' in lost[0]
 
 
-def test_gravity_is_written_or_said_to_be_missing():
+def test_gravity_is_written_or_reported_as_missing():
     """Write gravity into MJCF; tell for SDF, whose models have none, the line for the world."""
     gravity = (4.0, 0.0, -9.0)
     option = ElementTree.fromstring(TARGETS['mjcf'].write(CUP, PACKAGE, gravity)).find('option')

@@ -31,7 +31,7 @@ def killed(tmp_path_factory):
     return json.loads(done.stdout)
 
 
-def test_kills_leave_nothing_torn(killed):
+def test_killed_runs_leave_no_partial_file(killed):
     careful = {name: found for name, found in killed.items() if name != 'careless'}
     for name, found in careful.items():
         whole = found.get('old', 0) + found.get('new', 0)
@@ -43,7 +43,7 @@ def test_kills_leave_nothing_torn(killed):
     assert all(count >= 3 for count in total.values()), total
 
 
-def test_the_kills_find_what_is_written_carelessly(killed):
+def test_the_kill_test_detects_a_non_atomic_write(killed):
     assert killed['careless'].get('torn', 0) >= 1, killed['careless']
 
 

@@ -16,7 +16,7 @@ RESULT = {
              'ok': np.bool_(True), 'none': None}}
 
 
-def test_every_digit_comes_back(tmp_path):
+def test_every_digit_survives_a_round_trip(tmp_path):
     write_json(tmp_path / 'fit.json', RESULT)
     result = read_result(tmp_path / 'fit.json')
     assert list(result) == list(RESULT)

@@ -55,7 +55,7 @@ def test_help_shows_everything(name):
 
 
 @pytest.mark.parametrize('name', NODES)
-def test_help_needs_no_ros_and_missing_ros_is_said_plainly(name, root, user_environment):
+def test_help_needs_no_ros_and_missing_ros_is_reported(name, root, user_environment):
     """Answer from the table alone, or name the package to install, without a traceback."""
     done = run(user_environment, root, '-c', WITHOUT_ROS.format(name=name, arguments=['--help']))
     assert done.returncode == 0, done.stderr

@@ -39,7 +39,7 @@ def test_a_callback_that_fails_is_logged_counted_and_started_from_afresh(
 
 
 @pytest.mark.parametrize('name', ['coast', 'phase', 'flush'])
-def test_a_timer_or_service_that_fails_goes_on(name, partner):
+def test_a_timer_or_service_continues_after_a_failure(name, partner):
     """Tick, report and answer again the next time."""
     predictor = partner.predictor
     partner.predict(START)

@@ -91,7 +91,7 @@ def test_another_type_on_the_topic_is_named(make_predictor, listener):
     context.try_shutdown()
 
 
-def test_poses_that_cannot_be_meant_are_said(make_partner, listener):
+def test_impossible_poses_are_reported(make_partner, listener):
     """Name a tool frame with z out of the flange, and count NaN poses: drivers publish both."""
     partner = make_partner({**PACKAGE, 'cup.lip_radius': 0.03, 'vacuum.holding': 6e4})
     heard = partner.hears(Bool, 'package/ok', decode=lambda message: message.data)
@@ -106,7 +106,7 @@ def test_poses_that_cannot_be_meant_are_said(make_partner, listener):
     assert int(listener.value('tool pose', 'refused: nan')) > 0
 
 
-def test_vacuum_signal_that_nobody_sends_is_named(make_predictor, listener):
+def test_missing_vacuum_signal_is_reported(make_predictor, listener):
     """Say why nothing is predicted, and what the signal says once there is one."""
     make_predictor({**PACKAGE, 'vacuum.signal': 'bool'})
     assert listener.sees('vacuum', ERROR, 'Nobody publishes /vacuum/held: the package counts as n')
@@ -153,7 +153,7 @@ def test_safety_factor_is_published_and_follows_the_vacuum(make_partner, listene
         assert listener.value('load', 'limited by') in ('peel', 'slip')
 
 
-def test_pause_is_bridged_by_odometry_and_then_nothing_comes(make_partner):
+def test_pause_is_bridged_by_odometry_up_to_the_limit(make_partner):
     """Go on for coast.limit with growing covariance; package/pose stays one for one."""
     partner = make_partner({**PACKAGE, 'coast.limit': 0.3}, with_twists=False)
     odometry = partner.hears(Odometry, 'package/odometry')
@@ -180,7 +180,7 @@ def test_pause_is_bridged_by_odometry_and_then_nothing_comes(make_partner):
     assert all(np.isfinite(m.pose.covariance).all() for m in odometry)
 
 
-def test_stamps_of_odometry_never_go_back(make_partner):
+def test_stamps_of_odometry_never_decrease(make_partner):
     """Leave out, there, poses that come late behind extrapolated ones."""
     partner = make_partner({**PACKAGE, 'coast.limit': 0.4}, with_twists=False)
     odometry = partner.hears(Odometry, 'package/odometry', decode=stamp_ns)
@@ -231,7 +231,7 @@ def test_all_outputs_agree(make_partner):
     assert box.pose == pose and box.header.frame_id == 'world'
 
 
-def test_simulated_time_that_goes_back_starts_afresh(make_partner, capfd):
+def test_simulated_time_set_back_resets_the_prediction(make_partner, capfd):
     """Notice that a recording begins again, by its clock."""
     partner = make_partner({**PACKAGE, 'use_sim_time': True}, with_twists=False)
     writer = partner.writes(Clock, '/clock')

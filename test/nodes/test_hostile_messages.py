@@ -130,7 +130,7 @@ def test_no_text_of_a_message_reaches_log_diagnostics_or_outputs(graph, capfd):
 
 
 @pytest.mark.stress
-def test_messages_without_a_frame_are_told_once(graph, capfd):
+def test_messages_without_a_frame_are_reported_once(graph, capfd):
     """With the remedy, of each topic whose frame counts."""
     partner, inputs, _ = graph
     for k in range(3):

@@ -111,7 +111,7 @@ def test_a_transition_that_is_not_allowed_is_refused(make_predictor, manager):
     assert manager.hears_all()
 
 
-def test_what_cannot_be_configured_leaves_nothing_behind(make_predictor, manager):
+def test_failed_configuration_leaves_no_parts(make_predictor, manager):
     """Say why, whatever the reason, and have no topics however often it is tried."""
     override = 'qos_overrides./tool_arm/pose.subscription.reliability'
     node = make_predictor({**PACKAGE, 'autostart': False, override: 'nonsense'})
@@ -132,7 +132,7 @@ def test_shutdown_while_active(node, manager):
     manager.wait(lambda: not manager.node.count_publishers('/package/pose'))
 
 
-def test_package_comes_and_goes(node, manager):
+def test_package_is_attached_and_detached(node, manager):
     """Predict only while it is attached, and say so."""
     assert manager.hears_all()
     assert manager.call('/package/detach', Trigger).success

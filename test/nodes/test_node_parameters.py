@@ -66,7 +66,7 @@ def used(node):
 @pytest.mark.parametrize(('stiffness', 'damping', 'named'), [
     (K, INDEFINITE, 'cup.damping'), ((1e-300 * np.eye(6)).ravel().tolist(), P, 'cup.stiffness')])
 @pytest.mark.parametrize('order', [1, -1])
-def test_neither_changes_where_one_is_refused(stiffness, damping, named, order, node, caller):
+def test_no_parameter_changes_if_one_is_rejected(stiffness, damping, named, order, node, caller):
     """Refuse both with the reason, whichever comes first in the call."""
     shown, before = cup(node), used(node)
     both = [('cup__stiffness', stiffness), ('cup__damping', damping)][::order]
@@ -233,7 +233,7 @@ def test_one_file_serves_both_nodes(make_predictor, capfd):
     assert not node.has_parameter('fit.structure')
 
 
-def test_file_with_named_cups_comes_back_from_a_node(make_predictor, tmp_path):
+def test_file_with_named_cups_survives_a_round_trip_through_a_node(make_predictor, tmp_path):
     """Start from a file that was written, show what it says, and start from what is shown."""
     given = {**PACKAGE, 'cup.name': 'soft', 'cups.soft.stiffness': K, 'cups.soft.length': 0.05,
              'cups.hard.stiffness': THESIS.stiffness.ravel().tolist(), 'coast.limit': 0.05}
@@ -313,7 +313,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
     assert tried > 70
 
 
-def test_a_set_that_fails_changes_nothing(node):
+def test_a_failed_set_changes_no_parameter(node):
     """Go back to what was, though it fails where the values are used."""
     kept = node.values
     break_once(node.pipeline.outputs, 'use_values')
@@ -323,7 +323,7 @@ def test_a_set_that_fails_changes_nothing(node):
     assert used(node)[0][0][0] == kept['cup.stiffness'][0] and sum(node.failures.values()) == 1
 
 
-def test_prediction_goes_on_while_a_cup_of_another_kind_compiles(make_partner, monkeypatch):
+def test_prediction_continues_while_another_kind_of_cup_compiles(make_partner, monkeypatch):
     """Predict with the cup before until what a cup that relaxes needs is compiled beside it."""
     compiled = Event()
     partner = make_partner(with_twists=False)

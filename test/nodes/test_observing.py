@@ -128,7 +128,7 @@ def test_counts_begin_again_with_the_observer(make_partner):
     assert report(0).level == report(1).level == Level.WARN
 
 
-def test_node_under_wild_poses_goes_on(make_partner):
+def test_node_continues_under_wild_poses(make_partner):
     """Answer within seconds to poses that move every state; refuse impossible deviations."""
     partner = make_partner({**PACKAGE, **ALL, **SHARP})
     predictor, observing = partner.predictor, partner.predictor.pipeline.observing

@@ -217,7 +217,7 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     (encode_multi_dof(message(poses=np.full((501, 7), np.nan))), None, 'NaN'),
     (b'\0\1\0\0' + bytes(range(60)), None, ''), (encode_multi_dof(message()), 1e-9, '1e+09'),
 ], ids=['frame', 'NaN', 'bytes', 'steps'])
-def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, data, coarse, named):
+def test_a_bad_plan_is_rejected_and_the_prediction_continues(planner, data, coarse, named):
     """Say why on /diagnostics; answer nothing; answer the next good one."""
     planner.drive(START, 0.0)
     planner.partner.wait_for_poses(1)
@@ -235,7 +235,7 @@ def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, data, coarse,
     planner.wait(lambda: planner.plans and planning.status.level == 0)
 
 
-def test_a_plan_of_another_clock_ends_nothing(planner):
+def test_a_plan_of_another_clock_does_not_end_the_prediction(planner):
     """Refuse what begins in ten years, and answer the next plan; know what begins later too."""
     predictor = planner.partner.predictor
     predictor.set_parameters(overrides_of({

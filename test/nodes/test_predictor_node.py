@@ -83,7 +83,7 @@ def test_vanished_twist_publisher_is_not_waited_for(make_partner):
     ('frame_id', {'frame_id': 'elsewhere'}),
     ('backward_stamp', {'stamp_ns': START}),
 ])
-def test_bad_poses_are_counted_and_change_nothing(reason, bad, partner):
+def test_bad_poses_are_counted_and_have_no_effect(reason, bad, partner):
     """Go on as if the bad pose had not come."""
     for step in range(10):
         partner.send_pose(START + step * MS)
@@ -156,7 +156,7 @@ def test_qos_of_every_topic_can_be_overridden(make_predictor):
             assert node.has_parameter(f'qos_overrides.{topic}.{kind}.{policy}'), topic
 
 
-def test_cup_too_soft_for_the_package_is_said_once(make_partner, capfd, monkeypatch):
+def test_cup_too_soft_for_the_package_is_reported_once(make_partner, capfd, monkeypatch):
     """Publish nothing and say why, once in the interval of the log."""
     monkeypatch.setattr(predictor_node, 'LOG_INTERVAL', 1e4)  # also on a busy machine
     heavy = {

@@ -163,7 +163,7 @@ def test_collector_is_given_back(ros, way):
 
 
 @pytest.mark.parametrize('of', ['the node', 'rclpy'])
-def test_an_error_in_a_callback_ends_nothing(of, ros, way):
+def test_an_error_in_a_callback_does_not_end_the_node(of, ros, way):
     """Note an unforeseen error, also where the callback is none that the node has made."""
     def fail():
         if len(calls := [*node.failures.elements(), None]) > 3:

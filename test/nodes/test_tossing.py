@@ -21,7 +21,7 @@ PERIOD_NS = 4_000_000
 SPEED = 0.4  # m/s
 
 
-def test_lands_where_it_said_it_would(make_partner, capfd):
+def test_landing_agrees_with_the_prediction(make_partner, capfd):
     """Say landing and time of release; then fly on after the valve, land, and take up the next."""
     partner = make_partner(TOSSED)
     heard = {name: partner.hears(kind, topic) for name, kind, topic in (

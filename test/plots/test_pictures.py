@@ -126,7 +126,7 @@ def test_a_film_has_every_frame(replayed, tmp_path):
 
 @pytest.mark.parametrize(('script', 'remedy'), [
     (None, 'pip install imageio-ffmpeg'), ('exit 3', r'\.gif')])
-def test_without_a_working_ffmpeg_nothing_is_written(
+def test_without_a_working_ffmpeg_no_file_is_written(
     script, remedy, replayed, tmp_path, monkeypatch
 ):
     folder = tmp_path / 'programs'
@@ -259,7 +259,7 @@ def test_curves_are_interrupted_where_their_own_samples_are_lost(figure):
         assert lost == [6, 1, 6]
 
 
-def test_text_stays_inside_and_apart(figure):
+def test_texts_of_a_figure_do_not_overlap(figure):
     """Let no words leave the page, and no title run into another."""
     check_words(figure)
 

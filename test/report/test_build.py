@@ -124,7 +124,7 @@ def test_the_card_sums_up_the_cup(html):
     assert html.count('stiffness K') == 1 and 'made-up' not in html
 
 
-def test_every_figure_says_what_to_see(html):
+def test_every_figure_has_a_caption(html):
     """Have one sentence below each, and both halves of six panels for narrow screens."""
     figures = list(parsed(html).iter('figure'))
     assert len(figures) >= 4

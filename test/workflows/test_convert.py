@@ -52,7 +52,7 @@ def test_a_take_becomes_topics_of_its_bodies(tmp_path):
         ('/plate/pose', 3), ('/tool/pose', 3)]
 
 
-def test_what_is_odd_about_a_take_is_said(tmp_path):
+def test_unusual_properties_of_a_take_are_reported(tmp_path):
     """Name a body that was never tracked and a take without a date; refuse one without poses."""
     never = [replace(column, cells=('', '')) for column in pose('Plate')]
     undated = V24.replace('Capture Start Time', 'Started')
@@ -67,7 +67,7 @@ def test_what_is_odd_about_a_take_is_said(tmp_path):
         to_bag(bodies_in_files([layout(file, never, V24)]), tmp_path / 'other')
 
 
-def test_tum_to_bag_to_tum_changes_nothing(tmp_path):
+def test_tum_survives_a_round_trip_through_a_bag(tmp_path):
     """Keep stamps exactly, and numbers to the digits of a TUM file."""
     write_tum(tmp_path / 'tool.tum', STAMPS, VALUES)
     to_bag(
@@ -79,7 +79,7 @@ def test_tum_to_bag_to_tum_changes_nothing(tmp_path):
     np.testing.assert_allclose(values, VALUES, rtol=1e-8, atol=1e-12)
 
 
-def test_a_part_is_cut_of_all_alike(tmp_path):
+def test_a_part_is_cut_equally_from_all_streams(tmp_path):
     """Count from the first stamp of all, and leave out what is earlier and later."""
     later = STAMPS + 6_000_000
     for name, stamps in (('tool', STAMPS), ('plate', later)):

@@ -314,7 +314,7 @@ def test_a_wrong_world_is_named_before_a_fit(shipped):
     assert 'recording.world: z_up' in result.verdict.cause[0] and result.refusals
 
 
-def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):
+def test_a_rejected_cup_is_written_only_by_force_with_a_note(shipped, tmp_path):
     result = identify({**shipped[0].values, 'cup.length': 0.047, 'recording.end': 12.0})
     with pytest.raises(BellowsError, match=r'cup\.length is (0\.99|1\.0)'):
         save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')

@@ -48,7 +48,7 @@ def described(folder, *recorded):
     return info(folder / 'bag')
 
 
-def test_names_say_nothing_but_poses_do(m, tmp_path):
+def test_poses_determine_roles_if_names_do_not(m, tmp_path):
     """Find what hangs below, even where names have been chosen to mislead."""
     found = described(
         tmp_path, poses('/a', m['t'], m['o_p'], m['R_p']), poses('/b', m['t'], m['o'], m['R']),
@@ -60,7 +60,7 @@ def test_names_say_nothing_but_poses_do(m, tmp_path):
     assert found.rest_s == pytest.approx(REST, abs=0.2)
 
 
-def test_places_in_two_frames_say_nothing_on_roles(m, tmp_path):
+def test_positions_in_two_frames_do_not_determine_roles(m, tmp_path):
     """Although the robot's poses happen to lie straight below those of the camera."""
     found = described(
         tmp_path, poses('/ur/pose', m['t'], m['o'], m['R'], 'base'),
@@ -68,7 +68,7 @@ def test_places_in_two_frames_say_nothing_on_roles(m, tmp_path):
     assert (found.tool.topic, found.package.topic) == ('/ur/pose', '/camera/marker')
 
 
-def test_places_of_two_clocks_say_nothing_on_roles(m, tmp_path):
+def test_positions_of_two_clocks_do_not_determine_roles(m, tmp_path):
     """Although the tool, which sinks, seems to start below a package that is stamped late."""
     sinking = -0.3 * np.minimum(m['t'], 2.0)[:, None] * [0.0, 0.0, 1.0]
     found = described(
@@ -112,7 +112,7 @@ def test_twists_in_degrees_are_said_first_and_left_out(m, tmp_path, unit):
 
 
 @pytest.mark.parametrize('every', [1, 2])
-def test_bursts_are_said_first_and_are_no_jitter(m, tmp_path, every, many=50):
+def test_bursts_are_reported_first_and_not_as_jitter(m, tmp_path, every, many=50):
     """Beside a tool that is stamped when it is measured."""
     t, o, R = (m[name][::every] for name in ('t', 'o_p', 'R_p'))
     number = np.arange(len(t))
@@ -181,7 +181,7 @@ def test_gaps_jitter_and_repeats_are_counted(m, tmp_path):
     assert found['/box'].rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
 
 
-def test_one_body_alone_is_named_and_said_to_be_too_little(m, tmp_path):
+def test_one_body_alone_is_reported_as_insufficient(m, tmp_path):
     """Use the name where there is nothing to compare with."""
     found = described(tmp_path, poses('/ur/tcp_pose', m['t'], m['o'], m['R']))
     assert found.tool and found.tool.topic == '/ur/tcp_pose'
@@ -189,7 +189,7 @@ def test_one_body_alone_is_named_and_said_to_be_too_little(m, tmp_path):
     assert any('needs the poses of tool and package' in note for note in found.notes)
 
 
-def test_a_recording_without_a_hold_is_told_to_have_one(root):
+def test_a_recording_without_a_hold_gets_the_advice_to_record_one(root):
     assert any('cup.relaxation' in note for note in info(root / 'bags' / 'identification').notes)
     assert not any('cup.relaxation' in note for note in info(root / 'bags' / 'rubber').notes)
 
@@ -231,7 +231,7 @@ def test_a_flange_with_z_outward_is_named(m, tmp_path):
         assert 'tool_pose.offset' not in found.settings
 
 
-def test_faults_of_the_poses_are_said_first(m, tmp_path):
+def test_faults_of_the_poses_are_reported_first(m, tmp_path):
     """And no check of a cell is trusted then."""
     found = described(
         tmp_path, poses('/package', m['t'], m['o_p'], m['R'][0] + 0.0 * m['R']),

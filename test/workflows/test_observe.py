@@ -93,7 +93,7 @@ def test_both_are_better_than_either(filmed):
     assert found.counts['out_of_reach'] + found.counts.get('gate', 0) >= 15
 
 
-def test_a_camera_is_not_judged_while_it_sees_nothing(filmed, tmp_path):
+def test_a_camera_without_poses_raises_no_alarm(filmed, tmp_path):
     """Of 6 s without a view only the first 0.5 s are compared, as the newest pose is then old."""
     bag, values = filmed
     streams = read_streams(bag, {**SEEN, 'twist': ROLES['twist']})
@@ -210,7 +210,7 @@ def breaking(stamps, at_ns, bad=False):
     return Encoded('/cell/vacuum/pressure', kind, stamps, data)
 
 
-def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
+def test_dropped_package_raises_the_alarm_lost(filmed, tmp_path):
     """By its camera until it is 0.5 m below, sooner with the vacuum; no other cause is named."""
     bag, values = filmed
     streams = read_streams(bag, SEEN)

@@ -79,7 +79,7 @@ def test_the_transform_and_the_cup_are_found_together(result, true_cup):
     assert abs(part.time_offset.value - 0.004) < 4.0 * part.time_offset.std < 1e-4
 
 
-def test_it_is_said_and_written_where_it_belongs(result, bag, settings, tmp_path):
+def test_offset_is_printed_and_written_into_its_file(result, bag, settings, tmp_path):
     """Replay with the cup file: the transform is in it."""
     assert any('recording.package_world was estimated: position 1' in line and 'degrees' in line
                for line in result.findings)

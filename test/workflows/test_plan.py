@@ -226,7 +226,7 @@ def test_a_plan_of_moveit_is_read_by_the_definition_in_its_recording(plugin, tmp
         assert_allclose(read[figure], expected[figure], rtol=1e-9)
 
 
-def test_a_recording_without_a_plan_says_what_a_plan_is(tmp_path):
+def test_a_recording_without_a_plan_gets_an_error_with_the_forms_of_plans(tmp_path):
     bag = bag_of(tmp_path / 'bag', DESCRIPTION, serialized(DESCRIPTION, ('none',)))
     with pytest.raises(BellowsError, match='DisplayTrajectory'):
         figures(bag)
@@ -322,7 +322,7 @@ def test_fastest_and_curves(bag, tmp_path):
     assert found['swing_left'] is None and 'ends in motion' in ' '.join(found['warnings'])
 
 
-def test_what_lets_go_and_what_is_not_known_is_said(bag):
+def test_lost_grip_and_unknown_grip_are_reported(bag):
     weak = figures(bag, values={'vacuum.holding': 2e4})
     assert 'the cup lets go' in weak['warnings'][0]
     low = figures(bag, values={'safety.least': 20.0})
@@ -392,7 +392,7 @@ def test_a_printed_message_of_several_trajectories_says_which_is_used(tmp_path):
 
 
 @pytest.mark.parametrize('form', ['multi', 'joints', 'path'])
-def test_a_plan_without_times_is_told_how_to_get_them(tmp_path, form):
+def test_a_plan_without_times_gets_an_error_with_the_remedy(tmp_path, form):
     content = plan_messages()[form]
     for each in content.get('points', ()):
         each['time_from_start'] = {'sec': 0, 'nanosec': 0}
@@ -404,7 +404,7 @@ def test_a_plan_without_times_is_told_how_to_get_them(tmp_path, form):
         figures(tmp_path / 'plan.yaml', urdf=tmp_path / 'arm.urdf', values={'tool_link': 'tool'})
 
 
-def test_a_plan_that_begins_in_motion_says_so_and_starts_in_it(tmp_path):
+def test_a_plan_that_begins_in_motion_is_reported_and_starts_in_motion(tmp_path):
     """In the middle of a pull of 3 m/s^2; from rest the package would swing to twice that."""
     times = np.arange(200) * 5_000_000
     at = times * 1e-9

@@ -46,7 +46,7 @@ def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):
         moved.tool.position, there.tool.position, rtol=0.0, atol=5e-5)
 
 
-def test_a_recording_that_tells_no_offset_is_used_as_it_is_stamped(root, values):
+def test_a_recording_without_an_identifiable_offset_keeps_its_stamps(root, values):
     at_rest = values.replaced({'fit.time_offset': True, 'recording.end': 1.9})
     recording = load(root / 'bags/static', at_rest)
     assert recording.report.time_offset is None

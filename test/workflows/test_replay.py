@@ -16,7 +16,7 @@ def test_clean_recording_with_the_true_cup(rig):
     assert np.all(result.live.scores.largest[3:] < 3e-6)
 
 
-def test_the_truth_leaves_nothing_but_noise(rig):
+def test_residuals_at_the_truth_are_noise(rig):
     """Find the error of the true cup explained by the noise, and its one-step errors white."""
     truth = np.load(rig / 'lab_validation_truth.npz')
     true_cup = {'cup.stiffness': truth['K'].ravel(), 'cup.damping': truth['P'].ravel()}

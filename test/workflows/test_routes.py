@@ -195,13 +195,13 @@ def test_a_recording_that_kills_its_worker_is_left_out():
 
 @pytest.mark.parametrize(('option', 'route'), [
     ('--dask', {'dask': 'tcp://127.0.0.1:1'}), ('--jobs', {'jobs': 2})])
-def test_missing_extra_is_said(settings, monkeypatch, option, route):
+def test_missing_extra_is_reported(settings, monkeypatch, option, route):
     monkeypatch.setitem(__import__('sys').modules, 'distributed', None)
     with pytest.raises(BellowsError, match=f"{option}.*'distributed'.*install"):
         identify(settings, **route)
 
 
-def test_a_recording_counts_once_by_whatever_name(settings, tmp_path):
+def test_a_recording_counts_once_under_any_name(settings, tmp_path):
     """As it is, as the file in it, and as a copy."""
     whole = Path(settings['bags'][1])
     shutil.copytree(whole, tmp_path / 'copy')

@@ -280,7 +280,7 @@ WRONG_RELEASES = (
         ({'multi_sine.position.x.amplitude': [30.0]}, '245 m/s'))),
     *((THROWN, {**THROW, 'release': {**THROW['release'], **changes}}, named)
       for changes, named in WRONG_RELEASES)])
-def test_errors_leave_nothing_behind(tmp_path, parameters, content, named):
+def test_errors_leave_no_files(tmp_path, parameters, content, named):
     with pytest.raises(BellowsError, match=named):
         simulate_recording(parameters, content, tmp_path / 'bag')
     assert list(tmp_path.iterdir()) == []

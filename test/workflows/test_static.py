@@ -73,7 +73,7 @@ def test_mistakes_are_named(picked, truth, root):
         save_length(moving, 'nowhere.yaml')
 
 
-def test_rubber_that_creeps_is_said_to():
+def test_creep_of_rubber_is_reported():
     """And nothing where nothing creeps."""
     cup = Cup(simulated.CUP.stiffness, simulated.CUP.damping, simulated.CUP.length, (0.1, 0.25))
     tilts = simulated.standstills([(0.3, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.3, 0.0)], hold=4.0)

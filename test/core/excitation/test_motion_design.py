@@ -215,7 +215,7 @@ def test_small_loads_are_linear():
     assert_allclose(found, expected, rtol=0.1)  # the ramps add a little
 
 
-def test_small_motions_tell_what_the_linear_response_says():
+def test_small_motions_have_the_information_of_the_linear_response():
     rng = np.random.default_rng(8)
     c = 1e-4 * (rng.standard_normal((60, 6)) + 1j * rng.standard_normal((60, 6)))
     c *= np.array([1, 1, 1, 5, 5, 5]) / (1.0 + np.arange(60)[:, None] / 6.0)
@@ -229,7 +229,7 @@ def test_small_motions_tell_what_the_linear_response_says():
     assert_allclose(standard_errors(linear), whole / TRUTH, rtol=0.05)
 
 
-def test_motion_moves_as_it_says():
+def test_motion_agrees_with_its_derivatives():
     rng = np.random.default_rng(1)
     c = 0.01 * (rng.standard_normal((10, 6)) + 1j * rng.standard_normal((10, 6)))
     motion = FourierMotion(Pose(np.ones(3), exp_so3([0.1, 0.2, 0.3])), 5.0, c)
@@ -246,7 +246,7 @@ def test_a_start_outside_of_the_workspace_is_refused():
         limits_from(CONTENT | {'start': {'position': [9.0, 0.0, 0.0]}}, 1.5)
 
 
-def test_what_cannot_be_is_said():
+def test_impossible_values_are_reported():
     weak = (10.0, 0.03, 0.5)  # does not hold the package's weight
     with pytest.raises(BellowsError):
         motion_design._within(

@@ -194,7 +194,7 @@ def test_a_slip_and_a_tilt_are_sized():
     assert np.linalg.norm([float(x) for x in said.split(',')] - down) < 5e-3
 
 
-def test_a_package_that_jumps_has_slipped_whatever_else_explains():
+def test_a_jump_of_the_package_is_a_slip_even_with_other_causes():
     own = Laboratory(101, seconds=6.0).recording()
     poses, half = own.package_pose, len(own.package_pose) // 2
     way = 3e-3 * own.package_pose.rotation[:, :, 0] * (np.arange(len(poses)) >= half)[:, None]

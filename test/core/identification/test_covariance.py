@@ -172,7 +172,7 @@ def test_nothing_about_one_is_an_infinite_variance():
         np.linalg.inv(information[np.ix_(others, others)]), rtol=1e-6)
 
 
-def test_a_sum_that_is_known_does_not_tell_its_terms():
+def test_a_known_sum_does_not_determine_its_terms():
     """Know a + b and c: neither a nor b is identifiable."""
     rows = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
     covariance = covariance_of(rows.T @ rows)
@@ -180,5 +180,5 @@ def test_a_sum_that_is_known_does_not_tell_its_terms():
     assert_allclose(covariance[2, 2], 0.25)
 
 
-def test_nothing_known_at_all():
+def test_no_quantity_is_identifiable():
     assert np.all(np.isinf(np.diag(covariance_of(np.zeros((3, 3))))))

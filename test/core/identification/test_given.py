@@ -249,7 +249,7 @@ def test_what_would_be_off_by_many_standard_deviations_is_named(off, named):
 @pytest.mark.stress
 @pytest.mark.parametrize(('lip', 'seed', 'tool_hz', 'sensor'), [
     (True, 8, 100.0, QUIET), (False, 6, 500.0, {}), (True, 6, 500.0, {})])
-def test_poses_of_the_lip_are_told_from_those_of_the_com(lip, seed, tool_hz, sensor):
+def test_poses_of_the_lip_are_distinguished_from_poses_of_the_com(lip, seed, tool_hz, sensor):
     own = measured(seed, tool_hz=tool_hz, duration=8.0, **sensor)
     body, away = own.package, (1.0 if lip else -1.0) * PLATE.com
     wrong = replace(own, moves_with_com=(lip,) * 3, package=replace(
@@ -258,7 +258,7 @@ def test_poses_of_the_lip_are_told_from_those_of_the_com(lip, seed, tool_hz, sen
     assert (first.name, first.value) == ('recording.package_frame', 'com' if lip else 'lip')
 
 
-def test_k_is_known_no_better_than_the_mass():
+def test_k_has_at_least_the_relative_error_of_the_mass():
     own = measured(9, **QUIET)
     heavy = replace(own, payload=varied(PLATE, mass=0.02, inertia=0.02))
     found = output_error([heavy], AXISYMMETRIC, TRUTH, given={
@@ -321,7 +321,7 @@ def test_what_is_stated_wins_over_the_ordinary():
         SAID.replaced({'recording.package_world': '0 0 0 0 0 0 1'}))
 
 
-def test_what_is_given_of_half_a_package_is_nothing():
+def test_half_a_package_is_ignored():
     """Know no standard deviation of a package whose inertia is not given."""
     half = Values({name: value for name, value in SAID.items() if name != 'package.inertia'})
     assert not {'mass', 'com', 'inertia'} & set(given_std(half))

@@ -118,7 +118,7 @@ def test_standard_errors_are_those_of_repeated_noise(round_cup):
     assert_allclose(np.var(found, axis=0, ddof=1) / stated, 1.0, atol=0.6)
 
 
-def test_one_window_tells_no_standard_error(round_cup):
+def test_one_window_gives_no_standard_error(round_cup):
     short = replace(noisy(round_cup, np.random.default_rng(6)), window=0.1).select(slice(9))
     fit = simulated.least_squares([short], 0.0481, STRUCTURES['axisymmetric'])
     assert np.all(np.isinf(np.diag(fit.covariance)))
@@ -146,7 +146,7 @@ def test_too_few_samples(exact):
 
 
 @pytest.mark.parametrize('name', ['axisymmetric', 'diagonal', 'full'])
-def test_what_nothing_moves_is_not_identifiable(name):
+def test_parameters_without_motion_are_not_identifiable(name):
     """Shake a cup along x only: nothing turns about z."""
     cup = simulated.CUP
     samples = samples_of(simulated.record(simulated.shake(axes=(0,), duration=6.0)))
@@ -162,7 +162,7 @@ def test_what_nothing_moves_is_not_identifiable(name):
     assert not fit.usable
 
 
-def test_not_positive_definite_is_said_and_not_mended(exact):
+def test_indefinite_matrix_is_reported_and_not_changed(exact):
     cup, _, samples = exact
     upside_down = replace(samples, gravity=-GRAVITY, package=replace(
         samples.package, acceleration=-samples.package.acceleration))

@@ -101,7 +101,7 @@ def test_held_out_parameters_are_nearly_those_of_the_first_four_fifths():
     assert moved > 10.0 and held_out < 0.3 * moved
 
 
-def test_a_step_to_a_cup_shorter_than_nothing_is_rejected():
+def test_a_step_to_a_negative_cup_length_is_rejected():
     """Of poses 6 cm above the true ones, which a free length would explain."""
     own = measured(3, duration=6.0, package_hz=60.0)
     higher = replace(own.package, position=own.package.position + [0.0, 0.0, 0.06])
@@ -164,7 +164,7 @@ def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
     assert course.path is not first.path and course.start is part.start
 
 
-def test_a_simulation_that_diverges_explains_nothing():
+def test_a_diverging_simulation_has_no_cause():
     """As of a package on top of a soft cup: it seemed to leave less than any other setting."""
     upside_down = replace(measured(3, duration=2.0), gravity=-GRAVITY)
     near = approach(posed(upside_down, scaled(0.01)))
@@ -304,7 +304,7 @@ def test_the_path_is_smoothed_as_long_as_no_motion_is_lost(hz, seconds):
 
 
 @pytest.mark.parametrize('correlation', [0.0, 0.6])
-def test_means_of_the_tool_are_where_it_is_and_as_noisy_as_said(correlation):
+def test_means_of_the_tool_have_the_stated_noise(correlation):
     true = measured(5, tool_hz=500.0, silent=True).tool
     e = np.repeat(CAPTURE, 3) * correlated(
         np.random.default_rng(1).standard_normal((len(true), 6)), correlation)

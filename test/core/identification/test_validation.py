@@ -102,7 +102,7 @@ def test_one_step_errors_of_the_true_cup_are_white(judged):
     assert np.all(judged.one_step.whiteness.largest < 0.1)
 
 
-def test_a_wrong_cup_is_found_out(judged):
+def test_a_wrong_cup_is_rejected(judged):
     """See a cup that is too soft in bending, where it bends and in the colour of its errors."""
     soft = np.diag([1.0, 1, 1, 0.8, 0.8, 1])
     found = validate(Cup(CUP.stiffness @ soft, CUP.damping, CUP.length), recording())
@@ -133,7 +133,7 @@ def test_lost_package_poses_are_not_compared():
     assert found.scores.samples == np.count_nonzero(np.isfinite(found.measured[:, 0]))
 
 
-def test_a_long_gap_of_the_tool_is_said():
+def test_a_long_gap_of_the_tool_is_reported():
     """Go on through 0.3 s without tool poses, and say so; through a short one say nothing."""
     motion = tool_motion()
     for seconds, count in ((0.05, 0), (0.3, 1)):

@@ -91,7 +91,7 @@ def test_an_offset_is_found_without_noise(later):
 
 
 @pytest.mark.parametrize(('cup', 'structure'), [(simulated.CUP, 'full'), (SOFT, 'axisymmetric')])
-def test_with_noise_the_error_is_of_the_size_that_is_said(cup, structure):
+def test_error_under_noise_agrees_with_the_stated_size(cup, structure):
     recording = simulated.record(simulated.shake(seed=3), cup=cup, seed=5, later=0.0123, **NOISE)
     offset = found(recording, structure)
     assert offset.std < 1e-4

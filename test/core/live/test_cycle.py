@@ -114,7 +114,7 @@ def test_without_a_valve_the_camera_decides_at_rest(falls):
     cell.pick()
 
 
-def test_without_a_valve_motion_decides_if_nothing_is_seen():
+def test_without_valve_and_camera_the_motion_decides():
     for speed, state in ((-0.1, 'lost'), (0.0, 'released')):
         cell = Cell()
         cell.pick()
@@ -136,7 +136,7 @@ def test_a_lost_package_without_any_signal_is_found_again():
     assert cell.live.state in ('gripped', 'held')
 
 
-def test_vacuum_that_comes_back_in_time_changes_nothing():
+def test_short_loss_of_vacuum_has_no_effect():
     cycle = Cycle(True)
     cycle.on_vacuum(True, 1, False, 0)
     cycle.on_vacuum(False, 2, False, 100)

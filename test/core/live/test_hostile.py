@@ -95,7 +95,7 @@ def check(live, predictions):
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize('count', [25, pytest.param(400, marks=pytest.mark.stress)])
-def test_nothing_breaks_the_predictor_and_it_comes_back(count):
+def test_predictor_recovers_from_any_message(count):
     sent = []
 
     @given(sequences)

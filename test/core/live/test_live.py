@@ -64,7 +64,7 @@ def is_finite(prediction):
 
 @pytest.mark.parametrize(('order', 'burst'), [
     (('pose', 'twist'), 1), (('twist', 'pose'), 1), (('pose', 'twist'), 3)])
-def test_equals_the_simulation_whatever_comes_first(messages, predictor, order, burst):
+def test_equals_the_simulation_in_any_order_of_messages(messages, predictor, order, burst):
     out = []
     predictor.expect_twists(True)
     for k in range(0, len(messages) - 2, burst):
@@ -148,7 +148,7 @@ def test_what_an_observer_has_learned_outlasts_a_divergence(messages, predictor)
     assert np.abs(shifts[-1]).max() > 2e-4
 
 
-def test_pause_is_bridged_for_a_while_and_then_nothing_is_said(messages):
+def test_pause_is_bridged_up_to_the_limit(messages):
     live = LivePredictor(Cup.thesis(), PLATE, 9.81, coast_limit_ns=100_000_000)
     truth = simulate(Cup.thesis(), PLATE, messages.tool)
     arrivals = [stamp - START for stamp in messages.stamps]
@@ -175,7 +175,7 @@ def test_pause_is_bridged_for_a_while_and_then_nothing_is_said(messages):
     assert np.linalg.norm(back.position - truth.position[216]) < 5e-3
 
 
-def test_pauses_between_bursts_are_nothing_to_be_said():
+def test_pauses_between_bursts_are_not_reported():
     live = LivePredictor(Cup.thesis(), PLATE, 9.81)
     period, burst, said = 2_777_778, 33_333_333, []
     for k in range(720):

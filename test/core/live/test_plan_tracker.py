@@ -154,7 +154,7 @@ def test_the_future_is_the_plan_and_then_standing():
         assert_allclose(tool.rotation[-1], quaternion_to_rotation(np.array(truth[1])), atol=1e-3)
 
 
-def test_a_tool_beside_the_plan_comes_back_to_it_smoothly():
+def test_a_tool_off_the_plan_returns_smoothly():
     ahead, now = PlanTracker(MOVE.plan(250), T0), driven(0.4, off=(0.0, 0.0, 0.004))
     ahead.follow(now)
     rest = ahead.rest(now).trajectory()
@@ -184,7 +184,7 @@ def ahead_of_time(late=0.0, speed=1.0, pause=None):
 @pytest.mark.parametrize(('driven_as', 'stamped', 'every'), [
     ({}, False, 1), ({'late': 0.3}, True, 25), ({'speed': 0.5, 'late': 0.2}, False, 25),
     ({'pause': (0.35, 0.8)}, True, 1)])
-def test_the_package_is_where_it_was_said_to_be(driven_as, stamped, every):
+def test_the_package_agrees_with_the_prediction(driven_as, stamped, every):
     """
     Say it 0.1 s before: to 0.5 mm, where the tool goes on as it did for as long.
 

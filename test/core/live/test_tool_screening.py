@@ -57,7 +57,7 @@ SPEEDS = pytest.mark.parametrize('period_ns', [MS, 2 * MS, 8 * MS, 20 * MS])
     ('future_stamp', {'offset_ns': 25 * MS}),
     ('jump', {'position': (0.5, 0.0, 0.0)}),
 ])
-def test_one_bad_pose_costs_itself_only(reason, fault):
+def test_one_bad_pose_is_the_only_omitted_one(reason, fault):
     driver = Driver(speed=0.5)
     assert driver.send(1, **fault) == [reason]
     assert driver.send(100) == [GOOD] * 100
@@ -115,7 +115,7 @@ def test_poses_that_are_played_fast_lose_one_at_most():
 @SPEEDS
 @pytest.mark.parametrize(('count', 'now', 'restart'), [
     (300, {'frame': 'map'}, 'frame_changed'), (30, {'position': (3.0, 0.0, 0.0)}, 'moved')])
-def test_new_frame_or_place_is_believed_when_nothing_else_comes(period_ns, count, now, restart):
+def test_new_frame_or_place_is_accepted_if_no_other_message_comes(period_ns, count, now, restart):
     driver = Driver(period_ns=period_ns)
     verdicts = driver.send(count, **now)
     assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
@@ -123,7 +123,7 @@ def test_new_frame_or_place_is_believed_when_nothing_else_comes(period_ns, count
     assert driver.screen.frame.name == now.get('frame', 'base')
 
 
-def test_two_drivers_in_two_frames_never_mix():
+def test_poses_of_two_drivers_in_two_frames_are_not_mixed():
     driver = Driver(speed=0.5)
     for _ in range(300):
         assert driver.send(1) == [GOOD]
@@ -145,7 +145,7 @@ def test_tool_that_comes_to_rest_may_repeat_its_pose():
         o, v = o + v * PERIOD * 1e-9, max(0.0, v - 5.0 * PERIOD * 1e-9)
 
 
-def test_scattered_places_are_never_believed():
+def test_scattered_positions_are_rejected():
     driver = Driver()
     for k in range(50):
         assert driver.send(1, position=(3.0 + k % 7, 0.0, 0.0)) == ['jump']

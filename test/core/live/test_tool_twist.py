@@ -69,7 +69,7 @@ def test_seldom_twists_do_not_hold_up_the_poses():
 
 
 @pytest.mark.parametrize('ahead_ns', [0, 3_600_000 * MS, 450 * MS, 50 * MS])
-def test_one_twist_that_is_lost_or_from_the_future_blocks_nothing(ahead_ns):
+def test_a_lost_or_future_twist_does_not_block_poses(ahead_ns):
     pairing = Pairing()
     pairing.expect = True
     out = []

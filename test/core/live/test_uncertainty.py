@@ -164,7 +164,7 @@ def test_pose_covariance_is_turned_into_fixed_axes():
 @pytest.mark.parametrize(('damping', 'down'), [
     (np.full((6, 6), 10.0), (0.0, 0.0, 0.0, 1.0)),
     (np.diag([66.0, 66.0, 22.0, 0.0, 0.0, 0.0]), (0.0, math.sin(0.6), 0.0, math.cos(0.6)))])
-def test_a_covariance_is_positive_semidefinite_whatever_the_damping(damping, down):
+def test_a_covariance_is_positive_semidefinite_for_any_damping(damping, down):
     """In body and in world axes, in every sample, with a diagonal that is not negative."""
     soft = Cup(np.diag([900.0, 900.0, 900.0, 3.0, 3.0, 0.5]), damping, 0.05)
     live = LivePredictor(soft, PLATE, 9.81)

@@ -68,7 +68,7 @@ def test_poses_in_millimetres_are_named_at_once_and_never_ok(speed):
     assert live.refused['millimetres'] == 3000 and not any(oks)
 
 
-def test_measured_poses_in_millimetres_are_named_and_change_nothing():
+def test_measured_poses_in_millimetres_are_reported_and_ignored():
     live, twin = (LivePredictor.from_parameters({**VALUES, 'vacuum.signal': 'none'})
                   for _ in range(2))
     for k in range(500):

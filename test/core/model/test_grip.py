@@ -55,7 +55,7 @@ def test_at_the_slip_factor_friction_is_used_up(seed):
 
 
 @pytest.mark.parametrize(('peeled', 'above'), [(0.0, 0.111), (0.5, 0.333)])
-def test_slip_is_above_a_ring_with_coulomb_friction_by_what_is_said(peeled, above):
+def test_slip_factor_exceeds_a_coulomb_ring_by_the_stated_amount(peeled, above):
     angle = np.arange(0.0, 2.0 * np.pi, 0.01)
     pressure, x, y = 1.0 + peeled * np.cos(angle), np.cos(angle), np.sin(angle)
     most = 0.0
@@ -88,7 +88,7 @@ def test_the_grip_of_parameters():
     assert_allclose(grip_of(values), (60.0, 0.02, 0.5))
 
 
-def test_the_margin_is_the_smallest_of_all_and_says_when():
+def test_the_margin_is_the_smallest_factor_with_its_time():
     """As counted one by one, with a sample that is not known left out."""
     rows = np.array([[*safety_factors(GRIP, *wrench(k)), 0.0, 0.0] for k in range(50)])
     found = margin(GRIP, np.vstack([rows, np.full((1, 4), np.nan)]), 0.1 * np.arange(51))

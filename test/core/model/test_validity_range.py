@@ -148,7 +148,7 @@ def test_faster_motions_than_seen_are_beyond_and_slower_ones_are_not():
     assert validity_range.beyond(unknown, faster) == ()
 
 
-def test_standstills_widen_deflections_and_nothing_else():
+def test_standstills_widen_only_deflections():
     known = envelope(samples(), LENGTH)
     at = np.array([0])
     tool = Trajectory(at, np.zeros((1, 3)), np.eye(3)[None])

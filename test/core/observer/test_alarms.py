@@ -52,7 +52,7 @@ def test_cause_of_a_fault_is_named(kind, named, within):
         assert first.second != first.cause and first.odds > 1.0
 
 
-def test_mass_that_is_off_may_be_wear_and_the_alarm_says_both():
+def test_alarm_of_a_wrong_mass_names_payload_and_wear():
     """Give both sizes, near those that are true, and what would decide."""
     for seed in (1, 4):
         _, cell = first_of(seed, 'mass')

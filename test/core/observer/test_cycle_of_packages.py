@@ -104,7 +104,7 @@ class Later(Support):
         return stamp_ns > self.first_ns
 
 
-def test_contact_teaches_nothing_about_cup_and_package():
+def test_estimates_of_cup_and_package_do_not_change_in_contact():
     """Keep camera, cup and package while a support carries, and raise no alarm."""
     cell = Cell(3, 4.0, {'stiffness': 0.03}, 'slip', at=2.5, size=3.0)
     made, kept = cell.made, []

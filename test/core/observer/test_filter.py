@@ -145,7 +145,7 @@ def test_transition_without_a_cup_is_that_of_the_others():
 
 
 @pytest.mark.parametrize(('of_lip', 'sensor'), [(False, BODY), (True, BODY), (False, TAG)])
-def test_innovation_is_what_it_says(of_lip, sensor):
+def test_innovations_agree_with_their_covariance(of_lip, sensor):
     """Make of a small error in each row what its derivative says, by differences."""
     rng = np.random.default_rng(2)
     _, tool = tool_motion(rng, 0.3)

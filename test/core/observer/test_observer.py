@@ -68,7 +68,7 @@ def test_late_and_out_of_order_equals_in_order(late):
     assert made.counts == in_order.counts == {**made.counts, 'used': len(seen)}
 
 
-def test_nothing_seen_changes_nothing():
+def test_prediction_without_measured_poses_is_unchanged():
     """Predict bit for bit what the model alone does, observed or not, until something is seen."""
     stamps, tool, body, _ = scene(8, seconds=0.3)
     alone, watched = (LivePredictor(CUP, PACKAGE, 9.81, 'tool') for _ in range(2))
@@ -120,7 +120,7 @@ def test_posterior_is_far_below_the_noise_of_the_camera():
 
 @pytest.mark.parametrize('tool_noise', [(0.0, 0.0), (5e-4, 2e-3)])
 @pytest.mark.parametrize('runs', [20, pytest.param(100, marks=pytest.mark.stress)])
-def test_error_is_what_the_covariance_says(runs, tool_noise):
+def test_error_agrees_with_the_covariance(runs, tool_noise):
     """Keep the mean of many runs' normalised squared errors within its 95 % band."""
     total = []
     for seed in range(runs):

@@ -40,7 +40,7 @@ def refused(name, value):
 
 
 @pytest.mark.parametrize('parameter', PARAMETERS.values(), ids=lambda p: p.name)
-def test_every_parameter_says_what_it_is(parameter):
+def test_every_parameter_has_a_description(parameter):
     assert parameter.description.endswith('.')
     assert parameter.used_by and set(parameter.used_by) <= {'identifier', 'predictor'}
     assert parameter.constraint

@@ -157,7 +157,7 @@ def test_a_joint_that_mimics_another_moves_with_it():
 
 
 @pytest.mark.parametrize('kind', ['palletiser', 'gantry'])
-def test_an_arm_that_cannot_tilt_says_so(kind):
+def test_an_arm_that_cannot_tilt_is_reported(kind):
     """And what to use instead; a pose without a tilt that is out of reach is told otherwise."""
     urdf = PALLETISER.replace(' offset="0.1"', '')
     if kind == 'gantry':

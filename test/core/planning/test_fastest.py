@@ -95,7 +95,7 @@ def test_each_number_is_changed_in_its_place():
                 [1, 4, 4]), atol=1e-12)
 
 
-def test_an_entry_of_which_nothing_is_known_counts_whole():
+def test_an_unidentifiable_entry_has_full_weight():
     unknown = EXACT.replaced({'cup.stiffness_std': np.full(36, 1e9)})
     assert_allclose(parameter_std(unknown)[0], 5400.0)
     assert_allclose(parameter_std(unknown)[2], np.sqrt(5400.0 * 9200.0))

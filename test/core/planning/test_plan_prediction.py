@@ -115,7 +115,7 @@ def test_moment_of_the_rigid_load_is_that_of_the_move():
     assert figures['peak_moment'] > 1.3 * figures['rigid_peak_moment']
 
 
-def test_a_plan_at_rest_moves_nothing():
+def test_a_plan_at_rest_leaves_the_package_at_rest():
     found = PlanSimulation(MODEL, GRIP, Move([0, 0, 0], [0, 0, 0], 0.3).plan(100)).predict()
     assert_allclose(found.states, np.tile(found.states[0], (31, 1)), atol=1e-9)
     figures = found.summary()
@@ -131,7 +131,7 @@ def safety_of(cases):
     return np.array([run.predict().smallest_safety[0] for run in runs])
 
 
-def test_never_holds_what_lets_go():
+def test_safety_factor_is_below_one_at_a_loss():
     """The safety factor is that of an integrator that samples at 1 kHz."""
     rng = np.random.default_rng(5)
     cases = [random_case(rng) for _ in range(30)]
@@ -162,7 +162,7 @@ def test_a_thousand_random_plans():
 
 @pytest.mark.parametrize(('pull', 'rate'), [
     ([4.0, 0.0, 0.0], 0.0), ([1.0, -2.0, 0.5], 0.0), ([0.0, 0.0, 0.0], 3.0)])
-def test_a_plan_that_begins_in_steady_motion_goes_on_so(pull, rate):
+def test_a_plan_that_begins_in_steady_motion_continues_steadily(pull, rate):
     """Constant acceleration, or a turn at constant rate 0.4 m from its axis, keep the package."""
     t = np.arange(301) * 2e-3
     R = lie.exp_so3(np.outer(rate * t, [0.0, 0.0, 1.0]))

@@ -151,7 +151,7 @@ def test_modes_are_those_of_mass_and_spring():
         assert near.swing < 1e-6  # a slide does not drive them
 
 
-def test_modes_alike_are_one():
+def test_equal_modes_are_merged():
     modes = (3.0, 0.1, 0.1), (3.1, 0.2, 0.3), (5.0, 0.1, 0.001), (11.0, 0.4, 0.1)
     found = steering.to_shape([SwingMode(*mode) for mode in modes])
     assert_allclose(found, [(3.075, 0.175, 0.25), (11.0, 0.4, 0.1)])

@@ -99,7 +99,7 @@ def test_poses_of_two_worlds_are_of_no_other_convention(seed):
     assert not {'quaternion_order', 'millimetres'} & {code for code, _ in faults(tool, turned)}
 
 
-def test_streams_that_do_not_overlap_say_nothing():
+def test_streams_without_overlap_determine_no_roles():
     one, other = streams(*ALL[:1] * 2)
     later = replace(other, stamps_ns=other.stamps_ns + 10**12)
     assert not remarks(one, later)

@@ -250,7 +250,7 @@ def test_a_package_fixed_to_a_tool_that_tilts_little_is_seen(fixed, seed):
 
 @pytest.mark.parametrize('size', [-4.1, -0.3, -0.05, 0.05, 0.3, 4.1])
 @pytest.mark.parametrize('rate_hz', [30, 360])
-def test_a_clock_that_steps_is_told_from_delays(size, rate_hz):
+def test_a_clock_step_is_distinguished_from_delays(size, rate_hz):
     """Through delays of 2 ms, a stall of the recorder of 0.5 s, and clocks 200 ppm apart."""
     rng = np.random.default_rng(rate_hz)
     t = np.arange(0.0, 20.0, 1.0 / rate_hz)

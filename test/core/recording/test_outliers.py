@@ -54,7 +54,7 @@ def score(rng, shake, noise, metres, radians, samples, recordings=3, count=8):
 @pytest.mark.parametrize(('rate_hz', 'motion', 'noise'), [
     (100.0, WILD, NONE), (100.0, LIVELY, COARSE), (360.0, CALM, Noise(1e-5, 1e-5)),
     (360.0, WILD, LAB), (1000.0, LIVELY, LAB), (1000.0, WILD, COARSE)])
-def test_honest_motion_is_left_alone(rate_hz, motion, noise):
+def test_true_motion_is_not_omitted(rate_hz, motion, noise):
     """Up to 10 g at 5 Hz, even at 100 Hz, where neighbours differ by more than a jump would."""
     rng = np.random.default_rng(10)
     for _ in range(3):

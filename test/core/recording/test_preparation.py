@@ -195,7 +195,7 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     assert (jitters.code, jitters.numbers['topic']) == ('arrivals', '/tool')
 
 
-def test_poses_stamped_in_bursts_on_arrival_are_said_to_be():
+def test_poses_stamped_in_bursts_on_arrival_are_reported():
     tool, package = held(69, seconds=6.0)
     since = tool.stamps_ns - tool.stamps_ns[0]
     burst = since // 40_000_000
@@ -275,7 +275,7 @@ def test_stamps_of_a_slow_clock_are_counted_and_are_noise_in_motion(rate_hz, clo
     assert np.all(recording.body_noise[0].std > 0.8 * expected)
 
 
-def test_what_cannot_be_prepared_says_why():
+def test_unusable_recordings_get_a_reason():
     tool, package = held(70)
     later = replace(stream(package, '/package'), stamps_ns=package.stamps_ns + 60_000_000_000)
     with pytest.raises(BellowsError, match="'/tool'.*'/package'"):
@@ -299,7 +299,7 @@ def test_what_cannot_be_prepared_says_why():
 
 
 @pytest.mark.parametrize('at', [0, -1])
-def test_a_stray_pose_hours_away_costs_itself(at):
+def test_a_stray_pose_hours_away_is_the_only_omitted_one(at):
     tool, package = held(75)
     stamps = tool.stamps_ns.copy()
     stamps[at] += 3_600_000_000_000 if at else -3_600_000_000_000
@@ -381,7 +381,7 @@ def test_rounded_stamps_are_uniform_and_copied(rate_hz):
 
 
 @pytest.mark.parametrize('drift', [-0.05, -0.01, 0.003, 0.05])
-def test_a_clock_that_runs_wrong_changes_the_rate_and_nothing_else(drift):
+def test_a_wrong_clock_rate_changes_only_the_rate(drift):
     stamps = START + np.rint(np.arange(5000) * (1e9 / 360 * (1 + drift))).astype(np.int64)
     found = timing(np.delete(stamps, slice(1000, 1030)))
     assert_allclose(found.rate_hz, 360 / (1 + drift), rtol=1e-6)

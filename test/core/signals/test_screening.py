@@ -43,7 +43,7 @@ def live(stamps, arrivals):
 
 @pytest.mark.parametrize('ahead', [25 * MS, 100 * MS, 5 * S, 3600 * S])
 @pytest.mark.parametrize('at', [100, 1000, COUNT - 1])
-def test_one_stamp_ahead_costs_itself(at, ahead):
+def test_one_future_stamp_is_the_only_omitted_one(at, ahead):
     stamps, arrivals = sent()
     stamps[at] += ahead
     assert left_out(stamps, arrivals) == {'future_stamp': [at]}

@@ -67,7 +67,7 @@ def test_a_slower_link_is_interpolated_between_its_stamps():
         assert_allclose(four(pose), four(rail) @ four(fast[k * MS]), atol=0.02**3 / 100)
 
 
-def test_what_is_missing_is_said():
+def test_missing_parts_are_reported():
     chain = Chain('world', 'tool')
     assert "no transforms connect 'world' and 'tool'" in chain.missing
     chain.add('arm', 'tool', along_x(5 * MS, 0.0))
@@ -84,7 +84,7 @@ def test_what_is_missing_is_said():
     assert 'all transforms are static' in still.missing
 
 
-def test_a_frame_beside_the_way_changes_nothing():
+def test_a_frame_off_the_path_has_no_effect():
     chain, got = Chain('world', 'tool'), []
     for stamp in range(1, 4):
         chain.add('world', 'tool', along_x(stamp * MS, 0.0))

@@ -95,7 +95,7 @@ def test_aims_as_near_as_a_scan_of_all_times(case, target, turned):
         abs=1e-6)
 
 
-def test_refuses_to_aim_where_nothing_lands(case):
+def test_aim_without_a_landing_is_an_error(case):
     """The floor is above the package all the time."""
     with pytest.raises(BellowsError):
         landing.aim(case.held, case.release._replace(height=5.0), (1.0, 0.0))

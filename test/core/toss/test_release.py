@@ -38,7 +38,7 @@ def turned(rotation, state):
 
 @pytest.mark.parametrize('switched', [
     0.5, *(pytest.param(time, marks=pytest.mark.stress) for time in (0.25, 0.61))])
-def test_is_let_go_and_lands_where_an_independent_integrator_says(held, switched):
+def test_release_and_landing_agree_with_an_independent_integrator(held, switched):
     """The instant to 1 us, the place to 1 um, the rotation to 10 urad."""
     found = toss(held, RELEASE, switched)
     released, landed = tosses.integrate(
