@@ -8,9 +8,10 @@ masses, with the noise, drift and delay of an ATI Gamma or of a UR e-series; a p
 mm off its centre, its mass 10 % off and K 5 %; a gripper 2 % off, 1 % of gain errors
 by axis and 1 % of hysteresis. The camera has 30 Hz and white noise of 2 mm and 10 mrad. Errors of
 B are RMS in 8 s of pick-and-place motions, without the first 0.1 s. The second table counts losses
-and slips of 5 mm within 10 ms, with their delays, and false alarms before. The third has errors
-and alarms in the cycles with contact of `benchmarks.cycles`, with wrenches of 100 Hz, the noise of
-a UR e-series, which the parameters do not state, and 1 % of gain errors.
+and slips of 5 mm within 10 ms, with their delays, and false alarms before. The third has RMS
+errors of K and mass of recordings of 10 s by poses and wrenches, after an empty run; the last
+errors and alarms in the cycles with contact of `benchmarks.cycles`, with wrenches of 100 Hz, the
+noise of a UR e-series, which the parameters do not state, and 1 % of gain errors.
 """
 
 import argparse
@@ -21,7 +22,8 @@ from benchmarks.cycles import cell_of, CYCLES, Follower, PHASES
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from test.core.observer.wrench_run import predict, SENSORS, simulated, STEP_NS  # noqa: I100, I201
+from test.core.identification.felt import joint_fit  # noqa: I100, I201
+from test.core.observer.wrench_run import predict, SENSORS, simulated, STEP_NS
 
 BEGIN, WEIGHED, ONSET = 0.1, 3.0, 6.0
 """Times from which errors count, of the mass, and at which a fault begins, s."""
@@ -62,6 +64,15 @@ def faults(sensor: str, fault: str, count: int) -> str:
         others += sum(delay < 0.0 for _, delay in alarms)
     slowest = f'{np.median(delays):.0f} ms | {np.max(delays):.0f} ms' if delays else '- | -'
     return f'| {sensor} | {fault} | {len(delays)} of {count} | {slowest} | {others} |'
+
+
+def offline(sensor: str, count: int) -> str:
+    """Return errors of K and mass by poses and wrenches, after an empty run, in a table."""
+    runs: Any = np.array([joint_fit(seed, sensor)[1:] for seed in range(count)])
+    errors, std = runs.transpose(1, 0, 2)
+    return (f'| {sensor} | ' + ' | '.join(
+        f'{100 * x:.1f} %' for x in np.sqrt(np.mean(errors**2, axis=0)))
+        + f' | {100 * np.mean(np.abs(errors) < 2.0 * std):.0f} % |')
 
 
 class Feeler(Follower):
@@ -117,7 +128,7 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n')[1])
     parser.add_argument('--seeds', type=int, default=10)
-    parser.add_argument('--only', choices=['errors', 'faults', 'contact'])
+    parser.add_argument('--only', choices=['errors', 'faults', 'contact', 'offline'])
     options = parser.parse_args()
     if options.only in (None, 'errors'):
         print('| sensor | tool only | camera | wrench | both | largest both / camera '
@@ -131,6 +142,11 @@ def main() -> None:
         for sensor in SENSORS:
             for fault in ('lost', 'slip'):
                 print(faults(sensor, fault, options.seeds), flush=True)
+    if options.only in (None, 'offline'):
+        print('\n| sensor | K x | K z | K rx | K rz | mass | within 2 standard errors |')
+        print('|---|---|---|---|---|---|---|')
+        for sensor in SENSORS:
+            print(offline(sensor, options.seeds), flush=True)
     if options.only in (None, 'contact'):
         with_contact(options.seeds)
 

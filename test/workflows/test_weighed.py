@@ -4,15 +4,18 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, messages
 from bellows_ros.files.bag_writer import as_messages, write_bag
+from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.pressed import pressed_check, save_stiffness
 from bellows_ros.workflows.recordings import load, readings_of
 import numpy as np
 import pytest
 
-from ..core.identification import felt
+from ..core.identification import felt, test_pressed
 
 TOPICS = {'tool_pose': '/tool', 'package_pose': '/package', 'tool_wrench': '/wrench'}
 
@@ -67,3 +70,23 @@ def test_a_topic_of_another_type_is_named(cell):
     """Poses are no wrenches; the topic of wrenches is proposed."""
     with pytest.raises(BellowsError, match='topics.tool_wrench to one of: /wrench'):
         load(cell['bags'][0], resolve({**cell, 'topics.tool_wrench': '/tool'}))
+
+
+def test_a_pressed_cup_is_found_from_a_recording(cell, tmp_path):
+    """Poses at rest and their wrenches are means of standstills; K goes to a file."""
+    tool, shown, *_ = test_pressed.pressed(2)
+    poses = [Pose(*each) for each in zip(tool.position, tool.rotation, strict=True)]
+    motion = Waypoints(poses[0], 1.0, tuple(
+        MoveAndHold(pose, 0.5, 1.0) for pose in poses[1:])).at_rate(100.0, 1_000_000_000)
+    places = np.minimum((motion.seconds / 1.5).astype(int), len(poses) - 1)
+    write_bag(tmp_path / 'pressed', [
+        as_messages('/tool', messages.POSE, motion.stamps_ns, np.hstack([
+            motion.position, lie.rotation_to_quaternion(motion.rotation)])),
+        as_messages('/wrench', messages.WRENCH, motion.stamps_ns, shown[places], 'sensor')])
+    result = pressed_check([str(tmp_path / 'pressed')], {
+        **cell, 'fit.structure': 'axisymmetric', 'wrench.delay': 0.0})
+    save_stiffness(result, tmp_path / 'cup.yaml')
+    K = np.diag(np.reshape(read_parameters(tmp_path / 'cup.yaml')['cup.stiffness'], (6, 6)))
+    off = K - np.diag(felt.CUP.stiffness)
+    assert len(poses) - 1 <= result.cup.standstills <= len(poses)
+    assert np.all(np.abs(off) < 3.0 * np.diag(result.cup.stiffness_std))

@@ -21,7 +21,7 @@ from bellows_ros.core.sensors.wrench import (
     write_gripper_regressor,
 )
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import UndeterminedError
+from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -75,6 +75,8 @@ def pressed_cup(
     ------
     UndeterminedError
         With too few standstills, or if they do not determine K.
+    UnexplainedError
+        If K is not positive definite.
 
     """
     size, count = structure.size, len(tool)
@@ -122,6 +124,10 @@ def pressed_cup(
             f'The standstills do not determine {worst}. Hold poses shifted along x, y and z by '
             'some millimetres, and tilted and turned by some degrees.')
     K, _ = structure.matrices(np.tile(units * x[:size], 2))
+    if (smallest := float(np.linalg.eigvalsh(K)[0])) <= 0.0:
+        raise UnexplainedError(
+            f'K of these wrenches is not positive definite, its smallest eigenvalue is '
+            f'{smallest:.3g}. Check wrench.sign and wrench.frame.')
     return PressedCup(K, structure.spread(np.tile(units * std, 2))[0], count, rms)
 
 

@@ -3,12 +3,15 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.identification import weighing
+from bellows_ros.core.identification.methods import fitted
+from bellows_ros.core.model.cup_package import Cup, gravity_vector, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
+from bellows_ros.workflows.gripper import gripper_of, prepared_tool
 from bellows_ros.workflows.recordings import readings_of
 import numpy as np
 
@@ -21,6 +24,8 @@ CUP = Cup(
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.0, 0.0, -0.03))
 T_TOOL_SENSOR = lie.transform(np.eye(3), [0.0, 0.0, 0.1])
 GRIPPER = wrench_cell.points_of(0.6, np.array([2e-3, -3e-3, -0.05]), np.diag([1e-3, 1.2e-3, 6e-4]))
+PLACES = [0, 2, 3, 5]
+"""Entries x, z, rx and rz of K."""
 SENSORS = {'ATI': wrench_cell.ATI, 'UR': wrench_cell.UR}
 
 
@@ -77,3 +82,28 @@ def recorded(seed, sensor, seconds=10.0, cup=CUP, package=PACKAGE, values=None):
     recording = prepare(*poses, PrepareSettings(payload=PACKAGE, gravity=GRAVITY))
     return replace(recording, felt=readings_of(
         wrenches, recording.aligned_tool, 'world', np.eye(3), values or settings(sensor)))
+
+
+def empty_run(seed, sensor, values):
+    """Return the information and slope of 10 s with the empty gripper."""
+    pose, wrenches = streams(seed, sensor, package=None)
+    return weighing.information_on_gripper(*prepared_tool(
+        {'tool_pose': pose, 'tool_wrench': wrenches}, values), gravity_vector(9.81))
+
+
+def joint_fit(seed, sensor, seconds=10.0):
+    """Return a fit with an empty run, the errors of K and mass, and their standard errors."""
+    rng = np.random.default_rng([seed, 3])
+    stiffer, heavier = 1.0 + np.array([0.05, 0.1]) * rng.choice([-1.0, 1.0], 2)
+    cup = Cup(stiffer * CUP.stiffness, CUP.damping, CUP.length)
+    package = Package(
+        heavier * PACKAGE.mass, heavier * PACKAGE.inertia, PACKAGE.com)
+    values = settings(sensor, **{
+        'package.inertia_std': [*0.1 * np.diag(PACKAGE.inertia), 0.0, 0.0, 0.0]})
+    values = values.replaced(gripper_of(*empty_run(seed, sensor, values)))
+    fit = fitted([recorded(seed, sensor, seconds, cup, package, values=values)], values)
+    true, (mass,) = np.diag(cup.stiffness)[PLACES], fit.freed
+    return fit, np.append(
+        np.diag(fit.stiffness)[PLACES] / true - 1.0,
+        mass.change[0] + np.log(PACKAGE.mass / package.mass)), np.append(
+        np.diag(fit.stiffness_std)[PLACES] / true, mass.std[0])

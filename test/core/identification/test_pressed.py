@@ -9,7 +9,7 @@ from bellows_ros.core.model.structure import STRUCTURES, THESIS_STIFFNESS
 from bellows_ros.core.parameters.conversion import wrench_sensor_of
 from bellows_ros.core.sensors.wrench import cup_load
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import UndeterminedError
+from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 import pytest
 
@@ -45,9 +45,10 @@ def pressed(seed, count=30):
     return tool, gains * (np.array(shown) + noise), sensor, gripper_std(values, sensor)
 
 
-def found(seed, count=30):
+def found(seed, count=30, sign=1.0):
     """Return K of a pressed cup."""
-    return pressed_cup(*pressed(seed, count), STRUCTURES['axisymmetric'],
+    tool, shown, *sensor = pressed(seed, count)
+    return pressed_cup(tool, sign * shown, *sensor, STRUCTURES['axisymmetric'],
                        np.diag(THESIS_STIFFNESS), felt.CUP.length, 9.81)
 
 
@@ -61,7 +62,9 @@ def test_stiffness_is_within_two_standard_errors_in_nine_of_ten():
     assert np.all(np.sqrt(np.mean(errors**2, axis=0)) < 0.03)
 
 
-def test_few_standstills_are_refused():
-    """And what to add is said."""
+def test_few_standstills_and_a_wrong_sign_are_refused():
+    """And the remedy is said."""
+    with pytest.raises(UnexplainedError, match='wrench.sign'):
+        found(0, sign=-1.0)
     with pytest.raises(UndeterminedError, match='Hold more poses'):
         found(0, 5)

@@ -1,33 +1,22 @@
 """A force-torque sensor in the fit, with errors of its gains and hysteresis, and an empty run."""
 
-from bellows_ros.core.identification import weighing
-from bellows_ros.core.identification.methods import fitted
-from bellows_ros.core.model.cup_package import Cup, gravity_vector, Package
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.gripper import gripper_of, prepared_tool
+from bellows_ros.workflows.gripper import gripper_of
 import numpy as np
 import pytest
 
 from . import felt
 from ..sensors import wrench_cell
 
-PLACES = [0, 2, 3, 5]
 LARGEST = np.array([0.06, 0.03, 0.03, 0.03])  # of K x, z, rx, rz
 SEEDS = 20
-
-
-def empty_run(seed, sensor, values):
-    """Return the information and slope of 10 s with the empty gripper."""
-    pose, wrenches = felt.streams(seed, sensor, package=None)
-    return weighing.information_on_gripper(*prepared_tool(
-        {'tool_pose': pose, 'tool_wrench': wrenches}, values), gravity_vector(9.81))
 
 
 @pytest.mark.parametrize('sensor', felt.SENSORS)
 def test_an_empty_run_gives_the_gripper(sensor):
     """Mass and first moments are within three of their standard deviations, the mass to 1.5 %."""
     values = felt.settings(sensor)
-    found = gripper_of(*empty_run(3, sensor, values))
+    found = gripper_of(*felt.empty_run(3, sensor, values))
     mass, com, _ = wrench_cell.numbers_of(*felt.GRIPPER)
     std = np.array(found['gripper.std'])
     assert abs(found['gripper.mass'] / mass - 1.0) < min(3.0 * np.hypot(std[0], 0.01), 0.015)
@@ -35,30 +24,12 @@ def test_an_empty_run_gives_the_gripper(sensor):
     assert np.linalg.norm(found['gripper.com'] - com) / size < 3.0 * np.hypot(std[1], 0.01)
     opposite = values.replaced({'wrench.sign': 'reaction'})
     with pytest.raises(BellowsError, match='wrench.sign'):
-        gripper_of(*empty_run(3, sensor, opposite))
-
-
-def joint_fit(seed, sensor, seconds=10.0):
-    """Return a fit with an empty run, the errors of K and mass, and their standard errors."""
-    rng = np.random.default_rng([seed, 3])
-    stiffer, heavier = 1.0 + np.array([0.05, 0.1]) * rng.choice([-1.0, 1.0], 2)
-    cup = Cup(stiffer * felt.CUP.stiffness, felt.CUP.damping, felt.CUP.length)
-    package = Package(
-        heavier * felt.PACKAGE.mass, heavier * felt.PACKAGE.inertia, felt.PACKAGE.com)
-    values = felt.settings(sensor, **{
-        'package.inertia_std': [*0.1 * np.diag(felt.PACKAGE.inertia), 0.0, 0.0, 0.0]})
-    values = values.replaced(gripper_of(*empty_run(seed, sensor, values)))
-    fit = fitted([felt.recorded(seed, sensor, seconds, cup, package, values=values)], values)
-    true, (mass,) = np.diag(cup.stiffness)[PLACES], fit.freed
-    return fit, np.append(
-        np.diag(fit.stiffness)[PLACES] / true - 1.0,
-        mass.change[0] + np.log(felt.PACKAGE.mass / package.mass)), np.append(
-        np.diag(fit.stiffness_std)[PLACES] / true, mass.std[0])
+        gripper_of(*felt.empty_run(3, sensor, opposite))
 
 
 def test_wrenches_give_the_mass_and_poses_the_rest():
     """With a mass 10 % off, it is found to 2 %, and K with it, within three standard errors."""
-    fit, errors, std = joint_fit(0, 'ATI', 6.0)
+    fit, errors, std = felt.joint_fit(0, 'ATI', 6.0)
     assert fit.converged and np.all(np.abs(errors) < 3.0 * std)
     assert abs(errors[-1]) < 0.02 and std[-1] < 0.015
 
@@ -67,7 +38,7 @@ def test_wrenches_give_the_mass_and_poses_the_rest():
 @pytest.mark.parametrize('sensor', felt.SENSORS)
 def test_truth_is_within_two_standard_errors(sensor):
     """In 90 % of 20 recordings, of each number; the median error is below what a user needs."""
-    runs = [joint_fit(seed, sensor)[1:] for seed in range(SEEDS)]
+    runs = [felt.joint_fit(seed, sensor)[1:] for seed in range(SEEDS)]
     errors, std = np.array(runs).transpose(1, 0, 2)
     assert np.all(np.mean(np.abs(errors) < 2.0 * std, axis=0) >= 0.85)
     assert np.mean(np.abs(errors) < 2.0 * std) >= 0.9
