@@ -22,7 +22,7 @@ from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.commission import Check, checks_of
 from bellows_ros.core.recording.faults import pose_remarks
 from bellows_ros.core.recording.outliers import find_outliers
-from bellows_ros.core.recording.pose_faults import Poses, twist_errors, TWIST_TOLERANCE
+from bellows_ros.core.recording.pose_faults import noise_of, Poses, twist_errors, TWIST_TOLERANCE
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import (
     NS_PER_S,
@@ -300,9 +300,11 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
         time = timing(stream.stamps_ns)
         outliers = find_outliers(stream.trajectory(), time.longest_step_ns)
         moved, turned = (part[outliers.good] for part in (stream.position, stream.rotation))
+        noise = noise_of(stream.trajectory()).tolist()
         quality |= {
             'outliers': int(np.count_nonzero(~outliers.good)),
-            'noise': {name: x.tolist() for name, x in outliers.noise.items()},
+            'noise': {'position': noise[:3], 'rotation': noise[3:]} if np.isfinite(
+                noise).all() else {},
             'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
                 ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
                 if len(x)},

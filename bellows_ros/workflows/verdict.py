@@ -230,14 +230,16 @@ class FitVerdict(NamedTuple):
         if first.certain:
             return (finding_sentence(first, self.given),)
         likely = [each for each in self.causing if each.name != 'unknown']
-        is_refused = bool(self.refusals) or not self.simulated
-        if self.is_at_noise or not (is_refused or likely and likely[0].share >= causes.DISTINCT):
+        is_sound = self.is_at_noise or self.simulated and not self.refusals and not (
+            likely and likely[0].share >= causes.DISTINCT or any(
+                (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated))
+        if is_sound:
             return ()
         listed = ' '.join(f'{number}. {finding_sentence(each, self.given)}'
                           for number, each in enumerate(likely, 1))
+        unknown = finding_sentence(first, self.given) if first.name == 'unknown' else ''
         return tuple(filter(None, (
-            finding_sentence(first, self.given) if first.name == 'unknown' and is_refused else '',
-            self.sensor, f'Likeliest, but not certain: {listed}' if likely else '')))
+            self.sensor or unknown, f'Likeliest, but not certain: {listed}' if likely else '')))
 
     @property
     def refusals(self) -> tuple[str, ...]:

@@ -13,7 +13,6 @@ rotation vectors (rad) have the same treatment.
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import sqrt
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
@@ -22,9 +21,6 @@ from bellows_ros.core.geometry.pose_distance import pose_distances
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 import numpy as np
 from scipy.ndimage import find_objects, label, median_filter
-
-QUANTITIES = ('position', 'rotation')
-"""Names of the two quantities of a pose."""
 
 THRESHOLD_FACTOR = 4.5
 """Ratio of threshold and local median; the largest of 2 million samples of white noise is 4.0
@@ -38,10 +34,6 @@ MEDIAN_SAMPLES = 51
 
 MIN_SAMPLES = 30
 """Number of jumps below which no outlier can be detected."""
-
-MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
-"""Median of the jump along an axis per standard deviation of white noise: 0.6745 of a normal
-distribution, times the norm of (1, -3, 3, -1) / 2."""
 
 MAX_EXCURSION = 2.0
 """Longest excursion, s."""
@@ -93,16 +85,12 @@ class Outliers:
         Jumps without a return.
     excursions : int
         Number of excursions.
-    noise : dict of str to array (3,)
-        Standard deviation of white noise per axis, 'position' in m in the world and 'rotation' in
-        rad in body axes; fast motion without noise increases it.
 
     """
 
     good: Mask
     steps: tuple[LastingStep, ...]
     excursions: int
-    noise: dict[str, Array]
 
 
 class _Jumps(NamedTuple):
@@ -110,7 +98,6 @@ class _Jumps(NamedTuple):
 
     size: Array  # (2, M, 3) position in the world, rotation in body axes
     threshold: Array
-    typical: Array  # (2, 3)
     steps: Array  # (M,) duration in periods, at least 1; acceleration grows with its square
 
     @property
@@ -142,7 +129,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     _exclude(usable, _frozen(poses))
     moving = np.flatnonzero(usable)
     if len(moving) < 2 * MIN_RUN:
-        return Outliers(usable, (), 0, dict.fromkeys(QUANTITIES, np.zeros(3)))
+        return Outliers(usable, (), 0)
     poses = poses.select(moving)
     jumps = _jumps(poses)
     excursions, steps = _paired(poses, jumps)
@@ -152,14 +139,14 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     usable[moving] = good
     return Outliers(
         usable, tuple(step._replace(before=int(moving[step.before])) for step in steps),
-        len(excursions), dict(zip(QUANTITIES, jumps.typical / MEDIAN_PER_DEVIATION, strict=True)))
+        len(excursions))
 
 
 def find_repeats(poses: Trajectory) -> Outliers:
     """Find the frozen poses of a tag; its other errors are weighted in the fit."""
     good = np.full(len(poses), True)
     _exclude(good, _frozen(poses))
-    return Outliers(good, (), 0, dict.fromkeys(QUANTITIES, np.zeros(3)))
+    return Outliers(good, (), 0)
 
 
 def _jumps(poses: Trajectory) -> _Jumps:
@@ -183,7 +170,7 @@ def _jumps(poses: Trajectory) -> _Jumps:
     middle = 0.5 * (start + end)
     surroundings = np.array([_surroundings(np.linalg.norm(part, axis=1)) for part in middle])
     return _Jumps(size, np.maximum(THRESHOLD_FACTOR * surroundings, MIN_JUMP[:, None]),
-                  np.median(np.abs(middle), axis=1), np.maximum(steps / period, 1.0))
+                  np.maximum(steps / period, 1.0))
 
 
 def _cancel_half_turns(rotation: Array) -> None:
