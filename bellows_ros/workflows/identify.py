@@ -166,6 +166,8 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     yield ({*free} - {'length', 'package_marker', 'clock_rate', 'scale'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')
+    yield (values.topics.tool_wrench and values.fit.method == 'least_squares',
+           "topics.tool_wrench needs fit.method: output_error. Set it, or topics.tool_wrench: ''.")
     yield ('length' in free and values.static.length,
            f'{names}static.length estimates the length from standstills. Use one of the two.')
     bags, validation = values.bags, values.validation.bags

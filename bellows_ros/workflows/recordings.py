@@ -79,7 +79,8 @@ def load(
     with_digest : bool
         Whether the digests of its files are computed.
     held : bool
-        Whether only the holds are used, if vacuum.signal is set.
+        Whether it is for a fit: only the holds are used, if vacuum.signal is set, and wrenches are
+        read.
     accepted : str
         Code of a fault that is accepted.
 
@@ -90,7 +91,7 @@ def load(
 
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
-    roles = ('tool_pose', 'package_pose', 'tool_twist', 'tool_wrench')
+    roles = ('tool_pose', 'package_pose', 'tool_twist', *('tool_wrench',) * held)
     topics = {role: values[f'topics.{role}'] for role in roles}
     if values.measured.type == 'tf':
         topics['package_pose'] = detections.TF_TOPIC

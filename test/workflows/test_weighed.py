@@ -54,7 +54,7 @@ def test_identify_weighs_the_package(cell):
 def test_wrenches_in_axes_of_the_world_are_turned(cell):
     """A message with the frame of the tool's poses gives the same readings."""
     values = resolve(cell)
-    recording = load(cell['bags'][0], values)
+    recording = load(cell['bags'][0], values, held=True)
     stream = bags.read_streams(cell['bags'][0], {'tool_wrench': '/wrench'})['tool_wrench']
     tool = recording.aligned_tool
     inside = stream.stamps_ns <= tool.stamps_ns[-1]
@@ -69,7 +69,7 @@ def test_wrenches_in_axes_of_the_world_are_turned(cell):
 def test_a_topic_of_another_type_is_named(cell):
     """Poses are no wrenches; the topic of wrenches is proposed."""
     with pytest.raises(BellowsError, match='topics.tool_wrench to one of: /wrench'):
-        load(cell['bags'][0], resolve({**cell, 'topics.tool_wrench': '/tool'}))
+        load(cell['bags'][0], resolve({**cell, 'topics.tool_wrench': '/tool'}), held=True)
 
 
 def test_a_pressed_cup_is_found_from_a_recording(cell, tmp_path):
