@@ -184,6 +184,7 @@ def deadly(number):
     return number
 
 
+@pytest.mark.stress
 def test_a_recording_that_kills_its_worker_is_left_out():
     pytest.importorskip('distributed', reason='extra dask')
     with workers.processes(2) as pool:

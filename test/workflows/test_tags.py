@@ -106,6 +106,7 @@ def test_a_rolling_shutter_widens_the_errors_that_are_stated(motion, tmp_path):
     assert np.all(np.abs(error) < np.minimum(3.0 * std, 0.03)) and std.max() < 0.06
 
 
+@pytest.mark.stress
 def test_a_half_hidden_tag_is_seen_less_often_and_sometimes_wrongly(motion, tmp_path):
     """Hidden in a third of the time, and with a wrong edge in three views of a hundred."""
     times, pixels = images(motion[1])

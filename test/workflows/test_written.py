@@ -21,7 +21,9 @@ def bag(root, true_cup, tmp_path_factory):
 
 
 @pytest.mark.parametrize(('changes', 'has_cell'), [
-    ({}, True), ({'package.com': [1e-3, -5e-4, -0.0315], 'cup.length': 0.0465}, True),
+    ({}, True), pytest.param(
+        {'package.com': [1e-3, -5e-4, -0.0315], 'cup.length': 0.0465}, True,
+        marks=pytest.mark.stress),
     ({'fit.free': ['length'], 'cup.length': 0.0475}, True),
     ({'fit.free': ['time_offset', 'package_marker']}, True),
     ({'fit.method': 'least_squares'}, False)],

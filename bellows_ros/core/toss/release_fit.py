@@ -337,10 +337,12 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     closed[[0, 1]] = (max(fall - 0.02, 1e-3), 0.01) if has_grip else (fall, 0.0)
     closed[3:] = 0.0
     best = _fitted(subset, closed, (0, 1, 2) if has_grip else (0, 2))
-    opened = min((_fitted(subset, start, OPENING) for start in _openings(subset, fall)),
-                 key=lambda fit: fit.position)
-    if opened.position**2 < MAX_SQUARES_RATIO * best.position**2:
-        best = opened
+    noise = max(drop.noise[0] for drop in subset)
+    if MAX_SQUARES_RATIO * best.position**2 > noise**2:  # otherwise no law leaves so much less
+        opened = min((_fitted(subset, start, OPENING) for start in _openings(subset, fall)),
+                     key=lambda fit: fit.position)
+        if opened.position**2 < MAX_SQUARES_RATIO * best.position**2:
+            best = opened
     if len(subset) < len(drops):
         best = _fitted(drops, np.array(best.law), best.free)
     if best.explains:
