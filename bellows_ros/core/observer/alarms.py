@@ -60,7 +60,7 @@ class Alarm(NamedTuple):
     """Size of the most significant part, m, m/s, s or relative."""
     std: float
     second: str
-    """Second likeliest cause; 'disturbance' for one without a signature."""
+    """Second likeliest cause; 'disturbance' for a cause without a signature."""
     odds: float
     """Odds of the cause against the second cause, at most `MAX_ODDS`."""
     parts: Sizes = ()
@@ -145,7 +145,7 @@ class Alarms:
         return none
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:
-        """Return the stamps (ns) since half the threshold, with one more measurement."""
+        """Return the stamps (ns) since half the threshold, including another measurement."""
         return (*before, stamp_ns) if total > 0.5 * self._threshold else ()
 
     def is_likely(self, total: float, lead: float) -> bool:
@@ -226,7 +226,7 @@ class Alarms:
             stamp_ns, 'cup', 1.0, 0.0, 'leak', VACUUM_ODDS, shown_by='vacuum'))
 
     def fallen(self, stamp_ns: int, ratio: float) -> Alarm | None:
-        """Return the alarm on a fall near a support by its log-likelihood ratio, if any."""
+        """Return the alarm for a fall near a support, by the log-likelihood ratio of the fall."""
         odds = math.exp(min(ratio - self._threshold, CLEAR_LEAD))
         return Alarm(stamp_ns, 'lost', 1.0, 0.0, 'disturbance', odds) if odds > 1.0 else None
 
@@ -235,11 +235,11 @@ class Alarms:
         stamp_ns: int, is_held: bool | None, is_seen: bool = True, reach: float = 0.0
     ) -> Alarm:
         """
-        Return the alarm on poses out of reach (m), if seen, and on the vacuum, if known.
+        Return the alarm for poses out of reach (m) and for the vacuum, as far as both are known.
 
         The odds of a lost package against a camera that sees another object, or against a leak,
-        are the ratio of their shares, times `OUT_OF_REACH_ODDS` for the poses, times or divided by
-        `VACUUM_ODDS`.
+        are the ratio of prior shares, times `OUT_OF_REACH_ODDS` for poses out of reach, and times
+        `VACUUM_ODDS` for a broken vacuum (divided for a holding vacuum).
         """
         lost, second = NAMED['lost'], NAMED['camera' if is_seen else 'leak']
         odds = lost.share / second.share * (OUT_OF_REACH_ODDS if is_seen else 1.0)

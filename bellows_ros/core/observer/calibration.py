@@ -1,4 +1,4 @@
-"""Calibration of the measurement model on sound work, and the resulting rate of false alarms."""
+"""Calibration of the measurement model on work without faults, and the rate of false alarms."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ INITIAL_FACTOR = 3.0
 """Factor of the initial standard deviations, so that poses stay within the gate."""
 
 RATE_FACTOR = 100.0
-"""Factor of the allowed rate in counting, as false alarms at the allowed rate are too rare."""
+"""Factor of the allowed rate for counting, because alarms at the allowed rate are too rare."""
 
 WORK_FOLDS = 2
 """Number of parts of the poses for cross-validation."""
@@ -137,7 +137,7 @@ class ModelCalibration:
 
 def calibrated(run: Run, values: Values, seconds: float) -> ModelCalibration:
     """
-    Fit the measurement model to sound work, and count false alarms by cross-validation.
+    Fit the measurement model to work without faults; count false alarms by cross-validation.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Estimates of a held package: propagated with the tool, corrected, tested for faults."""
+"""Estimates of a held package: propagation with the tool, correction, test for faults."""
 
 from __future__ import annotations
 
@@ -49,13 +49,12 @@ RESTART_NS = 100_000_000
 
 NONLINEAR_LATENCY = 5e-3
 """
-Latency (s) above which poses are read earlier than their stamps. With an equally uncertain and
-equally changing latency the filter is nonlinear: the change is as uncertain as it is large, and
-the evidence of faults is reset.
+Latency (s) above which poses are applied before their stamps. A change of such a latency makes the
+filter nonlinear; the evidence of faults is then reset.
 """
 
 LARGEST_LOAD = 5.0
-"""Largest load of a holding cup, in weights, whose displacement adds to the cup's length."""
+"""Largest load of a holding cup, in weights, for the largest plausible displacement of its lip."""
 
 MAX_DEVIATION = 3.0
 """Largest deviation of a cup from its parameters without an alarm, standard deviations."""
@@ -70,13 +69,13 @@ TILT = 0.01
 """Rotation by which a support turns a lowered package flat, rad."""
 
 SLIDING = 0.03
-"""Force of a support against sliding, relative to the weight."""
+"""Friction force of a support, relative to the weight."""
 
 FLAT = 0.98
 """Smallest cosine between the cup's axis and gravity of a package that is turned flat."""
 
 CONTACT_EVIDENCE = 2.0
-"""Log-likelihood ratio from which a contact is assumed, 7 to 1: a descent makes it likely."""
+"""Log-likelihood ratio from which a contact is assumed; the odds are 7 to 1."""
 
 MODEL_ERROR_SHARE = 3e-4
 """Initial variance of the model error, relative to the variance of the lip's displacement."""
@@ -95,15 +94,15 @@ TOOL_LATENCY = 5e-3
 """Largest delay of the tool's poses, s."""
 
 HANGING_SAMPLES = 100
-"""Number of tool samples of a package that hangs: their noise is white from sample to sample."""
+"""Number of tool samples whose white noise is averaged for a hanging package."""
 
 FIRST_PERIOD = 0.03
 """Initial time between measurements, s."""
 
 FIRST_SQUARES = 100.0
 """
-Initial sum of squares of the noise, as after 33 measurements: with fewer, an initially wrong
-payload would appear as noise with a long memory.
+Initial sum of squares of the noise, as after 33 measurements. With a smaller sum, an initially
+wrong payload would appear as noise with a long memory.
 """
 
 WRENCHES = slice(states.WRENCH, states.WRENCH + 6)
@@ -156,7 +155,7 @@ def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
 
 
 class Known(NamedTuple):
-    """Estimates kept beyond a package or a motion."""
+    """Estimates that are kept for the next package or motion."""
 
     theta: Array
     """Rows of the error from `MASS` on (n - 12,)."""
@@ -273,7 +272,7 @@ class Correction:
 
     def _by_support(self, body: State) -> Array:
         """
-        Return the variances (6,) of a support's wrench on a package, in lip axes, N^2 and N^2 m^2.
+        Return the variances (6,) of a support's wrench on a package, lip axes, N^2 and N^2 m^2.
 
         The force is up to the weight along the normal, against gravity, and less across. Its
         moment, which the stiffness of the cup balances, turns the package flat.
@@ -442,9 +441,10 @@ class Correction:
 
     def met(self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool) -> Estimate:
         """
-        Return an estimate of a package that a stop of the tool puts on a support, or does not.
+        Return an estimate after a stop of the tool, which may put the package on a support.
 
-        Both are equally likely: the estimate has their mean and variance.
+        A support and no support are equally likely; the estimate has the mean and the variance of
+        both cases.
         """
         after = self._step(before, track, stamp_ns, is_recorded, support=NEAR)[1]
         if before.support == CONTACT:
@@ -494,7 +494,7 @@ class Correction:
             t3.rotation_matrix(estimate.body[1]), (force[0], force[1], force[2])))
 
     def _flat(self, estimate: Estimate) -> Estimate:
-        """Return an estimate of a package that a support turns flat, as it was gripped."""
+        """Return an estimate of a package that a support rotates back to its pose at the grip."""
         gravity = self.nominal[2]
         x, y, z = t3.apply_transposed(t3.rotation_matrix(estimate.body[1]), gravity)
         if -z < FLAT * t3.norm(gravity):
@@ -505,14 +505,14 @@ class Correction:
         return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
     def excess(self, estimate: Estimate, rows: Any) -> Array:
-        """Return the excess of an estimate's deviations over those allowed by the parameters."""
+        """Return the deviations of an estimate beyond the deviations allowed by the parameters."""
         std = np.sqrt(estimate.covariance[rows, rows])
         excess: Array = np.abs(estimate.theta[rows - STATE]) - MAX_DEVIATION * (
             self.prior[rows] + std)
         return excess
 
     def _may_be_fault(self, estimate: Estimate, likeliest: Likeliest) -> bool:
-        """Return whether an alarm is imminent, whose evidence a restart would lose."""
+        """Return whether the evidence is close to an alarm; a restart would lose the evidence."""
         suspect_ns = estimate.evidence.suspect_ns
         return self.alarms is not None and bool(suspect_ns) and (
             self.alarms.is_likely(likeliest.total, likeliest.lead)

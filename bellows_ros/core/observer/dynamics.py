@@ -32,14 +32,15 @@ from bellows_ros.core.observer.states import (
 import numpy as np
 
 STEP_MARGIN = 1.5
-"""Factor by which the fastest mode may become faster before steps are shortened."""
+"""Largest factor on the fastest mode without shorter steps."""
 
 MAX_SUBSTEPS = 10_000
-"""Largest number of substeps of one advance; more means too stiff a cup or too long a time:
+"""Largest number of substeps of one advance; a state that needs more substeps counts as
 diverged."""
 
 MAX_SHORTENING = 30.0
-"""Largest ratio of the nominal step and the step of a model changed by theta: it bounds work."""
+"""Largest ratio of the nominal step to the step of a model changed by theta, which limits the
+work."""
 
 
 @kernel
@@ -143,10 +144,10 @@ def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
     """
     Return the covariances of the state by white noise (6,) of the tool, held for 1 s.
 
-    They are (3, 12, 12): by all noise, and by position and rotation alone with unit variance.
-
-    The tool's twist is the derivative of its noise e. Integrated by parts, its slope T_v is
-    equivalent to the slope A T_v of e. The derivatives are linearised about a state.
+    The result is (3, 12, 12): for the whole noise, and for noise of position or of rotation alone
+    with unit variance. The noise of the tool's twist is the derivative of the pose noise e;
+    integrated by parts, the slope T_v of the twist becomes the slope A T_v of e. The derivatives
+    are linearised about a state.
     """
     by = linearise(model, tool, body)
     drive = np.vstack([by.tool_twist, by.tool_pose + by.body_twist @ by.tool_twist])
@@ -159,7 +160,7 @@ def advanced_with_wrench(
     model: ModelTuple, bias: Wrench, body: State, start: State, end: State, seconds: float,
     substeps: int,
 ) -> State:
-    """Return a state after a motion of the tool, with half of the push before and half after."""
+    """Return a state after a motion of the tool; half of the push acts before, half after."""
     dv, dw = jac.acceleration_at(model[1], model[1][1], bias[0], bias[1])
     dv, dw = t3.scale(0.5 * seconds, dv), t3.scale(0.5 * seconds, dw)
     body = kernels.with_twist(body, t3.add(body[2], dv), t3.add(body[3], dw))

@@ -1,5 +1,5 @@
 """
-An error-state Kalman filter on SE(3) x R^6, including the errors of an ordinary cell.
+An error-state Kalman filter on SE(3) x R^6 with errors of cup, package, camera and noise.
 
 The rows of the error are listed in `states`. A row without uncertainty is constant until `alarms`
 detects a fault, a step in some rows.
@@ -70,8 +70,8 @@ STILL_TIME = 5.0
 
 MODEL_ERROR_TIME = 0.05
 """
-Time over which the lip's relative twist gives the displacement equivalent to the model error, s:
-unmodelled relaxation and damping are forces proportional to the displacement.
+Time by which the lip's relative twist is multiplied to a displacement, s, whose variance
+represents unmodelled relaxation and damping.
 """
 
 PERIOD, SQUARES, PRODUCTS, LAST, FACTORS, SHARE, JITTER = 0, 1, 3, 5, 11, 13, 14
@@ -89,7 +89,7 @@ class Evidence(NamedTuple):
     signatures: Any
     """Signatures (n + 7, columns), in single precision for speed."""
     statistics: Array
-    """Score of each signature, and its products with the components up to its own."""
+    """Score of each signature, and products of the signature with the earlier components."""
     distances: Array
     """Sum of squared distances since each onset."""
     onsets: Stamps
@@ -97,7 +97,7 @@ class Evidence(NamedTuple):
     suspect_ns: tuple[int, ...] = ()
     """Stamps since half the threshold, ns."""
     from_start: bool = True
-    """Whether faults from the start are tested: no alarm has been raised."""
+    """Whether faults from the start are tested, because no alarm has been raised."""
 
 
 NO_EVIDENCE = Evidence(
@@ -124,8 +124,8 @@ class Estimate(NamedTuple):
     gated_ns: tuple[int, ...] = ()
     """Stamps (ns) of consecutive measurements outside the gate."""
     away_ns: int = 0
-    """Stamp of the first of consecutive measurements out of reach, after one within reach; 0 for
-    none, -1 after their assessment."""
+    """Stamp of the first of consecutive measurements out of reach, after a measurement within
+    reach; 0 for none, -1 after an assessment."""
     falls: bool = False
     """Whether all poses out of reach are consistent with a fall."""
     support: int = 0
@@ -146,12 +146,12 @@ class Estimate(NamedTuple):
 
 Samples = tuple[Any, Any, Any, Any, int]
 """
-Samples of the tool: stamp (ns), states (13,) at begin and end of its motion from the previous
-sample, and the package, of each; and their number.
+Samples of the tool: arrays of stamps (ns), of tool states (13,) at begin and end of the motion
+from the previous sample, and of packages; and the number of samples.
 """
 
 Moving = tuple[int, State, State, Array]
-"""Stamp (ns), tool, package and theta."""
+"""Fields of a moving package: stamp (ns), tool, package and theta."""
 
 EstimateTuple = tuple[int, State, State, Array, Array, Array]
 """Beginning of an `Estimate`: `Moving`, covariance and memory."""
@@ -329,7 +329,7 @@ def propagated_covariance(
 
 @entry
 def ends_step(stamp_ns: int, next_ns: int, max_step: float) -> bool:
-    """Return whether a covariance step ends at a sample, independently of its begin."""
+    """Return whether a covariance step ends at a sample, wherever the step began."""
     length_ns = int(NS_PER_S * min(COVARIANCE_STEPS * max_step, 1.0))
     return stamp_ns // length_ns != next_ns // length_ns
 

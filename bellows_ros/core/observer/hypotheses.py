@@ -31,20 +31,20 @@ class Cause(NamedTuple):
     parts: Sequence[tuple[int, int, bool]]
     """First and last component of each size, and whether it is a logarithm."""
     every: int = 1
-    """Interval of the tested onsets; each represents the onsets between."""
+    """Interval of the tested onsets, in onsets of `ONSET_NS`; a tested onset stands for the
+    skipped ones."""
     after_ns: int = 0
     """Smallest age of an onset per component, ns: a younger fault has no reliable size, and may be
     the begin of another."""
     mean: float = 0.0
     """Prior mean of the only component."""
     least: float = 0.0
-    """Smallest reported size of the first part: smaller ones are confused with other faults (a
-    drifting camera with a small loss of force, late stamps with a larger one, a fall with late
-    stamps)."""
+    """Smallest reported size of the first part. Smaller sizes cannot be distinguished from other
+    faults, such as a drifting camera from a small loss of force."""
     confirmed: int = 2
     confirmed_ns: int = 80_000_000
-    """Number of measurements and time (ns) required after half the threshold: swapped markers,
-    unlike falls, last for a few frames."""
+    """Number of measurements and time (ns) required after half the threshold, because swapped
+    markers last for a few frames."""
 
 
 _ROWS = {**states.FIRST, 'FORCE_LOSS': ekf.FORCE_LOSS}
@@ -54,8 +54,8 @@ NAMED = {
     for name, entry in CAUSES.items()}
 ALARM_CAUSES = tuple(sorted(NAMED.values(), key=lambda cause: cause.name == 'cup'))
 """
-All tested faults. The last is the loss of one cup of several, with columns of its own for each
-holding cup, after all others.
+All tested faults. The last fault is the loss of one cup of several; each holding cup has separate
+columns, after the columns of all other faults.
 """
 
 OUT_OF_REACH_ODDS = 100.0
@@ -108,7 +108,7 @@ allowed.
 """
 
 GRIPPER_MARGIN = -1.0
-"""This correction for several cups."""
+"""Correction of the logarithm of the threshold for several cups."""
 
 START_WEIGHT = 100.0
 """Prior odds of a fault from the start against an onset at one of the tested times."""
@@ -135,7 +135,8 @@ DISTURBED_COUNT = 3
 rarer."""
 
 TAG_BURST = 7
-"""This number for a tag, whose blurred poses come in bursts of 2 to 6."""
+"""Number of consecutive poses of a tag outside the gate from which a disturbance is named; blurred
+poses come in bursts of 2 to 6."""
 
 VIEW_NS = 3_000_000_000
 """Shortest duration of a camera shift seen with a tag, ns: work changes the view within this
@@ -156,15 +157,16 @@ SIZE_ROUNDS = 20
 MIN_CLEAR_ODDS = 100.0
 CLEAR_LEAD = math.log(MIN_CLEAR_ODDS)
 """
-Odds below which an alarm also has the sizes of the second cause, and their logarithm. A wrong
-payload has these odds against a worn cup after the cup has carried another package.
+Logarithm of the odds below which an alarm also has the sizes of the second cause. After the cup
+has carried another package, a wrong payload has these odds against a worn cup.
 """
 
 ALIKE = frozenset(('wear', 'payload'))
 """Causes distinguished by damping only: an alarm has the sizes of both at any odds."""
 
 MAX_ODDS = math.exp(14.0)
-"""Largest odds of a fault from the start, of a lost package or of a lost cup; of others 100."""
+"""Largest odds of a fault from the start, a lost package or a lost cup; other faults have at most
+100."""
 
 LOG_SHARE_OF_NONE = math.log(0.1)
 """Logarithm of the prior share of causes without a signature, including disturbances."""

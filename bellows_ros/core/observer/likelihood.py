@@ -1,21 +1,21 @@
 """
 Causes of deviating measured poses: likelihood ratios of faults.
 
-A fault is a step in some rows of the error of `filter` at its onset. It changes all later
-innovations in a known manner up to its size: its signature, the error that the fault leaves in the
-estimate, is propagated and updated like the error. The likelihood ratio of the innovations with
-and without a fault, averaged over the prior of its size, is a martingale without faults. Summed
-over onsets, and over causes by their prior shares, it grows by 1 per onset on average, and thus
-reaches A after A onsets on average at the earliest (Shiryaev and Roberts): the threshold follows
-from the allowed rate of false alarms.
+A fault is a step in some rows of the error of `filter` at its onset. The fault changes all later
+innovations in proportion to its size: the signature, which is the error that a fault of unit size
+leaves in the estimate, is propagated and updated like the error. The likelihood ratio of the
+innovations with and without a fault is averaged over the prior of the size, and is then a
+martingale without faults. The sum of the ratios over onsets, and over causes by prior shares,
+grows by 1 per onset on average, so it reaches A after at least A onsets on average (Shiryaev and
+Roberts). This gives the threshold for the allowed rate of false alarms.
 
 Ordinary errors are part of the error and of the covariance of the innovations. A detected fault is
 removed from the estimate: the estimate changes by the signature times the likeliest size, and the
 covariance grows by the prior of the size.
 
 The error is extended by the fall of the package: the lost fraction of the cup's force, and speed
-and shift of the fall (m/s, m; world). The loss of each of several cups of a gripper is a fault,
-too: its columns follow all others, and its signature is propagated without that cup.
+and shift of the fall (m/s, m; world). For a gripper, the loss of each cup is also a fault: its
+columns follow all other columns, and its signature is propagated without the lost cup.
 """
 
 from __future__ import annotations
@@ -187,8 +187,8 @@ def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
     """
     Return the slot for a new onset: of the older onset nearest to its neighbour.
 
-    The likeliest onset of each cause is kept, by the bits of `pinned`: evidence of a small fault
-    grows slowly, and determines size and odds of an alarm.
+    The likeliest onset of each cause is kept (the bits of `pinned`), because the evidence of a
+    small fault grows slowly.
     """
     slot, least = 0, math.inf
     for k in range(len(onsets)):
@@ -316,8 +316,8 @@ def _none_of_these(distances: Array, onsets: Stamps) -> float:
     """
     Return the log-likelihood ratio of larger innovations without a signature since an onset.
 
-    For n innovations with the sum D of squared distances, the likeliest factor of their variance
-    is D / 6 n. A cause must fit better than this: the ratio caps its odds.
+    For n innovations with the sum D of squared distances, the likeliest factor of the variance is
+    D / 6 n. The likelihood with this factor limits the odds of a cause.
     """
     top = -math.inf
     for k in range(1, len(distances)):
@@ -335,9 +335,9 @@ def _sum_over_onsets(
     """
     Return the likeliest onset, and the sum of likelihood ratios including all onsets.
 
-    Only onsets count since which a fault explains most of the unusual squared distances. The sum
-    is relative to the largest ratio so far, whose logarithm is `top`; the onset is -1 if none is
-    larger.
+    An onset counts only if the fault explains most of the unusual squared distances since this
+    onset. The sum is relative to the largest ratio so far, whose logarithm is `top`; the onset is
+    -1 if no ratio is larger.
     """
     slot, largest = -1, -math.inf
     for k in range(len(explained)):

@@ -58,7 +58,7 @@ WHITE_SHARE = 0.05
 """Fraction of the noise's variance without memory, for bodies."""
 
 WHITE_SHARE_OF_TAG = 1.0 - SAME_VIEW
-"""This fraction for tags."""
+"""Fraction of the noise's variance without memory, for tags."""
 
 JITTER_RANGE = 1e-8, 4e-4
 """Bounds of the variance of the random error of a stamp, s^2."""
@@ -104,7 +104,7 @@ class Measurement(NamedTuple):
     """Covariance (6, 6) about axes of the world (m^2, rad^2); zero for the covariance of the
     model; empty without a pose, for the end of a block of wrenches."""
     meets_support: bool = False
-    """Whether, instead of a pose, the tool stops on its way down."""
+    """Whether this entry is a stop of the tool on its way down, without a pose."""
 
     @property
     def is_pose(self) -> bool:
@@ -459,8 +459,8 @@ def vertical_ratios(
     """
     Return the log-likelihood ratios of a rise by the sag of the cup (m), and of a fall.
 
-    From contact on, a support takes the weight off the cup, which shortens by its sag. A fall has
-    its likeliest length, less `FALL_COST` for that freedom.
+    From contact on, a support takes the weight off the cup, which shortens by its sag. The ratio
+    of a fall is computed for its likeliest length, minus `FALL_COST`.
     """
     n = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
     g = t3.norm(gravity)
@@ -470,15 +470,16 @@ def vertical_ratios(
 
 
 FALL_COST = 1.0
-"""Cost of the unknown length of a fall at each pose: without a fall the sum of ratios sinks."""
+"""Cost of the unknown length of a fall at each pose, by which the sum of ratios decreases without
+a fall."""
 
 FALL_RATIO = 0.5 * OUTLIER_DISTANCE - FALL_COST
 """Log-likelihood ratio of a fall by a pose out of reach, the largest of one pose."""
 
 RELATIVE_ROUNDING = 1e-12
 """
-Fraction of each variance that remains after an update: above rounding errors, so that the
-covariance stays positive definite, and 1e-4 of it after a month.
+Smallest fraction of each variance that remains after an update. The fraction is above rounding
+errors, so that the covariance stays positive definite.
 """
 
 USED, OUTSIDE, OUT_OF_REACH, FALLING = 0, 1, 2, 3

@@ -1,9 +1,9 @@
 """
 The prediction of a held package, corrected by measured poses in any order.
 
-Measurements are late and out of order. Recent samples of the tool are stored, with the estimate
-after each measurement: a measurement is applied at its stamp, and all later ones are applied
-again, with a result independent of the order of arrival.
+Measurements arrive late and out of order. Recent samples of the tool are stored, with the estimate
+after each measurement. A measurement is applied at its stamp, and all later measurements are
+applied again, so the result is independent of the order of arrival.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ MAX_DELAY_NS = 500_000_000
 
 HISTORY_NS = 100_000_000
 """
-Additional time for which estimates are stored, ns: with a camera of 10 Hz or more, no pose of the
-tool waits for the propagation of a covariance.
+Additional time for which estimates are stored, ns, so that poses of the tool do not wait for the
+propagation of a covariance (with a camera of at least 10 Hz).
 """
 
 LOST_AFTER_NS = 25_000_000
@@ -55,7 +55,8 @@ LOST_AFTER_NS = 25_000_000
 confuse bodies for some frames."""
 
 SILENT_PERIODS = 2.5
-"""Number of periods after which a sensor is silent: of a camera the shorter of the last two."""
+"""Number of periods after which a sensor is silent; the period of a camera is the shorter of the
+last two."""
 
 SILENT_NS = 50_000_000
 """Shortest time after which a sensor is silent, ns."""
@@ -463,7 +464,8 @@ class Observer:
         """
         Keep estimates of camera, cup and package; report a deviation of the cup.
 
-        The cup, whose wear resembles a wrong payload, stays as before an alarm on the payload.
+        After an alarm on the payload the estimate of the cup is not kept, because wear of the cup
+        resembles a wrong payload.
         """
         correction = self._correction
         is_wrong = any(

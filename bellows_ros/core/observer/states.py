@@ -1,15 +1,15 @@
 """
-The states of the filter: one table, from which all slices come.
+The states of the filter: one table that defines all slices.
 
 The rows of the error have the names below: pose and twist of the package in its own axes, as in
 `jacobians`; parameters of the model, which change its motion; and errors of measured poses. All
 rows but the first four are the vector theta.
 
-K and P along each axis, and the second moments of mass S = tr(I) / 2 - I along each axis, are
-changed as exp(s / 2) M exp(s / 2) by logarithms s: K and P stay positive, and the package stays
-a possible body (Wensing, Kim and Slotine 2018). A common scale of K, P, mass, inertia and wrench
-does not change the motion and is not observable. In logarithms this direction of the error is
-constant; otherwise the filter would take noise for information on the scale.
+Logarithms s change K, P and the second moments of mass S = tr(I) / 2 - I along each axis, as exp(s
+/ 2) M exp(s / 2). K and P then stay positive, and the package stays a possible body (Wensing, Kim
+and Slotine 2018). A common scale of K, P, mass, inertia and wrench does not change the motion and
+is not observable. In logarithms the direction of this common scale is constant. In other
+coordinates the filter would use noise as information on the scale.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ BIAS_WALK = 0.0003
 """Random walk of the wrench bias in 1 s, as a fraction of the weight."""
 
 WALK_ARM = 0.02
-"""Lever of this force for the moment, m."""
+"""Lever of the random walk of the force, which gives the random walk of the moment, m."""
 
 CAMERA_WALK_TIME = 300.0
 """Time in which a camera's frame drifts by `measured.camera_std` as its mount warms up, s."""
@@ -101,7 +101,7 @@ Size = Callable[[Stated], 'Array | float']
 
 
 class State(NamedTuple):
-    """A state, or several alike."""
+    """A state, or several equal ones, of the filter."""
 
     name: str
     size: int

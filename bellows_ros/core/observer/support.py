@@ -13,7 +13,7 @@ NEAR, CONTACT = 1, 2
 """A support may be near, or carries the package; 0 without."""
 
 LIFT = 8e-3
-"""Height above the sag of the cup at which a package has left its support, m."""
+"""Rise of the tool, beyond the sag of the cup, at which a package has left its support, m."""
 
 ASIDE = 0.05
 """Horizontal distance at which a package has left its support, m."""
@@ -28,7 +28,7 @@ FASTEST = 0.95
 """Fraction of the largest speed of a descent above which the tool does not yet stop."""
 
 REMEMBERED_NS = 2_000_000_000
-"""Age of the oldest support that a late pose may meet, ns."""
+"""Age of the oldest support that is stored for late poses, ns."""
 
 
 class Support:

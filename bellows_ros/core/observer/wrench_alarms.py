@@ -1,8 +1,8 @@
 """
 Loss, slip and a wrong set-up, from the wrenches of a force-torque sensor.
 
-A lost package takes its force off the sensor, a slipped one shifts the line of its weight. Both
-show in samples; a support, which also takes the weight, is excluded by the states of the cycle.
+The force of a lost package disappears from the sensor; a slipped package shifts the line of its
+weight. The states of the cycle exclude supports, which also carry the weight.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 LOST_SHARE = 0.35
-"""Largest share of the predicted force that the sensor shows of a lost package."""
+"""Largest measured fraction of the predicted force after the loss of a package."""
 
 LOSS_NS = 10_000_000
-"""Time in which the sensor shows no larger share before a loss, ns."""
+"""Time for which the measured fraction must be smaller before a loss is reported, ns."""
 
 LEAST_LOAD = 0.5
-"""Smallest predicted force that a loss takes off, and largest force after it, in weights."""
+"""Smallest predicted force before a loss, and largest force after the loss, in weights."""
 
 SLIP_NS = 16_000_000
 """Time of the mean after a slip, ns."""
@@ -47,10 +47,10 @@ SETTLED_NS = 750_000_000
 """Time after a lift in which centre of mass and zero are estimated, ns."""
 
 LEARNT_NS = 500_000_000
-"""Time after this in which the scatter is learned before a first alarm, ns."""
+"""Time after `SETTLED_NS` in which the scatter is learned before a first alarm, ns."""
 
 ARM = 0.05
-"""Lever of the moment that counts like a force in the check of the set-up, m."""
+"""Lever by which moments are compared with forces in the check of the set-up, m."""
 
 MISFIT = 0.3
 """RMS deviation of the readings above which they contradict a set-up, weights."""
@@ -59,7 +59,7 @@ FIT = 0.12
 """RMS deviation of the readings below which they fit a set-up, weights."""
 
 CLEAR = 2.5
-"""Smallest ratio of the deviations of two set-ups that tells them apart."""
+"""Smallest ratio of deviations that distinguishes two set-ups."""
 
 TILT_COSINE = math.cos(math.radians(5.0))
 """Largest cosine between two tilts."""
@@ -116,7 +116,7 @@ class Watch:
         return self._slip(stamp_ns, np.r_[self._line(shown) - expected, expected])
 
     def _line(self, load: Array) -> Array:
-        """Return the shift (3,) of a load's line of action from the lip, m, less if light."""
+        """Return the shift (3,) of a load's line of action from the lip, m; reduced if light."""
         force = load[:3]
         return np.asarray(np.cross(force, load[3:] - np.cross(self._lip, force)) / max(
             float(force @ force), self._weight**2))

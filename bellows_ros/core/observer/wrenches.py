@@ -1,15 +1,15 @@
 """
 Correction by a force-torque sensor, in blocks of wrenches between two estimates.
 
-The mean of the wrenches of a block is compared with the mean of the predicted ones at the same
-times, so both pass the same low pass: a mean over `BLOCK_NS` has -3 dB at 7 Hz. The derivative
-of the mean is by the error at the begin of the block, H = mean of H(t) T(t) with the transition
-T; the estimate there is corrected, and propagated again.
+The mean of the wrenches of a block is compared with the mean of the predicted wrenches at the same
+times; a mean over `BLOCK_NS` has -3 dB at 7 Hz. The derivative of the mean by the error at the
+begin of the block is the mean of H(t) T(t), with the transition T. The estimate at the begin of
+the block is corrected, and propagated again.
 
 Bias and gain are states. Crosstalk, hysteresis and errors of the gripper are proportional to the
-wrench, `wrench.gain_std` of force and moment in each axis, and persist over many blocks: their
-variance is multiplied by `PERSISTENCE`, so that they average out no faster. Factors of the
-variances are learned from the innovations.
+wrench, `wrench.gain_std` of force and moment in each axis, and persist over many blocks: the
+variance of these errors is multiplied by `PERSISTENCE`, so that they do not average out too fast.
+Factors of the variances are learned from the innovations.
 """
 
 from __future__ import annotations
