@@ -50,7 +50,8 @@ SIGNIFICANT = 6.0
 
 CANDIDATES = ('time_offset', 'clock_rate', 'com', 'length', 'length_drift', 'mass', 'gravity',
               'package_world', 'scale', 'package_marker', 'tool_marker')
-"""Quantities that may be wrong, beside a slip and relaxation, which cost longer simulations."""
+"""Quantities that may be wrong. Slip and relaxation are tested separately, as they need longer
+simulations."""
 
 MARKERS = ('package_marker', 'tool_marker')
 """Two marker frames that one recording can hardly distinguish."""
@@ -78,18 +79,18 @@ MAX_RATIO_PULL = 3.0
 """Largest deviation of the ratio of inertia and mass, standard deviations."""
 
 MIN_KNOWN = 0.01
-"""Smallest relative reduction of a given variance by the recordings for a test of the
-deviation."""
+"""Smallest relative reduction of a given variance by the recordings with which a deviation is
+tested."""
 
 MAX_TRIED = 2
-"""Number of fitted candidates: a third one decides no cause, and a fit takes seconds."""
+"""Number of fitted candidates; a third candidate decides no cause, and each fit takes seconds."""
 
 MAX_CAUSES = 3
 """Largest number of reported causes, as many as a user tests."""
 
 MIN_FRAME_SHIFT = 0.5
-"""Smallest shift by exchanged frames, and largest shift left with them, relative to the distance
-from lip to com: half of it separates the two."""
+"""Smallest shift by exchanged frames, and largest remaining shift with exchanged frames, relative
+to the distance from lip to com."""
 
 MIN_SLIP_PERIOD = 0.03
 """Resolution of the instant of a slip, s."""
@@ -174,8 +175,8 @@ def beyond_chance(problem: Problem, name: str, fall: float) -> float:
     """
     Return a fall of chi² as if one recording alone had the quantity.
 
-    By chance chi² falls by the number of free numbers, with a root that varies by 0.7. A slip is
-    in one recording only.
+    By chance chi² falls by the number of free numbers; the root of this fall has a standard
+    deviation of 0.7. A slip is in one recording only.
     """
     places = problem.places[name]
     others = places.size - places.shape[1]
@@ -202,7 +203,7 @@ def least_share(one: Alternative) -> float:
     """
     Return the share of a misfit that a free quantity explains by chance, by an F test.
 
-    Axes and seconds count as independent, as a misfit lasts about as long as a swing.
+    Axes and seconds count as independent, because a misfit is correlated over about one swing.
     """
     problem = one.found.problem
     count = problem.places[one.name].shape[1]
@@ -325,8 +326,8 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
     """
     Return a solution with the likeliest instant of a slip, and its fall of chi².
 
-    A slip shifts the com in all blocks from one on. The score of each block in the recording with
-    the largest misfit is from one simulation; halving finds the instant near the best.
+    A slip shifts the com in all blocks from its instant on. One simulation scores each block of
+    the recording with the largest misfit; bisection finds the instant near the best block.
     """
     number = int(np.argmax([
         np.sum(one.squares) / np.sum(one.counts) for one in found.sums]))
@@ -404,8 +405,8 @@ def _other_frame(end: Solution, best: Alternative) -> Finding | None:
     """
     Return exchanged frames, poses of the lip for poses of the com or vice versa, or None.
 
-    The shift of the best candidate, or of a given quantity, is then the vector from lip to com.
-    The com is freed as well.
+    With exchanged frames, the shift of the best candidate, or of a given quantity, is the vector
+    from lip to com. The com is also freed.
     """
     problem = end.problem
     measured, com = problem.outlines[0], float(np.linalg.norm(problem.outlines[0].payload.com))
@@ -436,7 +437,7 @@ ROTATIONS = (90, 180, -90)
 """Rotations about z of a wrongly mounted frame, degrees."""
 
 Setting = tuple[Finding, Callable[[MeasuredSegment], MeasuredSegment]]
-"""A setting, and a part of a recording with it."""
+"""A setting, and the function that applies the setting to a part of a recording."""
 
 
 def settings_of(outlines: Sequence[Outline]) -> Iterator[Setting]:

@@ -1,10 +1,11 @@
 """
 Weighted linear least squares on accelerations (4.66-4.81).
 
-The weight W of (4.66) depends on the wrenches of all recordings: sums over a recording are of the
-products of its rows [L c] for each two components of the wrench, which are weighted later. Noise
-of the filtered motions is neither compensated nor part of the standard errors: in motion capture
-it biases K by less than 0.5 % and P by less than 5 %; output error has no such bias.
+The weight W of (4.66) depends on the wrenches of all recordings. The sums over a recording are
+therefore products of the rows [L c] for each pair of components of the wrench, which are weighted
+later. Noise of the filtered motions is neither compensated nor part of the standard errors: in
+motion capture it biases K by less than 0.5 % and P by less than 5 %; output error has no such
+bias.
 """
 
 from collections.abc import Iterator, Sequence

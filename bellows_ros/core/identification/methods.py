@@ -40,8 +40,8 @@ MAX_DAMPING_STD, UNLOADED_PARAMETER = 0.25, 'K rz'
 """
 Largest relative standard error of the most certain damping of a moving cup.
 
-The stiffness that no weight loads also counts, if tool or package moves; at rest noise determines
-it.
+The stiffness about z, which no weight loads, is also tested if tool or package moves; at rest
+noise determines this stiffness.
 """
 
 MIN_REST_SHARE = 0.5
@@ -77,7 +77,8 @@ def fit(
     """
     Fit a cup to recordings, as the parameters specify.
 
-    For calls with other parameters, results independent of them are cached with the recordings.
+    Results that do not depend on the parameters are cached with the recordings, for later calls
+    with other parameters.
 
     Parameters
     ----------
@@ -159,8 +160,8 @@ def fitted(
     """
     Return the fit to recordings.
 
-    By simulation all uncertain quantities are estimated jointly with K and P; or given quantities
-    are exact, as in least squares, so that causes are found.
+    A fit by simulation estimates all uncertain quantities jointly with K and P, or takes given
+    quantities as exact, so that the causes of a misfit are found.
     """
     if pairs is None:
         pairs = here([

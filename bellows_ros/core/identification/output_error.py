@@ -113,12 +113,13 @@ COMMON_WEIGHT = 10.0
 """Weight of the scatter common to all parameters, in segments of the recordings."""
 
 MIN_SCATTER = 0.25
-"""Smallest scatter relative to the noise model; less occurs in directions without information."""
+"""Smallest scatter relative to the noise model; smaller values occur in directions without
+information."""
 
 LEAST_OF_SETTING = 4.0
 """
-Smallest chi² per residual left by a wrong world or a frame rotated by 90 degrees: in the mean, and
-in the worst axis robustly, as a few views of a half-hidden tag leave a large mean.
+Smallest chi² per residual with a wrong world, or a frame rotated by 90 degrees: the mean over
+axes, and the robust value of the worst axis.
 """
 
 HELD_OUT = 5

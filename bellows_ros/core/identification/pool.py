@@ -1,8 +1,8 @@
 """
-Values of recordings, each where it was computed, and maps of functions over the recordings.
+Values of recordings, kept by the process that computed them, and functions over the recordings.
 
-A value of each recording is in this process, or is a future of a cluster, which computes a lost
-value again from the calls that made it: results do not depend on the workers.
+The value of a recording is in this process, or is a future of a cluster. The cluster computes a
+lost value again, so results do not depend on the workers.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,10 +1,10 @@
 """
 K of a cup at rest on a fixed plate, from poses of the tool and wrenches of a force-torque sensor.
 
-Moving the tool strains the cup; no package is recorded. At rest the sensor shows the spring and
-the gripper. Unknown beside K are the pose of the lip in the world, the zero of the sensor and,
-within their standard deviations, its gains and the gripper. Residuals of force and of moment give
-their noise.
+The tool moves and strains the cup; no package is recorded. At rest the sensor measures the spring
+force and the weight of the gripper. The unknowns are K, the pose of the lip in the world, the zero
+of the sensor and, within given standard deviations, the gains of the sensor and the gripper. The
+residuals of force and moment give the noise.
 """
 
 from typing import Any, NamedTuple
@@ -74,7 +74,7 @@ def pressed_cup(
     Raises
     ------
     UndeterminedError
-        With too few standstills, or if they do not determine K.
+        If there are too few standstills, or the standstills do not determine K.
     UnexplainedError
         If K is not positive definite.
 

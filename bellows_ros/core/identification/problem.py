@@ -4,7 +4,7 @@ The unknowns of a fit by simulation, and their effect on cup, package, poses and
 All uncertain quantities are free jointly with K and P, with their priors as additional
 measurements. K and P move along geodesics of the definite matrices, with a wide prior on the
 logarithm of their size: of K about the start, of P about ordinary rubber; the inertia moves along
-logarithms of its pseudo-inertia. These priors are negligible for entries that the recordings
+logarithms of its pseudo-inertia. The wide priors are negligible for entries that the recordings
 determine.
 """
 
@@ -82,8 +82,8 @@ A cup with modes faster than 20,000/s, which needs shorter steps, is rejected by
 """
 
 MAX_QUICKENING = 30.0
-"""Largest ratio of the speed of modes to the start: 10 with 100-fold stiffness, and three times
-more with ten times ordinary damping."""
+"""Largest ratio of the speed of modes to the start, with 100 times the stiffness and 10 times the
+ordinary damping."""
 
 COARSE_FACTOR = 4.0
 """
@@ -100,11 +100,11 @@ STRETCH_STD = 2.0
 """
 Standard deviation of the logarithm of a package's thickness.
 
-It is negligible but for a thin plate, whose thickness the moments do not determine.
+This prior matters only for a thin plate, whose thickness the moments do not determine.
 """
 
 LOSS_FACTOR = 0.25
-"""Loss factor of ordinary rubber, without which a fit to noise would ring."""
+"""Loss factor of ordinary rubber, the prior of the damping; an undamped cup would fit noise."""
 
 LOAD_STEP = 1e-4, 1e-2
 """Steps of unknowns of the cup, and of others, for derivatives of the load on a sensor."""
@@ -845,8 +845,8 @@ def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -
     """
     Return a first state at rest if its pose is within the noise of the poses.
 
-    Noise in the first state would ring, which derivatives would take for motion. Its twist does
-    not decide: for a slow camera its uncertainty exceeds ordinary swings.
+    Noise in the first state would excite a swing, which derivatives would treat as motion. The
+    twist is not tested, because for a slow camera its uncertainty exceeds ordinary swings.
     """
     try:
         rest = simulation.rest(model, tool)

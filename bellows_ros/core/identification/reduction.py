@@ -1,4 +1,4 @@
-"""Results of a recording that outlive its poses: motion of the package, and validity range."""
+"""Results of a recording that are kept without its poses: motion and validity range."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -32,7 +32,7 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
     Raises
     ------
     BellowsError
-        Without valid samples.
+        If there are no valid samples.
 
     """
     if not samples.count:
@@ -107,7 +107,7 @@ def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
     Raises
     ------
     BellowsError
-        If it has no valid samples, or the package is not below the tool.
+        If the recording has no valid samples, or the package is not below the tool.
 
     """
     if isinstance(recording, ReducedRecording):

@@ -102,11 +102,12 @@ SHORTER = 0.25
 """Fraction of a step that is tried if chi² increases with the whole step."""
 
 MAX_RISE = 1.2
-"""Largest ratio by which chi², with the current noise, may increase in a step, as weights
-change."""
+"""Largest ratio of chi² after a step to chi² before, with the current noise; weights change in a
+step."""
 
 MAX_SMALL_RISE = 1.02
-"""Ratio of chi² after a step to before, above which the next step is damped more."""
+"""Ratio of chi² after a step to chi² before the step, above which the next step has more
+damping."""
 
 Report = Callable[[Cup, float], None]
 """Callback with the cup and chi^2 after a step."""
@@ -117,7 +118,7 @@ def no_report(cup: Cup, chi2: float) -> None:
 
 
 Parts = tuple[WhitenedSegment, ...]
-"""Those of the segments of one recording."""
+"""Whitened segments of one recording."""
 
 
 class Sums(NamedTuple):
@@ -325,8 +326,8 @@ class Solution:
         """
         Ratio of the estimated variance of slow poses to their variance at rest.
 
-        Below 1 within chance. Segments with white residuals are excluded: their larger noise is
-        noise in motion, while a misfit leaves correlated residuals.
+        The ratio is below 1 only by chance. Segments with white residuals are excluded, because
+        their larger noise is noise in motion; a misfit has correlated residuals.
         """
         return float(max(self._of_each(_learned)))
 
@@ -405,9 +406,9 @@ def approach(
     Return an approach to the root.
 
     The approach is first without couplings, which noise would disturb; with them, if requested,
-    when a misfit remains. Clocks and frames of each recording approach first: with large errors of
-    clocks or frames, a rigid cup would fit best. Held quantities keep their values, as differences
-    with forgetting do not determine them.
+    when a misfit remains. Clocks and frames of each recording approach first, because with large
+    errors of clocks or frames a rigid cup would fit best. Held quantities keep their values,
+    because differences with forgetting do not determine them.
     """
     forgetful = replace(problem, forgetting=FORGETTING_RATE)
     used = ~np.isin(np.arange(len(problem.start)), [
@@ -657,8 +658,8 @@ def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]
     """
     Return the change by a step, mixed with previous steps and their resulting changes.
 
-    Anderson's method (1965) is used: with inaccurate K and P, derivatives have noise and change
-    between steps, so that steps are too short, or overshoot.
+    Anderson's method (1965) is used, because with inaccurate K and P the derivatives have noise
+    and change between steps, so that plain steps are too short or too long.
     """
     if not history:
         return step

@@ -39,8 +39,7 @@ HALF_WINDOWS, PATH_ORDER, MIN_HALF_WINDOW = (1 / 6, 1 / 8, 1 / 12), 6, 4
 (samples)."""
 
 MAX_REMOVED_POWER = 1.5
-"""Largest ratio of the power that a longer window removes in excess of a shorter one to its
-noise."""
+"""Largest ratio of the additional power that a longer window removes to the power of its noise."""
 
 MIN_POSE_STD = np.repeat([2e-7, 2e-6], 3)
 """Smallest noise of a pose, by interpolation and rounding, m and rad."""
@@ -60,8 +59,8 @@ BRIDGED_STD = np.repeat([5e-3, 5e-2], 3)
 """Standard deviation of a bridged pose of the tool, m and rad."""
 
 SIMULTANEITY_TOLERANCE = 2e-4
-"""Largest time difference of simultaneous poses of package and tool, s, within which a change of
-the clock does not change their order. The twist bridges the difference."""
+"""Largest time difference, s, of poses of package and tool that count as simultaneous; the
+difference is bridged by the twist."""
 
 MAX_NODE_STEP = 0.01
 """Longest step between nodes of the linearised model, and duration of a mean of poses, s."""
