@@ -1,6 +1,7 @@
 """The gripper between a force-torque sensor and the cup, from recordings without a package."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+import math
 from typing import Any
 
 from bellows_ros.core.identification import weighing
@@ -40,6 +41,15 @@ def with_gripper(values: Values, progress: Progress) -> Values:
         return values
     return values.replaced(gripper_of(*(
         np.sum(each, axis=0) for each in zip(*found, strict=True))))
+
+
+def gripper_sentence(values: Values) -> Iterator[str]:
+    """Yield a sentence on a gripper estimated from recordings."""
+    if values.gripper.bags:
+        mass, com, std = values.gripper.mass, values.gripper.com, values.gripper.std
+        yield (f'The gripper was estimated from gripper.bags: gripper.mass {mass:.3f} ± '
+               f'{std[0] * mass:.2g} kg, gripper.com {", ".join(f"{1e3 * x:.1f}" for x in com)} '
+               f'± {1e3 * std[1] * math.hypot(*com):.2g} mm.')
 
 
 def tool_and_readings(bag: File, values: Values) -> tuple[Filtered, Readings]:

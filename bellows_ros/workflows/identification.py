@@ -24,6 +24,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
+from bellows_ros.workflows.gripper import gripper_sentence
 from bellows_ros.workflows.recordings import Failed, is_measured, offset_sentence, world_sentence
 from bellows_ros.workflows.static import length_sentence, StaticResult
 from bellows_ros.workflows.verdict import FitVerdict
@@ -187,7 +188,7 @@ class Identification(CommandResult):
         given = {
             name: value for name, value in self.values.items()
             if name.startswith(CELL_PREFIXES) and value != table.PARAMETERS[name].default
-            and name not in ('package.files', 'recording.start', 'recording.end')}
+            and name not in ('package.files', 'recording.start', 'recording.end', 'gripper.bags')}
         if 'package/camera_info' in self.remappings:
             given['measured.type'] = 'detections'
         found = {name: each for name, each in self.found.items() if name != 'cup.length'}
@@ -317,6 +318,7 @@ class Identification(CommandResult):
               for text in world_sentence(part.name, self._final_world(number))),
             *self._clock_sentences(),
             *self._free_sentences(),
+            *gripper_sentence(self.values),
             *_standstill_sentences(self),
             *((static.verdict,) if static and static.spring else ()),
             *(consistency.sentences if consistency and not consistency.differs else ()),
