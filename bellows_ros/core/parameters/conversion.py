@@ -34,12 +34,6 @@ EXTRAPOLATION = 2.0
 real drops of lighter and heavier packages (docs/toss.md)."""
 
 
-def is_gripper(values: Values) -> bool:
-    """Return whether parameter values describe several cups, or an open cup."""
-    return bool(any(values.get('cup.layout', ())) or any(
-        index >= 0.0 for index in values.get('cup.open', ())))
-
-
 def cup_of(values: Values) -> Cup:
     """Return the cup of parameter values, composed of several cups if given."""
     return gripper_of(one_cup_of(values), places_of(values))

@@ -22,7 +22,6 @@ from .. import fem
 VALUES = {
     'cup.length': fem.LENGTH, 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
     'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0], 'fit.relaxation': 'off'}
-LINEAR = {**VALUES, 'fit.method': 'least_squares'}
 TILTS = np.radians([[10, 0, 0], [0, 20, 0], [-20, 0, 0], [0, -10, 0], [14, -14, 17]])
 
 
