@@ -28,7 +28,6 @@ from bellows_ros.core.sensors.wrench import (
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.sparse import csr_matrix
 
 DELAY_STD = 5e-3
@@ -204,9 +203,23 @@ def whitened(
     kept = np.clip(np.sum(e[1:] * e[:-1], axis=0) / squares, 0.0, MAX_CORRELATION)
     found = squares / len(r) / max(1.0 - rank / r.size, 1e-3) * (1.0 + kept) / (1.0 - kept)
     variance = least**2 * np.maximum(found, 1.0)
-    walk = np.minimum.outer(seconds, seconds)
-    J, r = J.copy(), r.copy()
-    for i, drift in enumerate(np.repeat(sensor.drift, 3)):
-        L = np.linalg.cholesky(variance[i] * np.eye(len(r)) + drift**2 * walk)
-        J[:, i], r[:, i] = (solve_triangular(L, each, lower=True) for each in (J[:, i], r[:, i]))
-    return J, r
+    both = without_walk(np.dstack([J, r]), seconds, variance, np.repeat(sensor.drift, 3))
+    return both[:, :, :-1], both[:, :, -1]
+
+
+def without_walk(values: Array, seconds: Array, variance: Array, drift: Array) -> Array:
+    """
+    Return values (B, 6, q) with the white innovations of a random walk in white noise.
+
+    The walk, with standard deviations (6,) after 1 s, is 0 at time 0; the noise has variances
+    (6,). This is the product with the inverse of the Cholesky factor of the covariance, by a
+    Kalman filter of one state for each axis.
+    """
+    out, state, P = np.empty_like(values), np.zeros(values.shape[1:]), np.zeros(6)
+    for k, step in enumerate(np.diff(seconds, prepend=0.0).tolist()):
+        P = P + drift**2 * step
+        difference, spread = values[k] - state, P + variance
+        out[k] = difference / np.sqrt(spread)[:, None]
+        state = state + (P / spread)[:, None] * difference
+        P = P * variance / spread
+    return out

@@ -1,5 +1,6 @@
 """A force-torque sensor in the fit, with errors of its gains and hysteresis, and an empty run."""
 
+from bellows_ros.core.identification.weighing import without_walk
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.gripper import gripper_of
 import numpy as np
@@ -25,6 +26,18 @@ def test_an_empty_run_gives_the_gripper(sensor):
     opposite = values.replaced({'wrench.sign': 'reaction'})
     with pytest.raises(BellowsError, match='wrench.sign'):
         gripper_of(*felt.empty_run(3, sensor, opposite))
+
+
+def test_a_random_walk_is_whitened_as_by_its_covariance():
+    """As by the inverse of the Cholesky factor of the whole covariance."""
+    rng = np.random.default_rng(0)
+    seconds = np.cumsum(rng.uniform(0.01, 0.2, 40))
+    values, variance, drift = rng.standard_normal((40, 6, 3)), rng.uniform(0.5, 2.0, 6), np.r_[
+        0.0, rng.uniform(0.1, 3.0, 5)]
+    for i, found in enumerate(np.moveaxis(without_walk(values, seconds, variance, drift), 1, 0)):
+        covariance = variance[i] * np.eye(40) + drift[i]**2 * np.minimum.outer(seconds, seconds)
+        np.testing.assert_allclose(
+            found, np.linalg.solve(np.linalg.cholesky(covariance), values[:, i]), atol=1e-12)
 
 
 def test_wrenches_give_the_mass_and_poses_the_rest():
