@@ -572,7 +572,7 @@ def observe(recording: File, parameters: Parameters, topic: str) -> Replay:
     Parameters
     ----------
     recording, parameters
-        As in `replay`, with measured.* as for the node.
+        Recording and parameters, as in `replay`, with the parameters measured.*.
     topic : str
         Topic with the poses of the package from a camera.
 

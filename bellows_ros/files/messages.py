@@ -36,7 +36,8 @@ HEAD = b'\0\1\0\0'
 LATEST_NS = 2**63 - 1
 
 NO_STAMP = 0
-"""Stamp (ns) of a message whose nanoseconds exceed a second; it is rejected as a stamp."""
+"""Stamp (ns) given to a message whose nanoseconds exceed a second; the message is then
+rejected."""
 
 BOOL = 'std_msgs/msg/Bool'
 """Type of the messages of a valve."""

@@ -97,7 +97,7 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
 
 
 def _points(reader: Reader, parts: tuple[int, ...], count: int) -> np.ndarray:
-    """Return points with equal layout; their parts are called a, b and c."""
+    """Return points with equal layout; the parts of a point are called a, b and c."""
     rows = reader.rows(_structure(_point(reader.order, parts), reader.at % 8), count)
     for name, size in zip('abc', parts, strict=True):
         if (rows[f'n{name}'] != size).any():

@@ -16,7 +16,7 @@ import yaml
 
 MAX_FILE_BYTES = 2**28
 MAX_DEPTH = 50
-"""Largest number of lists and mappings in each other."""
+"""Largest number of nested lists and mappings."""
 MAX_ALIASES = 10_000
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 """Ten times faster in C, where PyYAML was built with libyaml."""
@@ -143,7 +143,7 @@ class _Builder:
             raise _refused('tags (!name) are not allowed; write plain values', event)
 
     def _is_key(self, event: Any) -> bool:
-        """Take a scalar as the key of the innermost mapping, if it is one."""
+        """Store a scalar as the key of the innermost mapping, if a key is expected."""
         if not self._open or isinstance(self._open[-1][0], list) or (
                 self._open[-1][3] is not _NO_KEY):
             return False

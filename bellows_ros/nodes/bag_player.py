@@ -92,7 +92,7 @@ class Player:
     def send_all(
         self, progress: Progress, announce: Callable[[str, Message], None], rate: float = 1.0
     ) -> None:
-        """Publish each message in time, after a call with its name."""
+        """Publish each message at its time, after a call of a function with the topic."""
         start = time.monotonic() + 0.2  # s
         for message in self.messages:
             elapsed = (message.log_time_ns - self.first_ns) / NS_PER_S

@@ -65,7 +65,7 @@ class Pipeline(Predicting):
     compiler : subprocess.Popen or None
         Process that compiles the kernels for a camera, if missing.
     pose_in, twist_in : SensorInput
-        Inputs; the second is None for Odometry, which includes twists.
+        Inputs of poses and of twists; `twist_in` is None for Odometry, which includes twists.
     compute : deque
         Computing times of messages, s.
 

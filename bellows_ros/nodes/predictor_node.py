@@ -42,8 +42,9 @@ class PredictorNode(ManagedNode):
     """
     Predict the package's pose and twist and the cup's wrench from the tool arm's messages.
 
-    The node has a lifecycle: configured, it has its model and its topics; active, it predicts.
-    With the parameter autostart it becomes active at its start. Invalid transitions are rejected.
+    The node has a lifecycle: a configured node has its model and its topics, an active node
+    predicts. With the parameter autostart the node becomes active at its start. Invalid
+    transitions are rejected.
 
     Parameters
     ----------

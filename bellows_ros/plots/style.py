@@ -56,7 +56,7 @@ def drawing(theme: Theme) -> Iterator[Any]:
     Raises
     ------
     BellowsError
-        Without matplotlib.
+        If matplotlib is not installed.
 
     """
     require_pictures()
@@ -167,7 +167,7 @@ def picture(
     Raises
     ------
     BellowsError
-        Without matplotlib.
+        If matplotlib is not installed.
 
     """
     colours = THEMES[theme]

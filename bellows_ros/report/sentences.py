@@ -143,7 +143,7 @@ def _finding(cause: str, parts: 'Sizes', alarm: 'Alarm') -> str:
 
 
 def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
-    """Return the cause of a finding, its size, the misfit with its correction, and a remedy."""
+    """Return a sentence with cause and size of a finding, the corrected misfit, and a remedy."""
     name, theta, std = _cause_of(finding), finding.theta.tolist(), finding.std.tolist()
     numbers: dict[str, Any] = {'value': finding.value, 'theta': theta, 'std': std}
     if theta:

@@ -364,7 +364,7 @@ def to_tum(
     out : path
         Text file.
     topic : str, optional
-        Topic of the poses; optional if the recording has a single one.
+        Topic of the poses; optional for a recording with a single topic of poses.
     span : mapping
         Parameters 'recording.start' and 'recording.end', s, for a part.
 

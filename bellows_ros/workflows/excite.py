@@ -44,7 +44,7 @@ class DesignedMotion(CommandResult):
     design : Design
         The motion, its ratios to the limits, its information.
     structure : Structure
-        Structure of K and P: their free entries.
+        Structure of K and P, which defines their free entries.
     guess : array (2 n,)
         Values of the free entries in the guess.
     beside : mapping of str to array (2 n,)

@@ -28,7 +28,8 @@ def signals_of(bag: File, values: Values) -> list[Signal]:
     """
     Return the recorded vacuum and valve, in order; empty if vacuum.signal is none.
 
-    Topics may be in any namespace. A stamp is taken from the header, if messages have one.
+    Topics may be in any namespace. Stamps are from the headers of messages with a header,
+    otherwise times of recording.
 
     Raises
     ------

@@ -510,7 +510,7 @@ def _twist_of(
     """
     Return the topic whose velocity matches the tool's poses, and whether it is in degrees.
 
-    If the tool hardly moves, it is the topic with the stamps of the tool's poses.
+    If the tool hardly moves, the topic with the stamps of the tool's poses is returned.
     """
     matches = {name: twist_errors(tool, twist) for name, twist in twists.items()}
     compared = [(min(errors.values()), name) for name, (errors, _) in matches.items() if errors]

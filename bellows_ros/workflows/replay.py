@@ -1,4 +1,4 @@
-"""Prediction of a recording with a cup, also with measured poses of the package; its errors."""
+"""Prediction of a recording with a cup, also with measured poses, and errors of the prediction."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -682,7 +682,7 @@ def design(
 
 
 def _held(checks: Checks, period: float, hold: float) -> FourierMotion:
-    """Return a hold alone, tilted about x and y as far as the limits permit, if any."""
+    """Return a hold with the largest tilt about x and y within the limits; None without tilt."""
     limits = checks.limits
     still = FourierMotion(limits.start, period, np.zeros((1, 6)))
     tilt = 0.9 * np.array([*limits.rotation[:2], 0.0])

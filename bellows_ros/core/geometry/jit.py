@@ -89,7 +89,7 @@ IS_NEW: bool = COMPILED and not (FOLDER and any(FOLDER.iterdir()))
 
 def kernel(function: Function) -> Function:
     """
-    Mark a function that entries call; called from Python, the function is interpreted.
+    Mark a function that compiled entries call. A call from Python runs the function uncompiled.
 
     Division by zero gives inf or nan in compiled code and raises in interpreted code, so a
     kernel guards its divisors itself.

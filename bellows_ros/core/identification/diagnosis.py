@@ -487,9 +487,9 @@ def likeliest_setting(near: Solution, cup: Cup) -> Finding | None:
     """
     Return the other setting with which recordings fit to the noise, or None.
 
-    Settings are ranked by the segment of each package with the largest chi², each with one
-    approach; the best is fitted to all segments. If two frames cannot be distinguished, the
-    finding names both.
+    Each setting is tried by one approach on the segment with the largest chi² of each package; the
+    best setting is fitted to all segments. If two frames cannot be distinguished, the finding
+    names both.
     """
     problem = near.problem
     problem = problem.freed(problem.unknowns(cup), {})

@@ -432,8 +432,8 @@ def _influences(covariance: Array, directions: Array, parts: Parts) -> tuple[int
     """
     Return the number of a recording's seconds, and the sums (s,) of their squared influences.
 
-    Influences are shifts of the estimates along directions (q, s) by each second, in standard
-    deviations, from the gradient at the minimum without this second.
+    The influence of a second is the shift of the estimates along directions (q, s), in standard
+    deviations, if this second is left out.
     """
     information, slope = (np.concatenate([getattr(part, name) for part in parts])
                           for name in ('information', 'slope'))

@@ -169,7 +169,7 @@ class Arrow:
 
     @cached_property
     def carried(self) -> Array:
-        """Negative coefficients (R, o, s) with which own unknowns follow the shared ones."""
+        """Negative change (R, o, s) of own unknowns per unit of shared ones, at the minimum."""
         return np.asarray(np.linalg.solve(self.own, self.coupling))
 
     @cached_property
@@ -524,8 +524,8 @@ class Problem:
         """
         Return derivatives (n, q) and residuals (n,) of the standstills, in standard errors.
 
-        A chi^2 above its expectation reduces their weight; it is the third result. Unknowns are of
-        the first recording.
+        A chi^2 above its expectation reduces the weight of the standstills; the weight is the
+        third result. Unknowns are of the first recording.
         """
         middle = np.append(np.mean([
             still.package.position[0] for still in self.standstills], axis=0), 0.0)

@@ -348,7 +348,7 @@ class Solution:
 
 
 def _pose_std(segments: Segments, courses: Sequence[Course], parts: Parts) -> Array:
-    """Return `Solution.pose_std` of a recording."""
+    """Return the noise (K, 6) of the poses in the K segments of a recording, m and rad."""
     return np.array([course.std for course in courses])
 
 

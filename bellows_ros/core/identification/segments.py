@@ -1,8 +1,9 @@
 """
 Segments of recordings for a fit by simulation.
 
-Each segment has the tool's poses at a uniform rate and the package's at any stamps; its course has
-the current likeliest path of the tool. Quick poses are averaged in small groups.
+Each segment has poses of the tool at a uniform rate, and poses of the package at any stamps. The
+course of a segment has the current likeliest path of the tool. Quick poses are averaged in small
+groups.
 """
 
 from collections.abc import Sequence

@@ -64,8 +64,8 @@ class CupLength(NamedTuple):
     pick_std : float
         Standard deviation of the length between picks of one mass, m; NaN with too few picks.
     com_std : float
-        Standard deviation of the given centre of mass along the cup, m, if its poses are measured:
-        a shift of it shifts the lip.
+        Standard deviation of the given centre of mass along the cup, m, if its poses are measured;
+        a shift of the centre of mass shifts the lip.
 
     """
 

@@ -291,7 +291,7 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
 
 
 def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
-    """Return the poses of the tool in the segments of a recording; all if there is one."""
+    """Return the tool's poses in the segments of a recording; all poses for one segment."""
     spans = [span for span in recording.segments if span.first_ns < poses.stamps_ns[-1]]
     valid = poses.stamps_ns[poses.valid][1:-1]  # outer stamps may exceed a span
     if len(spans) == 1 and not np.any(

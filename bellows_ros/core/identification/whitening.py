@@ -459,8 +459,8 @@ def smooth(
     Return the innovations (M, 6) of the likeliest noise of the tool's poses, in a backward pass.
 
     Inputs are results of `whiten`; `noise_state` is the first state of the package's noise. The
-    second result is the slope (n,) of the first states: their likeliest change is minus their
-    covariance times this slope.
+    second result is the slope (n,) of the first states; the likeliest change of the first states
+    is minus their covariance times this slope.
     """
     out, _, T, B, K, maps = whitened
     innovations, slope = np.zeros(variances.shape), np.zeros(T.shape[1])

@@ -4,9 +4,9 @@ Tracking of a plan driven by the tool: its progress, and the remaining motion.
 Drivers start late, run scaled, pause and wait, so the plan is synchronised with the tool instead
 of the clock. The progress along the plan (s) and its rate are a continuous state with a
 covariance: a Kalman filter predicts both, and each pose and twist of the tool corrects them.
-During standstills and slow parts of the plan, poses do not determine the progress: it is
-extrapolated at its rate, and its variance grows. If the tool is not near its predicted pose, the
-plan is searched. Pure code, no ROS.
+During standstills and slow parts of the plan, poses do not determine the progress; the progress is
+then extrapolated at its rate, with a growing variance. If the tool is not near its predicted pose,
+the plan is searched. Pure code, no ROS.
 """
 
 import math

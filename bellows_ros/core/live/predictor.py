@@ -327,8 +327,8 @@ class LivePredictor:
         Return the 12 by 12 covariance of a prediction; None if unavailable.
 
         The order is displacement (m), rotation (rad), linear and angular twist (m/s, rad/s), in
-        body axes. Without measured poses it is available for the newest prediction, with them for
-        the last 0.5 s.
+        body axes. The covariance is available for the newest prediction, and with measured poses
+        for the last 0.5 s.
         """
         if self.latest is None or self.uncertainty is None:
             return None

@@ -116,7 +116,7 @@ class Uncertainty:
     """
 
     def __init__(self, correction: Correction) -> None:
-        """Set the filter; it starts at the first prediction."""
+        """Set the filter, which starts at the first prediction."""
         self.available = True
         self._correction, self._track = correction, Track()
         self._now: Estimate | None = None

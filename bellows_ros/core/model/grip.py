@@ -77,9 +77,9 @@ def safety_factors(grip: tuple[float, float, float], f: Vector, m: Vector) -> tu
     Return the safety factors against peel and slip, as in `MODES`.
 
     The lip does not peel if the pressure on an elastic lip is nonnegative all around, 2 m_t / r <=
-    N. The lip does not slip if q <= friction N, a circle in force and moment. A thin ring with
-    Coulomb friction holds less under a lateral force combined with m_z: the factor is up to 11 %
-    too large, and up to 33 % under strong bending.
+    N. The lip does not slip if q <= friction N, where q combines lateral force and moment as q^2 =
+    f_t^2 + (m_z / r)^2. A thin ring with Coulomb friction holds less under a lateral force
+    combined with m_z: the factor is up to 11 % too large, and up to 33 % under strong bending.
     """
     suction, radius, friction = grip
     twist = m[2] / radius

@@ -335,7 +335,7 @@ def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
     Raises
     ------
     BellowsError
-        With the smallest eigenvalue.
+        The error names the smallest eigenvalue.
 
     """
     require_symmetric(stiffness, name)
@@ -355,7 +355,7 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
     Raises
     ------
     BellowsError
-        With the smallest eigenvalue.
+        The error names the smallest eigenvalue.
 
     """
     require_symmetric(damping, name)
@@ -389,7 +389,7 @@ def require_stretch(
     Raises
     ------
     BellowsError
-        With the shift at which the energy is not positive.
+        The error names the shift at which the energy is not positive.
 
     """
     slope = 16.0 * np.diag([0.0, 0.0, stretch[0], stretch[1], stretch[1], 0.0])

@@ -109,7 +109,7 @@ WRENCHES = slice(states.WRENCH, states.WRENCH + 6)
 INERTIAS = slice(states.INERTIA, states.INERTIA + 3)
 
 NUMBERS = 54
-"""Number of entries of K and P (6, 6) of a cup, as the kernels' blocks."""
+"""Number of stored entries of K and P of a cup: 27 each, in the three blocks of the kernels."""
 
 NO_CUPS: Array = np.zeros((0, NUMBERS))
 """Cups of a gripper with a single cup, whose loss is the loss of the package."""

@@ -280,10 +280,10 @@ def write_losses(
     """
     Write M^-1 [W_i, w_i] of each cup into (6 n, 13): accelerations by error, and without.
 
-    Without cup i of a gripper, its wrench w_i(x) is missing. The error e of an estimate x with all
-    cups has the slope A e - M^-1 (w_i(x) + W_i e), with A of all cups and W_i the derivative of
-    w_i. The linear slope has its own transition (12, 13), whose last column is the effect of the
-    loss.
+    A gripper that loses cup i loses the wrench w_i(x) of this cup. The error e of an estimate x
+    with all cups has the slope A e - M^-1 (w_i(x) + W_i e), with A of all cups and W_i the
+    derivative of w_i. The linear slope has its own transition (12, 13), whose last column is the
+    effect of the loss.
     """
     for i in range(len(cups)):
         cup = nominal[0]

@@ -435,7 +435,7 @@ class Settings:
         Raises
         ------
         BellowsError
-            With the unknown setting and the nearest allowed one.
+            The error names the unknown setting and the nearest allowed setting.
 
         """
         for name in self._values:

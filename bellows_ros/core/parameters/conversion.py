@@ -273,7 +273,7 @@ def release_of(values: Values) -> Release:
     Raises
     ------
     BellowsError
-        Without the size of the package.
+        If the size of the package is missing.
 
     """
     size = values.package.size

@@ -142,7 +142,8 @@ def _invert_kernel(
     Write the states of tool and package along a motion; return the number of states.
 
     The reference of the package (N, 19) has a spacing of half a step h (s), and rests at its end.
-    Once the tool is slower than speed (m/s) and rate (rad/s), it stops over `FADE_TIME`.
+    Once the tool is slower than a speed (m/s) and a rate (rad/s), the tool stops within
+    `FADE_TIME`.
     """
     still, faded, fading = t3.ZERO, 0, math.ceil(FADE_TIME / h)
     for k in range(len(out)):

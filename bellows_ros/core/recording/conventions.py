@@ -60,7 +60,8 @@ UPRIGHT = 0.2
 degrees of one of the two."""
 
 TILTED = 0.5
-"""Smallest misalignment that another order of quaternions explains: 60 degrees of one body."""
+"""Smallest misalignment for which another order of quaternions is tested; 60 degrees of one
+body."""
 
 Bodies = tuple[Trajectory, Trajectory]
 
@@ -191,7 +192,7 @@ def distance_of(bodies: Bodies) -> tuple[float, float]:
 
 
 def misfit(bodies: Bodies) -> float:
-    """Return the relative motion of a package in its tool (distance, rad); infinite if far."""
+    """Return the relative motion (1, rad) of a package in its tool; infinite if too distant."""
     distance, change = distance_of(bodies)
     if not (1e-3 < distance < MAX_REACH and change < MAX_CHANGE):
         return float('inf')

@@ -1,8 +1,8 @@
 """
 The table of checks of a recording before a fit, for `info`, `identify`, `replay` and the node.
 
-A check is a function that yields remarks, and its row; the sentence and the remedy of each remark
-are in `report/texts/recording.toml`.
+A check is a function that yields remarks, with a row of the table of checks; the sentence and the
+remedy of each remark are in `report/texts/recording.toml`.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -85,8 +85,8 @@ NYQUIST_PART = 0.9
 """Highest frequency of noise as a fraction of the Nyquist frequency."""
 
 MAX_NOISE_ORDER = 3.4
-"""Largest exponent of the decay of noise density with frequency: 2 with memory, up to 3 with heavy
-tails; 4 behind a filter of second order."""
+"""Largest exponent of the decay of noise density with frequency. Noise with memory has an exponent
+of 2, with heavy tails up to 3, and noise behind a filter of second order 4."""
 
 TAIL_SHARE = 0.25
 """Relative size of other jumps that indicates noise with heavy tails."""

@@ -57,7 +57,7 @@ TOOL_ORDER = 6
 """Order of the polynomials that give the tool's pose and twist from its measured poses."""
 
 PLACES = 8
-"""Number of interpolation points between two tool poses that represent all others."""
+"""Number of interpolation points between two tool poses for which noise weights are computed."""
 
 
 LOW_RATE_HZ = 100.0
@@ -781,7 +781,7 @@ def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
     Raises
     ------
     BellowsError
-        With the remedy.
+        The error has the remedy.
 
     """
     if tool.frame_id and package.frame_id and tool.frame_id != package.frame_id:

@@ -51,7 +51,7 @@ EXPOSURE_STEP = 1e-3
 """Time (s) before and after an exposure for the acceleration of the corners."""
 
 USUAL_EXPOSURE = 0.3
-"""Exposure if not stated, in periods of the camera; its standard deviation is equal."""
+"""Default exposure, in periods of the camera; the standard deviation is equal to the exposure."""
 
 NEAR = np.repeat([0.05, 0.1], 3)
 """Standard deviations of a tag's pose about its predicted pose, m and rad."""
@@ -388,7 +388,7 @@ class TagViews:
         return self.tag.exposure or USUAL_EXPOSURE * period
 
     def corrected(self, values: poses.Values, moves: Array, middle: Array) -> TagViews:
-        """Return the views for values of the nuisances; see `poses.poses_of`."""
+        """Return the views corrected by values of the nuisances."""
         origin = Trajectory(np.zeros(1, np.int64), np.zeros((1, 3)), np.eye(3)[None])
         T = self.tag.T_world_camera
         camera, package = (poses.poses_of(at, {

@@ -115,7 +115,7 @@ def timing(stamps_ns: Stamps) -> Timing:
     Raises
     ------
     BellowsError
-        With fewer than three stamps.
+        If there are fewer than three stamps.
 
     """
     if len(stamps_ns) < 3:

@@ -21,7 +21,7 @@ class Chain:
     Links of a tree from one frame to another, which may be on different branches.
 
     The links have different stamps. A pose is returned for each stamp of the moving link next to
-    the tool, once the other links reach this stamp; they are interpolated.
+    the tool, once the other links reach this stamp; the other links are interpolated.
 
     Parameters
     ----------
