@@ -360,6 +360,19 @@ def _conjugated(body):
     return replace(body, rotation=np.swapaxes(body.rotation, 1, 2))
 
 
+def _other_axes(own):
+    own.say(inertia=1.0)
+    order = [[1, 2, 0], [2, 0, 1]][own.rng.integers(2)]
+    own.said = Package(own.said.mass, own.said.inertia[np.ix_(order, order)], own.said.com)
+
+
+def _for_a_second(tool, package):
+    mask = (np.arange(len(tool)) // 240 == 4)[:, None]
+    return [replace(one, position=np.where(mask, other.position, one.position),
+                    rotation=np.where(mask[..., None], other.rotation, one.rotation))
+            for one, other in ((tool, package), (package, tool))]
+
+
 def _frozen(body):
     return replace(body, rotation=np.tile(body.rotation[:1], (len(body), 1, 1)))
 
@@ -410,5 +423,12 @@ FAULTS = {
     'package on the table': (lambda own: setattr(
         own, 'misread', lambda tool, package: (tool, _still(package))), 'package_at_rest'),
     'frozen orientation': (_misread(_frozen), 'frozen_orientation'),
+    'bodies exchanged for a second': (
+        lambda own: setattr(own, 'misread', _for_a_second), 'swapped'),
+    'clock steps': (_misread(lambda body: replace(
+        body, clock_steps=((int(body.stamps_ns[len(body) // 2]), 0.3),))), 'clock_step'),
+    'centre of mass in the cup': (
+        lambda own: own.say(com=[0.0, 0.0, -2.0 * own.package.com[2]]), 'com_inside'),
+    'inertia about other axes': (_other_axes, 'inertia'),
 }
 """What makes a laboratory faulty, and the name of the cause, or words of the error."""
