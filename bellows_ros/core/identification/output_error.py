@@ -374,8 +374,9 @@ def _weighed(found: Solution, felt: Free, report: Report) -> Solution:
     off = {name: float(np.max(sizes[problem.places[name]])) for name in names}
     worst = max(names, key=off.__getitem__)
     if not end.converged or off[worst] > MAX_FELT_SIGMAS:
-        raise UnexplainedError(NOTES['contradicting_wrenches'].format(
-            name=FELT_NAMES[worst], sigmas=off[worst]))
+        raise UnexplainedError(NOTES['contradicting_wrenches'].format(what=(
+            f'{FELT_NAMES[worst]} is off by {off[worst]:.0f} standard deviations' if end.converged
+            else 'the search finds no cup that fits both')))
     return end
 
 

@@ -1,5 +1,6 @@
 """A force-torque sensor in the fit, with errors of its gains and hysteresis, and an empty run."""
 
+from bellows_ros.core.identification.methods import fitted
 from bellows_ros.core.identification.weighing import without_walk
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.gripper import gripper_of
@@ -45,6 +46,16 @@ def test_wrenches_give_the_mass_and_poses_the_rest():
     fit, errors, std = felt.joint_fit(0, 'ATI', 6.0)
     assert fit.converged and np.all(np.abs(errors) < 3.0 * std)
     assert abs(errors[-1]) < 0.02 and std[-1] < 0.015
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize(('name', 'value'), [
+    ('wrench.sign', 'reaction'), ('wrench.frame', '0 0 0 0 0 0 1')])
+def test_wrenches_that_contradict_the_poses_are_refused(name, value):
+    """Of a sensor with another sign, or in another place."""
+    values = felt.settings('ATI', **{name: value})
+    with pytest.raises(BellowsError, match='contradict the poses'):
+        fitted([felt.recorded(0, 'ATI', 4.0, values=values)], values)
 
 
 @pytest.mark.stress
