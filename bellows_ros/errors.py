@@ -42,7 +42,7 @@ class UnitWarning(UserWarning):
 
 
 class UnstableError(BellowsError):
-    """The package does not stay on its cup: it has no rest, or a prediction diverges."""
+    """The package does not stay on its cup: there is no rest, or the prediction diverges."""
 
 
 class NotSetError(BellowsError, AttributeError):

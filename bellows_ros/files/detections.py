@@ -144,8 +144,8 @@ def read_views(
     Raises
     ------
     BellowsError
-        If the recording lacks the tag or the calibration of the camera, or has several tags
-        without a number that names one.
+        If the recording lacks the tag or the calibration of the camera, or has several tags and no
+        number is given.
 
     """
     arrays = [(log_ns, bags.decoded(data, DETECTIONS))

@@ -153,10 +153,10 @@ class Unknowns(NamedTuple):
     """
     Effect of p unknowns on the model.
 
-    Number of used `jacobians.PARAMETER_COLUMNS`, and derivatives (64, p + 1) of the model's
-    parameters; factors of the columns at the nodes (M, p), and values (p,) of unknowns outside the
-    model, with linear effect on the mean, empty without such unknowns; and the first of the
-    unknowns (6,) of the tool's marker frame, -1 for none.
+    Fields in order: number of used `jacobians.PARAMETER_COLUMNS`; derivatives (64, p + 1) of the
+    model's parameters; factors of the columns at the nodes (M, p); values (p,) of unknowns outside
+    the model, with a linear effect on the mean (empty without such unknowns); index of the first
+    unknown of the tool's marker frame, -1 for none.
     """
 
     last: int

@@ -1,10 +1,10 @@
 """
 The tool's twist at the stamps of its poses: measured, interpolated or estimated.
 
-Measured twists come in any order and at any rate (`Pairing`). A twist of equal stamp is used as it
-is; between two twists it is interpolated; otherwise, after a short wait, the twist is estimated
-from the last poses. Measured twists are checked against the poses, in both choices of axes
-(`ToolMotion`).
+Measured twists come in any order and at any rate (`Pairing`). A twist with the stamp of the pose
+is used unchanged; a pose between two twists gets an interpolated twist; for other poses, after a
+short wait, the twist is estimated from the last poses. Measured twists are checked against the
+poses, in both choices of axes (`ToolMotion`).
 """
 
 from collections import deque

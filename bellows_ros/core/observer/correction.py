@@ -144,8 +144,8 @@ def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
     """
     Return the time of a measurement (ns) from its stamp and the estimated latency.
 
-    It follows the previous measurement by at least half of the interval of their stamps. Short
-    latencies are corrected by `measurement.at_exposure`.
+    The time follows the time of the previous measurement by at least half of the interval of the
+    stamps. Short latencies are corrected by `measurement.at_exposure`.
     """
     late_ns, last_ns = int(NS_PER_S * before.theta[states.LATENCY - STATE]), before.late_ns
     if late_ns < NS_PER_S * NONLINEAR_LATENCY:

@@ -553,8 +553,8 @@ class Observer:
         """
         Process a reading of the vacuum of one cup of a gripper, or of all cups if cup < 0.
 
-        A break of the vacuum is the loss of the package, or of the single cup, unless the tool is
-        at rest, as for a release, and no pose is out of reach.
+        A break of the vacuum is the loss of the package, or of the single cup. It counts as a
+        release if the tool is at rest and no pose is out of reach.
         """
         newest_ns = self._track.newest_ns
         if cup < 0:

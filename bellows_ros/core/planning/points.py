@@ -216,9 +216,9 @@ def _refined(plan: Trajectory, stamps: Stamps, acceleration: Array | None) -> Tr
     """
     Return a plan at its stamps and additional ones, ns.
 
-    With accelerations (N, 6), of the tool tip in world axes and of rotation in tool axes,
-    positions and quaternions of additional points lie on quintic polynomials, otherwise poses on
-    cubic ones.
+    Additional points lie on quintic polynomials if accelerations (N, 6) are given: of the tool tip
+    in world axes, and of the rotation in tool axes. Without accelerations they lie on cubic
+    polynomials.
     """
     if acceleration is None:
         return resample(plan, stamps)
