@@ -22,6 +22,7 @@ from bellows_ros.core.model.equilibrium import pose_error
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import measurement as sensor
 from bellows_ros.core.observer.hypotheses import ONSET_NS
+from bellows_ros.core.observer.pose_sensor import Measurement
 import numpy as np
 from scipy.special import logsumexp
 
@@ -92,7 +93,7 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Return stamps (ns), innovations and whitening matrices of a run."""
     stamps, ys, whiteners = [], [], []
 
-    def before(measurement: sensor.Measurement) -> None:
+    def before(measurement: Measurement) -> None:
         stamp_ns, position, q, noise, _ = measurement
         estimate, marker = cell.made.estimate, cell.made.sensor.marker
         body, theta, model = estimate.body, estimate.theta, cell.made.model

@@ -19,7 +19,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import Prediction, uncertainty
-from ..core.observer.observer import Payload
+from ..core.observer.results import Payload
 from ..core.signals.trajectory import NS_PER_S
 from ..files import messages
 from ..files.messages import Decoded, Decoder, NO_STAMP, pack

@@ -21,7 +21,8 @@ from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.calibration import calibrated, ModelCalibration, WORK_FOLDS
 from bellows_ros.core.observer.measurement import at_com
-from bellows_ros.core.observer.observer import Calibration, Observer, Payload
+from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.observer.results import Calibration, Payload
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.values import Values
@@ -507,6 +508,32 @@ def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum)
 # ------------------------------------------------------------------ measured poses of the package
 
 
+def _measured_stream(
+    bag: File, recording: Recording, values: Values, topic: str
+) -> tuple[PoseStream, Array]:
+    """Return measured poses of a package, and the pose (7,) of their world in the model's."""
+    contents = detections.read_contents(bag, {'measured': topic}, tag_sought(values))
+    for problem in contents.problems.values():
+        raise problem
+    stream = contents.streams['measured']
+    assert isinstance(stream, PoseStream)
+    estimated, pose = recording.report.package_world, np.eye(7)[6]
+    if world := values.recording.package_world:
+        pose = estimated.pose if estimated else pose_of(world)
+    else:
+        require_one_frame(recording.tool_pose, stream)
+    R_model_tool = world_rotation(values.recording.world, values.gravity.direction)
+    return stream, _transformed_pose(pose, R_model_tool)
+
+
+def _messages_of(stream: PoseStream) -> list[tuple[int, Any, Any, Any]]:
+    """Return stamp (ns), position, quaternion and covariance of each measured pose."""
+    covariances = [None] * len(stream) if stream.covariance is None else stream.covariance
+    position, q = stream.position.tolist(), lie.rotation_to_quaternion(stream.rotation).tolist()
+    return list(zip(stream.stamps_ns.tolist(), map(tuple, position), map(tuple, q), covariances,
+                    strict=True))
+
+
 def observed(
     bag: File, recording: Recording, messages: Messages, uncorrected: residuals.Comparison,
     values: Values, topic: str, signals: Sequence[Signal] = (),
@@ -540,24 +567,9 @@ def observed(
         If the recording lacks the topic, or too little of it is predicted.
 
     """
-    contents = detections.read_contents(bag, {'measured': topic}, tag_sought(values))
-    for problem in contents.problems.values():
-        raise problem
-    stream = contents.streams['measured']
-    assert isinstance(stream, PoseStream)
-    estimated, pose = recording.report.package_world, np.eye(7)[6]
-    if world := values.recording.package_world:
-        pose = estimated.pose if estimated else pose_of(world)
-    else:
-        require_one_frame(recording.tool_pose, stream)
-    R_model_tool = world_rotation(values.recording.world, values.gravity.direction)
-    pose = _transformed_pose(pose, R_model_tool)
+    stream, pose = _measured_stream(bag, recording, values, topic)
     values = values.replaced({'recording.package_world': checks.pose_text(pose)})
-    observer = Observer(values)
-    covariances = [None] * len(stream) if stream.covariance is None else stream.covariance
-    position, q = stream.position.tolist(), lie.rotation_to_quaternion(stream.rotation).tolist()
-    measured = list(zip(stream.stamps_ns.tolist(), map(tuple, position), map(tuple, q),
-                        covariances, strict=True))
+    observer, measured = Observer(values), _messages_of(stream)
 
     def run(by: Observer, fold: int = -1) -> Trajectory:
         live = live_predictor(values, signals)
@@ -589,7 +601,8 @@ def observed(
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
         observer.payload, observer.calibration, {
-            **_calibrated(observer.calibration, pose, R_model_tool),
+            **_calibrated(observer.calibration, pose, world_rotation(
+                values.recording.world, values.gravity.direction)),
             **(found.parameters if found else {})}, found)
 
 

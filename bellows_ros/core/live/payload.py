@@ -13,8 +13,9 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.observer.correction import Correction
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
-from bellows_ros.core.observer.measurement import Measurement, PoseSensor
-from bellows_ros.core.observer.observer import Observer, Payload
+from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.observer.pose_sensor import Measurement, PoseSensor
+from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, SAME_PACKAGE
 from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values

@@ -29,7 +29,8 @@ from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import ToolRows, trajectory_of
 from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.observer.alarms import Alarm, Alarms
-from bellows_ros.core.observer.observer import Observer, Payload
+from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.observer.states import CAMERA_ROWS, SAME_PACKAGE
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve, with_chosen_cup
 from bellows_ros.core.parameters.conversion import cup_of, gravity_of, package_of, tip_of

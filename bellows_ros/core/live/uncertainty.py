@@ -19,9 +19,10 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector, ZERO
 from bellows_ros.core.model.kernels import ORIGIN, State, Strains
-from bellows_ros.core.observer.correction import Correction, Known, Track
+from bellows_ros.core.observer.correction import Correction, Known
 from bellows_ros.core.observer.filter import Estimate
 from bellows_ros.core.observer.states import STATE
+from bellows_ros.core.observer.track import Track
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np

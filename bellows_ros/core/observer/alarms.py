@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.tuples import Vector
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import states
-from bellows_ros.core.observer.filter import Evidence, ONSETS
+from bellows_ros.core.observer.filter import Estimate, Evidence, ONSETS
 from bellows_ros.core.observer.hypotheses import (
-    ALARM_CAUSES,
     ALIKE,
     AT_START,
     Cause,
@@ -31,19 +29,19 @@ from bellows_ros.core.observer.hypotheses import (
     MIN_LEAD,
     NAMED,
     NONE,
-    OF_CAUSE,
     ONSET_NS,
     OUT_OF_REACH_ODDS,
     PAYLOAD,
     SIZE_ROUNDS,
     SLOTS,
+    START_ROWS,
     STEPS,
     TAG_BURST,
     VACUUM_ODDS,
     VIEW_NS,
     WEAR,
 )
-from bellows_ros.core.observer.likelihood import add_onset, layout
+from bellows_ros.core.observer.likelihood import layout, of_start, Prior
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -128,21 +126,14 @@ class Alarms:
                 if of_lip and states.COM <= row < states.COM + 3:
                     self.steps[states.MARKER + row - states.COM, component] = 1.0
 
-    def start(
-        self, stamp_ns: int, place: Vector, cups: int, from_start: bool = True
-    ) -> Evidence:
-        """
-        Return the initial evidence, for a package at a place (m, world).
-
-        Faults from the start begin at the given stamp.
-        """
+    def start(self, stamp_ns: int, cups: int, from_start: bool = True) -> Evidence:
+        """Return the initial evidence, for a gripper with some holding cups."""
         columns = COLUMNS[CUP] + cups * ONSETS
-        none = Evidence(
+        onsets: Stamps = np.repeat([[0], [-1]], 1 + ONSETS, axis=1)
+        onsets[1, 0] = stamp_ns
+        return Evidence(
             np.zeros((len(self.steps), columns), np.float32),
-            np.zeros((1 + MAX_COMPONENTS, columns)), np.zeros(1 + ONSETS),
-            np.repeat([[0], [-1]], 1 + ONSETS, axis=1), (), from_start)
-        add_onset(*none[:4], self.steps, stamp_ns, place, 1)
-        return none
+            np.zeros((1 + MAX_COMPONENTS, columns)), np.zeros(1 + ONSETS), onsets, (), from_start)
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:
         """Return the stamps (ns) since half the threshold, including another measurement."""
@@ -153,14 +144,14 @@ class Alarms:
         return min(total - self._threshold, lead) > 0.0
 
     def detected(
-        self, evidence: Evidence, stamp_ns: int, likeliest: Likeliest, lost_cups: tuple[int, ...],
-        has_vacuum: bool = False,
+        self, estimate: Estimate, prior: Prior, likeliest: Likeliest, has_vacuum: bool = False,
     ) -> DetectedFault | None:
         """
         Return a fault detected by a measurement, from the result of `filter_step`, if any.
 
-        Lost cups of a gripper are those detected before. A holding vacuum contradicts a loss.
+        A holding vacuum contradicts a loss.
         """
+        evidence, stamp_ns = estimate.evidence, estimate.stamp_ns
         total, lead, best, second, runner_up, *_ = likeliest
         if HYPOTHESES[min(best[1], CUP)].name == 'lost':
             lead -= has_vacuum * math.log(VACUUM_ODDS)
@@ -177,19 +168,19 @@ class Alarms:
         if len(evidence.suspect_ns) <= likely.confirmed or suspect_ns < confirmed_ns or (
                 stamp_ns < evidence.onsets[1, best[0]] + best[2] * likely.after_ns):
             return None
-        holding = [k for k in range(len(self._places)) if k not in lost_cups]
-        cause, error, spread, parts = _fault(evidence, best)
+        holding = [k for k in range(len(self._places)) if k not in estimate.lost_cups]
+        cause, error, spread, parts = _fault(estimate, prior, best)
         logs = [part for part, (_, _, is_log) in zip(parts, cause.parts, strict=False) if is_log]
         size, std = max(logs or parts[:1], key=lambda each: each[0] / each[1])
         if size < cause.least:
             return None
         most = MAX_ODDS if likely.mean or best[1] < AT_START else MIN_CLEAR_ODDS
         odds, cup = min(math.exp(min(lead, 20.0)), most), -1
-        name = 'disturbance' if second == NONE else ALARM_CAUSES[second].name if (
-            second < OF_CAUSE[CUP]) else self._of_cup(holding[second - OF_CAUSE[CUP]]).cause
+        name = 'disturbance' if second == NONE else HYPOTHESES[second].name if (
+            second < CUP) else self._of_cup(holding[second - CUP]).cause
         alarm = Alarm(stamp_ns, cause.name, size, std, name, odds, parts)
         if second != NONE and (odds < MIN_CLEAR_ODDS or {cause.name, name} == ALIKE):
-            _, _, other, others = _fault(evidence, runner_up)
+            _, _, other, others = _fault(estimate, prior, runner_up)
             spread, alarm = np.hstack([spread, other]), alarm._replace(second_parts=others)
         if best[1] >= CUP:
             cup = holding[best[1] - CUP]
@@ -213,7 +204,7 @@ class Alarms:
                 is_push or none >= max(self._threshold, total + MIN_LEAD)):
             return None
         if is_push:
-            cause, none = ALARM_CAUSES[second].name if second >= 0 else 'slip', total + lead
+            cause, none = HYPOTHESES[second].name if second >= 0 else 'slip', total + lead
         odds = math.exp(min(max(none - total, 0.0), CLEAR_LEAD))
         return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, cause, odds)
 
@@ -252,7 +243,7 @@ class Alarms:
 
 
 def _fault(
-    evidence: Evidence, fault: tuple[int, int, int]
+    estimate: Estimate, prior: Prior, fault: tuple[int, int, int]
 ) -> tuple[Cause, Array, Array, Sizes]:
     """
     Return a fault from slot, hypothesis and components of `Likeliest`.
@@ -266,18 +257,28 @@ def _fault(
     slots, slot = SLOTS[h], max(onset - 1, 0) // EVERY[h]
     std, mean = np.array(cause.prior_std[:components]), np.full(components, cause.mean)
     columns = column + slot + slots * np.arange(components)
-    d, *products = evidence.statistics[:1 + components, columns]
+    statistics: Array = estimate.evidence.statistics
+    if h < AT_START:
+        statistics = of_start(prior, estimate.theta, estimate.covariance)
+        E = estimate.covariance[:, START_ROWS] @ prior.weights[:, columns]
+    else:
+        E = estimate.evidence.signatures[:-ekf.FALLEN, columns]
+    d, *products = statistics[:1 + components, columns]
     J = products + np.triu(products, 1).T
     for _ in range(1 if cause.mean else SIZE_ROUNDS):  # large faults have larger parts
         P = np.asarray(np.linalg.inv(J + np.diag(std ** -2.0)), np.float64)
         size = mean + P @ (d - J @ mean)
         if not cause.mean:
             std = std * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / std**2)))
-    E: Array = evidence.signatures[:-ekf.FALLEN, columns]
     made = size if number < CUP else mean  # the model continues without the whole cup
     parts = tuple(
         _length(size[first:end], P[first:end, first:end], is_log)
         for first, end, is_log in cause.parts if first < components)
+    if cause.name == 'latency':  # a part is estimated already
+        (size, std_of_size), row = parts[0], states.LATENCY
+        share = float(E[row, 0])
+        parts = ((float(estimate.theta[row - states.STATE]) + share * size, math.hypot(
+            math.sqrt(estimate.covariance[row, row]), share * std_of_size)),)
     return cause, E @ made, E * std, parts
 
 

@@ -7,35 +7,37 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, State
-from bellows_ros.core.model.simulation import first_after, write_row
 from bellows_ros.core.model.structure import is_single, maps
 from bellows_ros.core.observer import alarms, dynamics, likelihood, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE
 from bellows_ros.core.observer.hypotheses import (
     DECIDE_NS,
+    LEAST_PRIOR,
     Likeliest,
     MIN_NOISE_COUNT,
+    PRIOR_STD,
     SETTLING,
+    START_ROWS,
+    START_STEPS,
 )
-from bellows_ros.core.observer.likelihood import FaultEvidence
+from bellows_ros.core.observer.likelihood import FaultEvidence, prior_of
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FALLING,
     GATE,
     MeasuredPose,
-    Measurement,
-    NO_MEASUREMENT,
     OUT_OF_REACH,
     OUTSIDE,
 )
+from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
 from bellows_ros.core.observer.states import KNOWN, KNOWN_ROWS, LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT, NEAR
+from bellows_ros.core.observer.track import Track
 from bellows_ros.core.parameters.conversion import places_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -58,9 +60,6 @@ LARGEST_LOAD = 5.0
 
 MAX_DEVIATION = 3.0
 """Largest deviation of a cup from its parameters without an alarm, standard deviations."""
-
-MIN_SAMPLES = 4096
-"""Smallest size of the buffer of tool samples, a few seconds."""
 
 TOUCHDOWN = 0.2
 """Time in which a support takes over the weight of a lowered package, s."""
@@ -165,60 +164,6 @@ class Known(NamedTuple):
     """Memory of the noise, see `correlations`."""
 
 
-class Track:
-    """
-    The recent tool samples and the package at each, as the kernels take them.
-
-    Attributes
-    ----------
-    rows : tuple of array or list
-        Stamp (ns), tool at begin and end of the motion from the previous sample, and package (with
-        internal strains, if any), of each sample.
-    count, newest_ns : int
-        Number of samples, and stamp of the newest.
-
-    """
-
-    def __init__(self) -> None:
-        self._allocate(MIN_SAMPLES)
-        self.count = self.newest_ns = 0
-
-    def _allocate(self, size: int) -> None:
-        stamps, (starts, ends) = np.zeros(size, np.int64), np.zeros((2, size, 13))
-        self.rows = as_inputs(stamps, starts, ends, np.zeros((size, 25)))
-
-    def begin(self, stamp_ns: int) -> None:
-        """Discard all but the start of a motion."""
-        self.rows[0][0] = self.newest_ns = stamp_ns
-        self.count = 1
-
-    def advance(self, stamp_ns: int) -> None:
-        """Count a sample that was written to the rows."""
-        self.count, self.newest_ns = self.count + 1, stamp_ns
-
-    def add(self, stamp_ns: int, start: State, end: State, body: State) -> None:
-        """Store a sample of tool and package."""
-        stamps, starts, ends, bodies = self.rows
-        stamps[self.count] = stamp_ns
-        for rows, state in ((starts, start), (ends, end), (bodies, body)):
-            write_row(rows[self.count], state)
-        self.advance(stamp_ns)
-
-    def after(self, stamp_ns: int) -> int:
-        """Return the index of the first sample after a stamp."""
-        return int(first_after(self.rows[0], stamp_ns, self.count))
-
-    def discard_before(self, since_ns: int) -> None:
-        """Make room for another sample by discarding samples before a stamp."""
-        if self.count < len(self.rows[0]):
-            return
-        before, first, end = self.rows, self.after(since_ns) - 1, self.count
-        self.count = end - first
-        self._allocate(max(MIN_SAMPLES, 4 * self.count))
-        for old, new in zip(before, self.rows, strict=True):
-            new[:self.count] = old[first:end]
-
-
 class Correction:
     """
     The filter of one model; each method takes an estimate and returns another.
@@ -253,6 +198,8 @@ class Correction:
         self._row = model_row(model)
         stated = states.stated_by(values, model)
         self.prior = states.each_row('prior', stated)
+        self.prior[START_ROWS] = np.maximum(
+            self.prior[START_ROWS], LEAST_PRIOR * START_STEPS @ PRIOR_STD[:START_STEPS.shape[1]])
         self.prior_covariance = np.diag(np.square(self.prior))
         self.prior_covariance[INERTIAS, INERTIAS] = stated.inertia
         self.largest = LARGEST.copy()
@@ -288,13 +235,13 @@ class Correction:
         return variances
 
     def start(
-        self, stamp_ns: int, tool: State, body: State, initial: tuple[Array, Array, Array],
-        lost_cups: tuple[int, ...],
+        self, stamp_ns: int, tool: State, body: State, initial: Known, lost_cups: tuple[int, ...],
     ) -> Estimate:
-        """Return the initial estimate of a package at rest, with theta, covariance and memory."""
+        """Return the initial estimate of a package at rest."""
         self._drive = dynamics.driving(self.nominal, tool, body, self._tool_noise)
+        self._at_start = prior_of(initial.theta, initial.covariance)
         return Estimate(
-            stamp_ns, tool, body, *initial, self._evidence(stamp_ns, body, lost_cups), lost_cups)
+            stamp_ns, tool, body, *initial, self._evidence(stamp_ns, lost_cups), lost_cups)
 
     def after_hanging(self, estimate: Estimate, hung_ns: int) -> Estimate:
         """Return the first estimate of a package that was predicted for some time (ns)."""
@@ -328,11 +275,11 @@ class Correction:
         return cups if len(cups) > 1 else NO_CUPS
 
     def _evidence(
-        self, stamp_ns: int, body: State, lost_cups: tuple[int, ...], from_start: bool = True
+        self, stamp_ns: int, lost_cups: tuple[int, ...], from_start: bool = True
     ) -> Evidence:
         """Return the evidence without a fault."""
         return NO_EVIDENCE if self.alarms is None else self.alarms.start(
-            stamp_ns, body[0], len(self._holding(lost_cups)), from_start)
+            stamp_ns, len(self._holding(lost_cups)), from_start)
 
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
@@ -353,7 +300,7 @@ class Correction:
             (self._drive, walk, self._marker[3][0]),
             FaultEvidence(
                 evidence.signatures, evidence.statistics, evidence.distances, evidence.onsets,
-                evidence.from_start, self._steps),
+                evidence.from_start, self._at_start, self._steps),
             self._holding(before.lost_cups),
             MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
@@ -527,7 +474,7 @@ class Correction:
         if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
             after.covariance[row, row] += change**2
             return after._replace(evidence=self._evidence(
-                stamp_ns, after.body, after.lost_cups, evidence.from_start)), None
+                stamp_ns, after.lost_cups, evidence.from_start)), None
         if self.alarms is None:
             return after, None
         is_back = before.gated_ns and not after.gated_ns  # earlier evidence does not count
@@ -535,24 +482,22 @@ class Correction:
             () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0])
         if suspect_ns != evidence.suspect_ns:
             evidence = evidence._replace(suspect_ns=suspect_ns)
-        fault = self.alarms.detected(
-            evidence, stamp_ns, likeliest, after.lost_cups, has_vacuum)
+        after = after._replace(evidence=evidence)
+        fault = self.alarms.detected(after, self._at_start, likeliest, has_vacuum)
         if fault is None:
             gated = len(after.gated_ns) if (
                 evidence.onsets[0, 0] >= SETTLING) else 0
             alarm = self.alarms.disturbance(stamp_ns, gated, likeliest)
-            if evidence is not after.evidence:
-                after = after._replace(evidence=evidence)
             return after if alarm is None else self._disturbed(after), alarm
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
         body, theta = changed_by(after.body, after.theta, fault.error)
         if not dynamics.is_possible(body, theta, self.largest):
             return after._replace(gated_ns=(), evidence=self._evidence(
-                stamp_ns, after.body, after.lost_cups, False)), fault.alarm
+                stamp_ns, after.lost_cups, False)), fault.alarm
         memory = np.r_[self.first_memory[:ekf.FACTORS], after.memory[ekf.FACTORS:]]
         return after._replace(  # the fault has increased the noise, too
             body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
-            evidence=self._evidence(stamp_ns, body, lost_cups, False),
+            evidence=self._evidence(stamp_ns, lost_cups, False),
             covariance=after.covariance + fault.spread @ fault.spread.T), fault.alarm
 
     def _disturbed(self, estimate: Estimate) -> Estimate:
@@ -560,14 +505,14 @@ class Correction:
         rows, P = np.arange(STATE), estimate.covariance.copy()
         P[rows, rows] += np.square(self.prior[rows])
         return estimate._replace(covariance=P, gated_ns=(), evidence=self._evidence(
-            estimate.stamp_ns, estimate.body, estimate.lost_cups, estimate.evidence.from_start))
+            estimate.stamp_ns, estimate.lost_cups, estimate.evidence.from_start))
 
     def released(self, estimate: Estimate) -> Estimate:
         """Return an estimate of a package just released by its support."""
         return self._without_support(estimate)._replace(
             support=0, gated_ns=(), away_ns=0,
-            evidence=self._evidence(estimate.stamp_ns, estimate.body, estimate.lost_cups,
-                                    estimate.evidence.from_start))
+            evidence=self._evidence(
+                estimate.stamp_ns, estimate.lost_cups, estimate.evidence.from_start))
 
     def _without_support(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the initial wrench."""
@@ -613,4 +558,4 @@ class Correction:
         from_start &= bool(estimate.evidence.onsets[0].max(initial=0) < MIN_NOISE_COUNT)
         return after._replace(
             memory=memory, gated_ns=(), away_ns=0,
-            evidence=self._evidence(stamp_ns, after.body, estimate.lost_cups, from_start))
+            evidence=self._evidence(stamp_ns, estimate.lost_cups, from_start))

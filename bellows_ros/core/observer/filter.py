@@ -21,7 +21,7 @@ from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.equilibrium import substeps_for
+from bellows_ros.core.model.equilibrium import pose_error, substeps_for
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
 from bellows_ros.core.observer.dynamics import (
@@ -60,13 +60,10 @@ MAX_CORRELATION = 0.97
 """Largest correlation of the noise of successive measurements."""
 
 VIEW_LENGTH = 5e-4
-"""Path of a tag over which the correlation of its errors decays to 1 / e, m."""
+"""Displacement of the tool at which the errors of a tag have a correlation of exp(-1/2), m."""
 
 VIEW_ANGLE = 5e-3
-"""Rotation of a tag over which the correlation of its errors falls to 1 / e, rad."""
-
-STILL_TIME = 5.0
-"""Time over which the correlation of the errors of a tag at rest decays to 1 / e, s."""
+"""Rotation of the tool at which the errors of a tag have this correlation, rad."""
 
 MODEL_ERROR_TIME = 0.05
 """
@@ -343,6 +340,35 @@ def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool
 
 
 @kernel
+def _part_of_motion(
+    samples: Samples, k: int, now_ns: int, until_ns: int, tool: State, max_step: float
+) -> tuple[State, State, int]:
+    """Return the tool at both ends of the next part of its motion to sample k, and the later."""
+    stamps, starts, ends, _, _ = samples
+    whole_ns, tool_end = stamps[k] - stamps[k - 1], row_state(ends[k])
+    if now_ns == stamps[k - 1]:
+        tool = row_state(starts[k])
+    later_ns = min(stamps[k], until_ns)
+    parts = substeps_for((later_ns - now_ns) / NS_PER_S, COVARIANCE_STEPS * max_step)
+    later_ns = now_ns + (later_ns - now_ns) // parts
+    if later_ns < stamps[k]:
+        segment = kernels.tool_segment(row_state(starts[k]), tool_end, whole_ns / NS_PER_S)
+        tool_end = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
+    return tool, tool_end, later_ns
+
+
+@kernel
+def _half_of_drive(
+    model: ModelTuple, tool: State, body: State, drive: Array, squares: float, model_error: float
+) -> Array:
+    """Return half of the added covariance of a step, see `propagated`."""
+    _, _, _, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
+    half: Array = 0.5 * (squares * drive[0] + model_error * (
+        t3.dot(v, v) * drive[1] + t3.dot(w, w) * drive[2]))
+    return half
+
+
+@kernel
 def propagated(
     model: ModelTuple, beginning: Moving, transition: Transition, samples: Samples,
     is_recorded: bool, until_ns: int, max_step: float, drive: Array, model_error: float,
@@ -372,7 +398,7 @@ def propagated(
 
     """
     (now_ns, tool, body, theta), (T, Q, without_cup) = beginning, transition
-    stamps, starts, ends, bodies, count = samples
+    stamps, _, _, bodies, count = samples
     k = first_after(stamps, now_ns, count)
     bias, follows, is_reset, h, squares = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
     nominal, model, max_step = model, with_theta(model, theta), stable_step(max_step, theta)
@@ -388,11 +414,9 @@ def propagated(
                 t3.add_array(A1, 1.0, A0)
                 t3.add_array(B1, 1.0, B0)
                 t3.add_array(losses1, 1.0, losses0)
-                _, _, _, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
-                more = 0.5 * h * model_error
-                accumulate(A0, B0, h, 0.5 * squares * drive[0] + more * (
-                    t3.dot(v, v) * drive[1] + t3.dot(w, w) * drive[2]), T, Q,
-                           t3.scale(-1.0 / model[1][0], force), losses0, without_cup)
+                half = _half_of_drive(model, tool, body, drive, squares, h * model_error)
+                accumulate(A0, B0, h, half, T, Q, t3.scale(-1.0 / model[1][0], force), losses0,
+                           without_cup)
             A0, B0, losses0, A1, B1, losses1 = A1, B1, losses1, A0, B0, losses0
             is_reset, h, squares = False, 0.0, 0.0
         if now_ns >= until_ns:
@@ -404,31 +428,23 @@ def propagated(
             h, squares, now_ns, k = h + part, squares + part * part, stamps[k], k + 1
         if k > first:
             body = body_row(bodies[k - 1], body)
-        whole_ns = stamps[k] - stamps[k - 1]
-        if now_ns == stamps[k - 1]:
-            tool = row_state(starts[k])
-        later_ns = min(stamps[k], until_ns)
-        parts = substeps_for((later_ns - now_ns) / NS_PER_S, COVARIANCE_STEPS * max_step)
-        later_ns = now_ns + (later_ns - now_ns) // parts
-        tool_end = row_state(ends[k])
-        if later_ns < stamps[k]:
-            segment = kernels.tool_segment(row_state(starts[k]), tool_end, whole_ns / NS_PER_S)
-            tool_end = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
+        tool, tool_end, later_ns = _part_of_motion(samples, k, now_ns, until_ns, tool, max_step)
         part = (later_ns - now_ns) / NS_PER_S
         body = _followed(
             model, bias, body, tool, tool_end, part, max_step, bodies[k], is_recorded,
             later_ns == stamps[k])
-        h, squares = h + part, squares + part * whole_ns / NS_PER_S
+        h, squares = h + part, squares + part * (stamps[k] - stamps[k - 1]) / NS_PER_S
         tool, now_ns = tool_end, later_ns
         if now_ns == stamps[k]:
             k += 1
 
 
 @kernel
-def correlations_of_tag(body: State, age: float) -> tuple[float, float]:
-    """Return the result of `correlations` for a tag, whose errors belong to the view."""
-    of_view = math.exp(-age * (1.0 / STILL_TIME + t3.norm(body[2]) / VIEW_LENGTH
-                               + t3.norm(body[3]) / VIEW_ANGLE))
+def correlations_of_tag(before: State, after: State) -> tuple[float, float]:
+    """Return the result of `correlations` for a tag, whose errors persist in a view."""
+    shift, turn = pose_error(before, after[0], after[1])
+    of_view = math.exp(-0.5 * (
+        t3.dot(shift, shift) / VIEW_LENGTH**2 + t3.dot(turn, turn) / VIEW_ANGLE**2))
     return of_view, of_view
 
 
@@ -446,9 +462,7 @@ def predicted(
     drive, walk, is_tag = noise
     T, Q, theta = identity_transition(), np.zeros((STATE, STATE)), theta.copy()
     model_error = memory[SHARE] * MODEL_ERROR_TIME**3
-    age = (until_ns - now_ns) / NS_PER_S
-    correlation = correlations(memory, age)
-    earlier = body
+    correlation, earlier = correlations(memory, (until_ns - now_ns) / NS_PER_S), tool
     without_cup = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
     for c in range(len(without_cup)):
         for i in range(STATE):
@@ -457,7 +471,7 @@ def predicted(
         model, (now_ns, tool, body, theta), (T, Q, without_cup), samples, is_recorded, until_ns,
         max_step, drive, model_error, cups)
     if is_tag:
-        correlation = correlations_of_tag(earlier, age)
+        correlation = correlations_of_tag(earlier, tool)
     P = propagated_covariance(P, T, Q, walk, correlation)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], correlation)
     if len(signatures) > 0:

@@ -1,4 +1,4 @@
-"""The table of hypotheses: kinds of faults, their layout in the evidence, and thresholds."""
+"""The table of hypotheses: kinds of faults, their places in the evidence, and thresholds."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from pathlib import Path
 import tomllib
 from typing import NamedTuple
 
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.filter import ONSETS
 import numpy as np
-
-CAUSES = tomllib.loads(Path(__file__).with_name('alarms.toml').read_text())
-"""Causes by name."""
 
 
 class Cause(NamedTuple):
@@ -26,10 +24,10 @@ class Cause(NamedTuple):
     prior_std: Sequence[float]
     ends: Sequence[int]
     share: float
-    at_start: bool
-    sets_in: bool
     parts: Sequence[tuple[int, int, bool]]
     """First and last component of each size, and whether it is a logarithm."""
+    at_start: bool = False
+    """Whether the fault is present from the start; otherwise it has an onset."""
     every: int = 1
     """Interval of the tested onsets, in onsets of `ONSET_NS`; a tested onset stands for the
     skipped ones."""
@@ -51,11 +49,12 @@ _ROWS = {**states.FIRST, 'FORCE_LOSS': ekf.FORCE_LOSS}
 NAMED = {
     name: Cause(name, **{**entry, 'steps': tuple(
         tuple(_ROWS[row] + place for row, place in step) for step in entry['steps'])})
-    for name, entry in CAUSES.items()}
-ALARM_CAUSES = tuple(sorted(NAMED.values(), key=lambda cause: cause.name == 'cup'))
+    for name, entry in tomllib.loads(
+        Path(__file__).with_name('alarms.toml').read_text()).items()}
+HYPOTHESES = tuple(NAMED.values())
 """
-All tested faults. The last fault is the loss of one cup of several; each holding cup has separate
-columns, after the columns of all other faults.
+All tested faults, first the faults present from the start. The last fault is the loss of one cup
+of several; each holding cup has separate columns, after the columns of all other faults.
 """
 
 OUT_OF_REACH_ODDS = 100.0
@@ -65,10 +64,7 @@ VACUUM_ODDS = 1000.0
 """Factor on the odds of a lost package or cup by a broken vacuum; a holding vacuum divides by
 it."""
 
-START = tuple(cause for cause in ALARM_CAUSES if cause.at_start)
-HYPOTHESES = START + tuple(cause for cause in ALARM_CAUSES if cause.sets_in)
-"""Hypotheses: first the faults present from the start, then those with an onset."""
-AT_START = len(START)
+AT_START = sum(cause.at_start for cause in HYPOTHESES)
 """Index of the first hypothesis with an onset."""
 CUP = len(HYPOTHESES) - 1
 """Index of the loss of the first cup."""
@@ -77,8 +73,7 @@ FIRSTS = tuple(np.cumsum([0, *(len(cause.steps) for cause in HYPOTHESES)]).tolis
 """First component of each hypothesis, and the end of the last one."""
 IS_END = tuple(n + 1 in cause.ends for cause in HYPOTHESES for n in range(len(cause.steps)))
 """Whether a fault may end with a component."""
-OF_CAUSE = tuple(ALARM_CAUSES.index(cause) for cause in HYPOTHESES)
-LOG_SHARES = tuple(math.log(cause.share / len(cause.ends)) for cause in ALARM_CAUSES)
+LOG_SHARES = tuple(math.log(cause.share / len(cause.ends)) for cause in HYPOTHESES)
 PRIOR_STD = tuple(std for cause in HYPOTHESES for std in cause.prior_std)
 MEANS = tuple(cause.mean for cause in HYPOTHESES)
 
@@ -95,9 +90,19 @@ OLDEST_NS = 10_000_000_000
 EVERY = tuple(cause.every for cause in HYPOTHESES)
 SLOTS = (1,) * AT_START + tuple(ONSETS // every for every in EVERY[AT_START:])
 """Number of onsets of each hypothesis."""
-COLUMNS = tuple(np.cumsum([0, *(
-    slots * len(cause.steps) for cause, slots in zip(HYPOTHESES, SLOTS, strict=True))]).tolist())
-"""First column of each hypothesis, with one column per component and onset."""
+COLUMNS = FIRSTS[:AT_START] + tuple(np.cumsum([0, *(
+    slots * len(cause.steps) for cause, slots in zip(
+        HYPOTHESES[AT_START:], SLOTS[AT_START:], strict=True))]).tolist())
+"""First column of each hypothesis, with one column per component and onset: faults from the start
+and faults with an onset have columns of their own."""
+START_ROWS: Array = np.unique([row for step in STEPS[:FIRSTS[AT_START]] for row in step])
+"""Rows of the error that faults from the start change."""
+START_STEPS: Array = np.array([
+    [float(row in step) for step in STEPS[:FIRSTS[AT_START]]] for row in START_ROWS])
+"""Change of these rows by each component."""
+LEAST_PRIOR = 1e-3
+"""Smallest prior standard deviation of a row, relative to the prior size of its fault: rounding
+hides the information on a smaller one."""
 MAX_COMPONENTS = max(len(cause.steps) for cause in HYPOTHESES)
 
 MARGIN = -2.0
@@ -123,12 +128,6 @@ MIN_NOISE_COUNT = 33
 MAX_NOISE_RATIO = 3.0
 """Largest log-likelihood ratio of a fault with which the noise is estimated later: a fault would
 increase the noise."""
-
-MAX_COUNT = 300
-"""
-Number of measurements after which the evidence of faults from the start is reset: signatures
-contain the noise of estimates, whose products add up.
-"""
 
 DISTURBED_COUNT = 3
 """Number of consecutive poses outside the gate from which a disturbance is named: outliers are
@@ -172,8 +171,7 @@ LOG_SHARE_OF_NONE = math.log(0.1)
 """Logarithm of the prior share of causes without a signature, including disturbances."""
 
 NONE, PUSH, PAYLOAD, WEAR = -1, *(
-    [cause.name for cause in ALARM_CAUSES].index(name)
-    for name in ('disturbance', 'payload', 'wear'))
+    [*NAMED].index(name) for name in ('disturbance', 'payload', 'wear'))
 """Indices of the cause without a signature, of an external push, of a wrong payload and of
 wear."""
 
@@ -189,7 +187,7 @@ class Likeliest(NamedTuple):
     """Likeliest cause: slot of its onset, index in `HYPOTHESES`, number of components; cups of a
     gripper follow all others."""
     second: int
-    """Next likeliest cause: index in `ALARM_CAUSES`, cups last, or `NONE`; ..."""
+    """Next likeliest cause: index in `HYPOTHESES`, cups last, or `NONE`; ..."""
     runner_up: tuple[int, int, int]
     """... and its triple like `best`."""
     pinned: int

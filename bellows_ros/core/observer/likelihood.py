@@ -9,6 +9,11 @@ martingale without faults. The sum of the ratios over onsets, and over causes by
 grows by 1 per onset on average, so it reaches A after at least A onsets on average (Shiryaev and
 Roberts). This gives the threshold for the allowed rate of false alarms.
 
+A fault from the start is a larger prior covariance, P0 + U S U^T with steps U of sizes with
+variances S. The change x of its rows since the start and their covariance P contain its evidence:
+with W = P0^-1 U, W^T x is the score of its size, W^T (P0 - P) W the information on it, and P W its
+signature.
+
 Ordinary errors are part of the error and of the covariance of the innovations. A detected fault is
 removed from the estimate: the estimate changes by the signature times the likeliest size, and the
 covariance grows by the prior of the size.
@@ -43,20 +48,20 @@ from bellows_ros.core.observer.hypotheses import (
     LOG_SHARE_OF_NONE,
     LOG_SHARES,
     MAX_COMPONENTS,
-    MAX_COUNT,
     MAX_NOISE_RATIO,
     MAX_UNEXPLAINED,
     MEANS,
     MIN_NOISE_COUNT,
     NO_FAULT,
     NONE,
-    OF_CAUSE,
     OLDEST_NS,
     ONSET_NS,
     PRIOR_STD,
     PUSH,
     SETTLING,
     SLOTS,
+    START_ROWS,
+    START_STEPS,
     START_WEIGHT,
 )
 from bellows_ros.core.observer.measurement import (
@@ -74,6 +79,23 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 
+class Prior(NamedTuple):
+    """Rows of the error with faults from the start, before the first measurement."""
+
+    theta: Array
+    """Values (k,) of the rows `START_ROWS`."""
+    weights: Array
+    """Weights W (k, components)."""
+    information: Array
+    """Products U^T W (components, components)."""
+
+
+def prior_of(theta: Array, P: Array) -> Prior:
+    """Return the prior for theta and the covariance (n, n) at the start."""
+    W = np.linalg.solve(P[np.ix_(START_ROWS, START_ROWS)], START_STEPS)
+    return Prior(theta[START_ROWS - states.STATE], W, START_STEPS.T @ W)
+
+
 class FaultEvidence(NamedTuple):
     """Evidence of faults before a measurement, see `Evidence`."""
 
@@ -82,6 +104,7 @@ class FaultEvidence(NamedTuple):
     distances: Array
     onsets: Stamps
     from_start: bool
+    prior: Prior
     steps: Array
     """Error (n + 7, components) by each component of a fault."""
 
@@ -122,8 +145,9 @@ def filter_step(
     _, tool, body, theta, P, _ = after
     rise = fall = 0.0
     if seen.gate > 0.0:
-        verdict, innovation, body, theta, learned = updated(
-            model, after, seconds, seen, gain)
+        is_early = faults.from_start and len(E) > 0 and onsets[0, 0] < MIN_NOISE_COUNT
+        verdict, is_used, innovation, body, theta, learned = updated(
+            model, after, seconds, seen, gain, is_early)
         if seen.sag > 0.0 and verdict <= OUTSIDE:
             rise, fall = vertical_ratios(body, model[2], innovation, seen.sag)
             rise = rise if verdict == USED else 0.0
@@ -134,7 +158,8 @@ def filter_step(
             onsets = onsets.copy()
             likeliest = _assessed(
                 E, statistics, distances, onsets, faults.steps, until_ns, body[0], innovation,
-                seen.marker[2], verdict <= USED, faults.from_start)
+                seen.marker[2], is_used, faults.from_start,
+                of_start(faults.prior, theta, P))
         if likeliest.total < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
     return Assessment(verdict, (until_ns, tool, body, theta, P, memory), E, statistics, distances,
@@ -148,11 +173,35 @@ def layout(number: int) -> tuple[int, int]:
     return h, COLUMNS[h] + (number - h) * ONSETS
 
 
+@entry
+def of_start(prior: Prior, theta: Array, P: Array) -> Array:
+    """Return the statistics of faults from the start, of theta and P now, as in `Evidence`."""
+    W, rows = prior.weights, START_ROWS
+    m, out = W.shape[1], np.zeros((1 + MAX_COMPONENTS, W.shape[1]))
+    PW = np.zeros((len(rows), m))
+    for i in range(len(rows)):
+        change = theta[rows[i] - states.STATE] - prior.theta[i]
+        for a in range(m):
+            out[0, a] += W[i, a] * change
+            for j in range(len(rows)):
+                PW[i, a] += P[rows[i], rows[j]] * W[j, a]
+    for h in range(AT_START):
+        for a in range(FIRSTS[h], FIRSTS[h + 1]):
+            for b in range(FIRSTS[h], a + 1):
+                gained = prior.information[a, b]
+                for i in range(len(rows)):
+                    gained -= W[i, a] * PW[i, b]
+                out[1 + b - FIRSTS[h], a] = gained
+            if gained <= 0.0:  # less is known than at the start
+                out[:, a] = 0.0
+    return out
+
+
 @kernel
 def _assessed(
     E: Any, statistics: Array, distances: Array, onsets: Stamps, steps: Array, stamp_ns: int,
     place: Vector, innovation: Innovation, of_lip: bool, used: bool,
-    from_start: bool,
+    from_start: bool, since_start: Array,
 ) -> Likeliest:
     """Update the evidence by the next `Innovation`, for a package at a place (m, world)."""
     z, H, root, _, whitened = innovation
@@ -163,20 +212,18 @@ def _assessed(
     change = t3.product(
         root.astype(np.float32), response, np.empty((6, E.shape[1]), np.float32))
     counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
-    if counts[0] >= MAX_COUNT:
-        counts[0], distances[0] = MIN_NOISE_COUNT, 6.0 * MIN_NOISE_COUNT
-        statistics[:, :COLUMNS[AT_START]] = 0.0
     for k in range(1 + ONSETS):
         if onsets[1, k] >= 0:
             distances[k] += (z * z).sum() if is_settled else 0.0
             counts[k] += 1
     faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
     if counts[0] > SETTLING:
-        for number in range(faults):
+        for number in range(AT_START, faults):
             _add_products(z, change, number, statistics)
     if used:
         t3.subtract_product(whitened.astype(np.float32), change, E)
-    likeliest = _likeliest_fault(statistics, distances, onsets, from_start, faults)
+    likeliest = _likeliest_fault(
+        statistics, since_start, distances, onsets, 0 if from_start else AT_START, faults)
     if counts[0] >= SETTLING and stamp_ns - onsets[1].max() >= ONSET_NS // 2:
         add_onset(E, statistics, distances, onsets, steps, stamp_ns, place, likeliest.pinned)
     return likeliest
@@ -223,11 +270,11 @@ def add_onset(
     k = _free_slot(onsets[1], stamp_ns, pinned)
     distances[k], onsets[0, k], onsets[1, k] = 0.0, 0, stamp_ns
     faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
-    for number in range(0 if k == 0 else AT_START, AT_START if k == 0 else faults):
+    for number in range(AT_START, faults):
         h, column = layout(number)
-        if (k - 1) % EVERY[h] > 0 and k > 0:
+        if (k - 1) % EVERY[h] > 0:
             continue
-        first, slots, slot = FIRSTS[h], SLOTS[h], max(k - 1, 0) // EVERY[h]
+        first, slots, slot = FIRSTS[h], SLOTS[h], (k - 1) // EVERY[h]
         for a in range(FIRSTS[h + 1] - first):
             signature = E[:, column + a * slots + slot]
             statistics[:, column + a * slots + slot] = 0.0
@@ -261,37 +308,36 @@ def _add_products(z: Array, change: Array, number: int, statistics: Array) -> No
 
 @kernel
 def _likeliest_fault(
-    statistics: Array, distances: Array, onsets: Stamps, from_start: bool, faults: int
+    statistics: Array, since_start: Array, distances: Array, onsets: Stamps, tested: int,
+    faults: int,
 ) -> Likeliest:
-    """Return the result of `_assessed`."""
-    causes = OF_CAUSE[CUP] + faults - CUP
-    top, sums, best = np.full(causes, -math.inf), np.zeros(causes), np.zeros((causes, 3), np.int64)
+    """Return the result of `_assessed` for the faults from `tested` on."""
+    top, sums, best = np.full(faults, -math.inf), np.zeros(faults), np.zeros((faults, 3), np.int64)
     A, z = np.empty((MAX_COMPONENTS, MAX_COMPONENTS, ONSETS)), np.empty((MAX_COMPONENTS, ONSETS))
     explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
     unusual = _unusual(distances, onsets[0])
-    for number in range(0 if from_start else AT_START, faults):
-        h, column = layout(number)
+    for c in range(tested, faults):
+        h, column = layout(c)
         first, later = FIRSTS[h], h >= AT_START
+        given = statistics if later else since_start
         weight = math.log(EVERY[h] if later else START_WEIGHT)
         explained[:], determinant[:] = 0.0, 1.0
         for i in range(FIRSTS[h + 1] - first):
-            _explain(statistics[:, column:], h, i, A, z, explained, determinant)
+            _explain(given[:, column:], h, i, A, z, explained, determinant)
             if IS_END[first + i]:
-                c = OF_CAUSE[h] + number - h
                 slot, top[c], sums[c] = _sum_over_onsets(
                     unusual[later::EVERY[h]], explained[:SLOTS[h]], determinant, weight, top[c],
                     sums[c])
                 if slot >= 0:
-                    best[c, 0], best[c, 1], best[c, 2] = slot * EVERY[h] + later, number, i + 1
-    for c in range(causes):
-        top[c] += math.log(max(sums[c], 1.0)) + LOG_SHARES[min(c, OF_CAUSE[CUP])]
-        top[c] -= math.log(faults - CUP) if c >= OF_CAUSE[CUP] else 0.0
+                    best[c, 0], best[c, 1], best[c, 2] = slot * EVERY[h] + later, c, i + 1
+        top[c] += math.log(max(sums[c], 1.0)) + LOG_SHARES[h]
+        top[c] -= math.log(faults - CUP) if h == CUP else 0.0
     leader, pinned = top.argmax(), 1
     none = _none_of_these(distances, onsets)
     if top[leader] == -math.inf:
         return Likeliest(-math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, none)
     second, rival = NONE, -math.inf if leader == PUSH else none
-    for c in range(causes):
+    for c in range(faults):
         pinned |= 1 << best[c, 0]
         if c != leader and top[c] > rival:
             second, rival = c, top[c]

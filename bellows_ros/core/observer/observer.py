@@ -11,28 +11,24 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import deque
 import math
-from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, sag, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.correction import Correction, INERTIAS, Known, Track
+from bellows_ros.core.observer.correction import Correction, Known
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
 from bellows_ros.core.observer.hypotheses import MAX_ODDS
-from bellows_ros.core.observer.measurement import (
-    changed_by,
-    Measurement,
-    NO_MEASUREMENT,
-    PoseSensor,
-)
+from bellows_ros.core.observer.measurement import changed_by
+from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT, PoseSensor
+from bellows_ros.core.observer.results import Calibration, calibration_of, Payload, payload_of
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, CAMERA_ROWS, CUP_ROWS, STATE
 from bellows_ros.core.observer.support import Support
+from bellows_ros.core.observer.track import Track
 from bellows_ros.core.observer.wrench_alarms import Watch
 from bellows_ros.core.observer.wrenches import Wrenches
 from bellows_ros.core.parameters.conversion import wrench_sensor_of
@@ -84,30 +80,6 @@ OF_CUP = frozenset(('leak', 'wear'))
 
 MODEL_ROWS = np.array([*range(states.MASS, states.COM + 3), *CUP_ROWS])
 """Rows of payload and cup that parameters state."""
-
-
-class Payload(NamedTuple):
-    """An estimated payload: kg, m in S, kg m^2 at B, and standard deviations."""
-
-    stamp_ns: int
-    mass: float
-    com: Vector
-    inertia: Matrix
-    mass_std: float
-    com_std: Array
-    inertia_std: Array
-    """Standard deviations of the three moments of inertia, kg m^2."""
-
-
-class Calibration(NamedTuple):
-    """Errors of a camera, with standard deviations: shift (m), rotation (rad), latency (s)."""
-
-    shift: Array
-    shift_std: Array
-    turn: Array
-    turn_std: Array
-    latency: float
-    latency_std: float
 
 
 class Observer:
@@ -207,6 +179,11 @@ class Observer:
             self._first_of_package = len(self.alarms)
         self._predict_with(known.theta, self._lost_cups)
 
+    def _predict_from(self, newest: Estimate) -> None:
+        """Predict with the newest estimate."""
+        self._newest = newest
+        self._predict_with(newest.theta, self._lost_cups)
+
     def _predict_with(self, theta: Array, lost_cups: tuple[int, ...]) -> None:
         """Predict with estimated parameters, without lost cups."""
         self._theta, self._row = theta, self._correction.row(lost_cups)
@@ -251,25 +228,12 @@ class Observer:
         """The estimated payload, if any."""
         if not self._estimates or not self._values.payload.estimate:
             return None
-        mass, com, inertia, _ = self.model[1]
-        P = self._estimates[-1].covariance
-        std = np.sqrt(np.diag(P)[states.MASS:states.MASS + 4])
-        by_moment = (1.0 - np.eye(3)) * np.array(dynamics.second_moments(inertia))[::4]
-        own = np.diag(by_moment @ P[INERTIAS, INERTIAS] @ by_moment.T)
-        return Payload(
-            self._estimates[-1].stamp_ns, mass, com, inertia, float(std[0] * mass), std[1:],
-            np.hypot(std[0] * np.array(inertia[::4]), np.sqrt(own)))
+        return payload_of(self._estimates[-1], self.model)
 
     @property
     def calibration(self) -> Calibration | None:
         """The estimated errors of the camera, if any."""
-        if not self._estimates:
-            return None
-        last, latency = self._estimates[-1], states.LATENCY
-        errors = last.theta[states.CAMERA - STATE:latency + 1 - STATE]
-        std = np.sqrt(np.diag(last.covariance)[states.CAMERA:latency + 1])
-        return Calibration(
-            errors[:3], std[:3], errors[3:6], std[3:6], float(errors[6]), float(std[6]))
+        return calibration_of(self._estimates[-1]) if self._estimates else None
 
     # ---------------------------------------------------------------- the tool
 
@@ -302,8 +266,6 @@ class Observer:
         self.body = prediction[0]
         track.advance(stamp_ns)
         event = self._support.follow(stamp_ns, end)
-        if event == 'leaves':
-            self._let_go()
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
             self._measurements.append(self._pending.pop(0))
@@ -311,16 +273,23 @@ class Observer:
         if event == 'meets':
             self._meet(stamp_ns)
             prediction = None
+        elif self._has_left:
+            self._predict_from(self._correction.released(self._estimates[-1]))
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
             self._drop_old(stamp_ns - MAX_DELAY_NS)
-        if self._estimates[-1].away_ns > 0:
+        if self._estimates[-1].away_ns > 0 and not self._has_left:
             self._note_silence(stamp_ns)
         return prediction
 
+    @property
+    def _has_left(self) -> bool:
+        """Whether the newest estimate is on a support that the package has left since."""
+        return bool(self._estimates[-1].support) and not self._support.is_near
+
     def _meet(self, stamp_ns: int) -> None:
-        """Apply a stop of the tool on its way down, in the order of the measured poses."""
+        """Apply a stop of the tool on its way down, after a measured pose of its stamp."""
         measurements = self._measurements
-        at = bisect_left(measurements, (stamp_ns,))
+        at = bisect_left(measurements, (stamp_ns + 1,))
         measurements.insert(at, NO_MEASUREMENT._replace(stamp_ns=stamp_ns, meets_support=True))
         self._reprocess(at)
 
@@ -385,15 +354,17 @@ class Observer:
         for k in range(first, len(measurements)):
             while again and again[0].stamp_ns < measurements[k].stamp_ns:
                 self._raise(again.pop(0))
+            # a package that had left a support was recorded without its wrench
+            is_recorded = k == first and not estimates[k].support
             if measurements[k].meets_support:
                 estimates.append(self._correction.met(
-                    estimates[k], self._track, measurements[k].stamp_ns, k == first))
+                    estimates[k], self._track, measurements[k].stamp_ns, is_recorded))
                 continue
             support = self._support.at(measurements[k].stamp_ns)
             before = estimates[k] if support else self.wrenches.corrected(
                 self._correction, estimates[k], self._track, measurements[k].stamp_ns)
             after, verdict, alarm = self._correction.updated(
-                before, self._track, measurements[k], k == first and before is estimates[k],
+                before, self._track, measurements[k], is_recorded and before is estimates[k],
                 support, bool(self._is_held(estimates[k])))
             if k == first and verdict:
                 self.counts[verdict] += 1
@@ -405,12 +376,10 @@ class Observer:
                              if verdict == 'out_of_reach' else after)
         for alarm in again:
             self._raise(alarm)
-        self._lost_cups = estimates[-1].lost_cups
-        if estimates[-1].support and not self._support.is_near:
-            self._let_go()
-        self._newest = None
-        self._predict_with(estimates[-1].theta, self._lost_cups)
-        self.body = self._correction.body_at_end(estimates[-1], self._track)
+        last = self._correction.released(estimates[-1]) if self._has_left else estimates[-1]
+        self._lost_cups = last.lost_cups
+        self._predict_from(last)
+        self.body = self._correction.body_at_end(last, self._track)
 
     def on_wrench(self, stamp_ns: int, wrench: Wrench) -> str:
         """Process a wrench (N, N m) of the sensor in its axes; return a rejection."""
@@ -442,12 +411,6 @@ class Observer:
             self._estimates[-1] = self._correction.slipped(last, found.size)
 
     # ---------------------------------------------------------- kept estimates
-
-    def _let_go(self) -> None:
-        """Continue without the wrench of a support."""
-        self._estimates[-1] = self._correction.released(self._estimates[-1])
-        self._newest = None
-        self._predict_with(self._estimates[-1].theta, self._lost_cups)
 
     def _note_trouble(self, stamp_ns: int, verdict: str, alarm: Alarm | None) -> None:
         """Keep an estimate after an interval without trouble; after trouble restart it."""
@@ -536,7 +499,7 @@ class Observer:
         A support, which explains outliers, does not explain a fall out of reach.
         """
         last = self._estimates[-1] if self._estimates else None
-        return last is not None and (
+        return last is not None and not self._has_left and (
             last.falls and last.away_ns != 0 if self._support.is_near
             else last.away_ns != 0 or len(last.gated_ns) > 1)
 

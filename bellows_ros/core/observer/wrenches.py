@@ -43,7 +43,8 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 if TYPE_CHECKING:
-    from bellows_ros.core.observer.correction import Correction, Track
+    from bellows_ros.core.observer.correction import Correction
+    from bellows_ros.core.observer.track import Track
 
 NODE_NS = 4_000_000
 """Interval of the derivatives, ns."""

@@ -161,7 +161,9 @@ def follow(made, stamps, tool, start, came, before=None, after=None):
             before(k)
         made.follow(int(stamps[k]), tool[k - 1], tool[k])
         for stamp_ns, pose in came.get(k, []):
-            made.update(measured(made, stamp_ns, pose))
+            seen = measured(made, stamp_ns, pose)
+            if seen != 'repeated':
+                made.update(seen)
         if after is not None:
             after(k)
 

@@ -48,6 +48,15 @@ TAG = (True, 1e-4, 30.0, (0.3, 0.2, -0.7), rotation_matrix(exp_quaternion((0.2, 
 pytestmark = pytest.mark.xdist_group('kernels called from Python')  # compiled by one worker alone
 
 
+def test_errors_of_a_tag_persist_in_a_view():
+    """Keep them at rest for any time with the noise of a robot's poses; not over a centimetre."""
+    rng, still = np.random.default_rng(1), tool_motion(np.random.default_rng(1), 0.01)[1][0]
+    tools = [with_noise(rng, still, np.repeat([2e-5, 5e-5], 3)) for _ in range(31)]
+    kept = [ekf.correlations_of_tag(*pair)[0] for pair in zip(tools, tools[1:], strict=False)]
+    assert np.prod(kept) > 0.8  # after 1 s
+    assert ekf.correlations_of_tag(still, moved_by(still, np.r_[0.01, np.zeros(11)]))[0] < 1e-9
+
+
 @pytest.mark.parametrize('is_off', [False, True])
 def test_transition_is_that_by_differences(is_off):
     """Carry an error for 1 ms as the difference of two packages goes on, and its covariance."""
@@ -173,7 +182,7 @@ def test_innovations_agree_with_their_covariance(of_lip, sensor):
         z, H, W, *_ = updated(
             model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03,
             MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, 0.0, np.inf),
-            np.zeros((12, 12)))[1]
+            np.zeros((12, 12)), False)[2]
         root = np.linalg.inv(W)
         return root @ z, H, root
 

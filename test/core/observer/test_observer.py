@@ -6,7 +6,8 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, moved_by, pose_error, substeps_for
 from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.observer.filter import SHARE
-from bellows_ros.core.observer.measurement import at_com, MAX_VARIANCE
+from bellows_ros.core.observer.measurement import at_com
+from bellows_ros.core.observer.pose_sensor import MAX_VARIANCE
 from bellows_ros.core.observer.states import DAMPING, each_row, SAME_PACKAGE, stated_by, WRENCH
 from bellows_ros.report.sentences import alarm_sentence
 import numpy as np
@@ -66,6 +67,42 @@ def test_late_and_out_of_order_equals_in_order(late):
     follow(made, stamps, tool, body[0], came)
     np.testing.assert_allclose(numbers(made), numbers(in_order), rtol=1e-9, atol=1e-15)
     assert made.counts == in_order.counts == {**made.counts, 'used': len(seen)}
+
+
+def put_down():
+    """Give stamps and states of a tool that lifts by 0.1 m, and stops on its way down."""
+    t = np.arange(0.0, 2.2, PERIOD_NS * 1e-9)
+    way = [np.clip((t - begin) / 0.6, 0.0, 1.0) for begin in (0.1, 0.9)]
+    height, speed = (0.1 * f(way[0]) - 0.08 * f(way[1]) for f in (
+        lambda s: s**3 * (10.0 - 15.0 * s + 6.0 * s**2),
+        lambda s: 30.0 * s**2 * (1.0 - s)**2 / 0.6))
+    return np.arange(len(t)) * PERIOD_NS + 1_000_000_000, [
+        ((0.0, 0.0, z), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, v), (0.0, 0.0, 0.0))
+        for z, v in zip(height.tolist(), speed.tolist(), strict=True)]
+
+
+@pytest.mark.timeout(300)
+def test_any_order_of_arrival_ends_with_the_same_estimate():
+    """Let poses come before the tool's, late, twice and shuffled, also at a stop of the tool."""
+    stamps, tool = put_down()
+    body, orders, ends = truth(tool), [None, *range(20)], []
+    rng = np.random.default_rng(1)
+    seen = {k: with_noise(rng, body[k], NOISE) for k in range(8, len(tool) - 8, 8)}
+    for seed in orders:
+        rng, came = np.random.default_rng([2, seed or 0]), {}
+        for k, pose in seen.items():
+            late = [0] if seed is None else rng.integers(
+                -12, 100, 1 + (rng.random() < 0.2)).tolist()
+            for by in late:
+                came.setdefault(min(max(k + by, 1), len(tool) - 1), []).append((stamps[k], pose))
+        made = observer(payload__estimate=True)
+        made.grip()
+        follow(made, stamps, tool, body[0], came)
+        assert made.counts['used'] + made.counts['gate'] == len(seen)
+        assert made._support.is_near
+        ends.append(numbers(made))
+    for end in ends[1:]:
+        np.testing.assert_allclose(end, ends[0], rtol=1e-7, atol=1e-13)
 
 
 def test_prediction_without_measured_poses_is_unchanged():

@@ -1,0 +1,58 @@
+"""Results of an estimate: the payload, and the errors of the camera."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.observer import dynamics, states
+from bellows_ros.core.observer.filter import Estimate
+from bellows_ros.core.observer.states import STATE
+import numpy as np
+
+
+class Payload(NamedTuple):
+    """An estimated payload: kg, m in S, kg m^2 at B, and standard deviations."""
+
+    stamp_ns: int
+    mass: float
+    com: Vector
+    inertia: Matrix
+    mass_std: float
+    com_std: Array
+    inertia_std: Array
+    """Standard deviations of the three moments of inertia, kg m^2."""
+
+
+class Calibration(NamedTuple):
+    """Errors of a camera, with standard deviations: shift (m), rotation (rad), latency (s)."""
+
+    shift: Array
+    shift_std: Array
+    turn: Array
+    turn_std: Array
+    latency: float
+    latency_std: float
+
+
+def payload_of(estimate: Estimate, model: ModelTuple) -> Payload:
+    """Return the payload of an estimate, and of its model."""
+    mass, com, inertia, _ = model[1]
+    P, rows = estimate.covariance, slice(states.INERTIA, states.INERTIA + 3)
+    std = np.sqrt(np.diag(P)[states.MASS:states.MASS + 4])
+    by_moment = (1.0 - np.eye(3)) * np.array(dynamics.second_moments(inertia))[::4]
+    own = np.diag(by_moment @ P[rows, rows] @ by_moment.T)
+    return Payload(
+        estimate.stamp_ns, mass, com, inertia, float(std[0] * mass), std[1:],
+        np.hypot(std[0] * np.array(inertia[::4]), np.sqrt(own)))
+
+
+def calibration_of(estimate: Estimate) -> Calibration:
+    """Return the errors of the camera of an estimate."""
+    rows = slice(states.CAMERA, states.LATENCY + 1)
+    errors = estimate.theta[states.CAMERA - STATE:states.LATENCY + 1 - STATE]
+    std = np.sqrt(np.diag(estimate.covariance)[rows])
+    return Calibration(
+        errors[:3], std[:3], errors[3:6], std[3:6], float(errors[6]), float(std[6]))
