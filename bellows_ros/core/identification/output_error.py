@@ -49,7 +49,6 @@ from bellows_ros.core.identification.result import (
 from bellows_ros.core.identification.search import (
     approach,
     evaluated,
-    MAX_DAMPING,
     MAX_NOISE_CHI2,
     minimise,
     MISFIT_CHI2,
@@ -578,51 +577,13 @@ def _identifiable(
     for name in named:
         largest[problem.places[name]] = KINDS[name].max_std
     std = np.sqrt(np.maximum(variances - by_given, 0.0))
-    errors = std / (largest / MAX_RELATIVE_ERROR)
-    ordinary = _ordinary_damping(found)
-    is_noise = (shares > MAX_ERROR_SHARE) & (errors > MAX_NOISY_ERROR)
-    is_overdamped = (found.theta > MAX_DAMPING * ordinary) & (errors > MAX_NOISY_ERROR)
-    is_overdamped[:size // 2] |= is_overdamped[size // 2:size]  # creep of noise fits any stiffness
-    identifiable = (std <= largest) & ~is_noise & ~is_overdamped & found.converged
-    if found.converged:
-        is_low = ~identifiable & (found.theta < ordinary) & np.isfinite(ordinary)
-        growth = np.maximum(_damped_std(found, ordinary, is_low) / np.sqrt(variances), 1.0)
-        covariance = covariance * np.outer(*[growth[:problem.shared]] * 2)
-        std = np.sqrt(np.maximum(variances * growth**2 - by_given, 0.0))
-        errors = std / (largest / MAX_RELATIVE_ERROR)
-        identifiable &= std <= largest
-    notes = list(_unidentifiable(problem, errors, shares, is_overdamped, identifiable[:size]))
-    total = np.sqrt(std[:size]**2 + by_given[:size]) / largest[:size]
-    vague = identifiable[:size] & (total > 1.0)
-    notes += [NOTES['vague'].format(
-        label=label, total=100.0 * MAX_RELATIVE_ERROR * both, alone=100.0 * error,
-        how=remedy_for(label, problem.structure))
-        for label, both, error, is_vague in zip(
-            problem.structure.labels, total, errors, vague, strict=False) if is_vague]
-    identifiable[:size] &= ~vague
+    total = np.where(np.arange(len(std)) < size, np.hypot(std, np.sqrt(by_given)), std)
+    is_noise = (shares > MAX_ERROR_SHARE) & (std > MAX_NOISY_ERROR * largest)
+    identifiable = (total <= largest) & ~is_noise & found.converged
+    notes = [_unidentifiable(problem, problem.structure.labels[i], *(
+        float(numbers[i]) for numbers in (std / largest, total / largest, shares * is_noise)))
+             for i in np.flatnonzero(~identifiable[:size])]
     return covariance - of_given, of_given, std, identifiable, notes
-
-
-def _ordinary_damping(found: Solution) -> Array:
-    """Return the unknowns (m,) with ordinary damping of each axis, inf for other numbers."""
-    problem, K = found.problem, found.cup.stiffness
-    count, leads = problem.count, problem.structure.leads
-    ordinary = problem.structure.parameters(K, problem.ordinary_damping(K)) / problem.units[:count]
-    is_axis = [False] * len(leads) + [row == column for row, column in leads]
-    return np.pad(np.where(is_axis, ordinary, np.inf), (0, len(found.theta) - count),
-                  constant_values=np.inf)
-
-
-def _damped_std(found: Solution, ordinary: Array, is_low: Mask) -> Array:
-    """
-    Return the standard errors (m,), SI units, with unidentifiable damping at least ordinary.
-
-    Noise that rings at an undamped mode would determine its frequency, and hence K, too well.
-    """
-    if not is_low.any():
-        return np.zeros(len(is_low))
-    theta = np.where(is_low, ordinary, found.theta)
-    return np.sqrt(covariance_of(evaluated(found.problem, theta, found.courses))[1])
 
 
 def noise_information(found: Solution) -> Arrow:
@@ -690,26 +651,25 @@ def _with_noise(
 
 
 def _unidentifiable(
-    problem: Problem, errors: Array, shares: Array, is_overdamped: Mask, identifiable: Mask
-) -> Iterator[str]:
-    """Yield a sentence on each unidentifiable number, with a remedy."""
-    size = len(identifiable)
-    for label, error, share, is_too_large, is_identifiable in zip(
-            problem.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
-            is_overdamped[:size].tolist(), identifiable.tolist(), strict=True):
-        if is_identifiable:
-            continue
-        less = MAX_RELATIVE_ERROR / error
+    problem: Problem, label: str, alone: float, total: float, of_noise: float
+) -> str:
+    """
+    Return a sentence on an unidentifiable number, with a remedy.
+
+    Standard errors by the recordings alone and in total are relative to the largest of an
+    identifiable number; the share of noise in the information is zero if it does not decide.
+    """
+    error = MAX_RELATIVE_ERROR * alone
+    if of_noise and (1.0 - of_noise) * error < 1.0:
+        words = 'noise_moves_it'
+    elif alone <= 1.0:
+        words = 'vague'
+    else:
         words = 'unknown' if error >= 1.0 else 'uncertain'  # limited by the prior
-        if is_too_large:
-            words = 'overdamped'
-        if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
-            words = 'noise_moves_it'
-        yield NOTES[words].format(
-            label=label, axis=label.split()[1], share=share,
-            how=remedy_for(label, problem.structure),
-            error=100.0 * error, noise=100.0 * less, times=less**-2, factor=MAX_DAMPING,
-            one_cup=', or one of one cup alone' if problem.structure.places else '')
+    return NOTES[words].format(
+        label=label, share=of_noise, how=remedy_for(label, problem.structure),
+        error=100.0 * error, total=100.0 * MAX_RELATIVE_ERROR * total, noise=100.0 / alone,
+        times=alone**2, one_cup=', or one of one cup alone' if problem.structure.places else '')
 
 
 def registered(

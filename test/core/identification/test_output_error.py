@@ -6,11 +6,7 @@ from bellows_ros.core.geometry.lie import apply, exp_so3, transform
 from bellows_ros.core.identification import diagnosis as ranking
 from bellows_ros.core.identification import problem as module_of_problem
 from bellows_ros.core.identification.diagnosis import rank
-from bellows_ros.core.identification.output_error import (
-    _identifiable,
-    _ordinary_damping,
-    output_error,
-)
+from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.search import (
@@ -139,18 +135,6 @@ def test_the_steps_of_a_fit_shift_its_poses_by_less_than_a_hundredth_of_their_no
         parts.append(problem.whitened(problem.start, segment, segment.first).innovations)
     fine, used, coarser = parts
     assert np.abs(used - fine).max() < 0.01 < np.abs(coarser - fine).max()
-
-
-def test_no_stiffness_is_identified_beside_a_damping_that_is_none():
-    """P z of 20 times ordinary damping leaves K z a standard error of 8 %, which says nothing."""
-    found = minimise(posed(measured(3, duration=4.0)))
-    theta = found.theta.copy()
-    theta[5] = 20.0 * _ordinary_damping(found)[5]
-    damped = replace(evaluated(found.problem, theta, found.courses), converged=True)
-    _, _, std, identifiable, notes = _identifiable(damped, {}, ())
-    assert std[1] < 0.1 * found.problem.units[1] * theta[1]
-    assert identifiable[:4].tolist() == [True, False, True, True]
-    assert notes[0].startswith('K z is not identifiable: P z comes out above 10 times ordinary')
 
 
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
