@@ -7,8 +7,8 @@ from statistics import NormalDist
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.reduction import AnyRecording
 from bellows_ros.core.identification.result import Fit, parameter_units
+from bellows_ros.core.identification.samples import AnyRecording
 from bellows_ros.core.model.structure import common_structure, Structure, structure_named
 from bellows_ros.files import File, results
 from bellows_ros.report.sentences import sentence

@@ -8,7 +8,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import reduction
+from bellows_ros.core.identification import samples
 from bellows_ros.core.identification.quantities import KINDS, payload_of
 from bellows_ros.core.identification.result import Fit, parameter_units
 from bellows_ros.core.model import cup_package, validity_range
@@ -92,7 +92,7 @@ class Identification(CommandResult):
 
     fit: Fit
     values: Values
-    parts: tuple[reduction.ReducedRecording, ...]
+    parts: tuple[samples.ReducedRecording, ...]
     recordings: tuple[Recording, ...] = ()
     consistency: 'ComparedFits | None' = None
     static: StaticResult | None = None
@@ -373,7 +373,7 @@ class Identification(CommandResult):
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        recordings: list[reduction.ReducedRecording | Recording] = [
+        recordings: list[samples.ReducedRecording | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
         return results.with_units({
             **fit_json(self.fit),

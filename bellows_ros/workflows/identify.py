@@ -16,12 +16,12 @@ from bellows_ros.core import configure_process, usable_cores
 from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import as_found, payload_of
-from bellows_ros.core.identification.reduction import (
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.samples import (
     AnyRecording,
     reduced,
     whole_recordings,
 )
-from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values

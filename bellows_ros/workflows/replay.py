@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import reduction, result
+from bellows_ros.core.identification import result, samples
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
@@ -394,7 +394,7 @@ def validated(values: Values, recording: Recording) -> Replay:
         *recording.report.warnings, *validation.warnings]
     valid = conversion.parameter_envelope(values)
     outside = validity_range.beyond(
-        valid, reduction.envelope_of(recording, values.cup.length)) if valid else []
+        valid, samples.envelope_of(recording, values.cup.length)) if valid else []
     if outside:
         more = f'; and {len(outside) - MAX_LISTED} more' if len(outside) > MAX_LISTED else ''
         warnings.append(

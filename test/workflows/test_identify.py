@@ -326,7 +326,7 @@ def test_a_rejected_cup_is_written_only_by_force_with_a_note(shipped, tmp_path):
 EXPENSIVE = {
     'noise_of': 'core.recording.recording',
     'statistics': 'core.identification.least_squares',
-    'envelope': 'core.identification.reduction',
+    'envelope': 'core.identification.samples',
 }
 
 

@@ -20,7 +20,7 @@ from bellows_ros.core.identification.result import (
     remedy_for,
     with_unidentifiable,
 )
-from bellows_ros.core.identification.samples import joined, Moments, regularised, Samples
+from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import FilterNoise
@@ -37,7 +37,10 @@ MAX_NOISE_SHARE = 0.5
 """Largest share of noise in the information on an identifiable parameter, and in its bias."""
 
 NO_EFFECT = 1e-8
-"""Relative size of a column, among columns of its kind, below which a parameter has no effect."""
+"""Relative size, the root of rounding, of a column without effect, or of a variance of zero."""
+
+MOMENT_LEVER = 0.01
+"""Lever with which moments are compared with forces, m: of the order of a cup's radius."""
 
 
 class Statistics(NamedTuple):
@@ -52,8 +55,8 @@ class Statistics(NamedTuple):
         Numbers of valid and of invalid samples.
     windows : float
         Number of filter windows in the valid samples, which have independent residuals.
-    moments : Moments
-        Moments of the required wrenches.
+    wrench : ndarray (6,)
+        Sum of the required wrenches, N and N m.
     products : ndarray (6, q, 6, q)
         Sums of the products of the rows [L c] (6, q) of all samples, q = p + 1.
     noise : ndarray (2, 6)
@@ -65,7 +68,7 @@ class Statistics(NamedTuple):
     used: int
     rejected: int
     windows: float
-    moments: Moments
+    wrench: Array
     products: Array
     noise: Array
 
@@ -81,7 +84,7 @@ def statistics(
         products += flat.T @ flat
     return Statistics(
         structure, samples.count, len(samples.tool) - samples.count,
-        samples.count / samples.window_samples, Moments.of(samples.lip.wrench),
+        samples.windows, samples.lip.wrench.sum(axis=0),
         products.reshape(6, size, 6, size), samples.count * (
             lip_noise(noise, samples.payload, cup_length) if noise else np.zeros((2, 6))))
 
@@ -126,8 +129,9 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
             f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
             'longer, or check in the report why samples were rejected.')
     products = np.sum([each.products for each in parts], axis=0)
-    Q = joined(each.moments for each in parts).covariance(structure)
-    W: Array = np.asarray(np.linalg.inv(regularised(Q)))
+    mean = np.sum([each.wrench for each in parts], axis=0) / used
+    scatter = products[:, -1, :, -1] - used * np.outer(mean, mean)
+    W = np.asarray(np.linalg.inv(regularised(structure.covariance(used, mean, scatter))))
     normal = np.einsum('ij,ipjq->pq', W, products)
     inverse, is_separable, condition = inverted(normal[:-1, :-1], structure)
     if not is_separable.any():
@@ -158,6 +162,17 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         weight=W,
         residual_rms=np.sqrt(np.diag(squares) / used),
         notes=tuple(_notes(structure, is_identifiable)))
+
+
+def regularised(covariance: Array) -> Array:
+    """Return a covariance (6, 6) of wrenches, regularised in directions without a wrench."""
+    force, moment = np.diag(covariance).reshape(2, 3).mean(axis=1)
+    scale = np.repeat([max(force, moment), max(moment, MOMENT_LEVER**2 * force)], 3)
+    if not scale[0] > 0.0:
+        return np.eye(6)
+    if np.linalg.eigvalsh(covariance / np.sqrt(np.outer(scale, scale)))[0] > NO_EFFECT:
+        return covariance
+    return np.asarray(covariance + NO_EFFECT * np.diag(scale))
 
 
 def inverted(A: Array, structure: Structure) -> tuple[Array, Mask, float]:

@@ -12,9 +12,13 @@ from bellows_ros.core.identification.diagnosis import MARKERS
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import felt_std, given_std, weak_prior
-from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
-from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.samples import (
+    AnyRecording,
+    reduced,
+    samples_of,
+    whole_recordings,
+)
 from bellows_ros.core.identification.segments import measured_segments, Segments, segments_of
 from bellows_ros.core.model.cup_package import Cup, varied
 from bellows_ros.core.model.structure import AUTO

@@ -1,55 +1,41 @@
 """
-The filtered motions of a recording, as inputs of the identification.
+The filtered motions of a recording, and results of it that outlive its poses.
 
 The lip's motion, the required wrench c, and the equations L x = c, with x the parameters of K and
 P (4.66-4.68).
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import gravity_vector, Package, regressor
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.model.validity_range import Envelope
+from bellows_ros.core.recording.alignment import Remark
+from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
 from bellows_ros.core.signals.savgol import BLOCK
 from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
-MAX_STORED = 50_000
-"""Largest number of samples of a recording whose lip motion is stored for reuse."""
-
-MOMENT_LEVER = 0.01
-"""Lever with which moments are compared with forces, m."""
-
-MIN_RELATIVE_VARIANCE, ADDED_VARIANCE = 1e-10, 1e-8
-"""Relative variance below which a component of the wrench is zero, and its replacement."""
+ENVELOPE_BAND = 0.95
+"""Fraction of the deflection's power inside the frequency bands."""
 
 
-@dataclass(frozen=True, eq=False)
-class LipMotion:
+class LipMotion(NamedTuple):
     """
     Motion of the lip in the tool, and the required wrench, at the valid samples.
 
-    Parameters
-    ----------
-    index : ndarray (N,)
-        Indices of the valid samples in the recording.
-    stamps_ns : ndarray (N,)
-        Stamps, ns.
-    position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
-        E_o_S (m), E_R_S and S_v_ES (m/s, rad/s).
-    wrench : ndarray (N, 6)
-        c of (4.68), N and N m.
-
+    E_o_S (N, 3) in m, E_R_S (N, 3, 3), S_v_ES (N, 6) in m/s and rad/s, and c (N, 6) of (4.68) in N
+    and N m.
     """
 
-    index: Stamps
-    stamps_ns: Stamps
     position: Array
     rotation: Array
     twist: Array
@@ -57,31 +43,13 @@ class LipMotion:
 
     def displacement(self, cup_length: float) -> Array:
         """Return the displacement of the lip from nominal (N, 6): E_o_S + l0 z (m), rotation."""
-        moved = np.empty((len(self.position), 6))
-        moved[:, :3] = self.position + [0.0, 0.0, cup_length]
-        for start in range(0, len(moved), BLOCK):
-            block = slice(start, start + BLOCK)
-            moved[block, 3:] = log_so3(self.rotation[block])
-        return moved
+        return np.hstack([self.position + [0.0, 0.0, cup_length], log_so3(self.rotation)])
 
     def equations(self, cup_length: float, structure: Structure) -> Iterator[Array]:
-        """
-        Yield rows [L c] (N, 6, p + 1) of (4.67), (4.68) in blocks.
-
-        Parameters
-        ----------
-        cup_length : float
-            Cup length l0, m.
-        structure : Structure
-            Structure of K and P.
-
-        """
-        for start in range(0, max(len(self.index), 1), BLOCK):
-            block = slice(start, min(start + BLOCK, len(self.index)))
-            L = regressor(
-                cup_length, structure.model_basis, self.position[block], self.rotation[block],
-                self.twist[block])
-            yield np.dstack([L, self.wrench[block]])
+        """Yield rows [L c] (N, 6, p + 1) of (4.67), (4.68) in blocks, for a cup length l0 in m."""
+        for start in range(0, max(len(self.wrench), 1), BLOCK):
+            o, R, v, c = (values[start:start + BLOCK] for values in self)
+            yield np.dstack([regressor(cup_length, structure.model_basis, o, R, v), c])
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,50 +91,22 @@ class Samples:
     @cached_property
     def lip(self) -> LipMotion:
         """The motion of the lip, the basis of the equations."""
-        index = np.flatnonzero(self.valid)
-        position, rotation, twist, wrench = (
-            np.empty((len(index), *shape)) for shape in ((3,), (3, 3), (6,), (6,)))
-        for number, block in enumerate(self.blocks()):
-            part = slice(number * BLOCK, (number + 1) * BLOCK)
-            position[part], rotation[part], twist[part] = lip_relative(
-                block.tool, block.package, self.payload.com)
-            wrench[part] = needed_wrench(self.payload, block.package, self.gravity)
-        return LipMotion(index, self.tool.stamps_ns[index],
-                         position, rotation, twist, wrench)
-
-    def spectrum_of(self, values: Array) -> Spectrum:
-        """Return the spectrum of numbers (N, 6) at the valid samples; others are interpolated."""
-        return spectrum(self._interpolated(values), uniform_rate_hz(self.package.stamps_ns))
-
-    def _interpolated(self, values: Array) -> Array:
-        """Return numbers (N, 6) at all samples from those at the valid ones."""
-        every = np.full((len(self.tool), 6), np.nan)
-        every[self.valid] = values
-        return interpolated(every)
-
-    def select(self, index: slice | Mask | Stamps) -> 'Samples':
-        """Return the samples selected by a slice, a mask or increasing indices."""
-        return replace(
-            self, tool=self.tool.select(index), package=self.package.select(index))
-
-    def blocks(self) -> 'Iterator[Samples]':
-        """Yield the valid samples in blocks, in the order of time."""
-        valid = np.flatnonzero(self.valid)
-        for start in range(0, len(valid), BLOCK):
-            yield self.select(valid[start:start + BLOCK])
+        tool, package = (body.select(self.valid) for body in (self.tool, self.package))
+        return LipMotion(*lip_relative(tool, package, self.payload.com),
+                         needed_wrench(self.payload, package, self.gravity))
 
     @property
-    def window_samples(self) -> float:
-        """Number of samples in a window of the filter."""
-        return max(self.window * uniform_rate_hz(self.package.stamps_ns), 1.0)
+    def windows(self) -> float:
+        """Number of filter windows in the valid samples, which have independent residuals."""
+        rate_hz = uniform_rate_hz(self.package.stamps_ns)
+        return self.count / max(self.window * rate_hz, 1.0)
 
 
 def samples_of(recording: Recording) -> Samples:
     """Return the filtered motions of a recording."""
-    samples = recording.cached('filtered samples', lambda: Samples(
+    return recording.cached('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.filters[1].weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
-    return samples if len(samples.tool) <= MAX_STORED else replace(samples)
 
 
 def lip_relative(
@@ -206,68 +146,116 @@ def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> A
     return np.hstack([force, moment + np.cross(package.com, force)])
 
 
-def sizes(displacement: Array) -> Array:
-    """Return sizes of displacements (N, 6), with x and y combined as for a round cup."""
-    x, y, z, rx, ry, rz = displacement.T
-    radial, bent = np.hypot(x, y), np.hypot(rx, ry)
-    return np.asarray(np.abs(np.column_stack([radial, radial, z, bent, bent, rz])))
-
-
-@dataclass(frozen=True, eq=False)
-class Moments:
+def envelope(samples: Samples, cup_length: float) -> Envelope:
     """
-    First and second moments of six-vectors, such as wrenches (N and N m).
+    Return the validity range of a recording.
 
     Parameters
     ----------
-    count : int
-        Number of vectors.
-    mean : ndarray (6,)
-        Mean of the vectors.
-    scatter : ndarray (6, 6)
-        Sum of the products of the deviations from the mean.
+    samples : Samples
+        Samples of the fit; invalid samples are omitted.
+    cup_length : float
+        Cup length l0, m.
+
+    Raises
+    ------
+    BellowsError
+        Without valid samples.
+
+    """
+    if not samples.count:
+        raise BellowsError('The recording has no valid samples, hence no validity range.')
+    deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
+    every: Array = np.full((len(samples.tool), 6), np.nan)
+    every[samples.valid] = deflection
+    strain = spectrum(interpolated(every), uniform_rate_hz(samples.package.stamps_ns))
+    shift_and_rotation = np.column_stack([strain.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
+    bands = np.column_stack(Spectrum(strain.frequency, shift_and_rotation).band(ENVELOPE_BAND))
+    return Envelope(
+        deflection.min(axis=0), deflection.max(axis=0), np.abs(samples.lip.twist).max(axis=0),
+        np.nan_to_num(bands), np.array([mass, mass]))
+
+
+class ReducedRecording(NamedTuple):
+    """
+    Facts on a recording, without its rows and poses.
+
+    Parameters
+    ----------
+    report : mapping
+        Report on the recording, as in the JSON file of a fit.
+    digest : str
+        Digest of its stored messages.
+    files : tuple of mapping
+        Name, bytes and sha256 of each of its files.
+    payload : Package
+        The package in it.
+    time_offset : TimeOffset or None
+        Offset subtracted from the tool's stamps, None if not requested or not identifiable.
+    package_world : PackageWorld or None
+        Transform between two worlds, if estimated.
+    rate_hz : float
+        Rate of the package's poses.
+    cup_length : float
+        Cup length l0 of the validity range, m.
+    envelope : Envelope
+        Its validity range.
+    remarks : tuple of Remark
+        Findings of the preparation and of the checks.
 
     """
 
-    count: int
-    mean: Array
-    scatter: Array
-
-    @classmethod
-    def of(cls, vectors: Array) -> 'Moments':
-        """Return the moments of six-vectors (N, 6)."""
-        mean = vectors.sum(axis=0) / max(len(vectors), 1)
-        deviation = vectors - mean
-        return cls(len(vectors), mean, deviation.T @ deviation)
+    report: Mapping[str, Any]
+    digest: str
+    files: tuple[Mapping[str, Any], ...]
+    payload: Package
+    time_offset: TimeOffset | None
+    package_world: PackageWorld | None
+    rate_hz: float
+    cup_length: float
+    envelope: Envelope
+    remarks: tuple[Remark, ...] = ()
 
     @property
-    def std(self) -> Array:
-        """Standard deviations (6,), NaN without samples."""
-        return np.sqrt(np.diag(self.scatter) / (self.count or np.nan))
-
-    def covariance(self, structure: Structure) -> Array:
-        """Return Q (6, 6) of wrenches in the form of a structure (4.69, 4.80)."""
-        return structure.covariance(self.count, self.mean, self.scatter)
+    def name(self) -> str:
+        """Name of the recording as the user gave it."""
+        return str(self.report['bag'])
 
 
-def joined(parts: Iterable[Moments]) -> Moments:
-    """Return the moments of all parts, from deviations rather than raw squares."""
-    parts = list(parts)
-    counts, means = np.array([part.count for part in parts]), np.array([p.mean for p in parts])
-    mean = counts @ means / max(counts.sum(), 1)
-    apart = means - mean
-    return Moments(int(counts.sum()), mean, sum((part.scatter for part in parts), np.zeros((6, 6)))
-                   + (counts * apart.T) @ apart)
+AnyRecording = Recording | ReducedRecording
 
 
-def regularised(covariance: Array) -> Array:
-    """Return a covariance (6, 6) of wrenches, regularised in directions without a wrench."""
-    force, moment = (float(np.mean(np.diag(covariance)[part]))
-                     for part in (slice(0, 3), slice(3, 6)))
-    scale = np.repeat([max(force, moment), max(moment, MOMENT_LEVER**2 * force)], 3)
-    if not scale[0] > 0.0:
-        return np.eye(6)
-    unit = np.sqrt(np.outer(scale, scale))
-    if np.linalg.eigvalsh(covariance / unit)[0] > MIN_RELATIVE_VARIANCE:
-        return covariance
-    return np.asarray(covariance + ADDED_VARIANCE * np.diag(scale))
+def whole_recordings(recordings: Sequence[AnyRecording]) -> list[Recording]:
+    """Return the recordings that are not reduced."""
+    return [recording for recording in recordings if isinstance(recording, Recording)]
+
+
+def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
+    """
+    Return a recording reduced, if it is not.
+
+    Raises
+    ------
+    BellowsError
+        If it has no valid samples, or the package is not below the tool.
+
+    """
+    if isinstance(recording, ReducedRecording):
+        return recording
+    whole = recording
+    return whole.cached(('reduced', cup_length), lambda: _reduced(whole, cup_length))
+
+
+def envelope_of(recording: Recording, cup_length: float) -> Envelope:
+    """Return the validity range of a recording."""
+    return recording.cached(
+        ('envelope', cup_length), lambda: envelope(samples_of(recording), cup_length))
+
+
+def _reduced(recording: Recording, length: float) -> ReducedRecording:
+    """Return a recording reduced."""
+    return ReducedRecording(
+        recording.as_json(), recording.digest, recording.files, recording.payload,
+        recording.report.time_offset, recording.report.package_world,
+        recording.report.package.timing.rate_hz, length, envelope_of(recording, length),
+        recording.report.remarks)

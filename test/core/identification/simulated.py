@@ -5,7 +5,6 @@ import functools
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.least_squares import least_squares as fit_statistics
 from bellows_ros.core.identification.least_squares import statistics
-from bellows_ros.core.identification.samples import Moments
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.preparation import prepare
@@ -89,8 +88,3 @@ def least_squares(recordings, cup_length, structure):
     """Return the fit of samples."""
     return fit_statistics([
         statistics(samples, cup_length, structure) for samples in recordings])
-
-
-def wrench_covariance(samples, structure):
-    """Return the covariance of the required wrenches of samples."""
-    return Moments.of(samples.lip.wrench).covariance(structure)

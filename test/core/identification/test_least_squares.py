@@ -74,6 +74,12 @@ def noisy(samples, rng, rate=1.0):
         samples.package, acceleration=rates + sigma * rng.standard_normal(rates.shape)))
 
 
+def first(samples, count):
+    """Return the first samples."""
+    tool, package = (body.select(slice(count)) for body in (samples.tool, samples.package))
+    return replace(samples, tool=tool, package=package)
+
+
 @pytest.mark.parametrize('name', list(STRUCTURES))
 def test_equals_the_printed_solution_with_the_printed_weights(exact, name):
     cup, _, samples = exact
@@ -93,7 +99,6 @@ def test_equals_the_printed_solution_with_the_printed_weights(exact, name):
         Q = np.diag([0.0, 0.0, Q[2, 2], 0.0, 0.0, Q[5, 5]])
         Q[np.ix_([0, 4], [0, 4])] = plane
         Q[np.ix_([1, 3], [1, 3])] = plane * [[1.0, -1.0], [-1.0, 1.0]]
-    assert_allclose(simulated.wrench_covariance(samples, structure), Q, rtol=1e-10)
     W = np.linalg.inv(Q)
     L = regressor(cup.length, structure.basis, *lip_relative(
         samples.tool, samples.package, samples.payload.com))
@@ -119,7 +124,7 @@ def test_standard_errors_are_those_of_repeated_noise(round_cup):
 
 
 def test_one_window_gives_no_standard_error(round_cup):
-    short = replace(noisy(round_cup, np.random.default_rng(6)), window=0.1).select(slice(9))
+    short = first(replace(noisy(round_cup, np.random.default_rng(6)), window=0.1), 9)
     fit = simulated.least_squares([short], 0.0481, STRUCTURES['axisymmetric'])
     assert np.all(np.isinf(np.diag(fit.covariance)))
     assert np.all(np.isinf(np.diag(fit.stiffness_std)))
@@ -142,7 +147,7 @@ def test_noise_of_motion_capture_biases_little():
 def test_too_few_samples(exact):
     cup, _, samples = exact
     with pytest.raises(BellowsError, match=r'\b5\b.* 42\b'):
-        simulated.least_squares([samples.select(slice(5))], cup.length, STRUCTURES['full'])
+        simulated.least_squares([first(samples, 5)], cup.length, STRUCTURES['full'])
 
 
 @pytest.mark.parametrize('name', ['axisymmetric', 'diagonal', 'full'])
