@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.identification.information import covariance_of
 from bellows_ros.core.identification.problem import Problem
-from bellows_ros.core.identification.result import covariance_of
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium

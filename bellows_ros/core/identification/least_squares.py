@@ -12,13 +12,12 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.identification.information import inverted, with_unidentifiable
 from bellows_ros.core.identification.result import (
     Fit,
-    IN_NULL_SPACE,
     MAX_RELATIVE_ERROR,
     NOTES,
     remedy_for,
-    with_unidentifiable,
 )
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model.cup_package import Package
@@ -29,9 +28,6 @@ import numpy as np
 
 MAX_LISTED = 4
 """Largest number of parameters named in a sentence."""
-
-MAX_CONDITION = 1e6
-"""Largest ratio of singular values of identifiable combinations of parameters."""
 
 MAX_NOISE_SHARE = 0.5
 """Largest share of noise in the information on an identifiable parameter, and in its bias."""
@@ -133,7 +129,8 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     scatter = products[:, -1, :, -1] - used * np.outer(mean, mean)
     W = np.asarray(np.linalg.inv(regularised(structure.covariance(used, mean, scatter))))
     normal = np.einsum('ij,ipjq->pq', W, products)
-    inverse, is_separable, condition = inverted(normal[:-1, :-1], structure)
+    inverse, is_separable, condition = inverted(
+        normal[:-1, :-1], _sizes_of_columns(normal[:-1, :-1], structure))
     if not is_separable.any():
         raise UndeterminedError(
             f'{", ".join(structure.labels[:MAX_LISTED])} and all others are not identifiable from '
@@ -175,24 +172,13 @@ def regularised(covariance: Array) -> Array:
     return np.asarray(covariance + NO_EFFECT * np.diag(scale))
 
 
-def inverted(A: Array, structure: Structure) -> tuple[Array, Mask, float]:
-    """
-    Return the inverse of a normal matrix (p, p) up to its rank (4.74).
-
-    Further results are the mask (p,) of the identifiable parameters, and the condition number of
-    the regressor with columns of unit length. Columns of K or P with equal units are compared with
-    each other, and scaled.
-    """
-    sizes = np.sqrt(np.diag(A))
+def _sizes_of_columns(normal: Array, structure: Structure) -> Array:
+    """Return the sizes (p,) of columns, infinite without effect among columns of its kind."""
+    sizes = np.sqrt(np.diag(normal))
     angular = [(row > 2) + (column > 2) for row, column in structure.leads]
     kinds = np.array([*angular, *(3 + kind for kind in angular)])
     largest = np.array([sizes[kinds == kind].max() for kind in kinds])
-    unit = np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
-    values, V = np.linalg.eigh(A / np.outer(unit, unit))
-    used = values > values[-1] / MAX_CONDITION**2
-    inverse = (V[:, used] / values[used]) @ V[:, used].T / np.outer(unit, unit)
-    condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 0.0 else np.inf
-    return inverse, ~np.any(np.abs(V[:, ~used]) > IN_NULL_SPACE, axis=1), condition
+    return np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
 
 
 def _notes(structure: Structure, is_identifiable: Mask) -> Iterator[str]:

@@ -23,9 +23,9 @@ from bellows_ros.core.identification.diagnosis import (
     misfit,
     rank,
 )
+from bellows_ros.core.identification.information import Arrow, inverted, with_unidentifiable
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.problem import (
-    Arrow,
     DEFAULT_RATIO,
     Problem,
     RATIO_STD,
@@ -44,7 +44,6 @@ from bellows_ros.core.identification.result import (
     MAX_RELATIVE_ERROR,
     NOTES,
     remedy_for,
-    with_unidentifiable,
 )
 from bellows_ros.core.identification.search import (
     approach,
@@ -493,7 +492,7 @@ def _fit(
     nuisances = {name: place for name, place in places.items()
                  if name not in (*OF_SPRING, *results)}
     total_std = np.sqrt(own_std**2 + np.pad(np.diag(from_given), (0, problem.own.size)))
-    used = found.residual_count // 6
+    used, information = found.residual_count // 6, found.information.shared[:size, :size]
     offsets = np.ravel(places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(
         method='output_error',
@@ -504,7 +503,7 @@ def _fit(
         from_given=from_given[:size, :size],
         samples_used=used,
         samples_rejected=sum(outline.poses for outline in problem.outlines) - used,
-        condition_number=_condition_number(found.information.shared[:size, :size]),
+        condition_number=inverted(information, np.sqrt(np.diag(information)))[2],
         weight=np.diag(found.pose_std[0][0] ** -2),
         residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
@@ -536,12 +535,6 @@ def _notes_on_ratio(strengths: Array, covariance: Array) -> list[str]:
     ratio = np.array([-DEFAULT_RATIO, 1.0])
     is_assumed = np.sqrt(ratio @ covariance @ ratio) > 0.7 * RATIO_STD * strengths[0]
     return [NOTES['r2_assumed']] if is_assumed else []
-
-
-def _condition_number(information: Array) -> float:
-    """Return the condition number of the whitened regressor with columns of unit length."""
-    scale = np.sqrt(np.diag(information))
-    return float(np.sqrt(np.linalg.cond(information / np.outer(scale, scale))))
 
 
 def _standstills(found: Solution) -> tuple[int, float] | None:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.identification import quantities, weighing, whitening
+from bellows_ros.core.identification.information import Arrow, symmetric_roots
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
@@ -123,129 +124,6 @@ MAX_WHITE_CORRELATION = 0.1
 
 MAX_CLIPPED = 3.0
 """Size at which innovations are clipped in the test for whiteness, standard deviations."""
-
-
-@dataclass(frozen=True, eq=False)
-class Arrow:
-    """
-    A symmetric matrix (m, m) without coupling between own unknowns of two recordings.
-
-    The own unknowns of each recording are eliminated separately (Schur complement): work and
-    memory grow linearly with the number of recordings.
-
-    Parameters
-    ----------
-    shared : ndarray (s, s)
-        Information on the shared unknowns.
-    coupling : ndarray (R, o, s)
-        Information between own unknowns of each of R recordings and the shared ones.
-    own : ndarray (R, o, o)
-        Information on the own unknowns of each recording.
-    places : int ndarray (R, o)
-        Indices of the own unknowns among all.
-
-    """
-
-    shared: Array
-    coupling: Array
-    own: Array
-    places: Places
-
-    def plus(self, shared: Array | float) -> 'Arrow':
-        """Return the matrix with additional information (s, s) on the shared unknowns."""
-        return replace(self, shared=self.shared + shared)
-
-    def damped(self, damping: float) -> 'Arrow':
-        """Return the matrix with its diagonal increased by a fraction."""
-        return replace(self, shared=self.shared * (1.0 + damping * np.eye(len(self.shared))),
-                       own=self.own * (1.0 + damping * np.eye(self.own.shape[1])))
-
-    def times(self, x: Array) -> Array:
-        """Return the product with a vector (m,)."""
-        y, own, size = np.empty_like(x), x[self.places], len(self.shared)
-        y[:size] = self.shared @ x[:size] + np.einsum('ros,ro->s', self.coupling, own)
-        y[self.places] = self.coupling @ x[:size] + np.einsum('rop,rp->ro', self.own, own)
-        return y
-
-    @cached_property
-    def carried(self) -> Array:
-        """Negative change (R, o, s) of own unknowns per unit of shared ones, at the minimum."""
-        return np.asarray(np.linalg.solve(self.own, self.coupling))
-
-    @cached_property
-    def reduced(self) -> Array:
-        """Information (s, s) on the shared unknowns, with the own ones eliminated."""
-        return self.along(self)
-
-    def along(self, other: 'Arrow') -> Array:
-        """Return the matrix (s, s) along shared unknowns, with own ones as in another matrix."""
-        crossed = np.einsum('ros,rot->st', self.coupling, other.carried)
-        return np.asarray(self.shared - crossed - crossed.T + np.einsum(
-            'ros,rop,rpt->st', other.carried, self.own, other.carried, optimize=True))
-
-    def followed(self, g: Array) -> Array:
-        """Return the slope (s,) along shared unknowns, with own ones following."""
-        return np.asarray(g[:len(self.shared)] - np.einsum(
-            'ros,ro->s', self.carried, g[self.places]))
-
-    def solve(self, g: Array) -> Array:
-        """Return the solution (m,) with a right-hand side (m,)."""
-        x, size = np.empty_like(g), len(self.shared)
-        x[:size] = np.linalg.solve(self.reduced, self.followed(g))
-        x[self.places] = np.linalg.solve(
-            self.own, g[self.places][..., None])[..., 0] - self.carried @ x[:size]
-        return x
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Covariance (s, s) of the shared unknowns."""
-        return np.asarray(np.linalg.inv(self.reduced))
-
-    def block(self, number: int) -> Array:
-        """Return the covariance (q, q) of the shared unknowns and the own ones of a recording."""
-        crossed = -self.carried[number] @ self.covariance
-        own = np.linalg.inv(self.own[number]) - crossed @ self.carried[number].T
-        return np.block([[self.covariance, crossed.T], [crossed, own]])
-
-    def variances_with(self, shared: Array, factor: float = 1.0) -> Array:
-        """Return variances (m,) of all unknowns, with a covariance (s, s) of the shared ones."""
-        variances = np.empty(len(shared) + self.places.size)
-        variances[:len(shared)] = np.diag(shared)
-        variances[self.places] = np.einsum(
-            'roo->ro', factor * np.linalg.inv(self.own)) + np.einsum(
-            'ros,st,rot->ro', self.carried, shared, self.carried, optimize=True)
-        return variances
-
-    @cached_property
-    def variances(self) -> Array:
-        """Variances (m,) of the unknowns."""
-        return self.variances_with(self.covariance)
-
-    def within(self, used: Mask) -> 'Arrow':
-        """Return the matrix with the identity for unused unknowns (m,)."""
-        a, b = used[:len(self.shared)], used[self.places]
-        return replace(
-            self, shared=np.where(np.outer(a, a), self.shared, np.eye(len(a))),
-            coupling=np.where(b[:, :, None] & a, self.coupling, 0.0),
-            own=np.where(b[:, :, None] & b[:, None], self.own, np.eye(b.shape[1])))
-
-    def fall(self, g: Array, used: Mask) -> float:
-        """Return the fall of chi² if the used unknowns (m,) follow a slope (m,)."""
-        slope = np.where(used, g, 0.0)
-        try:
-            return float(slope @ self.within(used).solve(slope))
-        except np.linalg.LinAlgError:  # diverging simulation
-            return math.nan
-
-    def step_by(self, g: Array, along: Array, used: Mask) -> Array:
-        """Return the step (m,) by a slope along directions (s, d) and own unknowns in use (m,)."""
-        size, count = along.shape
-        used = np.append(np.full(count, True), used[size:])
-        part = replace(
-            self, shared=along.T @ self.shared @ along, coupling=self.coupling @ along,
-            places=self.places - size + count).within(used)
-        step = part.solve(np.where(used, np.append(along.T @ g[:size], g[size:]), 0.0))
-        return np.append(along @ step[:count], step[count:])
 
 
 class WhitenedSegment(NamedTuple):
@@ -832,13 +710,6 @@ def _not_below(strengths: ArrayLike) -> tuple[float, float]:
     """Return strengths of relaxation large enough for internal strains."""
     r = np.maximum(strengths, MIN_STRENGTH)
     return float(r[0]), float(r[1])
-
-
-def symmetric_roots(M: Array) -> tuple[Array, Array]:
-    """Return the symmetric root of a definite matrix, and its inverse."""
-    values, vectors = np.linalg.eigh(M)
-    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    return (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
 
 
 def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -> State:

@@ -12,7 +12,7 @@ from pathlib import Path
 import tomllib
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.structure import ROUNDING, Structure, structure_named, STRUCTURES
 import numpy as np
 
@@ -48,43 +48,6 @@ def parameter_units(structure: Structure) -> tuple[str, ...]:
 
 MAX_RELATIVE_ERROR = 0.5
 """Largest relative standard error of an identifiable parameter."""
-
-IN_NULL_SPACE = 0.05
-"""Largest component of an identifiable parameter in the null space."""
-
-
-def covariance_of(information: Array) -> Array:
-    """
-    Return the covariance (n, n) of parameters with a given information.
-
-    Unidentifiable parameters have inf on the diagonal and 0 elsewhere; the others have the
-    covariance without them.
-    """
-    diagonal = np.diag(information)
-    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    null = vectors[:, values <= ROUNDING * values[-1]]
-    identifiable = (diagonal > 0.0) & ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
-    return with_unidentifiable(inverse_of(information, identifiable), ~identifiable)
-
-
-def inverse_of(matrix: Array, used: Mask) -> Array:
-    """Return the pseudo-inverse (n, n) of the used rows and columns, zero elsewhere."""
-    part = np.ix_(used, used)
-    scale = np.sqrt(np.diag(matrix)[used])
-    scale = np.where(scale > 0.0, scale, 1.0)
-    unit = np.outer(scale, scale)
-    inverse = np.zeros_like(matrix)
-    inverse[part] = np.linalg.pinv(matrix[part] / unit, ROUNDING, hermitian=True) / unit
-    return inverse
-
-
-def with_unidentifiable(covariance: Array, unidentifiable: Mask) -> Array:
-    """Return a covariance with some parameters (n,) unidentifiable."""
-    identifiable = ~unidentifiable
-    result = np.where(np.outer(identifiable, identifiable), covariance, 0.0)
-    result[np.diag_indices_from(result)] = np.where(identifiable, np.diag(covariance), np.inf)
-    return result
 
 
 class Iteration(NamedTuple):

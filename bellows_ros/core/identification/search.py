@@ -18,12 +18,11 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.identification.information import Arrow, symmetric_roots
 from bellows_ros.core.identification.pool import Held, in_threads
 from bellows_ros.core.identification.problem import (
-    Arrow,
     MIN_STRENGTH,
     Problem,
-    symmetric_roots,
     WhitenedSegment,
 )
 from bellows_ros.core.identification.quantities import Free
@@ -148,45 +147,9 @@ class Sums(NamedTuple):
                 sum(float(np.sum(e[1:] * e[:-1])) for e in r))
 
 
-def median(numbers_of: Callable[[Parts], Array], parts: Held) -> Array:
-    """
-    Return the medians (k,) of sizes of numbers (N, k) of all recordings.
-
-    They lie between the smallest and the largest median of a recording.
-    """
-    middles = np.array(parts.pool.results(_middle, numbers_of, parts))
-    counts, columns = zip(*parts.pool.results(
-        _between, numbers_of, middles[:, 0].min(axis=0), middles[:, 1].max(axis=0), parts
-    ), strict=True)
-    ranks = np.array([(sum(counts) - 1) // 2, sum(counts) // 2])
-    return np.array([np.mean(np.sort(np.concatenate([inside for _, inside in column]))[
-        ranks - sum(below for below, _ in column)]) for column in zip(*columns, strict=True)])
-
-
-def _middle(numbers_of: Callable[[Parts], Array], parts: Parts) -> Array:
-    """Return the one or two middle sizes (2, k) of a recording's numbers (N, k)."""
-    sizes = np.sort(np.abs(numbers_of(parts)), axis=0)
-    return np.asarray(sizes[[(len(sizes) - 1) // 2, len(sizes) // 2]])
-
-
-def _between(
-    numbers_of: Callable[[Parts], Array], low: Array, high: Array, parts: Parts
-) -> tuple[int, list[tuple[int, Array]]]:
-    """Return N, and for each column the count of sizes below a range and the sizes in it."""
-    sizes = np.abs(numbers_of(parts))
-    return len(sizes), [
-        (int(np.count_nonzero(column < first)), column[(first <= column) & (column <= last)])
-        for column, first, last in zip(sizes.T, low, high, strict=True)]
-
-
 def innovations_of(parts: Parts) -> Array:
     """Return the innovations (N, 6) of a recording."""
     return np.concatenate([part.innovations for part in parts]).reshape(-1, 6)
-
-
-def _all_innovations(parts: Parts) -> Array:
-    """Return the innovations (6 N, 1) of a recording."""
-    return innovations_of(parts).reshape(-1, 1)
 
 
 def squared_residuals(parts: Parts) -> Array:
@@ -253,14 +216,21 @@ class Solution:
             one.logs for one in self.sums)
 
     @cached_property
-    def robust_chi2(self) -> float:
-        """Chi^2 per difference from their median, insensitive to tails of the noise."""
-        return float(median(_all_innovations, self.parts)[0] * MAD_TO_STD) ** 2
+    def _median_squares(self) -> Array:
+        """Squared medians (7,) of the differences, of all and by axis, insensitive to tails."""
+        sizes = np.abs(np.concatenate(self.parts.pool.results(innovations_of, self.parts)))
+        return np.asarray(MAD_TO_STD * np.append(
+            np.median(sizes), np.median(sizes, axis=0))) ** 2
 
-    @cached_property
+    @property
+    def robust_chi2(self) -> float:
+        """Chi^2 per difference from their median."""
+        return float(self._median_squares[0])
+
+    @property
     def worst_chi2(self) -> float:
         """Robust chi^2 per difference of the axis with the largest."""
-        return float(np.max(median(innovations_of, self.parts)) * MAD_TO_STD) ** 2
+        return float(self._median_squares[1:].max())
 
     @property
     def colour(self) -> float:

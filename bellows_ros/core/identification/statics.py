@@ -33,6 +33,9 @@ UPRIGHT_TOLERANCE = np.radians(2.0)
 MASSES_FOR_CUBIC = 5
 """Smallest number of different masses for a cubic of length against load (4.2)."""
 
+MIN_PROBABILITY = 0.01
+"""Probability of a chi^2 below which the errors do not explain it."""
+
 MAX_SCATTER = 0.25
 """Largest scatter about the line, relative to the elongation by the loads."""
 
@@ -97,7 +100,7 @@ class CupLength(NamedTuple):
             'enough': MASSES_FOR_CUBIC, 'std': self.length_std, 'load': float(self.loads.min())}
         return tuple(Remark(code, numbers) for code, applies in (
             ('wrong_mass' if told else 'scatter_or_wrong_mass',
-             count and chdtrc(count, self.chi2) < 0.01),
+             count and chdtrc(count, self.chi2) < MIN_PROBABILITY),
             ('two_masses', not known),
             ('straight', known and masses < MASSES_FOR_CUBIC),
             ('uncertain_length', MAX_LENGTH_STD < self.length_std < np.inf)) if applies)
@@ -107,8 +110,8 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
     """
     Return the cup's length without load from standstills of several masses (4.2).
 
-    Length against load is a line, or a cubic if it predicts held-out masses better; its value at
-    no load is l0. Repeated picks of a mass determine the scatter between picks, an additional
+    Length against load is a line, or a cubic if a line contradicts the errors; its value at no
+    load is l0. Repeated picks of a mass determine the scatter between picks, an additional
     error of each standstill.
 
     Parameters
@@ -139,12 +142,9 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
             'standstills with other known masses, and give the mass of each.')
     pick = _pick_scatter(measured, groups)
     scattered = np.column_stack([loads, lengths, np.hypot(errors, np.nan_to_num(pick))])
-    degree = 1
-    if different >= MASSES_FOR_CUBIC:
-        straight, cubic = (_cross_validation_error(scattered, groups, order)
-                           for order in (1, 3))
-        degree = 3 if cubic < 0.8 * straight else 1
-    coefficients, std, chi2, degrees_of_freedom = _polynomial(scattered, degree)
+    coefficients, std, chi2, degrees_of_freedom = _polynomial(scattered, 1)
+    if different >= MASSES_FOR_CUBIC and chdtrc(degrees_of_freedom, chi2) < MIN_PROBABILITY:
+        coefficients, std, chi2, degrees_of_freedom = _polynomial(scattered, 3)
     fitted = polyval(loads, coefficients)
     scatter, stretch = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
     if not coefficients[1] > 0.0 or scatter > MAX_SCATTER * stretch:
@@ -184,16 +184,6 @@ def _pick_scatter(measured: Array, groups: Places) -> float:
         return float('nan')
     variance = float(np.sum((lengths - means)**2)) / degrees_of_freedom - float(np.mean(errors**2))
     return float(np.sqrt(max(variance, 0.0)))
-
-
-def _cross_validation_error(measured: Array, groups: Places, degree: int) -> float:
-    """Return the summed squared errors (m^2) of predictions of each mass from the others."""
-    total = 0.0
-    for out in (groups == group for group in np.unique(groups)):
-        loads, lengths, _ = measured[out].T
-        coefficients = _polynomial(measured[~out], degree)[0]
-        total += float(np.mean(lengths - polyval(loads, coefficients)) ** 2)
-    return total
 
 
 def _polynomial(measured: Array, degree: int) -> tuple[Array, float, float, int]:

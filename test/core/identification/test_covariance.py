@@ -2,8 +2,8 @@
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.identification.information import covariance_of
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.result import covariance_of
 from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import moved_by, static_equilibrium

@@ -1,10 +1,7 @@
 """Functions of recordings run where these are, and their sums have one order."""
 
 from bellows_ros.core.identification.pool import here
-from bellows_ros.core.identification.search import median
 from bellows_ros.errors import BellowsError
-import numpy as np
-from numpy.testing import assert_allclose
 import pytest
 
 
@@ -26,14 +23,6 @@ def test_the_first_error_of_recordings_is_raised():
     values = here([2, 0, 1])
     with pytest.raises(BellowsError, match='of 0'):
         values.pool.results(refused, values)
-
-
-@pytest.mark.parametrize('sizes', [(7,), (8,), (5, 9, 1), (2, 40, 11, 6)])
-def test_medians_of_recordings_are_those_of_all_numbers(sizes):
-    rng = np.random.default_rng(sum(sizes))
-    parts = [rng.standard_normal((size, 3)) * (1.0 + size) for size in sizes]
-    found = median(np.asarray, here(parts))
-    assert_allclose(found, np.median(np.abs(np.concatenate(parts)), axis=0), rtol=1e-15)
 
 
 def refused(number):
