@@ -22,7 +22,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.causes import Finding
+from bellows_ros.core.identification.result import Finding
 from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING, TYPICAL_BENDING
 from bellows_ros.core.recording import alignment
 from bellows_ros.errors import shown

@@ -8,10 +8,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import causes, methods
+from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.output_error import HELD_OUT
 from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
-from bellows_ros.core.identification.result import Fit, POSE_UNITS
+from bellows_ros.core.identification.result import DISTINCT, Finding, Fit, POSE_UNITS
 from bellows_ros.core.identification.validation import MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure
@@ -136,7 +136,7 @@ class FitVerdict(NamedTuple):
     """
 
     simulated: tuple[Simulated, ...]
-    causing: tuple[causes.Finding, ...]
+    causing: tuple[Finding, ...]
     """Causes of a misfit, the likeliest first."""
     given: Values
     excess: float = 0.0
@@ -155,7 +155,7 @@ class FitVerdict(NamedTuple):
     """
 
     @property
-    def wrong(self) -> list[causes.Finding]:
+    def wrong(self) -> list[Finding]:
         """The likeliest cause, if the cup is wrong without it."""
         likely = [each for each in self.causing if each.name != 'unknown']
         return [each for each in likely[:1] if each.material]
@@ -231,7 +231,7 @@ class FitVerdict(NamedTuple):
             return (finding_sentence(first, self.given),)
         likely = [each for each in self.causing if each.name != 'unknown']
         is_sound = self.is_at_noise or self.simulated and not self.refusals and not (
-            likely and likely[0].share >= causes.DISTINCT or any(
+            likely and likely[0].share >= DISTINCT or any(
                 (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated))
         if is_sound:
             return ()

@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.methods import fit
-from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.result import Finding, Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import tag_of

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.identification.causes import DISTINCT, Finding, MATERIAL
 from bellows_ros.core.identification.problem import Problem, WhitenedSegment
 from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
+from bellows_ros.core.identification.result import DISTINCT, Finding, MATERIAL
 from bellows_ros.core.identification.search import (
     approach,
     MAX_NOISE_CHI2,

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.diagnosis import (
     is_explained,
     likeliest_setting,
@@ -38,6 +37,7 @@ from bellows_ros.core.identification.quantities import (
     weak_prior,
 )
 from bellows_ros.core.identification.result import (
+    Finding,
     Fit,
     Freed,
     Iteration,

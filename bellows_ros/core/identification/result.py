@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 import tomllib
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.structure import ROUNDING, Structure, structure_named, STRUCTURES
@@ -48,6 +48,61 @@ def parameter_units(structure: Structure) -> tuple[str, ...]:
 
 MAX_RELATIVE_ERROR = 0.5
 """Largest relative standard error of an identifiable parameter."""
+
+
+MATERIAL = 0.02
+"""Smallest material relative change of an entry of K: the error up to which K is called right."""
+
+DISTINCT = 0.5
+"""Share of a misfit, and of the likeliest cause's, that counts as half."""
+
+NONE = np.empty(0)
+
+
+class Finding(NamedTuple):
+    """
+    A confirmed or possible deviation from a given quantity or setting.
+
+    Parameters
+    ----------
+    name, value : str
+        Name of the cause: a name of fit.free, a parameter, or a property of the cup; and its
+        correct setting, or the body of a marker, '' for freed quantities.
+    theta, std : ndarray (n,)
+        Estimates of the freed quantities, and their standard errors.
+    share : float
+        Share of the chi² beyond noise that the cause explains.
+    moved : float
+        Largest relative change of an identifiable diagonal entry of K.
+    datum, certain : bool
+        Whether the cause is a given quantity, and whether no other cause explains the recordings
+        equally well.
+    instead : str
+        Name or value of another given quantity that cannot be distinguished from the cause; '' for
+        none.
+
+    """
+
+    name: str
+    value: str
+    theta: Array = NONE
+    std: Array = NONE
+    share: float = 1.0
+    moved: float = 0.0
+    datum: bool = True
+    certain: bool = True
+    instead: str = ''
+
+    @property
+    def material(self) -> bool:
+        """
+        Whether the cup is wrong without the cause.
+
+        A certain error of a given quantity makes K uncertain by more than its standard errors; a
+        slip is harmless where K is equal without it.
+        """
+        return self.datum and (self.certain and self.name != 'slip' or (
+            self.share >= DISTINCT and self.moved > MATERIAL))
 
 
 class Iteration(NamedTuple):
@@ -158,7 +213,7 @@ class Fit:
     noise_in_motion: Mapping[int, Array] = field(default_factory=dict)
     stretch: tuple[float, float] = (0.0, 0.0)
     stretch_std: tuple[float, float] = (0.0, 0.0)
-    causes: tuple[Any, ...] = ()
+    causes: tuple[Finding, ...] = ()
     from_given: Array | None = None
     held_out: Array | None = None
     nuisances: Mapping[str, Array] = field(default_factory=dict)

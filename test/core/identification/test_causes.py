@@ -6,10 +6,10 @@ import re
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import as_found
+from bellows_ros.core.identification.result import Finding
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.faults import recording_remarks

@@ -4,9 +4,9 @@ from contextlib import nullcontext
 from dataclasses import replace
 
 from bellows_ros.core.identification import methods
-from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.least_squares import statistics
 from bellows_ros.core.identification.methods import fit, start_cup
+from bellows_ros.core.identification.result import Finding
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
