@@ -15,6 +15,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.information import inverted, with_unidentifiable
 from bellows_ros.core.identification.result import (
     Fit,
+    MAX_NOISE_SHARE,
     MAX_RELATIVE_ERROR,
     NOTES,
     remedy_for,
@@ -25,12 +26,6 @@ from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import FilterNoise
 from bellows_ros.errors import UndeterminedError
 import numpy as np
-
-MAX_LISTED = 4
-"""Largest number of parameters named in a sentence."""
-
-MAX_NOISE_SHARE = 0.5
-"""Largest share of noise in the information on an identifiable parameter, and in its bias."""
 
 NO_EFFECT = 1e-8
 """Relative size, the root of rounding, of a column without effect, or of a variance of zero."""
@@ -133,7 +128,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         normal[:-1, :-1], _sizes_of_columns(normal[:-1, :-1], structure))
     if not is_separable.any():
         raise UndeterminedError(
-            f'{", ".join(structure.labels[:MAX_LISTED])} and all others are not identifiable from '
+            f'{", ".join(structure.labels[:4])} and all others are not identifiable from '
             'these recordings: nothing moves. Excite all six directions.')
     x = inverse @ normal[:-1, -1]
     r = np.append(x, -1.0)

@@ -1,7 +1,6 @@
 """The fit of a cup to recordings, by the method in `fit.method`."""
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import math
@@ -30,8 +29,7 @@ from bellows_ros.core.parameters.conversion import (
 )
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, Recording, TimeOffset
-from bellows_ros.core.recording.standstills import Standstill, standstills_of
-from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -40,16 +38,11 @@ Progress = Callable[[str, float], None]
 TYPICAL_STEPS = 12
 """Typical number of steps of a fit by simulation."""
 
-MAX_DAMPING_STD, UNLOADED_PARAMETER = 0.25, 'K rz'
-"""
-Largest relative standard error of the most certain damping of a moving cup.
+MAX_DAMPING_STD = 0.25
+"""Largest relative standard error of the most certain damping of a moving cup."""
 
-The stiffness about z, which no weight loads, is also tested if tool or package moves; at rest
-noise determines this stiffness.
-"""
-
-MIN_REST_SHARE = 0.5
-"""Smallest fraction of the time at rest in recordings of standstills."""
+UNLOADED_PARAMETER = 'K rz'
+"""The stiffness that no weight loads: it also shows that the cup moves."""
 
 MAX_MISFIT_TO_NOISE = 2.0
 """Largest ratio of misfit and noise for output error, in free simulations and residuals."""
@@ -104,7 +97,7 @@ def fit(
 
     """
     result = fitted(recordings, values, progress, pairs, standstills=standstills)
-    _require_motion(result, recordings)
+    _require_motion(result)
     if values.fit.time_offset:
         result = _with_offsets(result, [
             reduced(recording, values.cup.length).time_offset for recording in recordings])
@@ -114,7 +107,7 @@ def fit(
     return result
 
 
-def _require_motion(result: Fit, recordings: Sequence[AnyRecording]) -> None:
+def _require_motion(result: Fit) -> None:
     """Raise if the recordings do not determine free quantities, or no damping at all."""
     unknown = [freed.name for freed in result.freed if not np.all(np.isfinite(freed.std))]
     if result.converged and unknown:
@@ -130,23 +123,13 @@ def _require_motion(result: Fit, recordings: Sequence[AnyRecording]) -> None:
     certain = [label for label, value, std in zip(
         result.labels, result.parameters, np.sqrt(np.diag(result.covariance)), strict=True)
         if std < np.inf and std <= largest * abs(value)]
-    if result.converged and explained and not any(label[0] == 'P' for label in certain) and (
-            UNLOADED_PARAMETER not in certain or _stand_still(recordings)):
+    if result.converged and explained and not any(
+            label[0] == 'P' or label == UNLOADED_PARAMETER for label in certain):
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             f'nor {UNLOADED_PARAMETER}, which no weight loads. Move the tool in all directions at '
             "1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
             'static.bags.')
-
-
-def _stand_still(recordings: Sequence[AnyRecording]) -> bool:
-    """Return whether tool and package are at rest for most of the recorded time."""
-    still = total = 0.0
-    for recording in whole_recordings(recordings):
-        total += float(np.ptp(recording.measured_package.stamps_ns)) / NS_PER_S
-        with suppress(BellowsError):  # without standstills
-            still += sum(each.duration for each in standstills_of(recording)[0])
-    return still >= MIN_REST_SHARE * total
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:

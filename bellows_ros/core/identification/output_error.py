@@ -11,6 +11,7 @@ Two clocks, two worlds and a marker anywhere on the package are also estimated, 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
+import math
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -37,10 +38,12 @@ from bellows_ros.core.identification.quantities import (
     weak_prior,
 )
 from bellows_ros.core.identification.result import (
+    CHANCE,
     Finding,
     Fit,
     Freed,
     Iteration,
+    MAX_NOISE_SHARE,
     MAX_RELATIVE_ERROR,
     NOTES,
     remedy_for,
@@ -74,45 +77,36 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 import numpy as np
 
-MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
-"""Largest share of noise in the information for which errors are corrected; largest share of noise
-in the error of an identifiable number, if this error exceeds a fraction of its limit."""
+MAX_CORRECTED_SHARE = 0.9
+"""Largest share of noise in the information for which errors are corrected, tenfold then."""
 
-OF_SPRING = ('relaxation', 'stretch')
-"""Free quantities that are parameters of the cup."""
+MAX_NOISY_ERROR = 0.1
+"""Fraction of its limit up to which an error may be of noise."""
 
-SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
-"""Seed of the noise that is added to test the information, its size relative to the noise of the
-poses, and its smallest size."""
+NOISE_FACTOR = 3.0
+"""Size of the noise that is added to test the information, relative to the noise of the poses."""
 
-MIN_SQUARED_DISTANCE = 13.8
-"""Smallest squared Mahalanobis distance of a significant extension of the spring from zero;
-false-alarm rate 1 in 1000."""
+MIN_NOISE_FACTOR = 0.1
+"""Smallest size of added noise, as large noise may turn the package over."""
 
-MAX_REMAINING_SHARE = 0.2
-"""Largest share of the chi² beyond noise that remains with relaxation."""
+MIN_SQUARED_DISTANCE = -2.0 * math.log(1e-3)
+"""Smallest squared Mahalanobis distance of two significant parameters from zero; false-alarm rate
+1 in 1000."""
 
 MIN_MASS_RATIO = 1.3
 """Smallest ratio of two masses that separate bending from its stiffening by stretch."""
 
 MAX_MISFIT_SHARE = 0.25
 """
-Largest share of the chi² beyond noise that remains with stretch, of recordings of one mass.
+Largest share of the chi² beyond noise that remains with relaxation, or with stretch of one mass.
 
 Stretch must also reduce the chi² by three of its standard deviations. For bellows by finite
 elements, identified with 1.8 kg in tilts up to 15 degrees, both hold, and a swing of 1 kg is
 predicted to 7 %; with tilts up to 20 degrees half of the misfit remains, and the error is 28 %.
 """
 
-MAX_CHI2 = 1.2
-"""Chi^2 per degree of freedom above which a warning is given."""
-
 COMMON_WEIGHT = 10.0
 """Weight of the scatter common to all parameters, in segments of the recordings."""
-
-MIN_SCATTER = 0.25
-"""Smallest scatter relative to the noise model; smaller values occur in directions without
-information."""
 
 LEAST_OF_SETTING = 4.0
 """
@@ -328,7 +322,7 @@ def _extrapolates(end: Solution, without: Solution) -> bool:
     """Return whether two masses determine the stretch, or stretch explains most of the misfit."""
     masses = [outline.payload.mass for outline in end.problem.outlines]
     excess, before = (each.squares / each.residual_count - 1.0 for each in (end, without))
-    chance = 3.0 * (2.0 / end.residual_count) ** 0.5
+    chance = CHANCE * (2.0 / end.residual_count) ** 0.5
     return _is_passive(end, without) and (max(masses) >= MIN_MASS_RATIO * min(masses) or (
         chance < before - excess and excess <= MAX_MISFIT_SHARE * before + chance))
 
@@ -336,7 +330,7 @@ def _extrapolates(end: Solution, without: Solution) -> bool:
 def _explains_most(end: Solution, without: Solution) -> bool:
     """Return whether relaxation explains most of the misfit."""
     noise = MAX_NOISE_CHI2 * end.residual_count
-    return end.squares - noise <= max(MAX_REMAINING_SHARE * (without.squares - noise), 0.0)
+    return end.squares - noise <= max(MAX_MISFIT_SHARE * (without.squares - noise), 0.0)
 
 
 def with_given(found: Solution, given: Free, report: Report = no_report) -> Solution:
@@ -419,7 +413,7 @@ def covariance_of(
         pool.each([np.vstack([directions, -carried @ directions]) for carried in H.carried]),
         found.parts), strict=True)
     scatter = np.maximum(1.0, _relative_variances(sum(counts), np.sum(squares, axis=0)))
-    wide = directions / (1.0 - np.clip(shares, 0.0, MAX_NOISE_SHARE))
+    wide = directions / (1.0 - np.clip(shares, 0.0, MAX_CORRECTED_SHARE))
     covariance = (wide * scatter) @ wide.T
     variances = H.variances_with(covariance, float(np.median(scatter)))
     of_noise = 1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1))
@@ -472,7 +466,7 @@ def _relative_variances(count: int, squares: Array) -> Array:
     """
     if count < 2:
         return np.ones(len(squares))
-    scatter = np.maximum(squares * count / (count - 1), MIN_SCATTER)
+    scatter = squares * count / (count - 1)
     common = float(np.median(scatter))
     return np.asarray((COMMON_WEIGHT * common + count * scatter) / (COMMON_WEIGHT + count))
 
@@ -490,7 +484,7 @@ def _fit(
     notes += _notes_on_ratio(strengths, of_strengths)
     results = [name for name in places if name in named and not KINDS[name].each]
     nuisances = {name: place for name, place in places.items()
-                 if name not in (*OF_SPRING, *results)}
+                 if name not in ('relaxation', 'stretch', *results)}
     total_std = np.sqrt(own_std**2 + np.pad(np.diag(from_given), (0, problem.own.size)))
     used, information = found.residual_count // 6, found.information.shared[:size, :size]
     offsets = np.ravel(places['time_offset']) if 'time_offset' in named else slice(0)
@@ -508,7 +502,7 @@ def _fit(
         residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
         misfit=NOTES['too_large_chi2'].format(chi2=found.robust_chi2) if (
-            found.robust_chi2 > MAX_CHI2) else '',
+            found.robust_chi2 > MAX_NOISE_CHI2) else '',
         chi2=found.squares / max(found.residual_count - len(x), 1),
         robust_chi2=found.robust_chi2 * max(found.learned, 1.0),
         converged=found.converged,
@@ -571,7 +565,7 @@ def _identifiable(
         largest[problem.places[name]] = KINDS[name].max_std
     std = np.sqrt(np.maximum(variances - by_given, 0.0))
     total = np.where(np.arange(len(std)) < size, np.hypot(std, np.sqrt(by_given)), std)
-    is_noise = (shares > MAX_ERROR_SHARE) & (std > MAX_NOISY_ERROR * largest)
+    is_noise = (shares > MAX_NOISE_SHARE) & (std > MAX_NOISY_ERROR * largest)
     identifiable = (total <= largest) & ~is_noise & found.converged
     notes = [_unidentifiable(problem, problem.structure.labels[i], *(
         float(numbers[i]) for numbers in (std / largest, total / largest, shares * is_noise)))
@@ -615,7 +609,7 @@ def _noisier(size: float, segments: Segments, courses: Sequence[Course]) -> Segm
     for place, (segment, course) in enumerate(zip(segments, courses, strict=True)):
         own = segment.measured
         noise = BodyNoise(course.std, own.package_noise.correlation), own.tool_noise
-        draw = np.random.default_rng([SEED, own.recording, place])
+        draw = np.random.default_rng([own.recording, place])
         package, tool = (_with_noise(body, body_noise, size, draw) for body, body_noise in zip(
             (own.package, own.tool), noise, strict=True))
         if own.views:

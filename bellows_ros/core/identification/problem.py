@@ -21,7 +21,7 @@ from bellows_ros.core.identification import quantities, weighing, whitening
 from bellows_ros.core.identification.information import Arrow, symmetric_roots
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import Free, KINDS
-from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
+from bellows_ros.core.identification.result import CHANCE, MAX_RELATIVE_ERROR
 from bellows_ros.core.identification.segments import (
     Course,
     MeasuredSegment,
@@ -33,7 +33,7 @@ from bellows_ros.core.identification.segments import (
     Segments,
     segments_of,
 )
-from bellows_ros.core.identification.statics import balance, MIN_STANDSTILL_STD
+from bellows_ros.core.identification.statics import balance
 from bellows_ros.core.model import pseudo_inertia, simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
@@ -60,11 +60,11 @@ Standard deviation of the package's first state about its first pose, at rest, a
 strains; SI units.
 """
 
-REST_SIGMAS = 3.0
-"""Deviation from rest beyond which a package swings initially, standard deviations."""
+MIN_STRENGTH = 1e-6
+"""Smallest strength of relaxation in a search, as a branch of none has no strain."""
 
-MIN_STRENGTH, TYPICAL_STRENGTH = 1e-6, 0.05
-"""Strengths of relaxation: smallest in a search, and typical of soft rubber."""
+TYPICAL_STRENGTH = 0.05
+"""Strength of relaxation of soft rubber."""
 
 DEFAULT_RATIO = 1.05
 """Ratio r2 / r1 of rubber with a constant loss factor."""
@@ -93,16 +93,15 @@ Ratio of the integrator's steps in a fit to the steps in a prediction.
 K and P of `bags/identification` change by less than 1e-4, 0.01 standard errors.
 """
 
-PRIOR_LOG_STD, APPROACH_LOG_STD = (2.0, 1.0), 0.3
-"""Standard deviations of the logarithms of K, about the start, and of P; and of P in the
-approach."""
+WIDE_LOG_STD = 2.0
+"""Standard deviation of the logarithms of K about the start, and of a package's thickness, of
+which only the order of magnitude is known: negligible but for a thin plate."""
 
-STRETCH_STD = 2.0
-"""
-Standard deviation of the logarithm of a package's thickness.
+DAMPING_LOG_STD = 1.0
+"""Standard deviation of the logarithm of P about ordinary rubber."""
 
-This prior matters only for a thin plate, whose thickness the moments do not determine.
-"""
+APPROACH_LOG_STD = 0.3
+"""Standard deviation of the logarithm of P in the approach, which noise would dominate."""
 
 LOSS_FACTOR = 0.25
 """Loss factor of ordinary rubber, the prior of the damping; an undamped cup would fit noise."""
@@ -113,17 +112,11 @@ LOAD_STEP = 1e-4, 1e-2
 MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
 
-WHITE_LAGS = (1, 2, 3)
-"""Lags at which innovations are tested for correlation, poses."""
-
 WHITE_SIGMAS = 4.0
 """Largest correlation of white innovations, standard deviations; false-alarm rate 1 in 900."""
 
 MAX_WHITE_CORRELATION = 0.1
 """Largest correlation of innovations that count as white."""
-
-MAX_CLIPPED = 3.0
-"""Size at which innovations are clipped in the test for whiteness, standard deviations."""
 
 
 class WhitenedSegment(NamedTuple):
@@ -158,9 +151,9 @@ class WhitenedSegment(NamedTuple):
     @property
     def is_white(self) -> bool:
         """Whether successive innovations are uncorrelated."""
-        e = np.clip(self.innovations.reshape(-1, 6), -MAX_CLIPPED, MAX_CLIPPED)
+        e = np.clip(self.innovations.reshape(-1, 6), -CHANCE, CHANCE)
         correlation = [np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
-                       for lag in WHITE_LAGS if lag < len(e)]
+                       for lag in (1, 2, 3) if lag < len(e)]
         limit = max(MAX_WHITE_CORRELATION, WHITE_SIGMAS / np.sqrt(len(e)))
         return bool(np.max(np.abs(correlation), initial=0.0) < limit)
 
@@ -424,7 +417,7 @@ class Problem:
         residual, by_parameter = balance(model_tuple(cup, payload, gravity), still.tool, poses)
         J = (by_parameter @ self._columns(payload, still.gravity, free)[:PARAMETER_COLUMNS, :-1]
              + body.columns_of(poses, free, places, len(theta), context, poses)[0]) * self.units
-        std = np.repeat(np.maximum(still.error, MIN_STANDSTILL_STD), 3)
+        std = np.maximum(np.repeat(still.error, 3), MIN_POSE_STD)
         return np.asarray(np.column_stack([J, residual]) / std[:, None])
 
     def _columns(self, payload: Package, gravity: Array | float, free: Free) -> Array:
@@ -504,9 +497,9 @@ class Problem:
         heavier, by_mass = float(np.sum((self.units * theta)[mass])), self.units[mass]
         size, (K, P) = self.count // 2, self._matrices(theta)
         for first, M, mean, std in (
-                (0, K, np.exp(heavier) * self._matrices(self.start)[0], PRIOR_LOG_STD[0]),
+                (0, K, np.exp(heavier) * self._matrices(self.start)[0], WIDE_LOG_STD),
                 (size, P, np.exp(0.5 * heavier) * self.ordinary_damping(K),
-                 APPROACH_LOG_STD if self.forgetting else PRIOR_LOG_STD[1])):
+                 APPROACH_LOG_STD if self.forgetting else DAMPING_LOG_STD)):
             place = np.arange(first, first + size)
             inverse = symmetric_roots(M)[1]
             slopes = inverse @ (self.structure.basis * self.units[place, None, None]) @ inverse
@@ -524,7 +517,7 @@ class Problem:
             slope = pseudo_inertia.by_moments(pseudo_inertia.with_moments(plate, moments))
             yield np.append(place, mass), np.hstack([
                 slope * self.units[place], -slope.sum(axis=1)[:, None] * by_mass
-            ]) / STRETCH_STD, pseudo_inertia.stretch_of(plate, moments) / STRETCH_STD
+            ]) / WIDE_LOG_STD, pseudo_inertia.stretch_of(plate, moments) / WIDE_LOG_STD
 
     def whitened(self, theta: Array, segment: Segment, course: Course) -> WhitenedSegment:
         """Return a segment's whitened differences, linearised about a course; theta is local."""
@@ -724,7 +717,7 @@ def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -
     except UnstableError:
         return start
     difference = _difference(rest, start)
-    size = np.max(np.abs(difference[:6]) / std) / REST_SIGMAS
+    size = np.max(np.abs(difference[:6]) / std) / CHANCE
     return whitening.shifted(rest, (1.0 - max(size, 1.0) ** -2) * difference)
 
 

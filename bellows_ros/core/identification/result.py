@@ -50,13 +50,17 @@ MAX_RELATIVE_ERROR = 0.5
 """Largest relative standard error of an identifiable parameter."""
 
 
+CHANCE = 3.0
+"""Largest deviation by chance, standard deviations; false-alarm rate 1 in 370."""
+
+MAX_NOISE_SHARE = 0.5
+"""Largest share of noise in the information on an identifiable number, or in its error."""
+
 MATERIAL = 0.02
 """Smallest material relative change of an entry of K: the error up to which K is called right."""
 
 DISTINCT = 0.5
 """Share of a misfit, and of the likeliest cause's, that counts as half."""
-
-NONE = np.empty(0)
 
 
 class Finding(NamedTuple):
@@ -85,8 +89,8 @@ class Finding(NamedTuple):
 
     name: str
     value: str
-    theta: Array = NONE
-    std: Array = NONE
+    theta: Array = np.empty(0)
+    std: Array = np.empty(0)
     share: float = 1.0
     moved: float = 0.0
     datum: bool = True

@@ -26,6 +26,7 @@ from bellows_ros.core.identification.problem import (
     WhitenedSegment,
 )
 from bellows_ros.core.identification.quantities import Free
+from bellows_ros.core.identification.result import CHANCE
 from bellows_ros.core.identification.segments import (
     Course,
     MIN_POSE_STD,
@@ -44,9 +45,9 @@ from scipy.optimize import nnls
 FORGETTING_RATE = 30.0
 """Rate at which an unknown acceleration makes the model forget during the approach, 1/s."""
 
-APPROACH_DAMPING, MAX_FINAL_DAMPING = 1e-2, 1e-2
-"""Smallest damping of steps in the approach, which limits poorly determined unknowns; largest
-damping of the last step, as a damped step is short anywhere."""
+DAMPING = 1e-2
+"""Damping of a step that limits poorly determined unknowns: the smallest in the approach, the
+largest of the last step, as a damped step is short anywhere, and the first after a failed step."""
 
 ANDERSON_DEPTH, MAX_ANDERSON_WEIGHT, MIN_SINGULAR_VALUE = 3, 0.9, 0.1
 """
@@ -57,45 +58,39 @@ times too long), and the smallest used singular value relative to the largest.
 NOISE_TOLERANCE = 0.03
 """Relative change of the noise of slow poses below which the noise is kept."""
 
-MAX_APPROACH_STEPS, MAX_STEPS, MAX_MISFIT_STEPS = 10, 60, 30
-"""
-Largest numbers of steps: in the approach, in the search, and in a search with a misfit.
+MAX_STEPS = 60
+"""Largest number of steps in a search, and twice that of a search with a misfit."""
 
-A search simulates a wrong recording 53 times at most (with clocks or frames free, 64). A fit
-consists of several searches: with relaxation, for the likeliest causes and with given quantities
-free.
-"""
+FEW_STEPS = 10
+"""Largest number of steps in the approach, and of steps after the shortest one of a search, with
+which it may return to a root from noisy derivatives."""
 
-MAX_WANDERING_STEPS = 10
-"""Number of steps after the shortest one, with which a search may return to a root from noisy
-derivatives."""
+MAX_DAMPING = 10.0
+"""Largest ratio of damping to ordinary damping of a plausible cup."""
 
-MAX_DAMPING, MAX_STIFFENING = 10.0, 100.0
-"""Largest ratio of damping to ordinary damping, and of stiffness to the start, of a plausible
-cup."""
+MAX_STIFFENING = 100.0
+"""Largest ratio of stiffness to the start of a plausible cup."""
 
 DIVERGED = 1e3
 """Difference assigned to poses of a diverging simulation, standard deviations."""
 
-CHANCE = 3.0
-"""Largest chance deviation of an estimated variance of noise, standard deviations."""
-
-NOISE_STEPS, MIN_CORNER = 4, 1e-6
-"""Number of steps to the noise of corners, and its smallest size, rad."""
-
 USUAL_CORNER = 1e-3
 """Largest error of a tag's corner by noise, rad: one to two pixels."""
 
-MAX_NOISE_CHI2, MISFIT_CHI2 = 1.2, 1.5
-"""Largest chi^2 per difference attributed to noise, and smallest of a certain misfit."""
+MAX_NOISE_CHI2 = 1.2
+"""Largest chi^2 per difference attributed to noise, without a warning."""
 
-APPROACH_TOLERANCE, TOLERANCE, LOOSE_TOLERANCE = 3.0, 3e-3, 0.1
-"""
-Squared length of a step at the end of the approach and of the search, squared standard errors.
+MISFIT_CHI2 = 1.5
+"""Smallest chi^2 per difference of a certain misfit."""
 
-The third number is the largest accepted for the last step, as barely identifiable numbers keep
-oscillating.
-"""
+APPROACH_TOLERANCE = 3.0
+"""Squared length of a step at the end of the approach, squared standard errors."""
+
+TOLERANCE = 3e-3
+"""Squared length of a step at the end of the search: K and P move by 5 % of a standard error."""
+
+LOOSE_TOLERANCE = 0.1
+"""Largest squared length of the last step, as barely identifiable numbers keep oscillating."""
 
 SHORTER = 0.25
 """Fraction of a step that is tried if chi² increases with the whole step."""
@@ -415,20 +410,20 @@ def _descended(at: Solution, directions: Directions, report: Report) -> Solution
     problem, expected = at.problem, at.residual_count  # squares, with noise as it was assumed
     is_approach = problem.forgetting > 0.0
     min_damping, tolerance, max_steps = (
-        (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if is_approach else
+        (DAMPING, APPROACH_TOLERANCE, FEW_STEPS) if is_approach else
         (0.0, TOLERANCE, MAX_STEPS))
     objective = attrgetter('squares' if is_approach else 'deviance')
     history: list[tuple[Array, Array]] = []  # steps, and resulting changes
     damping, settled, is_fresh, squares = min_damping, True, True, at.squares
     best, lowest, best_number = at, (True, math.inf), 0
     for number in range(max_steps):
-        is_misfit = number >= MAX_MISFIT_STEPS and at.squares > MISFIT_CHI2 * expected
-        if is_misfit or best.converged and number > best_number + MAX_WANDERING_STEPS:
+        is_misfit = number >= MAX_STEPS // 2 and at.squares > MISFIT_CHI2 * expected
+        if is_misfit or best.converged and number > best_number + FEW_STEPS:
             break
         step = _damped_step(at, damping, directions)
         length = _squared_length(at, step)
         is_near = not is_approach and settled and (
-            length < LOOSE_TOLERANCE and damping <= MAX_FINAL_DAMPING)
+            length < LOOSE_TOLERANCE and damping <= DAMPING)
         cost = not is_near, length if is_near else objective(at)
         if cost < lowest:
             best, lowest, best_number = replace(at, converged=is_near), cost, number
@@ -438,13 +433,13 @@ def _descended(at: Solution, directions: Directions, report: Report) -> Solution
             history = [*history, (step, new.theta - at.theta)][-ANDERSON_DEPTH:]
             before = max(at.squares, expected)
             at, squares, settled = new.refined(not is_approach)
-            is_fresh, settled = False, settled and damping <= MAX_FINAL_DAMPING
+            is_fresh, settled = False, settled and damping <= DAMPING
             damping = _next_damping(damping, min_damping, at.squares > MAX_SMALL_RISE * before)
             report(at.cup, at.squares / expected)
             if length < tolerance and settled:
                 break
         elif is_fresh:
-            history, damping = [], max(10.0 * damping, 1e-2)
+            history, damping = [], max(10.0 * damping, DAMPING)
         else:  # compare chi² along one path and with one noise
             again = evaluated(problem, at.theta, at.courses)
             if not again.is_finite:
@@ -543,10 +538,10 @@ def _with_corner_noise(
     units = np.column_stack([np.ones(len(smears)), smears**4])
     now = units @ np.square(before)
     found = np.square(before)
-    for _ in range(NOISE_STEPS):
+    for _ in range(4):  # weights follow the noise
         expected = np.maximum(units @ found, 1e-3 * now)
         found = nnls(units / expected[:, None], squares * now / expected)[0]
-        found[0] = max(found[0], MIN_CORNER**2)
+        found[0] = max(found[0], MIN_POSE_STD[-1] ** 2)
     noise = CornerNoise(*np.sqrt(found).tolist())
     changes = units @ found / now
     if np.sqrt(np.mean(np.square(changes - 1.0))) < 2.0 * NOISE_TOLERANCE:

@@ -35,9 +35,11 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_ra
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
-HALF_WINDOWS, PATH_ORDER, MIN_HALF_WINDOW = (1 / 6, 1 / 8, 1 / 12), 6, 4
-"""Half windows (s) and order of the polynomials of the tool's path, and smallest half window
-(samples)."""
+HALF_WINDOWS = (1 / 6, 1 / 8, 1 / 12)
+"""Half windows of the tool's path, longest first, s."""
+
+PATH_ORDER = 6
+"""Order of the polynomials of the tool's path."""
 
 MAX_REMOVED_POWER = 1.5
 """Largest ratio of the additional power that a longer window removes to the power of its noise."""
@@ -52,9 +54,14 @@ Longest segment, s; longer ones are split for parallel processing.
 Two segments in 26 s increase standard errors by 1 %.
 """
 
-MEAN_HALF_WINDOW, MAX_STEP_CHANGE, MIN_IN_MEANS = 5, 0.1, 0.85
-"""Half window of the path for means of poses, in lengths of a mean; largest relative change of a
-uniform step; and smallest fraction of valid poses in the means."""
+MEAN_HALF_WINDOW = 5
+"""Half window of the path for means of poses, in lengths of a mean."""
+
+MAX_STEP_CHANGE = 0.1
+"""Largest relative change of a uniform step."""
+
+MIN_IN_MEANS = 0.85
+"""Smallest fraction of valid poses in the means."""
 
 BRIDGED_STD = np.repeat([5e-3, 5e-2], 3)
 """Standard deviation of a bridged pose of the tool, m and rad."""
@@ -420,7 +427,8 @@ def _half_window_of(tool: Trajectory, correlation: float) -> int:
     memory below one sample is small even with the shortest.
     """
     rate = uniform_rate_hz(tool.stamps_ns)
-    *longer, short = (max(round(duration * rate), MIN_HALF_WINDOW) for duration in HALF_WINDOWS)
+    shortest = PATH_ORDER // 2 + 1
+    *longer, short = (max(round(duration * rate), shortest) for duration in HALF_WINDOWS)
     if correlation < math.exp(-1.0):
         return short
     removed, share = _removed(tool, short, correlation)

@@ -39,8 +39,11 @@ MIN_PROBABILITY = 0.01
 MAX_SCATTER = 0.25
 """Largest scatter about the line, relative to the elongation by the loads."""
 
-MIN_STIFFNESS, MAX_STIFFNESS = 100.0, 1e6
-"""Range of the axial stiffness of cups, N/m."""
+MIN_STIFFNESS = 100.0
+"""Smallest axial stiffness of cups, N/m."""
+
+MAX_STIFFNESS = 1e6
+"""Largest axial stiffness of cups, N/m."""
 
 MAX_LENGTH_STD = 1e-4
 """Largest acceptable standard error of the cup length, m."""
@@ -266,10 +269,6 @@ def check_pose(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
 def _state(body: Trajectory) -> State:
     """Return the state at rest in the first pose of a body."""
     return state_row(body.position[0], lie.rotation_to_quaternion(body.rotation[0]))
-
-
-MIN_STANDSTILL_STD = (1e-7, 1e-6)
-"""Smallest standard error of a mean pose, by rounding and model error, m and rad."""
 
 
 def balance(model: ModelTuple, tool: Trajectory, package: Trajectory) -> tuple[Array, Array]:

@@ -14,8 +14,9 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.problem import Problem
+from bellows_ros.core.identification.result import CHANCE
 from bellows_ros.core.identification.search import likeliest
-from bellows_ros.core.identification.segments import measured_segments, Segment
+from bellows_ros.core.identification.segments import measured_segments, MIN_POSE_STD, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import (
@@ -36,15 +37,16 @@ from bellows_ros.core.signals.savgol import bridged, savgol, weights, with_filte
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
+from scipy import optimize
 
-LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
-"""Half window (s) and order of the light smoothing of the tool, with a pass band of 20 Hz."""
+LIGHT_HALF_WINDOW = 1 / 60
+"""Half window of the light smoothing of the tool, s: a pass band of 20 Hz."""
+
+LIGHT_ORDER = 4
+"""Order of the light smoothing of the tool."""
 
 MAX_NRMSE = 0.05
 """Largest NRMSE accepted in the thesis."""
-
-NOISE_FACTOR = 3.0
-"""Ratio of the RMS error to the error by noise, above which the model is wrong."""
 
 NOISE_RUNS = 2
 """Number of simulations with added tool noise for the error by noise."""
@@ -52,12 +54,8 @@ NOISE_RUNS = 2
 MAX_BRIDGE_TIME = 0.08
 """Longest gap of the tool that is bridged without a warning, s."""
 
-START_SECONDS, START_ITERATIONS, MIN_START_POSES = 0.8, 3, 6
-"""Duration (s) for the fit of the first state behind a gap, iterations, and smallest number of
-poses."""
-
-START_STEPS = np.repeat([1e-4, 1e-3, 1e-3, 1e-2], 3)
-"""Steps of the derivatives by the first state: m, rad, m/s, rad/s."""
+START_SECONDS = 0.8
+"""Duration for the fit of the first state behind a gap, s."""
 
 REST_S = 0.3
 """Shortest initial rest of both bodies in a recording that begins at rest, s."""
@@ -67,12 +65,6 @@ DRAW_SEED = 0
 
 MAX_INNOVATIONS = 3_000
 """Largest number of samples whose innovations are tested, 27 kB of memory each."""
-
-MIN_CORRELATION = 0.01
-"""Smallest correlation between samples of noise that is not white."""
-
-MIN_NOISE = 1e-7
-"""Noise below which rounding dominates the innovations, m and rad."""
 
 
 class OneStep(NamedTuple):
@@ -152,7 +144,6 @@ class Validation(residuals.Comparison):
         rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(DRAW_SEED)
         W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
         sizes, correlations = np.transpose(self.recording.ar1_noise[0])
-        correlations = np.where(correlations > MIN_CORRELATION, correlations, 0.0)
         samples = NOISE_SAMPLES // len(self.runs)
         for run in NOISE_RUNS * self.runs:
             tool, body = (each.select(slice(samples)) for each in (run.tool, run.package))
@@ -189,7 +180,7 @@ class Validation(residuals.Comparison):
     @cached_property
     def one_step(self) -> OneStep | None:
         """The innovations of each measured pose; None without noise, or without a long segment."""
-        if np.min(self.recording.measured_noise) < MIN_NOISE:
+        if np.any(np.array(self.recording.measured_noise) < MIN_POSE_STD[0]):
             return None
         try:
             parts = measured_segments(self.recording)
@@ -231,8 +222,8 @@ class Validation(residuals.Comparison):
 
     @property
     def worse_than_noise(self) -> tuple[str, ...]:
-        """Names of the failing axes with errors above `NOISE_FACTOR` times the noise."""
-        beyond = self.scores.rms > NOISE_FACTOR * self.noise
+        """Names of the failing axes with errors above `CHANCE` times the noise."""
+        beyond = self.scores.rms > CHANCE * self.noise
         return tuple(name for name in self.failing() if beyond[AXES.index(name)])
 
     def verdict(self, limit: float = MAX_NRMSE) -> str:
@@ -353,23 +344,20 @@ def _fitted_state(
     window = tool.between(tool.stamps_ns[0], end)
     package = recording.tracked_package.between(*window.stamps_ns[[0, -1]])
     package = package.select(package.valid)
-    if len(package) < MIN_START_POSES:
+    if len(package) < 6:  # three times as many numbers as unknowns
         return guess
-    std = np.maximum(recording.body_noise[1].std, MIN_NOISE)
+    std = np.maximum(recording.body_noise[1].std, MIN_POSE_STD)
 
-    def differences(row: Array) -> Array:
-        moved = simulate(
-            cup, recording.payload, window, row_state(row), recording.settings.gravity)
+    row = np.concatenate(guess[:4])
+
+    def differences(change: Array) -> Array:
+        moved = simulate(cup, recording.payload, window, row_state(_changed(row, change)),
+                         recording.settings.gravity)
         at = resample(moved, package.stamps_ns)
         return np.asarray(residuals.relative_coordinates(package, at) / std).ravel()
 
-    row = np.concatenate(guess[:4])
-    for _ in range(START_ITERATIONS):
-        now = differences(row)
-        J = np.column_stack([(differences(_changed(row, step)) - now) / step.sum()
-                             for step in np.diag(START_STEPS)])
-        row = _changed(row, -np.linalg.lstsq(J, now, rcond=None)[0])
-    return row_state(row)
+    return row_state(_changed(row, optimize.least_squares(
+        differences, np.zeros(12), method='lm', x_scale='jac', ftol=1e-3).x))
 
 
 def _changed(row: Array, change: Array) -> Array:
