@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.identification.problem import Problem, WhitenedSegment
+from bellows_ros.core.identification.problem import BLOCK_DURATION, Problem, WhitenedSegment
 from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
-from bellows_ros.core.identification.result import DISTINCT, Finding, MATERIAL
+from bellows_ros.core.identification.result import CHANCE, DISTINCT, Finding, MATERIAL
 from bellows_ros.core.identification.search import (
     approach,
     MAX_NOISE_CHI2,
@@ -75,9 +75,6 @@ REPORTED: Mapping[str, str] = {
 FALSE_ALARMS = 1e-3
 """False-alarm rate of the largest deviation of a fit's given quantities, per fit."""
 
-MAX_RATIO_PULL = 3.0
-"""Largest deviation of the ratio of inertia and mass, standard deviations."""
-
 MIN_KNOWN = 0.01
 """Smallest relative reduction of a given variance by the recordings with which a deviation is
 tested."""
@@ -97,10 +94,6 @@ MIN_SLIP_PERIOD = 0.03
 
 BAND = 0.8
 """Share of the residual's power in the reported frequency band."""
-
-BLOCK_S = 1.0
-"""Resolution of the reported time span, and length of independent parts of a misfit, s: several
-periods of a swing."""
 
 
 def is_explained(found: Solution, given: Free) -> bool:
@@ -156,7 +149,7 @@ def pulls(found: Solution, given: Free) -> dict[str, tuple[float, float]]:
         weights = np.where(ratio != 0.0, problem.weights[:len(ratio)], 1.0)
         sizes['inertia'] = pull(
             ratio @ found.theta[:len(ratio)], np.asarray(np.sum(ratio**2 / weights)),
-            ratio @ information.covariance @ ratio), MAX_RATIO_PULL
+            ratio @ information.covariance @ ratio), CHANCE
     return sizes
 
 
@@ -208,7 +201,7 @@ def least_share(one: Alternative) -> float:
     problem = one.found.problem
     count = problem.places[one.name].shape[1]
     blocks = len(AXES) * sum(last - first for outline in problem.outlines
-                             for first, last in outline.ends_ns) / NS_PER_S / BLOCK_S
+                             for first, last in outline.ends_ns) / NS_PER_S / BLOCK_DURATION
     F = count * float(fdtri(count, max(blocks, 1.0), 1.0 - FALSE_ALARMS))
     return float(F / (F + blocks))
 
@@ -342,7 +335,7 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
         ~np.isin(np.arange(len(shifted.theta)), shifted.problem.places['slip'])).block(number)
     (blocks,) = shifted.problem.held.pool.results(
         _slip_scores, own, np.where(np.outer(~own, ~own), C, 0.0), shifted.parts.only([number]))
-    at = [first + round(BLOCK_S * NS_PER_S * k) for first, block in zip(
+    at = [first + round(BLOCK_DURATION * NS_PER_S * k) for first, block in zip(
         begins, blocks, strict=False) for k in range(len(block))]
     best = at[int(np.argmax(np.concatenate(blocks)))]
 
@@ -350,7 +343,7 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
         near = replace(found, problem=replace(found.problem, slip_ns=slip_ns))
         return near, scores(near, ['slip']).get('slip', 0.0)
 
-    chosen, period = scored(best), BLOCK_S
+    chosen, period = scored(best), BLOCK_DURATION
     while period > MIN_SLIP_PERIOD:
         period *= 0.5
         chosen = max(chosen, *(scored(chosen[0].problem.slip_ns + side * round(
@@ -388,7 +381,7 @@ def _span(
 ) -> Array:
     """Return where the residual of a segment is largest: time span (s) and band (Hz)."""
     segment, values = segments[place], parts[place].innovations.reshape(-1, 6)[:, axis]
-    size = max(round(BLOCK_S / segment.period), 1)
+    size = max(round(BLOCK_DURATION / segment.period), 1)
     powers = np.add.reduceat(values**2, np.arange(0, len(values), size))
     order = np.argsort(powers)[::-1]
     kept = order[:1 + int(np.searchsorted(np.cumsum(powers[order]), 0.5 * powers.sum()))]
@@ -397,8 +390,9 @@ def _span(
         np.repeat(parts[place].residuals[:, axis:axis + 1], 6, axis=1),
         1.0 / segment.period).band(BAND)
     return np.array([
-        since + kept.min() * BLOCK_S,
-        since + min((kept.max() + 1) * BLOCK_S, len(values) * segment.period), low[0], high[0]])
+        since + kept.min() * BLOCK_DURATION,
+        since + min((kept.max() + 1) * BLOCK_DURATION, len(values) * segment.period),
+        low[0], high[0]])
 
 
 def _other_frame(end: Solution, best: Alternative) -> Finding | None:

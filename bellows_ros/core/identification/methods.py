@@ -45,10 +45,7 @@ UNLOADED_PARAMETER = 'K rz'
 """The stiffness that no weight loads: it also shows that the cup moves."""
 
 MAX_MISFIT_TO_NOISE = 2.0
-"""Largest ratio of misfit and noise for output error, in free simulations and residuals."""
-
-MAX_STANDSTILL_CHI2 = 4.0
-"""Largest chi^2 per deviation of standstills without a note."""
+"""Largest ratio of misfit and noise for output error, in residuals and standstills."""
 
 Pair = tuple[Segments, least_squares.Statistics]
 """The segments of a recording, empty for least squares, and its statistics."""
@@ -101,7 +98,7 @@ def fit(
     if values.fit.time_offset:
         result = _with_offsets(result, [
             reduced(recording, values.cup.length).time_offset for recording in recordings])
-    if result.standstills and result.standstills[1] > MAX_STANDSTILL_CHI2:
+    if result.standstills and result.standstills[1] > MAX_MISFIT_TO_NOISE**2:
         result = replace(result, notes=(
             *result.notes, NOTES['disagreement'].format(chi2=result.standstills[1])))
     return result

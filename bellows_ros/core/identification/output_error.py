@@ -514,7 +514,8 @@ def _fit(
             for name in results),
         causes=reasons,
         nuisances={name: x[place] for name, place in nuisances.items()},
-        standstills=_standstills(found),
+        standstills=(len(problem.standstills), problem.local.at_rest(
+            found.theta[problem.index(0)])[2]) if problem.standstills else None,
         nuisances_std={name: total_std[place] for name, place in nuisances.items()},
         relaxation=_pair(strengths),
         relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
@@ -529,13 +530,6 @@ def _notes_on_ratio(strengths: Array, covariance: Array) -> list[str]:
     ratio = np.array([-DEFAULT_RATIO, 1.0])
     is_assumed = np.sqrt(ratio @ covariance @ ratio) > 0.7 * RATIO_STD * strengths[0]
     return [NOTES['r2_assumed']] if is_assumed else []
-
-
-def _standstills(found: Solution) -> tuple[int, float] | None:
-    """Return `Fit.standstills`."""
-    problem = found.problem
-    return (len(problem.standstills), problem.local.at_rest(
-        found.theta[problem.index(0)])[2]) if problem.standstills else None
 
 
 def _pair(values: Array) -> tuple[float, float]:

@@ -50,9 +50,10 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 BLOCK_DURATION = 1.0
-"""Length of the parts of a recording whose information is stored, s."""
+"""Length of the parts of a recording whose information is stored, s: some periods of a swing."""
 
 INITIAL_STD = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
 """
@@ -325,15 +326,12 @@ class Problem:
     @cached_property
     def uncoupled(self) -> Array:
         """Directions (s, d) of the shared unknowns without couplings."""
-        directions = np.eye(self.shared)
         if self.count <= 2 * STRUCTURES['diagonal'].size:
-            return directions
+            return np.eye(self.shared)
         diagonal = [self.structure.parameters(*pair) / self.units[:self.count]
                     for unit in STRUCTURES['diagonal'].basis
                     for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]
-        more = len(directions) - self.count
-        return np.vstack([
-            np.pad(diagonal, ((0, 0), (0, more))), directions[self.count:]]).T
+        return block_diag(np.transpose(diagonal), np.eye(self.shared - self.count))
 
     def cup(self, theta: Array) -> Cup:
         """Return the cup of the unknowns, a single one of a gripper."""

@@ -49,11 +49,11 @@ DAMPING = 1e-2
 """Damping of a step that limits poorly determined unknowns: the smallest in the approach, the
 largest of the last step, as a damped step is short anywhere, and the first after a failed step."""
 
-ANDERSON_DEPTH, MAX_ANDERSON_WEIGHT, MIN_SINGULAR_VALUE = 3, 0.9, 0.1
-"""
-Number of previous steps mixed into a step, the largest weight of one of them (0.9 for a step 10
-times too long), and the smallest used singular value relative to the largest.
-"""
+ANDERSON_DEPTH = 3
+"""Number of previous steps mixed into a step."""
+
+MAX_ANDERSON_WEIGHT = 0.9
+"""Largest weight of a previous step: 0.9 for a step that is 10 times too long."""
 
 NOISE_TOLERANCE = 0.03
 """Relative change of the noise of slow poses below which the noise is kept."""
@@ -70,9 +70,6 @@ MAX_DAMPING = 10.0
 
 MAX_STIFFENING = 100.0
 """Largest ratio of stiffness to the start of a plausible cup."""
-
-DIVERGED = 1e3
-"""Difference assigned to poses of a diverging simulation, standard deviations."""
 
 USUAL_CORNER = 1e-3
 """Largest error of a tag's corner by noise, rad: one to two pixels."""
@@ -468,7 +465,7 @@ def _diverged(at: Solution) -> Solution:
 def _finite(parts: Parts) -> tuple[Parts, Sums]:
     """Return the differences of a simulation that diverges as large ones without information."""
     finite = tuple(part._replace(
-        innovations=np.nan_to_num(part.innovations, nan=DIVERGED), **{
+        innovations=np.nan_to_num(part.innovations, nan=1e3), **{
             name: np.nan_to_num(getattr(part, name), posinf=0.0)
             for name in ('variance', 'information', 'slope')}) for part in parts)
     return finite, Sums.of(finite)
@@ -630,9 +627,7 @@ def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]
         return step
     steps, changes = map(np.array, zip(*history, strict=True))
     differences = np.diff(np.vstack([steps, step]), axis=0)
-    values, vectors = np.linalg.eigh(differences @ np.transpose(list(map(H.times, differences))))
-    used = values > MIN_SINGULAR_VALUE**2 * values[-1]
-    weights = vectors[:, used] @ (
-        vectors[:, used].T @ (differences @ H.times(step)) / values[used])
+    squares = differences @ np.transpose(list(map(H.times, differences)))
+    weights = np.linalg.pinv(squares, 0.1**2, hermitian=True) @ (differences @ H.times(step))
     weights *= min(1.0, MAX_ANDERSON_WEIGHT / max(np.abs(weights).max(), 1e-99))
     return np.asarray(step - weights @ (changes + differences))

@@ -48,9 +48,6 @@ LIGHT_ORDER = 4
 MAX_NRMSE = 0.05
 """Largest NRMSE accepted in the thesis."""
 
-NOISE_RUNS = 2
-"""Number of simulations with added tool noise for the error by noise."""
-
 MAX_BRIDGE_TIME = 0.08
 """Longest gap of the tool that is bridged without a warning, s."""
 
@@ -145,7 +142,7 @@ class Validation(residuals.Comparison):
         W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
         sizes, correlations = np.transpose(self.recording.ar1_noise[0])
         samples = NOISE_SAMPLES // len(self.runs)
-        for run in NOISE_RUNS * self.runs:
+        for run in 2 * self.runs:  # two draws of the noise
             tool, body = (each.select(slice(samples)) for each in (run.tool, run.package))
             noisy = with_filtered_noise(tool, sizes, correlations, W, 1.0 / rate_hz, rng)
             moved = simulate(self.cup, self.recording.payload, noisy, run.state, settings.gravity)
