@@ -57,10 +57,11 @@ MAX_NOISE_SHARE = 0.5
 """Largest share of noise in the information on an identifiable number, or in its error."""
 
 MATERIAL = 0.02
-"""Smallest material relative change of an entry of K: the error up to which K is called right."""
+"""Smallest relative change of an entry of K that makes a cup wrong."""
 
 DISTINCT = 0.5
-"""Share of a misfit, and of the likeliest cause's, that counts as half."""
+"""Share of the misfit, and of the likeliest cause's share, above which a cause or its rival
+counts."""
 
 
 class Finding(NamedTuple):
@@ -80,7 +81,7 @@ class Finding(NamedTuple):
         Largest relative change of an identifiable diagonal entry of K.
     datum, certain : bool
         Whether the cause is a given quantity, and whether no other cause explains the recordings
-        equally well.
+        as well.
     instead : str
         Name or value of another given quantity that cannot be distinguished from the cause; '' for
         none.

@@ -1,5 +1,5 @@
 """
-The filtered motions of a recording, and results of it that outlive its poses.
+The filtered motions of a recording, and results that are kept without its poses.
 
 The lip's motion, the required wrench c, and the equations L x = c, with x the parameters of K and
 P (4.66-4.68).
@@ -160,7 +160,7 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
     Raises
     ------
     BellowsError
-        Without valid samples.
+        If there are no valid samples.
 
     """
     if not samples.count:
@@ -237,7 +237,7 @@ def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
     Raises
     ------
     BellowsError
-        If it has no valid samples, or the package is not below the tool.
+        If the recording has no valid samples, or the package is not below the tool.
 
     """
     if isinstance(recording, ReducedRecording):
