@@ -59,7 +59,7 @@ NOISE_TOLERANCE = 0.03
 """Relative change of the noise of slow poses below which the noise is kept."""
 
 MAX_STEPS = 60
-"""Largest number of steps in a search, and twice that of a search with a misfit."""
+"""Largest number of steps in a search; a search with a misfit has half as many."""
 
 FEW_STEPS = 10
 """Largest number of steps in the approach, and of steps after the shortest one of a search, with
