@@ -247,8 +247,11 @@ def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float
 SPAN_NS = 100_000_000
 """Time after a start in which the tool's motion is estimated from three poses, ns."""
 
-MIN_DECAY_RATE, MIN_FREQUENCY = 0.1, 1.0
-"""Smallest assumed decay rate (1/s) and frequency (rad/s) of a package."""
+MIN_DECAY_RATE = 0.1
+"""Smallest assumed decay rate of a package, 1/s."""
+
+MIN_FREQUENCY = 1.0
+"""Smallest assumed frequency of a package, rad/s."""
 
 
 class Modes(NamedTuple):
