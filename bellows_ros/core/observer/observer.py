@@ -271,8 +271,10 @@ class Observer:
             self._measurements.append(self._pending.pop(0))
             self._reprocess(len(self._measurements) - 1)
         if event == 'meets':
-            self._meet(stamp_ns)
-            prediction = None
+            prediction, at = None, bisect_left(self._measurements, (stamp_ns + 1,))
+            self._measurements.insert(
+                at, NO_MEASUREMENT._replace(stamp_ns=stamp_ns, meets_support=True))
+            self._reprocess(at)
         elif self._has_left:
             self._predict_from(self._correction.released(self._estimates[-1]))
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
@@ -285,13 +287,6 @@ class Observer:
     def _has_left(self) -> bool:
         """Whether the newest estimate is on a support that the package has left since."""
         return bool(self._estimates[-1].support) and not self._support.is_near
-
-    def _meet(self, stamp_ns: int) -> None:
-        """Apply a stop of the tool on its way down, after a measured pose of its stamp."""
-        measurements = self._measurements
-        at = bisect_left(measurements, (stamp_ns + 1,))
-        measurements.insert(at, NO_MEASUREMENT._replace(stamp_ns=stamp_ns, meets_support=True))
-        self._reprocess(at)
 
     def _drop_old(self, before_ns: int) -> None:
         """Discard estimates that no measurement can change any more, except the last of them."""
