@@ -24,6 +24,7 @@ from bellows_ros.core.observer.hypotheses import (
     Likeliest,
     MARGIN,
     MAX_COMPONENTS,
+    MAX_DEVIATION,
     MAX_ODDS,
     MIN_CLEAR_ODDS,
     MIN_LEAD,
@@ -100,6 +101,8 @@ class Alarms:
         Places of the holding cups of a gripper, as `places_of` returns them.
     of_tag : bool
         Whether a tag is measured, whose errors in one view resemble a shifted camera.
+    latency_std : float
+        Stated standard deviation of the latency, s.
 
     Attributes
     ----------
@@ -113,10 +116,11 @@ class Alarms:
     is_cup_proven = False
 
     def __init__(
-        self, false_per_hour: float, of_lip: bool, places: Array, of_tag: bool = False
+        self, false_per_hour: float, of_lip: bool, places: Array, of_tag: bool = False,
+        latency_std: float = 0.0,
     ) -> None:
         """Set the threshold and the initial signatures."""
-        self._places, self._of_tag = places, of_tag
+        self._places, self._of_tag, self._latency_std = places, of_tag, latency_std
         self._threshold = math.log(3600 * NS_PER_S / ONSET_NS / false_per_hour) + (
             MARGIN if len(places) == 1 else GRIPPER_MARGIN)
         self.steps: Array = np.zeros((states.ROWS + ekf.FALLEN, len(STEPS)))
@@ -172,7 +176,8 @@ class Alarms:
         cause, error, spread, parts = _fault(estimate, prior, best)
         logs = [part for part, (_, _, is_log) in zip(parts, cause.parts, strict=False) if is_log]
         size, std = max(logs or parts[:1], key=lambda each: each[0] / each[1])
-        if size < cause.least:
+        usual = MAX_DEVIATION * self._latency_std if cause.name == 'latency' else 0.0
+        if size < max(cause.least, usual):
             return None
         most = MAX_ODDS if likely.mean or best[1] < AT_START else MIN_CLEAR_ODDS
         odds, cup = min(math.exp(min(lead, 20.0)), most), -1

@@ -19,6 +19,7 @@ from bellows_ros.core.observer.hypotheses import (
     DECIDE_NS,
     LEAST_PRIOR,
     Likeliest,
+    MAX_DEVIATION,
     MIN_NOISE_COUNT,
     PRIOR_STD,
     SETTLING,
@@ -57,9 +58,6 @@ filter nonlinear; the evidence of faults is then reset.
 
 LARGEST_LOAD = 5.0
 """Largest load of a holding cup, in weights, for the largest plausible displacement of its lip."""
-
-MAX_DEVIATION = 3.0
-"""Largest deviation of a cup from its parameters without an alarm, standard deviations."""
 
 TOUCHDOWN = 0.2
 """Time in which a support takes over the weight of a lowered package, s."""
@@ -211,7 +209,8 @@ class Correction:
         self._cups = cups_of(model, places)
         allowed = values.alarm.false_per_hour
         self.alarms = alarms.Alarms(
-            allowed, marker[2], places, marker[3][0]) if allowed > 0.0 else None
+            allowed, marker[2], places, marker[3][0], values.measured.latency_std) if (
+                allowed > 0.0) else None
         self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
         self.first_memory = first_memory()
         noise = values.tool_noise.position, values.tool_noise.rotation

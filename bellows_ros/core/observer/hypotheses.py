@@ -105,6 +105,10 @@ LEAST_PRIOR = 1e-3
 hides the information on a smaller one."""
 MAX_COMPONENTS = max(len(cause.steps) for cause in HYPOTHESES)
 
+MAX_DEVIATION = 3.0
+"""Largest deviation of a cup or a latency from its parameters without an alarm, standard
+deviations."""
+
 MARGIN = -2.0
 """
 Correction of the logarithm of the threshold for one cup, as only some of the older onsets are
