@@ -36,7 +36,8 @@ def test_millimetres_and_w_first_are_named_and_converted_as_the_sentence_says(
     assert [done.returncode for done in said] == [0, 2, 2]
     assert "'bellows convert raw" in ' '.join(said[0].stdout.split())
     for done in said[1:]:
-        assert 'in millimetres and of quaternions with w first' in ' '.join(done.stderr.split())
+        words = ' '.join(done.stderr.split())
+        assert 'are in millimetres' in words and 'are of quaternions with w first' in words
     command = re.search(r"'bellows (convert [^']*)'", ' '.join(said[1].stderr.split()))
     assert command and bellows(*shlex.split(command[1]), cwd=tmp_path).returncode == 0
     done = succeed('replay', 'raw_converted', *with_cup, cwd=tmp_path)

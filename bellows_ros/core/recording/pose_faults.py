@@ -87,8 +87,8 @@ MAX_STEP_ERROR = 0.2
 MIN_SAMPLES = 20
 """Smallest number of differences for an estimate of noise, which is then accurate to 25 %."""
 
-MAX_SAMPLES = 3000
-"""Largest number of differences for an estimate of noise, which is then accurate to 2 %."""
+MAX_SAMPLES = 10_000
+"""Largest number of differences for an estimate of noise, which is then accurate to 1 %."""
 
 DISSIMILAR = 0.5
 """Largest ratio of the misfits of two kinds of candidates that decides between them."""
