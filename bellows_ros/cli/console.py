@@ -2,7 +2,8 @@
 Output, exit codes and signals of the commands.
 
 Results go to one stream, everything else to stderr. Colour is used only on terminals, unless
-NO_COLOR is set or TERM is dumb. A signal ends a command in order, without partial output.
+NO_COLOR is set or TERM is dumb. SIGINT, SIGTERM and SIGHUP end a command after the removal of its
+temporary files, with a message and the exit code of the signal.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -70,7 +71,7 @@ class Console:
     final_warnings : list of str
         Warnings printed after the work.
     asked : list of str
-        Printed questions about numbers of package and cup.
+        Questions already printed about implausible values of package or cup.
     progress : Progress
         Progress of the work, on stderr.
 
@@ -126,14 +127,14 @@ class Console:
         self.line()
 
     def warn(self, *texts: str) -> None:
-        """Print warnings, except questions that have been asked."""
+        """Print warnings, except the questions in `asked`."""
         for text in texts:
             for line in () if text in self.asked else _wrapped(f'Warning: {text}', '', '  '):
                 self._write_error(self._styled(self._err, printable(line), 'yellow'))
 
     @contextmanager
     def asking(self) -> Iterator[None]:
-        """Print each question about a package or a cup once, as soon as their values are read."""
+        """Print each question about implausible values once, as soon as the values are read."""
         show = warnings.showwarning
 
         def ask(message: Any, category: type[Warning], *more: Any, **options: Any) -> None:

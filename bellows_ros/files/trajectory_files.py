@@ -182,7 +182,7 @@ def _stamps(path: File, lines: NumberedRows) -> Stamps:
 
 
 def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequence[int]) -> Array:
-    """Return some columns (N, columns) of numbered lines."""
+    """Return the values (N, columns) in the given columns of numbered lines of a file."""
     values = array('d')
     for number, cells in lines:
         try:

@@ -73,7 +73,11 @@ def write_animation(
 def write_steering(
     path: File, report: steer.SteerReport, note: str, speed: float, theme: str = 'light'
 ) -> None:
-    """Write a motion as planned and as steered, side by side; see `write_animation`."""
+    """
+    Write an animation of a planned motion beside the motion without swing (steered).
+
+    Path, note, theme, speed and errors are as in `write_animation`.
+    """
     values, views = report.source.values, []
     last = TAIL_SHOWN + max(float(motion.tool.seconds[-1]) for motion in report.motions.values())
     for name in ('as planned', report.method):

@@ -80,7 +80,7 @@ MIN_KNOWN = 0.01
 tested."""
 
 MAX_TRIED = 2
-"""Number of fitted candidates; a third candidate decides no cause, and each fit takes seconds."""
+"""Largest number of candidate causes that are tested by a refit, as each refit takes seconds."""
 
 MAX_CAUSES = 3
 """Largest number of reported causes, as many as a user tests."""

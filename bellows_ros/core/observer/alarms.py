@@ -1,4 +1,4 @@
-"""Alarms on causes of deviating measured poses, from the evidence of faults."""
+"""Detection of the fault that makes measured poses deviate from predicted poses."""
 
 from __future__ import annotations
 

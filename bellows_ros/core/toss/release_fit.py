@@ -66,14 +66,14 @@ LINEAR_TAU = 0.5
 """Time constant with which the suction falls linearly during a release, s."""
 
 MAX_SQUARES_RATIO = 0.8
-"""Largest ratio of mean square residuals with and without an opening cup that is kept."""
+"""Largest ratio of mean square residuals with and without a lengthening cup, to keep its law."""
 
 OPENING = (0, 3, 4, 5, 6, 7)
-"""Indices of the free numbers of an opening cup: all but tau and impulse."""
+"""Indices of the free numbers for a cup that lengthens: all but tau and impulse."""
 
 TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
-"""Law of an opening cup for numbers that are neither given nor identifiable; it is similar to the
-law identified from real drops."""
+"""Law of a lengthening cup for numbers that are neither given nor identifiable, similar to the law
+identified from real drops."""
 
 MAX_RELATIVE_STD = 0.5
 """Largest relative standard error of an identifiable number; default for a given number."""
@@ -86,7 +86,7 @@ MAX_EVALUATIONS = 16
 
 LAW_MIN = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
 LAW_MAX = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
-"""Bounds of the numbers of a law; the lower bound of `opening` holds if the cup opens."""
+"""Bounds of the numbers of a law; the lower bound of `opening` holds if the cup lengthens."""
 
 SCALES = np.array([1e-3, 1e-2, 1e-2, 1.0, 1.0, 1e-3, 1.0, 0.1])
 """Units of the law's numbers in the fit."""
@@ -155,7 +155,7 @@ class Drop:
 
     @cached_property
     def _inputs(self) -> tuple[Array, Array, float, Array]:
-        """Tool for the kernels, times, longest integration step, the package's orientations."""
+        """Rows of the tool, times (s), longest integration step (s), the package's quaternions."""
         return (tool_rows(self.tool), self.tool.seconds, largest_step(self.model),
                 lie.rotation_to_quaternion(self.package.rotation))
 
@@ -182,9 +182,11 @@ class Drop:
 
     def explained_by(self, numbers: Array) -> tuple[float, Array, Array]:
         """
-        Return the release (s), states (N, 13), and residuals (9, N) in m, m/s and rad.
+        Return the time of release (s), states (N, 13) and residuals (9, N) for numbers (28,).
 
-        The likeliest offset of a package at rest is subtracted.
+        The residuals are of position (m), velocity (m/s) and rotation (rad), measured minus
+        predicted. If tool and package are at rest before the valve, the likeliest constant offset
+        of the package is subtracted from the residuals of position and rotation.
         """
         released, states = self.predicted(
             as_law(SCALES * numbers[COMMON] + OWN_STD * numbers[OWN_LAW]),
@@ -433,7 +435,7 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
 
 
 def _openings(drops: Sequence[Drop], fall: float) -> list[Array]:
-    """Return laws of an opening cup as initial guesses, with the release at the end of opening."""
+    """Return laws of a lengthening cup as initial guesses, with the release at full length."""
     weight = max(drop.mass for drop in drops) * float(np.linalg.norm(drops[0].model[2]))
     reach = np.median([
         np.linalg.norm(drop.package.position[np.searchsorted(drop.package.seconds, _fall(drop))]
