@@ -94,7 +94,7 @@ class Evidence(NamedTuple):
     suspect_ns: tuple[int, ...] = ()
     """Stamps since half the threshold, ns."""
     from_start: bool = True
-    """Whether faults from the start are tested, because no alarm has been raised."""
+    """Whether faults from the start are tested, because there was no alarm and no wrench."""
 
 
 NO_EVIDENCE = Evidence(

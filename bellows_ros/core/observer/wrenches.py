@@ -9,7 +9,10 @@ the block is corrected, and propagated again.
 Bias and gain are states. Crosstalk, hysteresis and errors of the gripper are proportional to the
 wrench, `wrench.gain_std` of force and moment in each axis, and persist over many blocks: the
 variance of these errors is multiplied by `PERSISTENCE`, so that they do not average out too fast.
-Factors of the variances are learned from the innovations.
+Factors of the variances are learned from the innovations. Wrenches leave the estimates of K and P,
+whose errors the covariance includes (Schmidt-Kalman): errors of the spring law would change K and
+P, and raise false alarms of a worn cup. Persistent errors would also add up to evidence of a wrong
+payload, which is not tested with wrenches: `Observer.departs_from_file` compares the estimates.
 """
 
 from __future__ import annotations
@@ -26,7 +29,14 @@ from bellows_ros.core.model.equilibrium import substeps_for
 from bellows_ros.core.model.kernels import LawTuple, ORIGIN, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, stands
 from bellows_ros.core.observer import dynamics, states
-from bellows_ros.core.observer.filter import Estimate, FALLEN, identity_plus, Moving, Samples
+from bellows_ros.core.observer.filter import (
+    Estimate,
+    FALLEN,
+    identity_plus,
+    Moving,
+    Samples,
+    SHARE,
+)
 from bellows_ros.core.observer.measurement import changed_by, GATE
 from bellows_ros.core.observer.states import COM, DAMPING, LENGTH, MARKER, ROWS, STATE, STIFFNESS
 from bellows_ros.core.observer.wrench_alarms import SetUp
@@ -54,6 +64,9 @@ KEPT = 2048
 
 SMOOTH_NS = 12_000_000
 """Time over which the tool's acceleration is a difference of twists, ns."""
+
+CUP = np.array(states.CUP_ROWS)
+"""Rows of the error that wrenches leave unchanged: K and P."""
 
 MIN_COUNT = 3
 """Smallest number of wrenches in a block."""
@@ -210,8 +223,9 @@ class Wrenches:
         gain, zero = (before.theta[row - STATE:][:6] for row in (states.GAIN, states.ZERO))
         return self._updated(
             correction, before, used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
-            np.repeat(np.square(self.sensor.noise) / (last - first) + PERSISTENCE * np.square(
-                self.sensor.gain_std * np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
+            np.repeat(np.square(self.sensor.noise) / (last - first) + PERSISTENCE * (
+                self.sensor.gain_std**2 + before.memory[SHARE]) * np.square(
+                    np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
 
     def package_load(
         self, correction: Correction, estimate: Estimate, track: Track, stamp_ns: int
@@ -259,16 +273,18 @@ class Wrenches:
             root, z = math.sqrt(excess) * root, z / math.sqrt(excess)
         memory = _learned(memory, y / np.sqrt(np.diag(S)), variance / np.diag(S))
         W = np.linalg.solve(root, HP)
-        body, theta = changed_by(before.body, before.theta, W.T @ z)
+        gain, of_cup = W.copy(), np.zeros_like(W)
+        gain[:, CUP], of_cup[:, CUP] = 0.0, W[:, CUP]
+        body, theta = changed_by(before.body, before.theta, gain.T @ z)
         if not dynamics.is_possible(body, theta, correction.largest):
             return before._replace(wrench_memory=tuple(memory.tolist()))
         evidence = before.evidence
         if len(evidence.signatures):
             E = evidence.signatures.copy()
-            E[:-FALLEN] -= (W.T @ np.linalg.solve(root, H)).astype(np.float32) @ E[:-FALLEN]
-            evidence = evidence._replace(signatures=E)
+            E[:-FALLEN] -= (gain.T @ np.linalg.solve(root, H)).astype(np.float32) @ E[:-FALLEN]
+            evidence = evidence._replace(signatures=E, from_start=False)
         return before._replace(
-            body=body, theta=theta, covariance=P - W.T @ W, evidence=evidence,
+            body=body, theta=theta, covariance=P - W.T @ W + of_cup.T @ of_cup, evidence=evidence,
             wrench_memory=tuple(memory.tolist()))
 
 

@@ -5,7 +5,7 @@ from bellows_ros.core.model.equilibrium import moved_by
 from bellows_ros.core.model.kernels import law_of, model_row
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.wrench_alarms import SetUp
-from bellows_ros.core.observer.wrenches import block
+from bellows_ros.core.observer.wrenches import block, CUP
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import wrench_sensor_of
 import numpy as np
@@ -45,6 +45,8 @@ def test_wrench_alone_finds_mass_and_place_and_helps_a_camera():
 
     def note(k, live, reading):
         mass[:] = live.payload.mass - run.mass, live.payload.mass_std
+        if live.package.observer and (estimate := live.package.observer.estimate):
+            assert not estimate.theta[CUP - states.STATE].any()
         return reading
 
     first = round(0.1e9 / STEP_NS)
