@@ -17,7 +17,7 @@ class CommandResult:
     """A result that has `as_json()`."""
 
     figure: ClassVar[Callable[['CommandResult', str], Any]]
-    """Function that draws the result; `plots`, a higher room, sets it."""
+    """Function that draws the result, set by `plots`."""
 
     def as_json(self) -> dict[str, Any]:
         """Return all numbers by name, SI units, null for unknown values."""

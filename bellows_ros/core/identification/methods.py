@@ -105,7 +105,7 @@ def fit(
 
 
 def _require_motion(result: Fit) -> None:
-    """Raise if the recordings do not determine free quantities, or no damping at all."""
+    """Raise if the recordings determine not all free quantities, or no entry of P."""
     unknown = [freed.name for freed in result.freed if not np.all(np.isfinite(freed.std))]
     if result.converged and unknown:
         raise BellowsError(

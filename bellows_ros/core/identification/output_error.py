@@ -98,7 +98,7 @@ MIN_MASS_RATIO = 1.3
 
 MAX_MISFIT_SHARE = 0.25
 """
-Largest share of the chi² beyond noise that remains with stretch of one mass.
+Largest share of the misfit (chi² beyond noise) that a fit with stretch may leave, for one mass.
 
 Stretch must also reduce the chi² by three of its standard deviations. For bellows by finite
 elements, identified with 1.8 kg in tilts up to 15 degrees, both hold, and a swing of 1 kg is

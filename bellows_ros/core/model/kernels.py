@@ -71,7 +71,7 @@ def strains_of(numbers: Any) -> Strains:
 
 
 def model_row(model: ModelTuple) -> Any:
-    """Return the numbers (81,) of a model without its `law_of`, for fast calls from Python."""
+    """Return all numbers (81,) of a model but stretch and relaxation, for calls from Python."""
     cup, (mass, com, *inertia), gravity = model
     blocks = [number for matrix in cup[2:4] for block in matrix[:3] for number in block]
     row, = as_inputs(np.array([*cup[:2], *blocks, mass, *com, *inertia[0], *inertia[1], *gravity]))

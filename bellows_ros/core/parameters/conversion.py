@@ -309,7 +309,7 @@ def release_factor(values: Values) -> Array:
     """
     Return L (8, 8), where L L^T is the covariance of the law of release; unused rows are 0.
 
-    The covariance grows with the distance of the mass from the packages of the fitted law.
+    Outside the masses (release.mass_range) of the fitted law, the covariance of the law is larger.
     """
     std = np.array([values[f'{name}_std'] for name in RELEASE_NAMES])
     std *= 1.0 + EXTRAPOLATION * beyond_masses(values)

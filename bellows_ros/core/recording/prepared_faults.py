@@ -62,8 +62,8 @@ SWING_DELAY = 0.07
 """Usual delay of the package's rotation behind the tool's, s."""
 
 MIN_CORRELATION_RATIO = 0.5
-"""Ratio of the correlation of rotations without a lag to the largest one, below which the package
-does not follow its tool as stamped."""
+"""Ratio of the correlation of rotations at lag 0 to the largest correlation over all lags, below
+which the package does not follow its tool as stamped."""
 
 MIN_CORRELATION_GAP = 0.1
 """Smallest significant difference of two correlations of rotations by Fisher's transform (atanh),
