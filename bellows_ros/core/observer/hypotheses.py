@@ -47,9 +47,9 @@ class Cause(NamedTuple):
 
 _ROWS = {**states.FIRST, 'FORCE_LOSS': ekf.FORCE_LOSS}
 NAMED = {
-    name: Cause(name, **{**entry, 'steps': tuple(
+    key: Cause(**{'name': key, **entry, 'steps': tuple(
         tuple(_ROWS[row] + place for row, place in step) for step in entry['steps'])})
-    for name, entry in tomllib.loads(
+    for key, entry in tomllib.loads(
         Path(__file__).with_name('alarms.toml').read_text()).items()}
 HYPOTHESES = tuple(NAMED.values())
 """
@@ -63,6 +63,9 @@ OUT_OF_REACH_ODDS = 100.0
 VACUUM_ODDS = 1000.0
 """Factor on the odds of a lost package or cup by a broken vacuum; a holding vacuum divides by
 it."""
+
+CAUSES = tuple([cause.name for cause in HYPOTHESES].index(own.name) for own in HYPOTHESES)
+"""Index of the first hypothesis of the same cause, for each hypothesis."""
 
 AT_START = sum(cause.at_start for cause in HYPOTHESES)
 """Index of the first hypothesis with an onset."""

@@ -38,6 +38,7 @@ from bellows_ros.core.observer import states
 from bellows_ros.core.observer.filter import ONSETS, predicted
 from bellows_ros.core.observer.hypotheses import (
     AT_START,
+    CAUSES,
     COLUMNS,
     CUP,
     DENSE_NS,
@@ -332,19 +333,25 @@ def _likeliest_fault(
                     best[c, 0], best[c, 1], best[c, 2] = slot * EVERY[h] + later, c, i + 1
         top[c] += math.log(max(sums[c], 1.0)) + LOG_SHARES[h]
         top[c] -= math.log(faults - CUP) if h == CUP else 0.0
-    leader, pinned = top.argmax(), 1
+    leader, pinned = int(top.argmax()), 1
     none = _none_of_these(distances, onsets)
     if top[leader] == -math.inf:
         return Likeliest(-math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, none)
     second, rival = NONE, -math.inf if leader == PUSH else none
     for c in range(faults):
         pinned |= 1 << best[c, 0]
-        if c != leader and top[c] > rival:
+        if not _is_one_cause(c, leader) and top[c] > rival:
             second, rival = c, top[c]
     first, other = best[leader], best[max(second, 0)]
     total = top[leader] + math.log(np.exp(top - top[leader]).sum())
     return Likeliest(total, top[leader] - rival, (first[0], first[1], first[2]), second,
                      (other[0], other[1], other[2]), pinned, none)
+
+
+@kernel
+def _is_one_cause(a: int, b: int) -> bool:
+    """Return whether two hypotheses have one cause; the losses of single cups are several."""
+    return a == b or (max(a, b) < CUP and CAUSES[a] == CAUSES[b])
 
 
 @kernel
