@@ -15,7 +15,7 @@ import time
 
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
-from bellows_ros.core.recording.pose_faults import Poses
+from bellows_ros.core.recording.pose_faults import RecordedPoses
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
@@ -70,8 +70,9 @@ def outcome(laboratory, cause, other=''):
 
 def before_a_fit(recording, length):
     """Return the codes of the faults that prevent a fit."""
-    poses = Poses(recording.tool_pose, recording.package_pose, recording.settings.R_world_recorded,
-                  recording.payload, twist=recording.tool_twist)
+    poses = RecordedPoses(
+        recording.tool_pose, recording.package_pose, recording.settings.R_world_recorded,
+        recording.payload, twist=recording.tool_twist)
     found = *recording.report.remarks, *pose_remarks(poses)
     wrong = [own.code for own in found if own.prevents]
     return wrong or [own.code for own in recording_remarks(recording, length) if own.prevents]

@@ -19,10 +19,15 @@ from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.alignment import Remark
-from bellows_ros.core.recording.commission import Check, checks_of
+from bellows_ros.core.recording.commission import checks_of, Judgement
 from bellows_ros.core.recording.faults import pose_remarks
 from bellows_ros.core.recording.outliers import find_outliers
-from bellows_ros.core.recording.pose_faults import noise_of, Poses, twist_errors, TWIST_TOLERANCE
+from bellows_ros.core.recording.pose_faults import (
+    noise_of,
+    RecordedPoses,
+    twist_errors,
+    TWIST_TOLERANCE,
+)
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import (
     NS_PER_S,
@@ -186,7 +191,7 @@ class Info(NamedTuple):
         Parameters for reading the recording, by name.
     notes : tuple of str
         Warnings for an identification from the recording.
-    checks : tuple of Check
+    checks : tuple of Judgement
         Checks before a fit, in the order in which they should be settled.
 
     """
@@ -199,7 +204,7 @@ class Info(NamedTuple):
     rest_s: float | None
     settings: Mapping[str, Any]
     notes: tuple[str, ...]
-    checks: tuple[Check, ...] = ()
+    checks: tuple[Judgement, ...] = ()
 
     @property
     def valve(self) -> str:
@@ -215,7 +220,7 @@ class Info(NamedTuple):
             'checks': [check._asdict() for check in self.checks]})
 
 
-def check_sentence(check: Check) -> str:
+def check_sentence(check: Judgement) -> str:
     """Return a check before a fit and its result in words."""
     name = sentence('commission', f'{check.code}.name')
     code = f'{check.code}.{"passed" if check.passed else "failed"}'
@@ -335,7 +340,7 @@ def _with_roles(
     notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
               if topic.problem]
     notes += [text for topic in described if topic.name in used for text in topic.warnings]
-    rest_s, found = None, tuple[Check, ...]()
+    rest_s, found = None, tuple[Judgement, ...]()
     streams = tuple(poses[guess.topic] for guess in (tool, package) if guess)
     if any(timing(stream.stamps_ns).rate_hz < recording.LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
@@ -354,11 +359,11 @@ def _with_roles(
 def _registration_settings(
     pair: Pair | None, streams: Sequence[PoseStream], path: File, settings: dict[str, Any],
     notes: list[str]
-) -> tuple[float | None, tuple[Check, ...]]:
+) -> tuple[float | None, tuple[Judgement, ...]]:
     """Add settings and notes on both poses; return the initial rest (s), and checks."""
     remarks, (tool, package) = list[str](), streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
-    found = [remark for remark in pose_remarks(Poses(tool, package, R))
+    found = [remark for remark in pose_remarks(RecordedPoses(tool, package, R))
              if remark.code != 'tool_z']  # a check below
     error = ' '.join(remark_sentences([each for each in found if each.prevents], path))
     notes += remark_sentences([each for each in found if not each.prevents])

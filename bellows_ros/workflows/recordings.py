@@ -20,7 +20,7 @@ from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.alignment import FIT, Remark, REPLAY
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
-from bellows_ros.core.recording.pose_faults import NO_INERTIA, Poses
+from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.sensors.wrench import Readings
@@ -301,7 +301,7 @@ def _prepared(
     registers = bool(values.fit.time_offset or world == checks.ESTIMATE
                      or 'package_marker' in values.fit.free)
     package = as_measured(in_camera(package, tool.frame_id, values), values)
-    found = pose_remarks(Poses(
+    found = pose_remarks(RecordedPoses(
         tool, package, settings.R_world_recorded, settings.payload, settings.align_at_rest, twist,
         settings.tool_twist_frame)) if (
             min(len(tool), len(package)) >= MIN_POSES) else ()

@@ -37,9 +37,14 @@ from bellows_ros.core.observer.states import LENGTH, LENGTHENING, MARKER, NOISE,
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
-SECONDS, FALL_SPEED, FALL = 0, 1, 4
-"""Columns in row `STATE` of a transition: its duration, and speed and shift of the fall (m/s, m;
-world)."""
+SECONDS = 0
+"""Column in row `STATE` of a transition: its duration, s."""
+
+FALL_SPEED = 1
+"""First of three columns in row `STATE` of a transition: speed of a fall in the world, m/s."""
+
+FALL = 4
+"""First of three columns in row `STATE` of a transition: shift of a fall in the world, m."""
 
 ONSETS = 12
 """Number of tested onsets of each fault."""
@@ -71,13 +76,30 @@ Time by which the lip's relative twist is multiplied to a displacement, s, whose
 represents unmodelled relaxation and damping.
 """
 
-PERIOD, SQUARES, PRODUCTS, LAST, FACTORS, SHARE, JITTER = 0, 1, 3, 5, 11, 13, 14
-"""
-Indices in the memory of the noise: mean time (s) between measurements; for position and rotation,
-sums of squares of the noise and of its products with the previous noise, in standard deviations;
-this noise (6,); ratio of its variances to the stated ones (2,); variance of the model error
-relative to the lip's displacement; variance of the random error of a stamp (s^2).
-"""
+PERIOD = 0
+"""Index in the memory of the noise: mean time between measurements, s."""
+
+SQUARES = 1
+"""Index in the memory of the noise: sums of squares of the noise of position and rotation, in
+squared standard deviations."""
+
+PRODUCTS = 3
+"""Index in the memory of the noise: sums of products of successive noise of position and rotation,
+in squared standard deviations."""
+
+LAST = 5
+"""Index in the memory of the noise: the last noise (6,), in standard deviations."""
+
+FACTORS = 11
+"""Index in the memory of the noise: ratios of the variances of position and rotation to the stated
+variances."""
+
+SHARE = 13
+"""Index in the memory of the noise: variance of the model error relative to the squared
+displacement of the lip."""
+
+JITTER = 14
+"""Index in the memory of the noise: variance of the random error of a stamp, s^2."""
 
 
 class Evidence(NamedTuple):

@@ -177,10 +177,17 @@ MAX_ODDS = math.exp(14.0)
 LOG_SHARE_OF_NONE = math.log(0.1)
 """Logarithm of the prior share of causes without a signature, including disturbances."""
 
-NONE, PUSH, PAYLOAD, WEAR = -1, *(
-    [*NAMED].index(name) for name in ('disturbance', 'payload', 'wear'))
-"""Indices of the cause without a signature, of an external push, of a wrong payload and of
-wear."""
+NONE = -1
+"""Index of the cause without a signature."""
+
+PUSH = [*NAMED].index('disturbance')
+"""Index of an external push."""
+
+PAYLOAD = [*NAMED].index('payload')
+"""Index of a wrong payload."""
+
+WEAR = [*NAMED].index('wear')
+"""Index of wear."""
 
 
 class Likeliest(NamedTuple):

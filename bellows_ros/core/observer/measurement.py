@@ -363,8 +363,17 @@ Smallest fraction of each variance that remains after an update. The fraction is
 errors, so that the covariance stays positive definite.
 """
 
-USED, OUTSIDE, OUT_OF_REACH, FALLING = 0, 1, 2, 3
-"""Verdicts on a pose; `FALLING` ones are out of reach."""
+USED = 0
+"""Verdict on a pose within the gate."""
+
+OUTSIDE = 1
+"""Verdict on a pose outside the gate, within reach of the cup."""
+
+OUT_OF_REACH = 2
+"""Verdict on a pose out of any reach of the cup."""
+
+FALLING = 3
+"""Verdict on a pose out of reach that is consistent with a fall."""
 
 FALL_ALIGNMENT = 0.8
 """Smallest cosine between a fall, relative to an accelerating tool, and gravity."""

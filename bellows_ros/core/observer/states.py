@@ -59,8 +59,20 @@ WALK_ARM = 0.02
 CAMERA_WALK_TIME = 300.0
 """Time in which a camera's frame drifts by `measured.camera_std` as its mount warms up, s."""
 
-MOTION, PACKAGE, CUP, CAMERA_SIDE, NOISE_SIDE = 'motion', 'package', 'cup', 'camera', 'noise'
-"""Owners of states: the present motion, or a part that stays over motions and packages."""
+MOTION = 'motion'
+"""Owner of states of the present motion."""
+
+PACKAGE = 'package'
+"""Owner of states of the package, which stay over motions."""
+
+CUP = 'cup'
+"""Owner of states of the cup, which stay over packages."""
+
+CAMERA_SIDE = 'camera'
+"""Owner of states of the camera or the force-torque sensor, which stay over packages."""
+
+NOISE_SIDE = 'noise'
+"""Owner of states of the noise."""
 
 
 class Stated(NamedTuple):

@@ -9,8 +9,11 @@ from bellows_ros.core.geometry.tuples import Vector, ZERO
 from bellows_ros.core.model.kernels import State
 from bellows_ros.core.signals.trajectory import NS_PER_S
 
-NEAR, CONTACT = 1, 2
-"""A support may be near, or carries the package; 0 without."""
+NEAR = 1
+"""A support may be near; 0 without."""
+
+CONTACT = 2
+"""A support carries the package."""
 
 LIFT = 8e-3
 """Rise of the tool, beyond the sag of the cup, at which a package has left its support, m."""

@@ -73,7 +73,7 @@ MAX_K_ERROR = 0.1
 """Largest acceptable relative error of an entry of K."""
 
 
-class Check(NamedTuple):
+class Judgement(NamedTuple):
     """
     A check before a fit.
 
@@ -99,7 +99,7 @@ class Check(NamedTuple):
 def checks_of(
     tool: PoseStream, package: PoseStream, R_world_recorded: Array, depth: float,
     separate: bool = False, aligned: bool = False
-) -> tuple[Check, ...]:
+) -> tuple[Judgement, ...]:
     """
     Return the checks of a cell, in the order in which they should be settled.
 
@@ -119,9 +119,9 @@ def checks_of(
     """
     up, angle = tool_up(tool.rotation, R_world_recorded)
     outward = up < (MARKER_UP if aligned else MAX_UP)
-    result = list[Check]()
+    result = list[Judgement]()
     if outward or not aligned:
-        result.append(Check(
+        result.append(Judgement(
             'tool_z', not outward, {'angle': angle},
             {'tool_pose.offset': FLANGE_OUTWARD} if outward else {}))
     if outward:
@@ -135,7 +135,7 @@ def checks_of(
         hand = earlier(hand, offset)
         pose, marker = _registered(hand, body, separate)
     except BellowsError as error:
-        return (*result, Check('no_registration', False, {'reason': str(error)}))
+        return (*result, Judgement('no_registration', False, {'reason': str(error)}))
     result += [check for check in _registration(pose, marker, offset, separate, depth)
                if not aligned or check.code != 'marker']
     first, last = (stamp + side * SPEED_STEP for stamp, side in zip(
@@ -188,19 +188,19 @@ def _registered(
 
 def _registration(
     pose: Array, marker: alignment.Alignment, offset: float, separate: bool, depth: float
-) -> Iterator[Check]:
+) -> Iterator[Judgement]:
     """Yield the checks of clocks, frames and the marker."""
     late = separate or not SWING[0] < -offset < SWING[1]
-    yield Check('clocks', not late, {'offset': -offset, 'swing': SWING[1]},
-                {'fit.time_offset': True} if late else {})
-    yield Check('frames', not separate, {
+    yield Judgement('clocks', not late, {'offset': -offset, 'swing': SWING[1]},
+                    {'fit.time_offset': True} if late else {})
+    yield Judgement('frames', not separate, {
         'position': pose[:3].tolist(), 'quaternion': pose[3:].tolist()},
         {'recording.package_world': checks.ESTIMATE} if separate else {})
     position = -marker.origin_to_com + [0.0, 0.0, depth]
     rotation = lie.log_so3(marker.R_package_markers_lip.T)
     turned = float(np.linalg.norm(rotation))
     plain = not separate  # otherwise recording.align_at_rest corrects it
-    yield Check('marker', plain, {
+    yield Judgement('marker', plain, {
         'position': position.tolist(), 'angle': turned, 'depth': depth},
         {} if plain else {'fit.free': ('package_marker',), 'recording.package_frame': 'com',
                           'measured.offset': [
@@ -219,7 +219,7 @@ def _speeds(tool: Trajectory, stamps_ns: Stamps) -> Array:
 
 def _detector(
     body: Trajectory, speeds: Array, excursions: int, package: PoseStream
-) -> Iterator[Check]:
+) -> Iterator[Judgement]:
     """Yield the checks of the kind of detector, its noise, excursions, rate and blur."""
     still = np.all(speeds < STILL_SPEED, axis=1)
     fast = speeds[:, 0] > np.quantile(speeds[:, 0], FAST_PART)
@@ -230,29 +230,29 @@ def _detector(
     is_tag = seems_tag(known, rate_hz, excursions / len(package))
     moving = np.where(np.isfinite(in_motion), in_motion, known)
     overall = [float(np.sqrt(np.mean(part**2))) for part in (moving[:3], moving[3:])]
-    yield Check('detector', True, {
+    yield Judgement('detector', True, {
         'kind': 'tag' if is_tag else 'body', 'lateral': lateral, 'depth': float(known[2]),
         'rotation': rotation, 'position_moving': overall[0], 'rotation_moving': overall[1]},
         {} if is_tag else {'measured.noise': [float(f'{x:.2g}') for x in overall]})
-    yield Check('excursions', excursions <= MAX_EXCURSIONS * len(package), {
+    yield Judgement('excursions', excursions <= MAX_EXCURSIONS * len(package), {
         'excursions': excursions, 'poses': len(package)})
     slow = rate_hz < LOW_RATE_HZ
-    yield Check('rate', not slow, {'rate': rate_hz, 'least': LOW_RATE_HZ},
-                {'fit.method': 'output_error'} if slow else {})
+    yield Judgement('rate', not slow, {'rate': rate_hz, 'least': LOW_RATE_HZ},
+                    {'fit.method': 'output_error'} if slow else {})
     ratio = float(np.max(quick / np.maximum(known, 1e-9)))
     if np.isfinite(ratio):
-        yield Check('blur', ratio < BLUR_RATIO, {'ratio': ratio})
+        yield Judgement('blur', ratio < BLUR_RATIO, {'ratio': ratio})
 
 
 def _motion(
     tool: Trajectory, package: Trajectory, pose: Array, separate: bool
-) -> Iterator[Check]:
+) -> Iterator[Judgement]:
     """Yield checks on the separation of world and marker, and on the identifiability of K."""
     up = tool.rotation[:, 2, :2] / np.linalg.norm(tool.rotation[:, 2], axis=1)[:, None]
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(up.T)), 0.0))
     tilts = int(np.count_nonzero(2.0 * spread > MIN_TILT))
     if separate:
-        yield Check('tilts', tilts >= MIN_TILTS, {
+        yield Judgement('tilts', tilts >= MIN_TILTS, {
             'largest': float(2.0 * spread[1]), 'smallest': float(2.0 * spread[0])})
     hand = resample(tool, package.stamps_ns)
     R = lie.quaternion_to_rotation(pose[3:])
@@ -269,5 +269,5 @@ def _motion(
         np.abs(moved - np.median(moved, axis=0)), axis=0))**2 - noise**2, 1e-18))
     errors = noise / signal / np.sqrt(len(package))
     weak = [name for name, error in zip(AXES, errors, strict=True) if not error < MAX_K_ERROR]
-    yield Check('excitation', not weak, {
+    yield Judgement('excitation', not weak, {
         'weak': weak, 'errors': errors.tolist(), 'worst': float(np.max(errors))})

@@ -12,7 +12,7 @@ from bellows_ros.core.signals.trajectory import PoseStream
 
 from . import pose_faults, prepared_faults
 from .alignment import FIT, Remark, REPLAY
-from .pose_faults import Poses
+from .pose_faults import RecordedPoses
 from .recording import Recording
 
 
@@ -23,8 +23,8 @@ class Check(NamedTuple):
     Parameters
     ----------
     test : callable
-        Function of `Poses`, or of a prepared recording and the cup's length (m), that yields
-        remarks.
+        Function of `RecordedPoses`, or of a prepared recording and the cup's length (m), that
+        yields remarks.
     prevents : str
         Use that its faults prevent: '' for none, `FIT`, or `REPLAY` and any fit.
     level : int
@@ -60,7 +60,7 @@ OF_RECORDING = (
 """Checks of a prepared recording, in one world and on one clock."""
 
 
-def pose_remarks(poses: Poses) -> tuple[Remark, ...]:
+def pose_remarks(poses: RecordedPoses) -> tuple[Remark, ...]:
     """Return the remarks of the checks on recorded poses."""
     return _remarks(OF_POSES, (poses.tool, poses.package), poses)
 

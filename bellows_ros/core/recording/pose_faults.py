@@ -141,7 +141,7 @@ NO_INERTIA = (0.0101, 0.0101, 0.0101, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class RecordedPoses:
     """
     Recorded poses of a tool and its package, in one frame or in two, and the given package.
 
@@ -190,7 +190,7 @@ class Poses:
         return (('tool', self.tool, self.package), ('package', self.package, self.tool))
 
 
-def clock_steps(poses: Poses) -> Iterator[Remark]:
+def clock_steps(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield the steps of the clock that stamps a topic, as by NTP."""
     start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
     for body, stream, _ in poses.named:
@@ -199,7 +199,7 @@ def clock_steps(poses: Poses) -> Iterator[Remark]:
                     for at_ns, size in stream.clock_steps if begin < at_ns < end)
 
 
-def frozen_orientations(poses: Poses) -> Iterator[Remark]:
+def frozen_orientations(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield a rotation that stays while the body, and the other one, move."""
     for body, stream, other in poses.named:
         if (part := _frozen_part(stream)) > MIN_FROZEN_PART and (
@@ -207,7 +207,7 @@ def frozen_orientations(poses: Poses) -> Iterator[Remark]:
             yield Remark('frozen_orientation', {'part': part}, body)
 
 
-def swapped_bodies(poses: Poses) -> Iterator[Remark]:
+def swapped_bodies(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield the time in which two bodies that hang one below the other are exchanged."""
     if not (poses.one_frame and poses.bodies):
         return
@@ -250,7 +250,7 @@ def _deviation(body: Trajectory) -> Array:
     return np.asarray(0.5 * np.subtract(*np.percentile(moved, (84, 16), axis=0)))
 
 
-def fixed_packages(poses: Poses) -> Iterator[Remark]:
+def fixed_packages(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield a package that is fixed to its tool, or rests under a moving tool."""
     if poses.bodies is None:
         return
@@ -280,7 +280,7 @@ def _sizes(deviation: Array) -> dict[str, float]:
     return {'position': float(deviation[:3].max()), 'rotation': float(deviation[3:].max())}
 
 
-def _relative_motion(poses: Poses, bodies: Bodies) -> Trajectory | None:
+def _relative_motion(poses: RecordedPoses, bodies: Bodies) -> Trajectory | None:
     """Return the package in the axes of the tool; None in two worlds of a tool without turns."""
     hand, eye = poses.tool.trajectory(), poses.package.trajectory()
     if not poses.one_frame:
@@ -327,7 +327,7 @@ def noise_of(body: Trajectory, chosen: Mask | None = None) -> Array:
     return np.asarray(MAD_TO_STD * np.median(np.abs(change), axis=0) / DIFFERENCES_NORM)
 
 
-def wrong_conventions(poses: Poses) -> Iterator[Remark]:
+def wrong_conventions(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield wrong units, quaternion orders and inverse poses that explain non-rigid motion."""
     if poses.bodies is None:
         return
@@ -373,7 +373,7 @@ def _rigid_motion(tool: Trajectory, package: Trajectory, X: Array) -> tuple[Arra
     return constants, float(np.sqrt(3.0 * np.mean((b - A @ constants)**2)))
 
 
-def wrong_frames(poses: Poses) -> Iterator[Remark]:
+def wrong_frames(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield positions in a left-handed frame, or in another frame than the rotations."""
     if poses.bodies is None:
         return
@@ -431,7 +431,7 @@ def _wrongly_turned(tool: Trajectory, package: Trajectory, A: Array) -> str:
     return 'tool' if of_tool < of_package else 'package'
 
 
-def exchanged_topics(poses: Poses) -> Iterator[Remark]:
+def exchanged_topics(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield topics of which the package is above the tool, in its axes and in the world."""
     if not (poses.one_frame and poses.bodies):
         return
@@ -444,7 +444,7 @@ def exchanged_topics(poses: Poses) -> Iterator[Remark]:
         yield Remark('exchanged', {'in_tool': in_tool, 'upward': upward}, 'both')
 
 
-def tool_z(poses: Poses) -> Iterator[Remark]:
+def tool_z(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield a z axis of the tool that points down, out of the arm."""
     up, angle = tool_up(poses.tool.rotation, poses.R_world_recorded)
     if up < MAX_UP and not poses.aligned:
@@ -457,7 +457,7 @@ def tool_up(rotation: Array, R: Array) -> tuple[float, float]:
     return up, float(np.arccos(np.clip(up, -1.0, 1.0)))
 
 
-def impossible_packages(poses: Poses) -> Iterator[Remark]:
+def impossible_packages(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield a mass, an inertia or a centre of mass that no package of a cup has."""
     if poses.payload is None:
         return
@@ -476,7 +476,7 @@ def impossible_packages(poses: Poses) -> Iterator[Remark]:
         yield Remark('too_dense', {'sentence': sentence})
 
 
-def wrong_twists(poses: Poses) -> Iterator[Remark]:
+def wrong_twists(poses: RecordedPoses) -> Iterator[Remark]:
     """Yield the correct axes or unit of the tool's recorded twists, if not as given."""
     if poses.twist is None:
         return

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.recording.faults import pose_remarks
-from bellows_ros.core.recording.pose_faults import Poses
+from bellows_ros.core.recording.pose_faults import RecordedPoses
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.workflows.recordings import remark_sentences
 import numpy as np
@@ -26,7 +26,7 @@ ALL = [Convention(*own) for own in product((False, True), repeat=2)]
 
 
 def remarks(*both):
-    return pose_remarks(Poses(*both, np.eye(3)))
+    return pose_remarks(RecordedPoses(*both, np.eye(3)))
 
 
 def faults(*both):

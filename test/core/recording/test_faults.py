@@ -11,7 +11,7 @@ from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.faults import pose_remarks
-from bellows_ros.core.recording.pose_faults import Poses
+from bellows_ros.core.recording.pose_faults import RecordedPoses
 from bellows_ros.core.signals.resampling import clock_steps
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
@@ -35,7 +35,7 @@ def faults(tool, package):
 
 
 def remarks(tool, package):
-    return pose_remarks(Poses(tool, package, np.eye(3)))
+    return pose_remarks(RecordedPoses(tool, package, np.eye(3)))
 
 
 def waves(rng, t, hz, size):
@@ -185,7 +185,7 @@ PACKAGES = {
 def test_each_impossible_package_is_seen_beside_sound_poses(code):
     package = Package(**{'mass': 1.8, 'inertia': np.diag([0.00438, 0.00654, 0.00984]),
                          'com': (0.0, 0.0, -0.03), **PACKAGES.get(code, {})})
-    found = pose_remarks(Poses(*streams(3), np.eye(3), package))
+    found = pose_remarks(RecordedPoses(*streams(3), np.eye(3), package))
     assert [(one.code, one.prevents) for one in found] == [(code, 'fit')] * bool(code)
 
 
