@@ -3,7 +3,7 @@ A rubber cup outside the model of this package, and the predictions of fits to i
 
 Rubber has a nearly constant loss factor. Five branches with successive time constants approximate
 this over three decades, each integrated separately. `python -m benchmarks.rubber` prints the table
-of docs/validation.md.
+of docs/evidence.md.
 """
 
 from typing import Any
