@@ -91,6 +91,9 @@ class Parser(argparse.ArgumentParser):
     commands: Mapping[str, 'Parser'] = MappingProxyType({})
     """Parsers of the commands; empty in the parser of a command."""
 
+    arguments: tuple[argparse.Action, ...] = ()
+    """Arguments in the order in which they were added."""
+
     def __init__(self, prog: str, description: str, epilog: str) -> None:
         """Wrap the description; the epilog is unchanged."""
         super().__init__(
@@ -106,13 +109,20 @@ class Parser(argparse.ArgumentParser):
             self.error(f'unrecognized arguments: {" ".join(unknown)}')
         return parsed, unknown
 
-    def _print_message(self, message: str, file: Any = None) -> None:
-        """Print help or an error; unlike the base class, raise if the stream cannot be written."""
-        print(message, end='', file=file or sys.stderr, flush=True)
+    def add_argument(self, *names: Any, **settings: Any) -> argparse.Action:
+        """Add an argument, and remember it for corrections and completions."""
+        action = super().add_argument(*names, **settings)
+        self.arguments = (*self.arguments, action)
+        return action
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help; unlike the base class, raise if the stream cannot be written."""
+        print(self.format_help(), end='', file=file or sys.stdout, flush=True)
 
     def error(self, message: str) -> NoReturn:
         """Report the fault of the command line and a likely correction, and exit with 2."""
-        known = [*self._option_string_actions, *self.commands]
+        known = [*self.commands, *(
+            name for action in self.arguments for name in action.option_strings)]
         for word in (word.partition('=')[0] for word in (
                 self._words[:1] if self.commands else self._words)):
             matches = difflib.get_close_matches(word, known, n=1)
@@ -140,7 +150,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Raises
     ------
     SystemExit
-        After --help and --version, and for a faulty command line.
+        After --help, and for a faulty command line.
 
     """
     return run_guarded(lambda console: _run(sys.argv[1:] if args is None else args, console))
@@ -155,6 +165,9 @@ def _run(args: Sequence[str], console: Console) -> int:
         program.print_help(sys.stderr)
         return USER_ERROR
     parsed = program.parse_args(args)
+    if parsed.version:
+        print(f'bellows {__version__}', flush=True)
+        return 0
     configure_process()
     from .options import run_command
 
@@ -170,7 +183,7 @@ def _complete(program: Parser) -> None:
         return {f'{name}=': parameter.description for name, parameter in PARAMETERS.items()}
 
     for command in program.commands.values():
-        for action in command._actions:
+        for action in command.arguments:
             if action.dest == 'overrides':
                 action.completer = assignments  # type: ignore[attr-defined]
     argcomplete.autocomplete(program)
@@ -188,8 +201,7 @@ def program_parser() -> Parser:
     listed = '\n'.join(f'  {name:{width}}  {entry["does"]}' for name, entry in COMMANDS.items())
     program = Parser('bellows', PROGRAM['text'], PROGRAM['ends'].format(
         commands=listed, exit_codes=PROGRAM['exit_codes']))
-    program.add_argument('--version', action='version', version=f'bellows {__version__}',
-                         help='print the version and exit')
+    program.add_argument('--version', action='store_true', help='print the version and exit')
     commands = program.add_subparsers(dest='command', metavar='COMMAND', help=argparse.SUPPRESS)
     program.usage = 'bellows COMMAND [ARGUMENTS]'
     for name, entry in COMMANDS.items():

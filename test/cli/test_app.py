@@ -45,7 +45,7 @@ import sys
 from bellows_ros.cli import main
 for line in {lines!r}:
     try:
-        main(line)
+        sys.exit(main(line))
     except SystemExit as end:
         print('exit', end.code, line, [name for name in {HEAVY!r} if name in sys.modules])
 """
