@@ -11,15 +11,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.model.cup_package import regressor
-from bellows_ros.core.model.simulation import row_state, tool_rows
+from bellows_ros.core.model.cup_package import gravity_vector, regressor
+from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.sensors.wrench import (
-    INERTIAL_NUMBERS,
-    WrenchSensor,
-    write_gripper_regressor,
-)
+from bellows_ros.core.sensors.wrench import gripper_regressors, INERTIAL_NUMBERS, WrenchSensor
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
@@ -87,7 +82,9 @@ def pressed_cup(
     units = structure.parameters(usual, usual)[:size]
     units = np.where(units > 0.0, units, np.sqrt(np.prod([
         np.diag(usual)[list(pair)] for pair in structure.leads], axis=1)))
-    Y = of_gripper_at_rest(tool, sensor, gravity)
+    at_rest = Trajectory(tool.stamps_ns, tool.position, tool.rotation, np.zeros((count, 6)))
+    Y = gripper_regressors(
+        tool_rows(at_rest), np.zeros((count, 6)), gravity_vector(gravity), sensor.mount)
     shown = wrenches - Y @ sensor.gripper
     least = int(np.argmin(np.linalg.norm(shown[:, :3], axis=1)))
     T_E = lie.transform(tool.rotation, tool.position)
@@ -129,15 +126,3 @@ def pressed_cup(
             f'K of these wrenches is not positive definite, its smallest eigenvalue is '
             f'{smallest:.3g}. Check wrench.sign and wrench.frame.')
     return PressedCup(K, structure.spread(np.tile(units * std, 2))[0], count, rms)
-
-
-def of_gripper_at_rest(tool: Trajectory, sensor: WrenchSensor, gravity: float) -> Array:
-    """Return s Y (N, 6, 10) of a gripper at rest, less its value at the zero of the sensor."""
-    out = np.zeros((len(tool) + 1, 6, INERTIAL_NUMBERS))
-    upright = np.zeros(13)
-    upright[6] = 1.0
-    rest = Trajectory(tool.stamps_ns, tool.position, tool.rotation, np.zeros((len(tool), 6)))
-    for k, row in enumerate((*tool_rows(rest), upright)):
-        write_gripper_regressor(
-            row_state(row), (ZERO, ZERO), (0.0, 0.0, -gravity), sensor.mount, out[k])
-    return np.asarray(out[:-1] - out[-1])

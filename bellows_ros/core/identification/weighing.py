@@ -13,18 +13,15 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
-from bellows_ros.core.geometry.jit import entry
-from bellows_ros.core.geometry.tuples import Vector, ZERO
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.model.kernels import ORIGIN
-from bellows_ros.core.model.simulation import row_state, tool_rows
+from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.sensors.wrench import (
     BLOCK_NS,
+    gripper_regressors,
     INERTIAL_NUMBERS,
     Mount,
     Readings,
     WrenchSensor,
-    write_gripper_regressor,
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
@@ -95,29 +92,9 @@ def loads(
     return np.asarray(-sign * np.hstack([force, moment + np.cross(arm, force)]))
 
 
-@entry
-def write_regressors(
-    tool: Array, accelerations: Array, gravity: Vector, mount: Mount, out: Array
-) -> None:
-    """Write s Y (M, 6, 10) of a gripper under a moving tool, see `write_gripper_regressor`."""
-    for k in range(len(tool)):
-        a = accelerations[k]
-        write_gripper_regressor(row_state(tool[k]), (
-            (a[0], a[1], a[2]), (a[3], a[4], a[5])), gravity, mount, out[k])
-
-
 def of_gripper(tool: Array, seconds: Array, gravity: Array, mount: Mount) -> Array:
-    """
-    Return the regressors (M, 6, 10) of a gripper along states of the tool (M, 13).
-
-    They are less those at the zero of the sensor: at rest, with the axes of the world.
-    """
-    out = np.zeros((len(tool), 6, INERTIAL_NUMBERS))
-    x, y, z = gravity.tolist()
-    write_regressors(tool, np.gradient(tool[:, 7:], seconds, axis=0), (x, y, z), mount, out)
-    zero = np.zeros((6, INERTIAL_NUMBERS))
-    write_gripper_regressor(ORIGIN, (ZERO, ZERO), (x, y, z), mount, zero)
-    return out - zero
+    """Return the regressors (M, 6, 10) of a gripper along states of the tool (M, 13)."""
+    return gripper_regressors(tool, np.gradient(tool[:, 7:], seconds, axis=0), gravity, mount)
 
 
 def sizes_of(phi: Array) -> Array:

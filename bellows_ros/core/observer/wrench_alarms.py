@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.sensors.set_up import COS_MIN_TILT, fault_of, Still
 from bellows_ros.core.sensors.wrench import WrenchSensor
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -49,26 +50,8 @@ SETTLED_NS = 750_000_000
 LEARNT_NS = 500_000_000
 """Time after `SETTLED_NS` in which the scatter is learned before a first alarm, ns."""
 
-ARM = 0.05
-"""Lever by which moments are compared with forces in the check of the set-up, m."""
-
-MISFIT = 0.3
-"""RMS deviation of the readings above which they contradict a set-up, weights."""
-
-FIT = 0.12
-"""RMS deviation of the readings below which they fit a set-up, weights."""
-
-CLEAR = 2.5
-"""Smallest ratio of deviations that distinguishes two set-ups."""
-
-TILT_COSINE = math.cos(math.radians(5.0))
-"""Largest cosine between two tilts."""
-
-MIN_STILL = 4
-"""Smallest number of blocks at rest by which a set-up is judged."""
-
-MAX_STILL = 64
-"""Largest number of blocks at rest that are kept."""
+KEPT_BLOCKS = 8
+"""Number of blocks at rest that are kept of each tilt."""
 
 
 class LoadChange(NamedTuple):
@@ -148,45 +131,26 @@ class Watch:
 
 class SetUp:
     """
-    Check sign, axes, reference point and zero of a sensor by the weight of a held package.
+    Check the set-up of a sensor by the weight of a held package, see `sensors.set_up`.
 
     Attributes
     ----------
-    fault : str
-        'sign', 'world_axes', 'tcp', 'zeroed_holding', 'compensated' or 'unknown'; '' without.
+    is_contradicted, fault : bool, str
+        See `fault_of`.
 
     """
 
     def __init__(self, sensor: WrenchSensor) -> None:
         self._sensor = sensor
-        self._still: list[tuple[Array, Array, Array]] = []
-        self.fault, self.is_contradicted = '', False
+        self._still: list[Still] = []
+        self.is_contradicted, self.fault = False, ''
 
-    def add(self, shown: Array, load: Array, R_world_sensor: Array, weight: float) -> None:
-        """Check the mean reading (6,) of a block at rest, with its predicted load (6,)."""
-        if len(self._still) < MAX_STILL and not self.fault:
-            self._still.append((shown, load, R_world_sensor))
-            misfits = self._misfits(weight)
-            self.is_contradicted = misfits.pop('fits') > MISFIT
-            if self.is_contradicted and len(self._still) >= MIN_STILL and self._has_tilts():
-                first, second = sorted(misfits, key=misfits.__getitem__)[:2]
-                is_clear = misfits[first] < FIT and misfits[second] > CLEAR * misfits[first]
-                self.fault = first if is_clear else 'unknown'
-
-    def _has_tilts(self) -> bool:
-        down = np.array([R[2] for _, _, R in self._still])
-        return bool((down @ down[0]).min() < TILT_COSINE)
-
-    def _misfits(self, weight: float) -> dict[str, float]:
-        """Return the RMS deviation of the readings of each set-up, in weights."""
-        shown, load, R = (np.array(each) for each in zip(*self._still, strict=True))
-        position, axes, _ = self._sensor.mount
-        arm = np.reshape(axes, (3, 3)).T @ position
-        of_tip = load + np.pad(np.cross(arm, load[:, :3]), ((0, 0), (3, 0)))
-        in_world = np.hstack([
-            np.einsum('nij,nj->ni', R, part) for part in np.split(load, 2, axis=1)])
-        scale = weight * np.repeat([1.0, ARM], 3)
-        return {name: float(np.sqrt(np.mean(((shown - other) / scale) ** 2) * 2.0))
-                for name, other in (
-                    ('fits', load), ('sign', -load), ('world_axes', in_world), ('tcp', of_tip),
-                    ('zeroed_holding', load - load[0]), ('compensated', 0.0 * load))}
+    def add(self, now: Still, weight: float) -> None:
+        """Check the mean reading of another block at rest; the oldest of its tilt is dropped."""
+        alike = [k for k, each in enumerate(self._still)
+                 if each.R_world_sensor[2] @ now.R_world_sensor[2] > COS_MIN_TILT]
+        if len(alike) >= KEPT_BLOCKS:
+            del self._still[alike[0]]
+        self._still.append(now)
+        self.is_contradicted, self.fault = fault_of(
+            Still(*map(np.array, zip(*self._still, strict=True))), self._sensor, weight)

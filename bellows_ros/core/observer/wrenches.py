@@ -23,10 +23,10 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
-from bellows_ros.core.geometry.tuples import Vector, ZERO
+from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import substeps_for
-from bellows_ros.core.model.kernels import LawTuple, ORIGIN, State, Wrench
+from bellows_ros.core.model.kernels import LawTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, stands
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer.filter import (
@@ -40,13 +40,13 @@ from bellows_ros.core.observer.filter import (
 from bellows_ros.core.observer.measurement import changed_by, GATE
 from bellows_ros.core.observer.states import COM, DAMPING, LENGTH, MARKER, ROWS, STATE, STIFFNESS
 from bellows_ros.core.observer.wrench_alarms import SetUp
+from bellows_ros.core.sensors.set_up import Still
 from bellows_ros.core.sensors.wrench import (
     cup_load,
-    INERTIAL_NUMBERS,
+    gripper_regressors,
     Mount,
     WrenchSensor,
     write_acceleration_loads,
-    write_gripper_regressor,
     write_load_slopes,
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -216,7 +216,7 @@ class Wrenches:
             start, end, (until_ns - before.stamp_ns) / NS_PER_S, correction.nominal[2])
         if stands(np.ravel(start[2:4])) and stands(np.ravel(end[2:4])):
             R = np.reshape(t3.multiply(t3.rotation_matrix(end[1]), self.sensor.mount[1]), (3, 3))
-            self.set_up.add(used[1].mean(axis=0), mean, R, correction.weight)
+            self.set_up.add(Still(used[1].mean(axis=0), mean, R), correction.weight)
         if self.set_up.is_contradicted:
             return before
         H[:, states.ZERO:states.ZERO + 6], H[:, states.GAIN] = np.eye(6), mean
@@ -246,15 +246,11 @@ class Wrenches:
 
     def _of_gripper(self, start: State, end: State, seconds: float, gravity: Any) -> Array:
         """Return the mean load (6,) of the gripper between two states, less that at the zero."""
-        Y = np.zeros((6, INERTIAL_NUMBERS))
-        dv, dw = (t3.scale(1.0 / seconds, t3.subtract(b, a)) for a, b in zip(
-            start[2:4], end[2:4], strict=True))
+        rates = np.subtract(np.ravel(end[2:4]), np.ravel(start[2:4])) / seconds
         middle = kernels.tool_at(kernels.tool_segment(start, end, seconds), 0.5)
-        write_gripper_regressor(middle, (dv, dw), gravity, self.sensor.mount, Y)
-        load = Y @ self.sensor.gripper
-        write_gripper_regressor(
-            ORIGIN, (ZERO, ZERO), (0.0, 0.0, -math.hypot(*gravity)), self.sensor.mount, Y)
-        return np.asarray(load - Y @ self.sensor.gripper)
+        Y = gripper_regressors(
+            np.hstack(middle[:4])[None], rates[None], np.array(gravity), self.sensor.mount)
+        return np.asarray(Y[0] @ self.sensor.gripper)
 
     def _updated(
         self, correction: Correction, before: Estimate, y: Array, H: Array, variance: Array

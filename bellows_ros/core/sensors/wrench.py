@@ -8,6 +8,7 @@ a sign s, +1 for a sensor that shows the load on it. Derivatives are by the erro
 body axes, as in `core.model.jacobians`.
 """
 
+import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
@@ -16,7 +17,8 @@ from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
+from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
+from bellows_ros.core.model.simulation import row_state
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -171,6 +173,32 @@ def write_gripper_regressor(
         of_rate, of_alpha = _times_unit_inertia(k, w), _times_unit_inertia(k, alpha)
         jac.write_column(
             Y, 4 + k, t3.ZERO, t3.scale(-s, t3.add(of_alpha, t3.cross(w, of_rate))))
+
+
+@entry
+def _write_gripper_regressors(
+    tool: Array, accelerations: Array, gravity: Vector, mount: Mount, out: Array
+) -> None:
+    """Write s Y (M, 6, 10) under a moving tool (M, 13) with accelerations (M, 6)."""
+    for k in range(len(tool)):
+        a = accelerations[k]
+        write_gripper_regressor(row_state(tool[k]), (
+            (a[0], a[1], a[2]), (a[3], a[4], a[5])), gravity, mount, out[k])
+
+
+def gripper_regressors(tool: Array, accelerations: Array, gravity: Array, mount: Mount) -> Array:
+    """
+    Return s Y (M, 6, 10) of a gripper under a moving tool (M, 13) with accelerations (M, 6).
+
+    They are less those at the zero of the sensor: at rest, with z of the tool upwards.
+    """
+    out = np.zeros((len(tool), 6, INERTIAL_NUMBERS))
+    x, y, z = gravity.tolist()
+    _write_gripper_regressors(tool, accelerations, (x, y, z), mount, out)
+    zero = np.zeros((6, INERTIAL_NUMBERS))
+    write_gripper_regressor(
+        ORIGIN, (t3.ZERO, t3.ZERO), (0.0, 0.0, -math.hypot(x, y, z)), mount, zero)
+    return out - zero
 
 
 @kernel
