@@ -49,7 +49,7 @@ from ..core.signals.trajectory import NS_PER_S
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, shown
 from ..report import health
-from ..report.sentences import alarm_sentence
+from ..report.sentences import alarm_sentence, sentence
 
 
 class Pipeline(Predicting):
@@ -647,8 +647,7 @@ class Observing:
             self._no_wrench[refused] += 1
         elif fault := self._live.wrench_fault:
             self._pipeline.node.get_logger().error(
-                health.say(f'wrench.{fault}', topic=self._wrench_in.topic),
-                throttle_duration_sec=30.0)
+                self._wrong_wrench(fault), throttle_duration_sec=30.0)
         self._publish_payload()
 
     def _on_transforms(self, message: Any) -> None:
@@ -732,9 +731,13 @@ class Observing:
             return None
         status = health.input_status(name, self._wrench_in.report(self._no_wrench))
         if fault := self._live.wrench_fault:
-            return status._replace(level=health.Level.ERROR, message=health.say(
-                f'wrench.{fault}', topic=self._wrench_in.topic))
+            return status._replace(level=health.Level.ERROR, message=self._wrong_wrench(fault))
         return status
+
+    def _wrong_wrench(self, fault: str) -> str:
+        """Return a sentence on a wrong set-up of the force-torque sensor."""
+        what = sentence('recording', f'wrench.{fault}', topic=self._wrench_in.topic)
+        return f'{what} The wrenches are not used.'
 
     def status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics; None before the first message."""

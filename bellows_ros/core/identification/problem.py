@@ -41,9 +41,8 @@ from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.standstills import Standstill
-from bellows_ros.core.sensors import body
+from bellows_ros.core.sensors import body, wrench
 from bellows_ros.core.sensors.corners import Seen
-from bellows_ros.core.sensors.wrench import BLOCK_NS
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -572,7 +571,7 @@ class Problem:
         if 'wrench_bias' not in self.rows or segment.measured.felt is None or self.forgetting:
             return seen
         felt = _sums_of_blocks(
-            *self._felt(theta, segment, course, nodes, path), BLOCK_NS / NS_PER_S)
+            *self._felt(theta, segment, course, nodes, path), wrench.BLOCK_NS / NS_PER_S)
         order = np.argsort(np.concatenate([
             np.linspace(0.0, 1.0, len(each[0])) for each in (seen, felt)]), kind='stable')
         information, slope = (
@@ -617,7 +616,7 @@ class Problem:
         whitening.write_motion(
             whitening.relaxing(model), whitening.with_inner(start), path,
             np.arange(len(motion)), np.zeros(len(motion)), motion)
-        return weighing.loads(
+        return wrench.loads(
             quantities.payload_of(measured.payload, free),
             quantities.gravity_of(measured.gravity, free), motion, path.rows,
             measured.felt.sensor.mount)

@@ -11,9 +11,7 @@ successive means with a correlation c count less, by (1 - c) / (1 + c).
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
-from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.sensors.wrench import (
     BLOCK_NS,
@@ -71,25 +69,6 @@ class Blocks(NamedTuple):
         """Return the means (B, ...) of values at nodes (M, ...)."""
         means = self.average @ values.reshape(len(values), -1)
         return np.asarray(means.reshape(-1, *values.shape[1:]))
-
-
-def loads(
-    package: Package, gravity: Array, motion: Array, tool: Array, mount: Mount
-) -> Array:
-    """
-    Return the load (M, 6) of a package on a sensor, F axes, N and N m.
-
-    Motion (M, 19) is its state and its acceleration in body axes; tool (M, 13) the tool's state.
-    """
-    R, R_tool = (lie.quaternion_to_rotation(rows[:, 3:7]) for rows in (motion, tool))
-    o, axes, sign = mount
-    force = package.mass * (motion[:, 13:16] - gravity @ R)
-    rate = motion[:, 10:13]
-    moment = motion[:, 16:19] @ package.inertia + np.cross(rate, rate @ package.inertia)
-    back = np.swapaxes(R_tool @ np.reshape(axes, (3, 3)), 1, 2)
-    arm = lie.apply(back, motion[:, :3] - tool[:, :3] - R_tool @ np.array(o))
-    force, moment = lie.apply(back, lie.apply(R, force)), lie.apply(back, lie.apply(R, moment))
-    return np.asarray(-sign * np.hstack([force, moment + np.cross(arm, force)]))
 
 
 def of_gripper(tool: Array, seconds: Array, gravity: Array, mount: Mount) -> Array:

@@ -56,7 +56,8 @@ OF_RECORDING = (
     Check(prepared_faults.low_pass, FIT, level=1),
     Check(prepared_faults.jumps, FIT, level=1),
     Check(prepared_faults.wrong_sensors, '', level=1),
-    Check(prepared_faults.wrong_length, FIT, level=2))
+    Check(prepared_faults.wrong_length, FIT, level=2),
+    Check(prepared_faults.wrong_set_up, FIT, level=2))
 """Checks of a prepared recording, in one world and on one clock."""
 
 

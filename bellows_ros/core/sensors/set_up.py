@@ -34,9 +34,6 @@ CLEAR = 15.0
 COS_MIN_TILT = np.cos(np.radians(5.0))
 """Cosine of the smallest angle between two tilts."""
 
-MIN_STILL = 4
-"""Smallest number of blocks at rest by which a set-up is judged."""
-
 HOLDING = 0.7, 1.3
 """Offset of a sensor that was zeroed while holding the package, weights."""
 
@@ -61,7 +58,7 @@ def fault_of(still: Still, sensor: WrenchSensor, weight: float) -> tuple[bool, s
     if _misfit(still, np.eye(6), noise, bias_std)[0] < MISFIT:
         return False, ''
     down = still.R_world_sensor[:, 2]
-    if len(down) < MIN_STILL or (down @ down[0]).min() > COS_MIN_TILT:
+    if (down @ down[0]).min() > COS_MIN_TILT:
         return True, ''
     position, axes, _ = sensor.mount
     to_tip, in_world = np.eye(6), np.zeros((len(down), 6, 6))

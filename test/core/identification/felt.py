@@ -65,8 +65,13 @@ def readings(tool, body, package, sensor, seed, errors=0.01, gripper=GRIPPER):
 
 def streams(seed, sensor, seconds=10.0, cup=CUP, package=PACKAGE, errors=0.01):
     """Return poses of tool and package with noise, and wrenches; of the tool without a package."""
+    return noisy(*motions(cup, package, seconds, 100 + seed + 1000 * (package is None)),
+                 package, sensor, seed, errors)
+
+
+def noisy(tool, body, package, sensor, seed, errors=0.01):
+    """Return poses of tool and package, if any, with noise, and wrenches."""
     rng = np.random.default_rng([seed, 7])
-    tool, body = motions(cup, package, seconds, 100 + seed + 1000 * (package is None))
     poses = [
         PoseStream(name, 'world', each.stamps_ns,
                    each.position + noise[0] * rng.standard_normal((len(each), 3)),
@@ -78,10 +83,19 @@ def streams(seed, sensor, seconds=10.0, cup=CUP, package=PACKAGE, errors=0.01):
 
 def recorded(seed, sensor, seconds=10.0, cup=CUP, package=PACKAGE, values=None):
     """Return a prepared recording with wrenches; its stated package is `PACKAGE`."""
-    *poses, wrenches = streams(seed, sensor, seconds, cup, package)
-    recording = prepare(*poses, PrepareSettings(payload=PACKAGE, gravity=GRAVITY))
+    return _prepared(*streams(seed, sensor, seconds, cup, package), values or settings(sensor))
+
+
+def recording_of(tool, body, package, sensor, seed, values):
+    """Return a prepared recording of given motions with wrenches."""
+    return _prepared(*noisy(tool, body, package, sensor, seed), values)
+
+
+def _prepared(tool, body, wrenches, values):
+    """Return a prepared recording of streams; its stated package is `PACKAGE`."""
+    recording = prepare(tool, body, PrepareSettings(payload=PACKAGE, gravity=GRAVITY))
     return replace(recording, felt=readings_of(
-        wrenches, recording.aligned_tool, 'world', np.eye(3), values or settings(sensor)))
+        wrenches, recording.aligned_tool, 'world', np.eye(3), values))
 
 
 def empty_run(seed, sensor, values):
