@@ -480,6 +480,10 @@ def _drop_invalid(
     # The frame of most messages; the first one if tied.
     frame = int(np.argmax(np.bincount(decoded['frame'][usable]))) if len(usable) else 0
     usable = _drop(refused, 'frame_id', usable, decoded['frame'][usable] != frame)
+    again = np.zeros(len(usable), dtype=bool)
+    again[1:] = (np.diff(decoded['stamp'][usable]) == 0) & (
+        values[usable[1:]] == values[usable[:-1]]).all(axis=1)
+    usable = _drop(refused, 'copy', usable, again)
     of_stamps = unusable_stamps(decoded['stamp'][usable], decoded['arrival'][usable])
     for reason, bad in of_stamps.items():
         _drop(refused, reason, usable, bad)

@@ -20,7 +20,7 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.commission import checks_of, Judgement
-from bellows_ros.core.recording.faults import pose_remarks
+from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.pose_faults import (
     noise_of,
@@ -35,7 +35,7 @@ from bellows_ros.core.signals.trajectory import (
     Trajectory,
     TwistStream,
 )
-from bellows_ros.errors import shown
+from bellows_ros.errors import BellowsError, shown
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import read_contents
@@ -385,11 +385,10 @@ def _registration_settings(
     """Add settings and notes on both poses; return the initial rest (s), and checks."""
     remarks, (tool, package) = list[str](), streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
-    found = [remark for remark in pose_remarks(RecordedPoses(tool, package, R))
-             if remark.code != 'tool_z']  # a check below
-    error = ' '.join(remark_sentences([each for each in found if each.prevents], path))
-    notes += remark_sentences([each for each in found if not each.prevents])
-    separate = '' if error else _why_separate(pair, tool, package)
+    remarked = pose_remarks(RecordedPoses(tool, package, R))
+    found = [remark for remark in remarked if remark.code != 'tool_z']  # a check below
+    wrong = any(each.prevents for each in found)
+    separate = '' if wrong else _why_separate(pair, tool, package)
     if separate:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
@@ -406,11 +405,28 @@ def _registration_settings(
         rest_s, at_rest, more = _initial_rest(pair, tool, package, bool(separate))
         settings |= at_rest
         remarks += more
-    notes[:] = [error, *notes] if error else notes + remarks  # remarks are doubtful after an error
+    if not (separate or any(each.prevents for each in remarked)):
+        found += _prepared_remarks(tool, package, settings)
+    error = ' '.join(remark_sentences([each for each in found if each.prevents], path))
+    notes += remark_sentences([each for each in found if not each.prevents])
+    notes[:] = [error] if error else notes + remarks  # others are doubtful after an error
     return rest_s, () if error else checks_of(
         # m, approximate depth of the com
         tool, package, R, THESIS_LENGTH + 0.03, bool(separate),
         bool(settings.get('recording.align_at_rest')))
+
+
+def _prepared_remarks(
+    tool: PoseStream, package: PoseStream, settings: Mapping[str, Any]
+) -> tuple[Remark, ...]:
+    """Return the remarks of the checks on the prepared recording, none if it is too short."""
+    try:
+        prepared = preparation.prepare(tool, package, recording.PrepareSettings(**{
+            name.removeprefix('recording.'): settings[name] for name in settings if name in (
+                'recording.world', 'recording.align_at_rest', 'recording.rest_duration')}))
+    except BellowsError:
+        return ()
+    return recording_remarks(prepared)
 
 
 def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
@@ -505,10 +521,12 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     distances = np.linalg.norm(offset, axis=1)
     start = offset[: max(1, int(len(offset) * 0.01))].mean(axis=0)
     distance = float(np.linalg.norm(start))
-    down = {name: -float(alignment.world_rotation(name)[2] @ start) for name in alignment.WORLDS}
+    usual = np.median(offset, axis=0)
+    down = {name: -float(alignment.world_rotation(name)[2] @ usual) for name in alignment.WORLDS}
     lowest = max(down, key=lambda name: down[name])
     is_comparable = len({tool.frame_id, package.frame_id} - {''}) < 2  # one frame
-    below = is_comparable and distance > 0.0 and down[lowest] > distance * np.cos(np.deg2rad(40.0))
+    below = is_comparable and distance > 0.0 and (
+        down[lowest] > np.linalg.norm(usual) * np.cos(np.deg2rad(40.0)))
     world = lowest if below else 'z_up'
     low, quarter, most, high = np.percentile(distances, (1, 25, 75, 99))  # without tracking jumps
     constant = is_comparable and distance < MAX_DISTANCE and (

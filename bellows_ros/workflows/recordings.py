@@ -166,12 +166,20 @@ def within_interval(streams: Mapping[str, Any], values: Mapping[str, Any]) -> di
 
 
 def _selected(streams: Mapping[str, Any], masks: Sequence[Mask]) -> dict[str, Any]:
-    """Return streams by role with the selected messages."""
+    """Return streams by role with the selected messages, and the steps of clocks among them."""
     return {role: replace(stream, **{
         name: getattr(stream, name)[mask]
         for name in ('stamps_ns', 'position', 'rotation', 'corners', 'linear', 'angular')
         if getattr(stream, name, None) is not None
-    }) for (role, stream), mask in zip(streams.items(), masks, strict=True)}
+    }, **_steps_within(stream, mask)) for (role, stream), mask in zip(
+        streams.items(), masks, strict=True)}
+
+
+def _steps_within(stream: Any, mask: Mask) -> dict[str, Any]:
+    """Return the steps of the clock of a stream of poses within selected ones."""
+    chosen = stream.stamps_ns[mask]
+    return {'clock_steps': tuple(step for step in stream.clock_steps if len(chosen) and (
+        chosen[0] <= step[0] < chosen[-1]))} if isinstance(stream, PoseStream) else {}
 
 
 def prepare_streams(
@@ -268,12 +276,11 @@ def _conversions(remarks: Iterable[Remark], name: File) -> str:
 
 
 def require_none(
-    remarks: Iterable[Remark], use: str, name: File = '', accepted: str = '', more: str = ''
+    remarks: Iterable[Remark], use: str, name: File = '', more: str = ''
 ) -> None:
-    """Raise for faults that prevent a use of a recording, except for an accepted one."""
+    """Raise for faults that prevent a use of a recording."""
     prevented = (REPLAY,) if use == REPLAY else (FIT, REPLAY)
-    wrong = [remark for remark in remarks if remark.prevents in prevented
-             and remark.code != accepted]
+    wrong = [remark for remark in remarks if remark.prevents in prevented]
     if wrong:
         error = BellowsError if any(each.prevents == REPLAY for each in wrong) else (
             UnexplainedError)
@@ -305,7 +312,9 @@ def _prepared(
         tool, package, settings.R_world_recorded, settings.payload, settings.align_at_rest, twist,
         settings.tool_twist_frame)) if (
             min(len(tool), len(package)) >= MIN_POSES) else ()
-    require_none(found, FIT if registers else REPLAY, name, accepted)
+    found = tuple(remark for remark in found if remark.code != accepted)
+    require_none([remark for remark in found if remark.code != 'tool_at_rest'],  # keeps its stamps
+                 FIT if registers else REPLAY, name)
     recording = _joined(tool, package, twist, settings, values, registers)
     return replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found)))

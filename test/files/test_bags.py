@@ -110,8 +110,8 @@ def test_other_types_are_read_with_the_frame_their_axes_are_in(tmp_path, kind):
 def faulty(index, reason):
     """Return a PoseStamped message with one fault."""
     before, t = made.stamps(100)[[index - 1, index]]
-    pose = made.pose_values(100)[index]
-    t = {'zero_stamp': 0, 'duplicate_stamp': before, 'backward_stamp': before - 1,
+    pose = made.pose_values(100)[index - (reason == 'copy')]
+    t = {'zero_stamp': 0, 'duplicate_stamp': before, 'copy': before, 'backward_stamp': before - 1,
          'future_stamp': t + 3_600_000_000_000}.get(reason, t)
     pose[3:] *= {'zero_quaternion': 1e-9, 'not_unit': 1.02}.get(reason, 1.0)
     if reason == 'nan':

@@ -191,7 +191,7 @@ def test_gaps_jitter_and_repeats_are_counted(m, tmp_path):
     assert found['/tcp'].jitter_s == pytest.approx(8.5e-4, rel=0.3)  # of the steps
     ((start, length),) = found['/box'].gaps
     assert (start, length) == (pytest.approx(2.995, abs=0.006), pytest.approx(0.105, abs=0.006))
-    assert found['/box'].refused == {'duplicate_stamp': 1}
+    assert found['/box'].refused == {'copy': 1}
     assert found['/box'].rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
 
 

@@ -29,12 +29,15 @@ class Check(NamedTuple):
         Use that its faults prevent: '' for none, `FIT`, or `REPLAY` and any fit.
     level : int
         Levels that found nothing are presumed by the tests of higher ones.
+    needs_length : bool
+        Whether the test needs the length of the cup.
 
     """
 
     test: Callable[..., Iterable[Remark]]
     prevents: str
     level: int = 0
+    needs_length: bool = False
 
 
 OF_POSES = (
@@ -46,6 +49,7 @@ OF_POSES = (
     Check(pose_faults.wrong_conventions, REPLAY, level=2),
     Check(pose_faults.exchanged_topics, REPLAY, level=3),
     Check(pose_faults.tool_z, REPLAY, level=4),
+    Check(pose_faults.resting_tools, FIT, level=4),
     Check(pose_faults.wrong_twists, FIT, level=4),
     Check(pose_faults.impossible_packages, FIT, level=4))
 """Checks of recorded poses and of the given package."""
@@ -56,7 +60,7 @@ OF_RECORDING = (
     Check(prepared_faults.low_pass, FIT, level=1),
     Check(prepared_faults.jumps, FIT, level=1),
     Check(prepared_faults.wrong_sensors, '', level=1),
-    Check(prepared_faults.wrong_length, FIT, level=2),
+    Check(prepared_faults.wrong_length, FIT, level=2, needs_length=True),
     Check(prepared_faults.wrong_set_up, FIT, level=2))
 """Checks of a prepared recording, in one world and on one clock."""
 
@@ -66,10 +70,13 @@ def pose_remarks(poses: RecordedPoses) -> tuple[Remark, ...]:
     return _remarks(OF_POSES, (poses.tool, poses.package), poses)
 
 
-def recording_remarks(recording: Recording, length: float) -> tuple[Remark, ...]:
+def recording_remarks(
+    recording: Recording, length: float | None = None
+) -> tuple[Remark, ...]:
     """Return the remarks of the checks on a prepared recording of a cup with a length (m)."""
     return _remarks(
-        OF_RECORDING, (recording.tool_pose, recording.package_pose), recording, length)
+        [check for check in OF_RECORDING if length is not None or not check.needs_length],
+        (recording.tool_pose, recording.package_pose), recording, length)
 
 
 def _remarks(

@@ -5,7 +5,7 @@ Each test takes milliseconds. Tool and package on a cup move nearly as one rigid
 of one of the two poses breaks this relation in a specific manner. `faults` has the table of tests.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -63,6 +63,16 @@ below.
 SWAPPED_SECONDS = 0.02
 """Shortest exchange of two bodies, s: two poses at 100 Hz, as a single one is an outlier."""
 
+MAX_SWAPS = 3
+"""Largest number of reported exchanges of two bodies."""
+
+MAX_STEPS_APART = 0.1
+"""Largest difference of instant and size of one step of a clock in two topics, s: a few delays of
+messages."""
+
+STEP_MARGIN = 5e-3
+"""Time left out beside a step of a clock, s: a half of the last digit that is shown."""
+
 UPRIGHT = 0.5
 """Smallest cosine between the tool's z axis and the direction of a package that is surely above or
 below it: 60 degrees, beyond any bending of a cup."""
@@ -74,6 +84,10 @@ the clocks of bags/identification the fraction is below a half."""
 NOISE_DEVIATIONS = 2.0
 """Smallest ratio of the standard deviations of motion and noise of a moving body: twice the error
 of an estimate from 20 poses."""
+
+NOISE_RANGE = 8.0
+"""Largest ratio of range (1 to 99 %) and standard deviation of the noise of a body at rest: 4.7
+for white noise."""
 
 DIFFERENCES = 4
 """Order of the differences of poses that suppress motion."""
@@ -191,12 +205,24 @@ class RecordedPoses:
 
 
 def clock_steps(poses: RecordedPoses) -> Iterator[Remark]:
-    """Yield the steps of the clock that stamps a topic, as by NTP."""
+    """Yield the steps of the clock that stamps a topic, or both topics, as by NTP."""
     start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
-    for body, stream, _ in poses.named:
-        begin, end = (int(stream.stamps_ns[i]) for i in (0, -1))
-        yield from (Remark('clock_step', {'at': (at_ns - start) / NS_PER_S, 'size': size}, body)
-                    for at_ns, size in stream.clock_steps if begin < at_ns < end)
+    of_tool, of_package = (
+        [((at_ns - start) / NS_PER_S, size) for at_ns, size in stream.clock_steps]
+        for stream in (poses.tool, poses.package))
+    both = [step for step in of_tool if _nearest(step, of_package) < MAX_STEPS_APART]
+    for body, steps in (('both', both), ('tool', of_tool), ('package', of_package)):
+        for at, size in steps:
+            if body == 'both' or _nearest((at, size), both) >= MAX_STEPS_APART:
+                yield Remark('clock_step' if body != 'both' else 'clock_steps', {
+                    'at': at, 'size': size, 'until': at + min(size, 0.0) - STEP_MARGIN,
+                    'since': at + STEP_MARGIN}, body)
+
+
+def _nearest(step: tuple[float, float], steps: Sequence[tuple[float, float]]) -> float:
+    """Return the smallest difference of instant and size between a clock's step and others, s."""
+    return min((float(np.max(np.abs(np.subtract(step, other)))) for other in steps),
+               default=float('inf'))
 
 
 def frozen_orientations(poses: RecordedPoses) -> Iterator[Remark]:
@@ -208,7 +234,7 @@ def frozen_orientations(poses: RecordedPoses) -> Iterator[Remark]:
 
 
 def swapped_bodies(poses: RecordedPoses) -> Iterator[Remark]:
-    """Yield the time in which two bodies that hang one below the other are exchanged."""
+    """Yield the times in which two bodies, one below the other, are exchanged, or are one."""
     if not (poses.one_frame and poses.bodies):
         return
     hand, eye = poses.tool.trajectory(), poses.package.trajectory()
@@ -219,19 +245,19 @@ def swapped_bodies(poses: RecordedPoses) -> Iterator[Remark]:
     distance = np.linalg.norm(offset, axis=1)
     usual = float(np.median(distance))
     above = np.einsum('ni,ni->n', offset, hand.rotation[:, :, 2]) / np.maximum(distance, 1e-9)
+    up, _ = tool_up(hand.rotation, poses.R_world_recorded)
+    above *= np.sign(up if abs(up) > UPRIGHT else -np.median(above))
     near = np.abs(distance - usual) < conventions.MAX_CHANGE * usual
-    if not 1e-3 < usual < conventions.MAX_REACH or np.median(above) > -UPRIGHT or (
-            np.mean(near) < MIN_NEAR_PART):
+    one = distance < conventions.MAX_CHANGE * usual
+    if not 1e-3 < usual < conventions.MAX_REACH or np.mean(near | one) < MIN_NEAR_PART or (
+            np.mean(near & (above < -UPRIGHT)) < 1.0 - MIN_NEAR_PART):
         return
-    exchanged = (above > UPRIGHT) & near
-    edges = np.flatnonzero(np.diff(exchanged, prepend=False, append=False)).reshape(-1, 2)
-    for begin, end in edges.tolist():
-        span = (eye.stamps_ns[[begin, end - 1]] - min(
-            poses.tool.stamps_ns[0], poses.package.stamps_ns[0])) / NS_PER_S
-        if np.ptp(span) >= SWAPPED_SECONDS:
-            yield Remark('swapped', dict(zip(('begin', 'end'), span.tolist(), strict=True)),
-                         'both')
-            return
+    wrong = (above > UPRIGHT) & near | one
+    edges = np.flatnonzero(np.diff(wrong, prepend=False, append=False)).reshape(-1, 2)
+    start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
+    spans = (eye.stamps_ns[np.stack([edges[:, 0], edges[:, 1] - 1], axis=1)] - start) / NS_PER_S
+    for begin, end in spans[np.ptp(spans, axis=1) >= SWAPPED_SECONDS][:MAX_SWAPS].tolist():
+        yield Remark('swapped', {'begin': begin, 'end': end}, 'both')
 
 
 def _frozen_part(stream: PoseStream) -> float:
@@ -455,6 +481,15 @@ def tool_up(rotation: Array, R: Array) -> tuple[float, float]:
     """Return the vertical component of the tool's z axis (median), and its angle, rad."""
     up = float(np.median(rotation[:, :, 2] @ R[2]))
     return up, float(np.arccos(np.clip(up, -1.0, 1.0)))
+
+
+def resting_tools(poses: RecordedPoses) -> Iterator[Remark]:
+    """Yield a tool that rests throughout, so that its package does not swing."""
+    body = poses.tool.trajectory()
+    turned = lie.log_so3(body.rotation[len(body) // 2].T @ body.rotation)
+    ranges = np.ptp(np.percentile(np.hstack([body.position, turned]), (1, 99), axis=0), axis=0)
+    if np.all(ranges < np.fmax(AT_REST, NOISE_RANGE * noise_of(body))):
+        yield Remark('tool_at_rest', _sizes(ranges), 'tool')
 
 
 def impossible_packages(poses: RecordedPoses) -> Iterator[Remark]:

@@ -32,8 +32,8 @@ MAD_TO_STD = 1.4826
 MAX_RELATIVE_JITTER = 0.1
 """Jitter above which a warning is given, as a fraction of the period."""
 
-MIN_CLOCK_STEP = 0.02
-"""Smallest detected step of a clock, s; it is larger than usual delays of messages."""
+MIN_CLOCK_STEP = 5e-3
+"""Smallest detected step of a clock, s: 1 mm of a tool at 0.2 m/s."""
 
 CLOCK_WINDOW = 1.0
 """Time compared before and after a step, s; usual stalls of a recorder are shorter."""
@@ -164,8 +164,8 @@ def clock_steps(stamps_ns: Stamps, arrivals_ns: Stamps) -> tuple[tuple[int, floa
     """
     Return the steps of the stamping clock: the stamp before each step (ns), and its size (s).
 
-    At a step, the difference of stamp and arrival changes permanently. Steps of the recorder's
-    clock are left out.
+    At a step, the difference of stamp and arrival changes permanently, while arrivals are regular:
+    otherwise the recorder's clock steps, or a delay changes.
 
     Parameters
     ----------
@@ -175,7 +175,8 @@ def clock_steps(stamps_ns: Stamps, arrivals_ns: Stamps) -> tuple[tuple[int, floa
     """
     arrival = (arrivals_ns - arrivals_ns[:1]) / NS_PER_S
     ahead = (stamps_ns - stamps_ns[:1]) / NS_PER_S - arrival
-    jumps, period = np.diff(ahead), float(np.median(np.diff(arrival))) if arrival[1:].size else 0.0
+    jumps, late = np.diff(ahead), np.diff(arrival)
+    late = late - np.median(late) if len(late) else late
     found = list[tuple[int, float]]()
     largest = np.argsort(np.abs(jumps))[-MAX_CLOCK_STEPS:]
     for k in np.sort(largest[np.abs(jumps[largest]) > MIN_CLOCK_STEP]).tolist():
@@ -187,9 +188,8 @@ def clock_steps(stamps_ns: Stamps, arrivals_ns: Stamps) -> tuple[tuple[int, floa
         size = middle[1] - middle[0]
         spread = max(float(np.median(np.abs(part - level)))
                      for part, level in zip((before, after), middle, strict=True))
-        is_recorders = size < 0.0 and arrival[k + 1] - arrival[k] - period > -0.5 * size
-        if abs(size) > max(MIN_CLOCK_STEP, CLOCK_DEVIATIONS * spread) and not is_recorders and (
-                abs(jumps[k] - size) < 0.5 * abs(size)):
+        if abs(size) > max(MIN_CLOCK_STEP, CLOCK_DEVIATIONS * spread) and (
+                max(abs(jumps[k] - size), abs(late[k])) < 0.5 * abs(size)):
             found.append((int(stamps_ns[k]), size))
     return tuple(found)
 
