@@ -193,8 +193,8 @@ def prepare_streams(
     topics.
     """
     recording = _prepared(streams, settings, values, name, accepted)
-    return _with_remarks(replace(
-        recording, felt=_felt(recording, streams.get('tool_wrench'), values)), ())
+    recording = replace(recording, felt=_felt(recording, streams.get('tool_wrench'), values))
+    return _with_sentences(recording, recording.report.remarks)
 
 
 def checked(recording: Recording, length: float) -> Recording:
@@ -209,15 +209,14 @@ def checked(recording: Recording, length: float) -> Recording:
     """
     found = recording_remarks(recording, length)
     require_none(found, REPLAY, recording.name)
-    return _with_remarks(recording, found)
+    return _with_sentences(replace(recording, report=replace(
+        recording.report, remarks=(*recording.report.remarks, *found))), found)
 
 
-def _with_remarks(recording: Recording, more: tuple[Remark, ...]) -> Recording:
-    """Return a recording with further remarks, and their sentences as warnings."""
-    remarks = (*recording.report.remarks, *more)
-    return replace(recording, report=replace(
-        recording.report, remarks=remarks,
-        warnings=(*recording.report.warnings, *remark_sentences(more or remarks))))
+def _with_sentences(recording: Recording, remarks: Iterable[Remark]) -> Recording:
+    """Return a recording with sentences on remarks as warnings."""
+    return replace(recording, report=replace(recording.report, warnings=(
+        *recording.report.warnings, *remark_sentences(remarks))))
 
 
 def _felt(

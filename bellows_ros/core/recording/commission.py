@@ -54,8 +54,8 @@ STILL_SPEED = np.array([0.01, 0.04])
 SPEED_STEP = 20_000_000
 """Half of the time step for speeds, ns."""
 
-MOVING_PART = 0.1
-"""Smallest speed of a tool that moves, relative to the 90 % quantile of its speed."""
+USUAL = 0.75
+"""Quantile of deviations that belongs to motion, also of recordings with long rests."""
 
 MAX_COMPARED = 1000
 """Number of poses from which the offset of two clocks is estimated."""
@@ -162,11 +162,7 @@ def _clock_offset(tool: Trajectory, package: Trajectory) -> float:
 
 
 def _rotation_residual(tool: Trajectory, package: Trajectory) -> float:
-    """
-    Return the median squared deviation (rad^2) of the package's orientation in the tool.
-
-    Only times count at which the tool rotates, as a rest has no offset.
-    """
+    """Return the usual squared deviation (rad^2) of the package's orientation in the tool."""
     first, last = resampling.common_span(tool, package)
     eye = package.select((package.stamps_ns >= first) & (package.stamps_ns <= last))
     eye = eye.select(slice(None, None, len(eye) // MAX_COMPARED + 1))
@@ -176,10 +172,7 @@ def _rotation_residual(tool: Trajectory, package: Trajectory) -> float:
     R = alignment.rotation_of(hand.rotation, eye.rotation)
     relative = np.swapaxes(hand.rotation, 1, 2) @ R @ eye.rotation
     moved = lie.log_so3(lie.mean_rotation(relative).T @ relative)
-    turns = np.linalg.norm(lie.log_so3(
-        np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:]), axis=1)
-    moves = np.append(turns >= MOVING_PART * np.quantile(turns, 0.9), True) if len(turns) else [0]
-    return float(np.median(np.sum(moved[moves]**2, axis=1)))
+    return float(np.quantile(np.sum(moved**2, axis=1), USUAL))
 
 
 def _registered(

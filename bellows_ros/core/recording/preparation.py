@@ -215,8 +215,8 @@ def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStrea
             "'{}' covers {:.3f} to {:.3f} s".format(s.name, *s.stamps_ns[[0, -1]] / NS_PER_S)
             for s in recorded)
         raise BellowsError(
-            f'The two streams overlap by less than the filter windows: {covered}. Choose topics '
-            'of one recording, stamped by one clock, use smaller half windows, or record longer.')
+            f'The stamps of tool and package do not overlap: {covered}. They are of two clocks or '
+            'two recordings: stamp both topics by one clock, or set fit.time_offset: true.')
     return common
 
 
