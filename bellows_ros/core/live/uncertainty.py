@@ -189,10 +189,11 @@ class Uncertainty:
 
     def _begun(self, prediction: Prediction) -> Estimate:
         """Return the estimate of a package with an exact state."""
-        P = self._correction.prior_covariance.copy()
+        theta, P, memory = self._correction.initial
+        P = P.copy()
         P[:STATE, :STATE] = 0.0
-        return self._correction.start(prediction.stamp_ns, prediction.tool, prediction.body, Known(
-            np.zeros(len(P) - STATE), P, self._correction.first_memory), ())
+        return self._correction.start(
+            prediction.stamp_ns, prediction.tool, prediction.body, Known(theta, P, memory), ())
 
     def _begin(self, estimate: Estimate) -> None:
         """Follow a motion from an estimate on."""

@@ -38,6 +38,7 @@ from bellows_ros.core.observer.hypotheses import (
     START_ROWS,
     STEPS,
     TAG_BURST,
+    Tested,
     VACUUM_ODDS,
     VIEW_NS,
     WEAR,
@@ -157,20 +158,21 @@ class Alarms:
         """
         evidence, stamp_ns = estimate.evidence, estimate.stamp_ns
         total, lead, best, second, runner_up, *_ = likeliest
-        if HYPOTHESES[min(best[1], CUP)].name == 'lost':
+        likely = HYPOTHESES[min(best.number, CUP)]
+        if likely.name == 'lost':
             lead -= has_vacuum * math.log(VACUUM_ODDS)
         if not self.is_likely(total, lead):
             return None
         if self.is_cup_proven and lead < CLEAR_LEAD and second == PAYLOAD and (
-                HYPOTHESES[min(best[1], CUP)].name == 'wear'):
+                likely.name == 'wear'):
             best, runner_up, second, lead = runner_up, best, WEAR, CLEAR_LEAD - lead
-        likely = HYPOTHESES[min(best[1], CUP)]
+            likely = HYPOTHESES[PAYLOAD]
         in_view = self._of_tag and likely.name == 'camera'
         confirmed_ns = VIEW_NS if in_view else DECIDE_NS if (
             lead < MIN_LEAD) else likely.confirmed_ns
         suspect_ns = stamp_ns - min(evidence.suspect_ns, default=stamp_ns)
         if len(evidence.suspect_ns) <= likely.confirmed or suspect_ns < confirmed_ns or (
-                stamp_ns < evidence.onsets[1, best[0]] + best[2] * likely.after_ns):
+                stamp_ns < evidence.onsets[1, best.onset] + best.components * likely.after_ns):
             return None
         holding = [k for k in range(len(self._places)) if k not in estimate.lost_cups]
         cause, error, spread, parts = _fault(estimate, prior, best)
@@ -179,7 +181,7 @@ class Alarms:
         usual = MAX_DEVIATION * self._latency_std if cause.name == 'latency' else 0.0
         if size < max(cause.least, usual):
             return None
-        most = MAX_ODDS if likely.mean or best[1] < AT_START else MIN_CLEAR_ODDS
+        most = MAX_ODDS if likely.mean or best.number < AT_START else MIN_CLEAR_ODDS
         odds, cup = min(math.exp(min(lead, 20.0)), most), -1
         name = 'disturbance' if second == NONE else HYPOTHESES[second].name if (
             second < CUP) else self._of_cup(holding[second - CUP]).cause
@@ -187,8 +189,8 @@ class Alarms:
         if second != NONE and (odds < MIN_CLEAR_ODDS or {cause.name, name} == ALIKE):
             _, _, other, others = _fault(estimate, prior, runner_up)
             spread, alarm = np.hstack([spread, other]), alarm._replace(second_parts=others)
-        if best[1] >= CUP:
-            cup = holding[best[1] - CUP]
+        if best.number >= CUP:
+            cup = holding[best.number - CUP]
             alarm = self._of_cup(cup, alarm)
         return DetectedFault(alarm, error, spread, cup)
 
@@ -201,9 +203,10 @@ class Alarms:
         self, stamp_ns: int, gated: int, likeliest: Likeliest
     ) -> Alarm | None:
         """Return the alarm on innovations that match no signature, if any."""
-        total, lead, (_, number, _), second, *_, none = likeliest
+        total, lead, second, none = (
+            likeliest.total, likeliest.lead, likeliest.second, likeliest.none)
         least = TAG_BURST if self._of_tag else DISTURBED_COUNT
-        cause = HYPOTHESES[min(number, CUP)].name if total > -math.inf else 'slip'
+        cause = HYPOTHESES[min(likeliest.best.number, CUP)].name if total > -math.inf else 'slip'
         is_push = cause == 'disturbance' and max(total, none) >= self._threshold
         if gated < least or not (
                 is_push or none >= max(self._threshold, total + MIN_LEAD)):
@@ -248,14 +251,9 @@ class Alarms:
 
 
 def _fault(
-    estimate: Estimate, prior: Prior, fault: tuple[int, int, int]
+    estimate: Estimate, prior: Prior, fault: Tested
 ) -> tuple[Cause, Array, Array, Sizes]:
-    """
-    Return a fault from slot, hypothesis and components of `Likeliest`.
-
-    The results are its cause, its error (n,), the spread of the error (n, components), and the
-    sizes of its parts.
-    """
+    """Return cause, error (n,), spread of the error (n, components) and sizes of a fault."""
     onset, number, components = fault
     h, column = layout(number)
     cause = HYPOTHESES[h]

@@ -102,7 +102,7 @@ Initial sum of squares of the noise, as after 33 measurements. With a smaller su
 wrong payload would appear as noise with a long memory.
 """
 
-WRENCHES = slice(states.WRENCH, states.WRENCH + 6)
+WRENCH_ROWS = np.arange(states.WRENCH, states.WRENCH + 6)
 INERTIAS = slice(states.INERTIA, states.INERTIA + 3)
 
 NUMBERS = 54
@@ -161,6 +161,14 @@ class Known(NamedTuple):
     memory: Array
     """Memory of the noise, see `correlations`."""
 
+    def with_rows(self, other: Known, rows: Any) -> Known:
+        """Return estimates with some rows (k,) of others, independent of the rest."""
+        theta, P, block = self.theta.copy(), self.covariance.copy(), np.ix_(rows, rows)
+        theta[np.subtract(rows, STATE)] = other.theta[np.subtract(rows, STATE)]
+        P[rows, :], P[:, rows] = 0.0, 0.0
+        P[block] = other.covariance[block]
+        return Known(theta, P, other.memory)
+
 
 class Correction:
     """
@@ -180,6 +188,8 @@ class Correction:
 
     Attributes
     ----------
+    initial : Known
+        Prior of all estimates.
     holding_reach : float
         Largest displacement (m) of the lip of a holding cup from its place without load.
     alarms : Alarms or None
@@ -198,11 +208,12 @@ class Correction:
         self.prior = states.each_row('prior', stated)
         self.prior[START_ROWS] = np.maximum(
             self.prior[START_ROWS], LEAST_PRIOR * START_STEPS @ PRIOR_STD[:START_STEPS.shape[1]])
-        self.prior_covariance = np.diag(np.square(self.prior))
-        self.prior_covariance[INERTIAS, INERTIAS] = stated.inertia
+        prior = np.diag(np.square(self.prior))
+        prior[INERTIAS, INERTIAS] = stated.inertia
+        self.initial = Known(np.zeros(states.ROWS - STATE), prior, first_memory())
         self.largest = LARGEST.copy()
         self.weight = stated.weight
-        self.largest[WRENCHES] *= stated.weight
+        self.largest[WRENCH_ROWS] *= stated.weight
         self._walk = np.square(states.each_row('walk', stated))
         self._sag = sag(model)
         self._marker, places = marker, places_of(values)
@@ -212,7 +223,6 @@ class Correction:
             allowed, marker[2], places, marker[3][0], values.measured.latency_std) if (
                 allowed > 0.0) else None
         self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
-        self.first_memory = first_memory()
         noise = values.tool_noise.position, values.tool_noise.rotation
         self._tool_noise = np.repeat(np.maximum(noise, LEAST_TOOL_NOISE), 3)
 
@@ -290,7 +300,7 @@ class Correction:
             evidence = NO_EVIDENCE._replace(from_start=evidence.from_start)
         if support == CONTACT:
             walk = walk.copy()
-            walk[WRENCHES] += self._by_support(before.body) / TOUCHDOWN
+            walk[WRENCH_ROWS] += self._by_support(before.body) / TOUCHDOWN
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         theta[states.LATENCY - STATE] -= late  # correction for reading the pose earlier
         result = likelihood.filter_step(
@@ -426,8 +436,8 @@ class Correction:
         if estimate.contact < CONTACT_EVIDENCE:
             return estimate
         if estimate.support != CONTACT:
-            P, rows = estimate.covariance.copy(), np.arange(states.ROWS)[WRENCHES]
-            P[rows, rows] += self._by_support(estimate.body)
+            P = estimate.covariance.copy()
+            P[WRENCH_ROWS, WRENCH_ROWS] += self._by_support(estimate.body)
             estimate = estimate._replace(covariance=P, support=CONTACT)
         elif self._pull(estimate) > 0.0:  # a support pushes only: there is no contact
             return self._without_support(estimate)._replace(support=NEAR)
@@ -478,7 +488,7 @@ class Correction:
             return after, None
         is_back = before.gated_ns and not after.gated_ns  # earlier evidence does not count
         suspect_ns = self.alarms.suspect_ns(
-            () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0])
+            () if is_back else evidence.suspect_ns, stamp_ns, likeliest.total)
         if suspect_ns != evidence.suspect_ns:
             evidence = evidence._replace(suspect_ns=suspect_ns)
         after = after._replace(evidence=evidence)
@@ -493,7 +503,7 @@ class Correction:
         if not dynamics.is_possible(body, theta, self.largest):
             return after._replace(gated_ns=(), evidence=self._evidence(
                 stamp_ns, after.lost_cups, False)), fault.alarm
-        memory = np.r_[self.first_memory[:ekf.FACTORS], after.memory[ekf.FACTORS:]]
+        memory = np.r_[self.initial.memory[:ekf.FACTORS], after.memory[ekf.FACTORS:]]
         return after._replace(  # the fault has increased the noise, too
             body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
             evidence=self._evidence(stamp_ns, lost_cups, False),
@@ -501,10 +511,15 @@ class Correction:
 
     def _disturbed(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the initial uncertainty of the state."""
-        rows, P = np.arange(STATE), estimate.covariance.copy()
+        return self._unsure(estimate, np.arange(STATE))._replace(
+            gated_ns=(), evidence=self._evidence(
+                estimate.stamp_ns, estimate.lost_cups, estimate.evidence.from_start))
+
+    def _unsure(self, estimate: Estimate, rows: Array) -> Estimate:
+        """Return an estimate with the prior variance added to some rows."""
+        P = estimate.covariance.copy()
         P[rows, rows] += np.square(self.prior[rows])
-        return estimate._replace(covariance=P, gated_ns=(), evidence=self._evidence(
-            estimate.stamp_ns, estimate.lost_cups, estimate.evidence.from_start))
+        return estimate._replace(covariance=P)
 
     def released(self, estimate: Estimate) -> Estimate:
         """Return an estimate of a package just released by its support."""
@@ -515,12 +530,7 @@ class Correction:
 
     def _without_support(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the initial wrench."""
-        rows = np.arange(states.ROWS)[WRENCHES]
-        theta, P = estimate.theta.copy(), estimate.covariance.copy()
-        theta[rows - STATE] = 0.0
-        P[rows], P[:, rows] = 0.0, 0.0
-        P[rows, rows] = np.square(self.prior[rows])
-        return estimate._replace(theta=theta, covariance=P, contact=0.0)
+        return self.rolled_back(estimate, self.initial, WRENCH_ROWS)._replace(contact=0.0)
 
     def slipped(self, estimate: Estimate, size: float) -> Estimate:
         """Return an estimate of a package that slipped across the lip by a size (m)."""
@@ -534,22 +544,17 @@ class Correction:
         self, estimate: Estimate, known: Known, rows: Any = KNOWN_ROWS
     ) -> Estimate:
         """Return an estimate with the kept rows of camera, cup and package, or some of them."""
-        theta, P, block = estimate.theta.copy(), estimate.covariance.copy(), np.ix_(rows, rows)
-        theta[rows - STATE] = known.theta[rows - STATE]
-        P[rows], P[:, rows] = 0.0, 0.0
-        P[block] = known.covariance[block]
+        theta, P, _ = Known(*estimate[3:6]).with_rows(known, rows)
         return estimate._replace(theta=theta, covariance=P)
 
     def _restarted(
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement
     ) -> Estimate:
         """Return an estimate with initial uncertainty, corrected with a measurement."""
-        rows = np.r_[:STATE, states.WRENCH:states.WRENCH + 6]
-        P, stamp_ns = estimate.covariance.copy(), estimate.stamp_ns
-        P[rows, rows] += np.square(self.prior[rows])
+        stamp_ns = estimate.stamp_ns
         theta = np.where(np.abs(estimate.theta) <= self.largest[STATE:], estimate.theta, 0.0)
-        restarted = estimate._replace(
-            theta=theta, covariance=P, memory=memory, evidence=NO_EVIDENCE)
+        restarted = self._unsure(estimate, np.r_[:STATE, WRENCH_ROWS])._replace(
+            theta=theta, memory=memory, evidence=NO_EVIDENCE)
         _, after, _ = self._step(
             restarted, track, stamp_ns, True, measurement, math.inf, estimate.support)
         from_start = estimate.evidence.from_start

@@ -79,26 +79,26 @@ represents unmodelled relaxation and damping.
 PERIOD = 0
 """Index in the memory of the noise: mean time between measurements, s."""
 
-SQUARES = 1
+SQUARES = PERIOD + 1
 """Index in the memory of the noise: sums of squares of the noise of position and rotation, in
 squared standard deviations."""
 
-PRODUCTS = 3
+PRODUCTS = SQUARES + 2
 """Index in the memory of the noise: sums of products of successive noise of position and rotation,
 in squared standard deviations."""
 
-LAST = 5
+LAST = PRODUCTS + 2
 """Index in the memory of the noise: the last noise (6,), in standard deviations."""
 
-FACTORS = 11
+FACTORS = LAST + 6
 """Index in the memory of the noise: ratios of the variances of position and rotation to the stated
 variances."""
 
-SHARE = 13
+SHARE = FACTORS + 2
 """Index in the memory of the noise: variance of the model error relative to the squared
 displacement of the lip."""
 
-JITTER = 14
+JITTER = SHARE + 1
 """Index in the memory of the noise: variance of the random error of a stamp, s^2."""
 
 
@@ -362,7 +362,7 @@ def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool
 
 
 @kernel
-def _part_of_motion(
+def part_of_motion(
     samples: Samples, k: int, now_ns: int, until_ns: int, tool: State, max_step: float
 ) -> tuple[State, State, int]:
     """Return the tool at both ends of the next part of its motion to sample k, and the later."""
@@ -450,7 +450,7 @@ def propagated(
             h, squares, now_ns, k = h + part, squares + part * part, stamps[k], k + 1
         if k > first:
             body = body_row(bodies[k - 1], body)
-        tool, tool_end, later_ns = _part_of_motion(samples, k, now_ns, until_ns, tool, max_step)
+        tool, tool_end, later_ns = part_of_motion(samples, k, now_ns, until_ns, tool, max_step)
         part = (later_ns - now_ns) / NS_PER_S
         body = _followed(
             model, bias, body, tool, tool_end, part, max_step, bodies[k], is_recorded,

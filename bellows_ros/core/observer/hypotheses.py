@@ -161,11 +161,10 @@ SIZE_ROUNDS = 20
 """Number of iterations in which the prior sizes of a large fault's components grow."""
 
 MIN_CLEAR_ODDS = 100.0
+"""Odds below which an alarm also has the sizes of the second cause."""
+
 CLEAR_LEAD = math.log(MIN_CLEAR_ODDS)
-"""
-Logarithm of the odds below which an alarm also has the sizes of the second cause. After the cup
-has carried another package, a wrong payload has these odds against a worn cup.
-"""
+"""Lead of a wrong payload over a worn cup, after the cup has carried another package."""
 
 ALIKE = frozenset(('wear', 'payload'))
 """Causes distinguished by damping only: an alarm has the sizes of both at any odds."""
@@ -190,6 +189,17 @@ WEAR = [*NAMED].index('wear')
 """Index of wear."""
 
 
+class Tested(NamedTuple):
+    """A tested fault."""
+
+    onset: int
+    """Slot of its onset."""
+    number: int
+    """Index in `HYPOTHESES`; cups of a gripper follow all others."""
+    components: int
+    """Number of components."""
+
+
 class Likeliest(NamedTuple):
     """Likelihood ratios of faults after a measurement."""
 
@@ -197,18 +207,17 @@ class Likeliest(NamedTuple):
     """Logarithm of the sum of all ratios."""
     lead: float
     """Lead of the likeliest cause's logarithm over the next."""
-    best: tuple[int, int, int]
-    """Likeliest cause: slot of its onset, index in `HYPOTHESES`, number of components; cups of a
-    gripper follow all others."""
+    best: Tested
+    """Likeliest fault."""
     second: int
-    """Next likeliest cause: index in `HYPOTHESES`, cups last, or `NONE`; ..."""
-    runner_up: tuple[int, int, int]
-    """... and its triple like `best`."""
+    """Index of the next likeliest cause in `HYPOTHESES`, cups last, or `NONE`."""
+    runner_up: Tested
+    """Next likeliest fault, if `second` is not `NONE`."""
     pinned: int
     """Slots of the likeliest onset of each cause, as bits."""
     none: float
     """Ratio of larger innovations without a signature."""
 
 
-NO_FAULT = Likeliest(-math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, -math.inf)
+NO_FAULT = Likeliest(-math.inf, -math.inf, Tested(0, 0, 0), 0, Tested(0, 0, 0), 1, -math.inf)
 """Result without a fault or without a test."""

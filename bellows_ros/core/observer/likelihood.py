@@ -64,6 +64,7 @@ from bellows_ros.core.observer.hypotheses import (
     START_ROWS,
     START_STEPS,
     START_WEIGHT,
+    Tested,
 )
 from bellows_ros.core.observer.measurement import (
     FALL_RATIO,
@@ -336,7 +337,7 @@ def _likeliest_fault(
     leader, pinned = int(top.argmax()), 1
     none = _none_of_these(distances, onsets)
     if top[leader] == -math.inf:
-        return Likeliest(-math.inf, -math.inf, (0, 0, 0), 0, (0, 0, 0), 1, none)
+        return Likeliest(-math.inf, -math.inf, Tested(0, 0, 0), 0, Tested(0, 0, 0), 1, none)
     second, rival = NONE, -math.inf if leader == PUSH else none
     for c in range(faults):
         pinned |= 1 << best[c, 0]
@@ -344,8 +345,8 @@ def _likeliest_fault(
             second, rival = c, top[c]
     first, other = best[leader], best[max(second, 0)]
     total = top[leader] + math.log(np.exp(top - top[leader]).sum())
-    return Likeliest(total, top[leader] - rival, (first[0], first[1], first[2]), second,
-                     (other[0], other[1], other[2]), pinned, none)
+    return Likeliest(total, top[leader] - rival, Tested(first[0], first[1], first[2]), second,
+                     Tested(other[0], other[1], other[2]), pinned, none)
 
 
 @kernel

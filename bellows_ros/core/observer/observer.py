@@ -160,13 +160,9 @@ class Observer:
         """Begin without a motion, with the kept rows of previous estimates."""
         correction = self._correction
         lost_cups = self._lost_cups if states.MASS in kept else ()
-        known = Known(np.zeros(states.ROWS - STATE), correction.prior_covariance.copy(),
-                      correction.first_memory)
+        known = correction.initial
         if kept:
-            block, places = np.ix_(kept, kept), np.subtract(kept, STATE)
-            known.theta[places] = self._known.theta[places]
-            known.covariance[block] = self._known.covariance[block]
-            known = known._replace(memory=self._known.memory)
+            known = known.with_rows(self._known, kept)
         if correction.alarms is not None:
             correction.alarms.is_cup_proven = self._is_proven and states.STIFFNESS in kept
         self._known, self._lost_cups = known, lost_cups
@@ -429,7 +425,7 @@ class Observer:
         is_wrong = any(
             alarm.cause == 'payload' for alarm in self.alarms[self._first_of_package:])
         if is_wrong:
-            estimate = correction.rolled_back(estimate, self._known, np.array(CUP_ROWS))
+            estimate = correction.rolled_back(estimate, self._known, CUP_ROWS)
         self._known = Known(estimate.theta, estimate.covariance, estimate.memory)
         self._is_proven = True
         if is_wrong or correction.alarms is None or any(

@@ -34,6 +34,7 @@ from bellows_ros.core.observer.filter import (
     FALLEN,
     identity_plus,
     Moving,
+    part_of_motion,
     Samples,
     SHARE,
 )
@@ -124,7 +125,7 @@ def block(
     now_ns, tool, body, theta = beginning
     model = dynamics.model_at(row, law, theta)
     bias, max_step = dynamics.wrench_bias(theta), dynamics.stable_step(max_step, theta)
-    stamps, starts, ends, _, count = samples
+    stamps, count = samples[0], samples[4]
     k, i, n, first, at_node = first_after(stamps, now_ns, count), 0, len(wrenches[0]), tool, now_ns
     load, pending = cup_load(model, tool, body, mount), 0
     H, mean = np.zeros((6, ROWS)), np.zeros(6)
@@ -134,13 +135,7 @@ def block(
         T[j, j] = 1.0
     dynamics.slopes(model, bias, ratio, tool, body, A, B)
     while now_ns < until_ns and k < count:
-        later_ns, whole_ns = min(stamps[k], until_ns), stamps[k] - stamps[k - 1]
-        if now_ns == stamps[k - 1]:
-            tool = row_state(starts[k])
-        end = row_state(ends[k])
-        if later_ns < stamps[k]:
-            segment = kernels.tool_segment(row_state(starts[k]), end, whole_ns / NS_PER_S)
-            end = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
+        tool, end, later_ns = part_of_motion(samples, k, now_ns, until_ns, tool, max_step)
         seconds = (later_ns - now_ns) / NS_PER_S
         body = dynamics.advanced_with_wrench(
             model, bias, body, tool, end, seconds, substeps_for(seconds, max_step))
