@@ -16,13 +16,14 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.equilibrium import resting_on_tool, sag, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
+from bellows_ros.core.model.simulation import row_state
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.correction import Correction, Known
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
-from bellows_ros.core.observer.hypotheses import MAX_ODDS
+from bellows_ros.core.observer.hypotheses import MAX_ODDS, MIN_NOISE_COUNT
 from bellows_ros.core.observer.measurement import changed_by
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT, PoseSensor
 from bellows_ros.core.observer.results import Calibration, calibration_of, Payload, payload_of
@@ -363,7 +364,7 @@ class Observer:
                 after = self._correction.rolled_back(after, self._known)
             self._note_trouble(after.stamp_ns, verdict, alarm)
             self._raise(alarm)
-            estimates.append(self._out_of_reach(after, measurements[k].stamp_ns)
+            estimates.append(self._out_of_reach(after, measurements[k])
                              if verdict == 'out_of_reach' else after)
         for alarm in again:
             self._raise(alarm)
@@ -448,14 +449,14 @@ class Observer:
 
     # ---------------------------------------------------------- a lost package
 
-    def _out_of_reach(self, estimate: Estimate, stamp_ns: int) -> Estimate:
-        """Process a pose out of reach; a package within reach before is lost after some time."""
-        alarms, evidence, away_ns = self._correction.alarms, estimate.evidence, estimate.away_ns
+    def _out_of_reach(self, estimate: Estimate, measurement: Measurement) -> Estimate:
+        """Process a pose out of reach; the package is lost after some time."""
+        stamp_ns, alarms = measurement.stamp_ns, self._correction.alarms
+        away_ns = estimate.away_ns
         if alarms is None or away_ns < 0 or (estimate.support and not estimate.falls):
             return estimate
         if away_ns == 0:
-            if evidence.from_start and not evidence.onsets[0, :1].any() and (
-                    not estimate.support):  # never within reach
+            if not self._is_of_package(estimate, measurement):
                 return estimate
             away_ns = min(estimate.gated_ns, default=stamp_ns)  # these were part of the fall
             estimate = estimate._replace(away_ns=away_ns)
@@ -467,6 +468,20 @@ class Observer:
             return estimate._replace(away_ns=-1)
         self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
         return estimate._replace(away_ns=-1)
+
+    def _is_of_package(self, estimate: Estimate, measurement: Measurement) -> bool:
+        """
+        Return whether a pose out of reach is of the package, or else of another object.
+
+        A package that was never within reach may have fallen on the way of the tool, if the
+        camera has shown packages before.
+        """
+        evidence = estimate.evidence
+        if estimate.support or not evidence.from_start or evidence.onsets[0, :1].any():
+            return True
+        bodies, k = self._track.rows[3], self._track.after(measurement.stamp_ns) - 1
+        return self.counts['used'] >= MIN_NOISE_COUNT and self._support.is_below_way(
+            measurement.position, row_state(bodies[k])[0])
 
     def _note_silence(self, stamp_ns: int) -> None:
         """Detect a camera without poses after the package has left its reach."""

@@ -19,7 +19,7 @@ LIFT = 8e-3
 """Rise of the tool, beyond the sag of the cup, at which a package has left its support, m."""
 
 ASIDE = 0.05
-"""Horizontal distance at which a package has left its support, m."""
+"""Horizontal distance at which a package has left its support, or its way, m."""
 
 DESCENT = 0.03
 """Length of a straight descent after which an unknown support may be near, m."""
@@ -85,6 +85,17 @@ class Support:
     def _aside(self, position: Vector, since: Vector) -> float:
         way = t3.subtract(position, since)
         return t3.norm(t3.add_scaled(way, -t3.dot(self._up, way), self._up))
+
+    def is_below_way(self, place: Vector, position: Vector) -> bool:
+        """Return whether a place is below the straight way to a position since the support."""
+        if not self._times:
+            return False
+        way = t3.subtract(position, self._begin)
+        way = t3.add_scaled(way, -t3.dot(self._up, way), self._up)
+        share = t3.dot(way, t3.subtract(place, self._begin)) / max(t3.dot(way, way), 1e-12)
+        nearest = t3.add_scaled(self._begin, min(max(share, 0.0), 1.0), way)
+        return self._height(place) < self._height(position) - ASIDE and self._aside(
+            place, nearest) < ASIDE
 
     def _way_to_stop(self, stamp_ns: int, down: float) -> float:
         """Return the distance (m) to the stop of a descent (m/s), once it slows down."""

@@ -204,14 +204,27 @@ def test_nothing_walks_until_a_package_rises_from_the_way_down():
     assert all(each.theta[wrench][2] > 1.0 for each in risen)
 
 
-@pytest.mark.parametrize('after', [0.05, 0.25])
-def test_drop_on_the_way_down_is_a_loss_without_the_switch(after):
-    """See a package fall before a support, the tool above it; 10 of 10 would be found with it."""
+@pytest.mark.parametrize(('event', 'after'), [('lower', 0.05), ('lower', 0.25), ('move', 0.05)])
+def test_drop_on_the_way_is_a_loss_without_the_switch(event, after):
+    """See a package fall before a support, or lie below the way before it was ever in reach."""
     found = 0
     for seed in range(70000, 70010):
         cell = ContactCell(seed)
-        made = [cell.cycle(), cell.cycle('drop', at_event='lower', after=after)]
+        made = [cell.cycle(), cell.cycle('drop', at_event=event, after=after)]
         run = cycles.followed(made, has_switch=False)
         found += [alarm.cause for _, _, alarm in run.alarms] == ['lost'] or (
             sum(t > made[1].at['fault'] for t, *_ in made[1].seen) < 3)
     assert found >= 9
+
+
+def test_package_left_at_the_target_is_no_loss():
+    """Raise no alarm while the camera shows the previous package before the held one."""
+    for seed in range(70000, 70005):
+        cell = ContactCell(seed)
+        first, second = cell.cycle(), cell.cycle()
+        o, q = first.truth[-1, :3] + [0.0, 0.2, 0.0], first.truth[-1, 3:]
+        earlier = [(t, t + 0.05, tuple((o + 1e-6 * t).tolist()), tuple(q.tolist()))
+                   for t in np.arange(second.at['move'], second.seen[0][0] - 0.02, 0.03)]
+        run = cycles.followed(
+            [first, second._replace(seen=earlier + second.seen)], has_switch=False)
+        assert run.alarms == []
