@@ -1,7 +1,7 @@
 """
 Count alarms and errors in pick-and-place cycles of cells that the package's formulas do not have.
 
-    python -m benchmarks.cycles --hours 1        # ordinary work with three cameras
+    python -m benchmarks.cycles --hours 1        # ordinary work with each sensor
     python -m benchmarks.cycles --faults 30      # so many faults of each kind
 
 Cells are those of `test/core/observer/contact_cell.py`, and with `--sensor rig` those of an
@@ -33,7 +33,11 @@ from test.core.observer.contact_cell import ContactCell, DAMPING, LENGTH, STIFFN
 START_NS = 1_000_000_000_000
 CYCLES = 12
 """Number of cycles of one cell."""
-CAMERAS: dict[str, dict[str, Any]] = {'memory': {}, 'white': {}, 'rig': {}}
+OF_TAG = {'measured.tag_size': contact_cell.TAG, 'recording.package_world':
+          ' '.join(map(str, (*contact_cell.CAMERA, 1.0, 0.0, 0.0, 0.0)))}
+"""Parameters of a tag and a camera."""
+CAMERAS: dict[str, dict[str, Any]] = {
+    'memory': {}, 'white': {}, 'rig': {}, 'view': OF_TAG, 'corners': OF_TAG}
 """Parameters of each sensor of a `ContactCell`."""
 CUP: dict[str, Any] = {
     'cup.stiffness': np.diag(STIFFNESS).ravel().tolist(), 'cup.length': LENGTH,
@@ -119,6 +123,7 @@ class Follower:
                      if stated or not name.endswith('_std')} for cycle in cycles]
         self.live = LivePredictor.from_parameters(cup_of(sensor, stated) | packages[0])
         self.has_camera, self.has_switch = has_camera, has_switch
+        self.of_tag = CAMERAS[sensor] is OF_TAG
         self.alarms: list[tuple[int, float, Any]] = []
         self.rows: list[tuple[float, ...]] = []
         self.begin = START_NS
@@ -160,6 +165,10 @@ class Follower:
     def _see(self, measured: float, arrival: float, position: Any, q: Any) -> None:
         """Let a measured pose arrive, s."""
         self.newest = position, q
+        if self.of_tag:
+            R = Rotation.from_matrix(contact_cell.DOWN)
+            self.newest = (tuple(contact_cell.CAMERA + R.apply(position)),
+                           tuple((R * Rotation.from_quat(q)).as_quat()))
         if self.has_camera:
             self.live.on_measured(self.begin + round(1e9 * measured), 'world', position, q, None,
                                   self.begin + round(1e9 * arrival))

@@ -28,6 +28,11 @@ WRONG = {'stiffness': 0.03, 'damping': 0.2, 'mass': 0.02, 'com': 2e-3, 'inertia'
 FLAT = 1.0, 1.0, 0.5
 """Ratio of the errors of the centre of mass along the axes."""
 NOISE = np.repeat([2e-3, 1e-2], 3)
+CAMERA, TAG = np.array([0.5, 0.0, 1.6]), 0.08
+"""Position of a camera that looks down, and side of a tag at the centre of mass, m."""
+CORNER_NOISE, EXPOSURE = 1e-4, 3e-3
+"""Standard deviation of a corner at rest, rad, and exposure, s."""
+DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 class Cycle(NamedTuple):
@@ -56,6 +61,37 @@ def _turned(phi):
     one = 1.0 if angle < 1e-6 else math.sin(angle) / angle
     two = 0.5 if angle < 1e-6 else (1.0 - math.cos(angle)) / (angle * angle)
     return np.eye(3) + one * X + two * (X @ X)
+
+
+@njit(cache=True)
+def _corners(o, R):
+    """Return the directions (8,) of the corners of a tag in the axes of the camera."""
+    out = np.zeros(8)
+    for k in range(4):
+        x = o + 0.5 * TAG * ((-1.0 if k % 3 == 0 else 1.0) * R[:, 0]
+                             + (1.0 if k < 2 else -1.0) * R[:, 1])
+        out[2 * k], out[2 * k + 1] = x[0] / x[2], x[1] / x[2]
+    return out
+
+
+@njit(cache=True)
+def _fitted(o, R, seen):
+    """Return the pose near another whose corners are the seen ones, by Levenberg-Marquardt."""
+    damping, J = 1e-3, np.zeros((8, 6))
+    for _ in range(30):
+        e = seen - _corners(o, R)
+        for i in range(6):
+            x = np.zeros(6)
+            x[i] = 1e-5
+            J[:, i] = (_corners(o + x[:3], R @ _turned(x[3:])) - seen + e) / 1e-5
+        A = J.T @ J
+        x = np.linalg.solve(A + damping * np.diag(np.diag(A)), J.T @ e)
+        tried, turned = o + x[:3], R @ _turned(x[3:])
+        better = np.sum((seen - _corners(tried, turned))**2) < np.sum(e**2)
+        damping *= 0.1 if better else 10.0
+        if better:
+            o, R = tried, turned
+    return o, R
 
 
 @njit(cache=True)
@@ -134,9 +170,10 @@ class ContactCell:
     Parameters
     ----------
     seed : int
-    sensor : {'memory', 'white', 'view'}
-        Noise of measured poses: with a memory of 50 ms, without memory, or a function of the
-        view with blur and flips, as of a detected tag.
+    sensor : {'memory', 'white', 'view', 'corners'}
+        Noise of measured poses: with a memory of 50 ms, without memory, a function of the view
+        with blur and flips, as of a detected tag, or of the corners of a tag. Poses of a tag are
+        in the axes of the camera.
 
     """
 
@@ -266,7 +303,10 @@ class ContactCell:
                 e += [1e-4, 1e-4, 4e-4, 3e-3, 3e-3, 1e-3] * n
                 if g.random() < 0.01:
                     e[3:5] += g.normal(size=2) * 0.5
-            o, R = o + e[:3], R * Rotation.from_rotvec(e[3:])
+            if self.sensor != 'corners':
+                o, R = o + e[:3], R * Rotation.from_rotvec(e[3:])
+            if self.sensor in ('view', 'corners'):
+                o, R = self._detected(o, R, speed)
             stamp = 0.01 * k + 5e-3 * g.normal()
             if fault == 'latency' and has_fault:
                 stamp += np.linalg.norm(moved)
@@ -274,6 +314,15 @@ class ContactCell:
             if g.random() > 0.02:
                 drawn.append((stamp, arrival, tuple(o.tolist()), tuple(R.as_quat().tolist())))
         return sorted(drawn)
+
+    def _detected(self, o, R, speed):
+        """Return the pose of a tag in the axes of the camera, for 'corners' with their noise."""
+        o, R = DOWN @ (o - CAMERA), DOWN @ R.as_matrix()
+        if self.sensor == 'corners':
+            blur = 30.0 * (speed / np.linalg.norm(o) * EXPOSURE)**2
+            noise = math.hypot(CORNER_NOISE, blur) * self.rng.normal(size=8)
+            o, R = _fitted(o, R, _corners(o, R) + noise)
+        return o, Rotation.from_matrix(R)
 
 
 def _sampled(points, times):
