@@ -1,7 +1,5 @@
 """Name what is wrong, and nothing where nothing is."""
 
-from collections import Counter
-
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import quaternion_product, ZERO
 from bellows_ros.core.model.kernels import model_of
@@ -496,17 +494,3 @@ def test_camera_is_calibrated():
     assert abs(found.latency - 0.02) < 4 * found.latency_std < 4e-3
     pivot = found.shift + np.cross(found.turn, [0.6, 0.3, 0.4])
     assert np.linalg.norm(pivot) == pytest.approx(0.02, abs=2e-3)
-
-
-@pytest.mark.stress
-@pytest.mark.timeout(7200)
-@pytest.mark.parametrize('estimate', [False, True])
-@pytest.mark.parametrize('name', CONDITIONS)
-def test_hours_of_an_ordinary_cell(name, estimate, capsys):
-    """Raise no more than two false alarms an hour, in 10 hours."""
-    false = Counter(
-        cause for seed in range(60)
-        for cause, _ in Cell(seed, 600.0, CONDITIONS[name], payload__estimate=estimate).run())
-    with capsys.disabled():
-        print(f'\n{name}, payload.estimate {estimate}: {dict(false)} in 10 h')
-    assert false.total() <= 20
