@@ -68,11 +68,8 @@ def _registered(
     if values.fit.method == 'least_squares':
         _require_world(world_std)
     (scale,), _ = estimates.get('scale', (np.zeros(1), None))
-    if scale and pose is not None:  # about the camera instead of the tool's world
-        package = replace(package, position=(1.0 + scale) * package.position)
-        pose = np.append(pose[:3] + scale * pose[:3] * (settings.tag is None), pose[3:])
-        settings = replace(settings, tag=settings.tag and replace(
-            settings.tag, side=(1.0 + scale) * settings.tag.side))
+    if scale and pose is not None:
+        package, pose, settings = _scaled(package, pose, settings, 1.0 + scale)
         changes['scale'] = float(1.0 + scale) * values.measured.scale
     if world is not None and pose is not None:
         middle = middle_of(recording.tracked_package)[:3]
@@ -90,6 +87,16 @@ def _registered(
     elif values.fit.time_offset:
         changes['remarks'] = (*recording.report.remarks, frames.Remark('no_offset', {}))
     return replace(recording, report=replace(recording.report, **changes))
+
+
+def _scaled(
+    package: PoseStream, pose: Array, settings: PrepareSettings, scale: float
+) -> tuple[PoseStream, Array, PrepareSettings]:
+    """Return poses, camera pose (6,) and settings with lengths scaled about the camera."""
+    tag = settings.tag and replace(settings.tag, side=scale * settings.tag.side)
+    origin = pose[:3] if tag else scale * pose[:3]
+    return (replace(package, position=scale * package.position), np.append(origin, pose[3:]),
+            replace(settings, tag=tag))
 
 
 def _realigned(alignment: frames.Alignment, marker: Array) -> frames.Alignment:

@@ -190,6 +190,30 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
     plan.write_prediction(path, result.source, tool, states, replace_bag)
 
 
+def _require_request(
+    switched: float | None, target: tuple[float, float] | None, target_rotation: Array | None,
+    monte_carlo: int
+) -> None:
+    """Require a time of the valve or a target, in the ranges of `toss_plan`."""
+    if target is None and (target_rotation is not None or switched is None):
+        raise BellowsError(
+            'Neither release nor target is given. Give the time of the valve, --release T (s), '
+            'or a place to hit, --target X Y (m).'
+            if target_rotation is None else
+            'target_rotation is given, but no target. Give both, or leave it out.')
+    for name, value, is_allowed, expected in (
+            ('monte_carlo', monte_carlo, isinstance(monte_carlo, int | np.integer) and
+             monte_carlo >= 0 and monte_carlo != 1, '2 tosses or more, or 0 for none.'),
+            ('release', switched, math.isfinite(switched or 0.0), 'a finite number.'),
+            ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
+             f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),
+            ('target_rotation', target_rotation,
+             target_rotation is None or 0.5 <= np.linalg.norm(target_rotation) < math.inf,
+             'finite numbers, a quaternion of length 1.')):
+        if not is_allowed:
+            raise BellowsError(f'{name} is {value}; expected {expected}')
+
+
 def toss_plan(
     path: plan.MotionSource, parameters: Mapping[str, Any], switched: float | None,
     target: tuple[float, float] | None = None, target_rotation: Array | None = None,
@@ -223,23 +247,7 @@ def toss_plan(
         If the plan, the parameters or the time are unusable.
 
     """
-    if target is None and (target_rotation is not None or switched is None):
-        raise BellowsError(
-            'Neither release nor target is given. Give the time of the valve, --release T (s), '
-            'or a place to hit, --target X Y (m).'
-            if target_rotation is None else
-            'target_rotation is given, but no target. Give both, or leave it out.')
-    for name, value, is_allowed, expected in (
-            ('monte_carlo', monte_carlo, isinstance(monte_carlo, int | np.integer) and
-             monte_carlo >= 0 and monte_carlo != 1, '2 tosses or more, or 0 for none.'),
-            ('release', switched, math.isfinite(switched or 0.0), 'a finite number.'),
-            ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
-             f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),
-            ('target_rotation', target_rotation,
-             target_rotation is None or 0.5 <= np.linalg.norm(target_rotation) < math.inf,
-             'finite numbers, a quaternion of length 1.')):
-        if not is_allowed:
-            raise BellowsError(f'{name} is {value}; expected {expected}')
+    _require_request(switched, target, target_rotation, monte_carlo)
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
     release, gravity = conversion.release_of(source.values), source.gravity

@@ -98,26 +98,40 @@ def plan_of(
         body = body_twists(continuous, curve(t, 1))[1]
     else:
         body, other = np.hstack([v, w]), R if twist_frame == 'world' else np.swapaxes(R, -1, -2)
-        world_v = lie.apply(R, v)
         if given:
-            require_consistent(np.diff(t), step, world_v, f'{name}: its velocities',
+            require_consistent(np.diff(t), step, lie.apply(R, v), f'{name}: its velocities',
                                lie.apply(R, lie.apply(other, v)))
             require_consistent(
                 np.diff(t), rotation, w, f'{name}: its angular velocities', lie.apply(other, w))
     if twist is not None and acceleration is not None:
-        linear, angular = np.hsplit(acceleration, 2)
-        if twist_frame == 'tool':  # d/dt R v = R (dv/dt + w x v)
-            linear = lie.apply(R, linear + np.cross(w, v))
-        acceleration = np.hstack([linear, lie.apply(in_tool, angular)])
-        require_consistent(np.diff(t), np.diff(world_v, axis=0), linear,
-                           f'{name}: its accelerations')
-        require_consistent(np.diff(t), np.diff(w, axis=0), acceleration[:, 3:],
-                           f'{name}: its angular accelerations')
+        acceleration = _checked_acceleration(
+            t, (R, v, w), acceleration, twist_frame == 'tool', name)
     plan = ToolRows(stamps_ns, np.hstack([poses[:, :3], q, body]))
     fine_ns = _without_gaps(stamps_ns)
     if len(fine_ns) == len(stamps_ns):
         return plan
     return ToolRows(fine_ns, tool_rows(_refined(plan.trajectory(), fine_ns, acceleration)))
+
+
+def _checked_acceleration(
+    t: Array, motion: tuple[Array, Array, Array], acceleration: Array, in_tool: bool, name: str
+) -> Array:
+    """
+    Return accelerations (N, 6) with the linear ones in the world, the angular ones in tool axes.
+
+    They must be the rates of the rotations and body velocities of the motion at the times (s).
+    """
+    R, v, w = motion
+    linear, angular = np.hsplit(acceleration, 2)
+    if in_tool:  # d/dt R v = R (dv/dt + w x v)
+        linear = lie.apply(R, linear + np.cross(w, v))
+    else:
+        angular = lie.apply(np.swapaxes(R, -1, -2), angular)
+    require_consistent(np.diff(t), np.diff(lie.apply(R, v), axis=0), linear,
+                       f'{name}: its accelerations')
+    require_consistent(np.diff(t), np.diff(w, axis=0), angular,
+                       f'{name}: its angular accelerations')
+    return np.hstack([linear, angular])
 
 
 def plan_of_joints(

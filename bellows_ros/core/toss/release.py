@@ -170,13 +170,48 @@ release (s), and the longest integration step (s).
 
 
 @kernel
+def _released_within(
+    switching: Switching, segment: ToolSegment, start: float, substep: tuple[float, float, float],
+    above: float, body: State
+) -> tuple[float, float, State]:
+    """
+    Return time (s) of release in a substep or -1, margin of the suction, and the package's state.
+
+    A segment of the tool starts at a time (s). The substep has its first, first allowed and last
+    part of the segment. `above` is the margin at its first part if positive.
+    """
+    model, grip, release, switched = switching
+    first, low, last = substep
+    bracket, released = (low, last, above, 0.0, 0.0), body  # without a root yet
+    s = low if above <= 0.0 and low < last else last
+    while True:
+        since = start + s * segment[0] - switched
+        tool, check = _held_substep(
+            model, release.law, start - switched, segment, body, first, s)
+        margin = suction_margin(model, grip, release.law, since, tool, check)
+        if bracket[4] != 0.0:
+            bracket = free_flight.narrowed(bracket, s, margin)
+        elif margin <= 0.0 and s >= low:
+            bracket = low, s, bracket[2], margin, -1.0
+        elif s < last:
+            bracket, s = (low, last, margin, 0.0, 0.0), last
+            continue
+        else:
+            return -1.0, margin, check
+        released = check if margin <= 0.0 else released
+        if (bracket[1] - bracket[0]) * segment[0] <= free_flight.INSTANT_TOLERANCE:
+            return start + bracket[1] * segment[0], margin, released
+        s = free_flight.secant_root(bracket, 0.5 * free_flight.INSTANT_TOLERANCE / segment[0])
+
+
+@kernel
 def find_release(
     switching: Switching, start: float, tool: State, body: State, ahead: ToolContinuation
 ) -> tuple[float, State]:
     """Return time (s) and state of the package at release, or -1 and the state at the end."""
-    model, grip, release, switched = switching
-    law, (rows, seconds, until, max_step) = release.law, ahead
-    max_step = min(max_step, 1e-3) if law[5] > 0.0 else max_step  # s
+    _, _, release, switched = switching
+    rows, seconds, until, max_step = ahead
+    max_step = min(max_step, 1e-3) if release.law[5] > 0.0 else max_step  # s
     above = -1.0  # margin of the suction, not computed before the valve
     for k in range(len(seconds) + 1):
         if start >= until:
@@ -191,30 +226,13 @@ def find_release(
         part = min(1.0, (until - start) / duration)
         n = equilibrium.substeps_for(part * duration, max_step)
         for i in range(n):
-            before, last = part * i / n, part * (i + 1.0) / n
-            low = max(before, (switched - start) / duration)
-            bracket, released = (low, last, above, 0.0, 0.0), body  # without a root yet
-            s = low if above <= 0.0 and low < last else last
-            while True:
-                tool_s, check = _held_substep(
-                    model, law, start - switched, segment, body, before, s)
-                margin = suction_margin(
-                    model, grip, law, start + s * duration - switched, tool_s, check)
-                if bracket[4] != 0.0:
-                    bracket = free_flight.narrowed(bracket, s, margin)
-                elif margin <= 0.0 and s >= low:
-                    bracket = low, s, bracket[2], margin, -1.0
-                elif s < last:
-                    bracket, s = (low, last, margin, 0.0, 0.0), last
-                    continue
-                else:
-                    break
-                released = check if margin <= 0.0 else released
-                if (bracket[1] - bracket[0]) * duration <= free_flight.INSTANT_TOLERANCE:
-                    return start + bracket[1] * duration, released
-                s = free_flight.secant_root(
-                    bracket, 0.5 * free_flight.INSTANT_TOLERANCE / duration)
-            above, body = margin if low <= last else -1.0, check
+            first, last = part * i / n, part * (i + 1.0) / n
+            low = max(first, (switched - start) / duration)
+            time, above, body = _released_within(
+                switching, segment, start, (first, low, last), above, body)
+            if time >= 0.0:
+                return time, body
+            above = above if low <= last else -1.0
         tool, start = after, end
     return -1.0, body
 
