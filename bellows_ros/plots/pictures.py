@@ -61,9 +61,7 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
     ), 'time (s)')
 
 
-def spectra_figure(
-    spectra: Spectra, note: str, theme: str = 'light', one_step: residuals.Spectrum | None = None
-) -> Any:
+def spectra_figure(spectra: Spectra, note: str, theme: str = 'light') -> Any:
     """
     Draw the spectra of the package's motion in the tool frame, and of a prediction's error.
 
@@ -75,8 +73,6 @@ def spectra_figure(
         Name of the recording.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
-    one_step : Spectrum, optional
-        Spectrum of one-step prediction errors, as a third line.
 
     Returns
     -------
@@ -89,9 +85,6 @@ def spectra_figure(
     if spectra.error is not None:
         lines.append(style.Line(
             'predicted minus measured', 'error', 1.1, hertz, DISPLAY_FACTORS * spectra.error[1:]))
-    if one_step:
-        lines.append(style.Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
-                                DISPLAY_FACTORS * np.sqrt(one_step.density[1:])))
     return style.six_lines(
         'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
         [f'{unit}/√Hz' for unit in DISPLAY_UNITS], log=True)
@@ -303,33 +296,6 @@ def errors_figure(
                    DISPLAY_FACTORS * estimate.error)
         for (name, estimate), drawn in zip(estimates.items(), styles, strict=False)],
         'time (s)')
-
-
-def whiteness_figure(test: residuals.Whiteness, note: str, theme: str = 'light') -> Any:
-    """
-    Draw the autocorrelation of errors, and the band of white noise.
-
-    Parameters
-    ----------
-    test : Whiteness
-        Test of the residuals for whiteness.
-    note : str
-        Name of the errors.
-    theme : {'light', 'dark'}
-        Colours for a light or a dark background.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
-    lags = np.arange(1.0, test.lags + 1.0)
-    band = np.full((test.lags, 6), 1.96 / np.sqrt(test.samples))
-    return style.six_lines('Autocorrelation of the errors', note, theme, (
-        style.Line('95 % of white noise', 'quiet', 0.9, lags, band),
-        style.Line('', 'quiet', 0.9, lags, -band),
-        style.Line('autocorrelation', 'error', 1.2, lags, test.autocorrelation),
-    ), 'lag (samples)', ('1',) * 6)
 
 
 def two_digits(value: float) -> str:

@@ -236,13 +236,7 @@ def _figures(replayed: replay.Replay) -> Iterator[tuple[Any, str, dict[str, Any]
         yield pictures.margin_figure(replayed.margins, bag), 'margin', {}
     yield pictures.spectra_figure(
         plot.Spectra(validation.motion.frequency, np.sqrt(validation.motion.density),
-                     np.sqrt(validation.spectrum.density)),
-        bag, one_step=validation.one_step.spectrum if validation.one_step else None
-    ), 'spectra', {}
-    whiteness = validation.one_step.whiteness if validation.one_step else validation.whiteness
-    coloured = [AXES[i] for i, verdict in enumerate(whiteness.verdicts) if 'coloured' in verdict]
-    yield (pictures.whiteness_figure(whiteness, bag),
-           'coloured' if coloured else 'white', {'axes': coloured})
+                     np.sqrt(validation.spectrum.density)), bag), 'spectra', {}
 
 
 def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:

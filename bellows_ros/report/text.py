@@ -200,8 +200,6 @@ def print_replay(result: 'Replay', out: Writer, limit: float = MAX_NRMSE) -> Non
     validation = result.validation
     out.paragraph(
         validation.verdict(limit),
-        *([sentence('report', 'one_step', chi2=validation.one_step.chi2)]
-          if validation.one_step else []),
         sentence('report', 'compared', samples=validation.scores.samples),
         *([result.margin.sentence] if result.margin else []),
         *offset_sentence(result.bag, result.time_offset))
@@ -226,10 +224,9 @@ def _print_observed(observed: 'Observed', out: Writer) -> None:
 
 
 def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
-    """Return a row for each axis: errors, the part due to noise, and whiteness."""
+    """Return a row for each axis: errors, and the part due to noise."""
     validation, live = result.validation, result.live
-    white = validation.one_step.whiteness.verdicts if validation.one_step else ('-',) * 6
-    rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
+    rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE')]
     scores = validation.scores
     errors = [
         ('-',) * 6 if error is None else column((DISPLAY_FACTORS * error).tolist()) for error in (
@@ -237,6 +234,5 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     for i, name in enumerate(AXES):
         rows.append((
             f'{name:2} {DISPLAY_UNITS[i]}', *(error[i] for error in errors),
-            percent(validation.scores.nrmse[i], 1) + (' ' if validation.moves[i] else '*'),
-            white[i].removesuffix(' white')))
+            percent(validation.scores.nrmse[i], 1) + (' ' if validation.moves[i] else '*')))
     return rows

@@ -308,10 +308,7 @@ class Replay(CommandResult):
             'margin': self.margin,
             'time_offset': self.time_offset,
             'seed': DRAW_SEED,
-            'free_run': _coloured_json(validation.whiteness, validation.spectrum),
-            'one_step': validation.one_step and {
-                **_coloured_json(validation.one_step.whiteness, validation.one_step.spectrum),
-                'chi2': validation.one_step.chi2},
+            'spectrum_peak_hz': validation.spectrum.peak,
             'live': self.live,
             'observed': self.observed,
             'warnings': self.warnings,
@@ -492,17 +489,6 @@ def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
         'poses': live.poses_in, 'twists': live.twists_in, 'predictions': live.predictions,
         'twists estimated': live.twists_estimated,
         **{name: count for name, count in lost.items() if count}}
-
-
-def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum) -> dict[str, Any]:
-    """Return the whiteness and the spectrum of errors."""
-    return {
-        'lags': whiteness.lags,
-        'portmanteau': whiteness.statistic,
-        'p_value': whiteness.p_value,
-        'largest_autocorrelation': whiteness.largest,
-        'verdict': whiteness.verdicts,
-        'spectrum_peak_hz': spectrum.peak}
 
 
 # ------------------------------------------------------------------ measured poses of the package

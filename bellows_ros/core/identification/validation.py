@@ -13,10 +13,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.result import CHANCE
-from bellows_ros.core.identification.search import likeliest
-from bellows_ros.core.identification.segments import measured_segments, MIN_POSE_STD, Segment
+from bellows_ros.core.identification.segments import MIN_POSE_STD
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import (
@@ -27,12 +25,11 @@ from bellows_ros.core.model.simulation import (
     state_row,
     tool_rows,
 )
-from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import NOISE_SAMPLES, Recording
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.residuals import AXES, Spectrum, Whiteness
+from bellows_ros.core.signals.residuals import AXES, Spectrum
 from bellows_ros.core.signals.savgol import bridged, savgol, weights, with_filtered_noise
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
@@ -59,22 +56,6 @@ REST_S = 0.3
 
 DRAW_SEED = 0
 """Seed of the added noise, fixed for reproducible results."""
-
-MAX_INNOVATIONS = 3_000
-"""Largest number of samples whose innovations are tested, 27 kB of memory each."""
-
-
-class OneStep(NamedTuple):
-    """
-    Whitened differences of output error in the middle of a recording's longest part.
-
-    They are summarised by chi2, the mean square, 1 if model and noise explain the motion; by
-    whiteness; and by their spectrum, scaled to the noise of the package's poses, m and rad.
-    """
-
-    chi2: float
-    whiteness: Whiteness
-    spectrum: Spectrum
 
 
 class Run(NamedTuple):
@@ -155,11 +136,6 @@ class Validation(residuals.Comparison):
         return np.asarray(np.sqrt(variances + std**2))
 
     @cached_property
-    def whiteness(self) -> Whiteness:
-        """Whiteness of the errors of the free simulation."""
-        return residuals.portmanteau(self.error)
-
-    @cached_property
     def spectrum(self) -> Spectrum:
         """Spectrum of the errors, with lost samples interpolated."""
         return residuals.spectrum(residuals.interpolated(self.error), self._rate_hz)
@@ -173,31 +149,6 @@ class Validation(residuals.Comparison):
     def _rate_hz(self) -> float:
         """Mean rate of the measured poses."""
         return NS_PER_S / (float(np.ptp(self.stamps_ns)) / (len(self.stamps_ns) - 1))
-
-    @cached_property
-    def one_step(self) -> OneStep | None:
-        """The innovations of each measured pose; None without noise, or without a long segment."""
-        if np.any(np.array(self.recording.measured_noise) < MIN_POSE_STD[0]):
-            return None
-        try:
-            parts = measured_segments(self.recording)
-        except BellowsError:
-            return None
-        longest = max(parts, key=lambda part: len(part.package))
-        stamps = longest.package.stamps_ns
-        edge = max(len(stamps) - MAX_INNOVATIONS, 0) // 2
-        middle = stamps[[edge, len(stamps) - 1 - edge]]
-        segment = Segment.of(replace(longest, tool=longest.tool.between(*middle),
-                                     package=longest.package.between(*middle)))
-        problem = Problem.of([segment], STRUCTURES['full'], self.cup, {})
-        course = segment.first
-        for _ in range(2):  # the tool's path approaches the likeliest
-            part = problem.whitened(problem.start, segment, course)
-            (course,) = likeliest([segment], [course], [part])
-        white = part.innovations.reshape(-1, 6)
-        scaled = white * course.std
-        return OneStep(float(np.mean(white**2)), residuals.portmanteau(white),
-                       residuals.spectrum(scaled, 1.0 / segment.period))
 
     @property
     def moves(self) -> Mask:

@@ -1,5 +1,5 @@
 """
-Errors of a prediction against a measurement: per axis, their spectra and whiteness.
+Errors of a prediction against a measurement: per axis, and their spectra.
 
 With missing samples (NaN), powers and correlations are computed from the available samples.
 Missing samples of motions are interpolated, because zeros would add power at all frequencies.
@@ -15,7 +15,6 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-import scipy  # whose parts are loaded as they are used
 
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 """The tool-relative coordinates: position of B (m), then its rotation vector (rad), in E axes."""
@@ -278,77 +277,3 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
         )[::length - length // 2] for channel in values.T)])
     density[[0] if length % 2 else [0, -1]] *= 0.5  # one-sided
     return Spectrum(np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64), density)
-
-
-@dataclass(frozen=True, eq=False)
-class Whiteness:
-    """
-    The portmanteau test of Ljung and Box on C channels.
-
-    Parameters
-    ----------
-    samples : int
-        Samples of each channel.
-    autocorrelation : ndarray (L, C)
-        Autocorrelation at lags 1 to L.
-    statistic : ndarray (C,)
-        Q = n (n + 2) sum of r_k^2 / n_k over the lags k, with n_k pairs of samples k apart; chi^2
-        with L degrees of freedom for a white channel. NaN for a constant channel.
-    p_value : ndarray (C,)
-        Probability of at least this Q for a white channel.
-
-    """
-
-    samples: int
-    autocorrelation: Array
-    statistic: Array
-    p_value: Array
-
-    @property
-    def lags(self) -> int:
-        """Number of lags."""
-        return len(self.autocorrelation)
-
-    @property
-    def verdicts(self) -> tuple[str, ...]:
-        """Verdict of each channel: 'white', 'nearly white' or 'coloured'."""
-        small = self.largest < 0.1
-        return tuple(
-            'white' if not p < 0.01 else 'nearly white' if little else 'coloured'
-            for p, little in zip(self.p_value.tolist(), small.tolist(), strict=True))
-
-    @property
-    def largest(self) -> Array:
-        """Largest absolute autocorrelation over the lags (C,), independent of the sample size."""
-        return np.asarray(np.abs(self.autocorrelation).max(axis=0))
-
-
-def portmanteau(residuals: Array, lags: int = 20) -> Whiteness:
-    """
-    Test whether residuals are white.
-
-    Parameters
-    ----------
-    residuals : ndarray (N, C)
-        Residuals at a uniform rate with zero mean; NaN for a missing sample.
-    lags : int
-        Number of lags.
-
-    Raises
-    ------
-    BellowsError
-        If there are too few samples for the lags.
-
-    """
-    present = np.asarray(np.isfinite(residuals).all(axis=1))
-    count = int(np.count_nonzero(present))
-    pairs = np.array([np.count_nonzero(present[k:] & present[:-k]) for k in range(1, lags + 1)])
-    if count <= lags or len(residuals) <= lags or pairs.min() == 0:
-        raise BellowsError(
-            f'{count} residuals are too few to test whether they are white over {lags} lags.')
-    e = np.where(present[:, None], residuals, 0.0)
-    power = np.sum(e**2, axis=0)
-    products = np.array([np.einsum('nc,nc->c', e[k:], e[:-k]) for k in range(1, lags + 1)])
-    r = products / np.where(power > 0.0, power, np.nan)
-    Q = count * (count + 2) * np.sum(r**2 / pairs[:, None], axis=0)
-    return Whiteness(count, r, Q, scipy.special.chdtrc(lags, Q))

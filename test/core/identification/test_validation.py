@@ -58,7 +58,6 @@ def test_the_true_cup_explains_a_noise_free_recording():
     found = validate(CUP, recording(noise=0.0))
     assert found.runs[0].start == 'equilibrium'
     assert np.all(found.scores.nrmse < 1e-4)
-    assert found.one_step is None
     assert found.warnings == ()
 
 
@@ -94,23 +93,12 @@ def test_a_slow_camera_is_simulated_at_the_rate_of_the_tool(uneven):
     assert np.all(np.isfinite(found.spectrum.density))
 
 
-def test_one_step_errors_of_the_true_cup_are_white(judged):
-    """Meet the expected covariance: chi^2 of one, as well as the noise is estimated from 8 s."""
-    # medians of 3 * 1900 residuals of windows that overlap: 1.5 % of sigma, so 3 % of chi^2
-    assert_allclose(judged.one_step.chi2, 1.0, atol=3 * 0.03)
-    # of 1900 samples a correlation is known to 0.023; 120 of them are looked at
-    assert np.all(judged.one_step.whiteness.largest < 0.1)
-
-
 def test_a_wrong_cup_is_rejected(judged):
-    """See a cup that is too soft in bending, where it bends and in the colour of its errors."""
+    """See a cup that is too soft in bending, where it bends."""
     soft = np.diag([1.0, 1, 1, 0.8, 0.8, 1])
     found = validate(Cup(CUP.stiffness @ soft, CUP.damping, CUP.length), recording())
     assert {'rx', 'ry'} <= set(found.failing())
     assert np.all(found.model_error[3:5] > 5 * judged.model_error[3:5] + 0.05)
-    assert found.one_step.chi2 > 1.1
-    assert 'coloured' in found.one_step.whiteness.verdicts[3:5]
-    assert np.all(found.one_step.whiteness.largest[3:5] > judged.one_step.whiteness.largest[3:5])
 
 
 def test_a_recording_that_begins_in_motion_starts_as_measured():

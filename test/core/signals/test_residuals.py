@@ -1,4 +1,4 @@
-"""Scores, portmanteau test and spectra against definitions, and noise of known colour."""
+"""Scores and spectra against definitions."""
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.signals import residuals
@@ -8,50 +8,6 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 from scipy.signal import welch
-from scipy.stats import gamma, kstest
-
-
-def test_statistic_is_that_of_ljung_and_box():
-    """Meet Q = n (n + 2) sum of r_k^2 / (n - k), written out, and its tail as a gamma's."""
-    e = np.random.default_rng(1).normal(size=(200, 2))
-    found = residuals.portmanteau(e, 7)
-    for channel in range(2):
-        x, total = e[:, channel], 0.0
-        for k in range(1, 8):
-            r = sum(x[t] * x[t - k] for t in range(k, 200)) / sum(x**2)
-            assert_allclose(found.autocorrelation[k - 1, channel], r, rtol=1e-12)
-            total += r**2 / (200 - k)
-        assert_allclose(found.statistic[channel], 200 * 202 * total, rtol=1e-12)
-        # chi^2 with 7 degrees of freedom is a gamma distribution with shape 3.5 and scale 2
-        assert_allclose(
-            found.p_value[channel], gamma.sf(found.statistic[channel], 3.5, scale=2), rtol=1e-9)
-
-
-@pytest.mark.parametrize('missing', [0.0, 0.3])
-def test_white_noise_has_uniform_probabilities(missing):
-    """Find any probability as often as any other, with samples missing or not."""
-    rng = np.random.default_rng(2)
-    e = rng.normal(size=(400, 600))
-    e[rng.random(400) < missing] = np.nan
-    p = residuals.portmanteau(e, 10).p_value
-    assert kstest(p, 'uniform').pvalue > 0.01
-
-
-def test_coloured_noise_is_found_and_small_but_certain_colour_is_nearly_white():
-    """Weigh how coloured a channel is, not only how sure that is."""
-    e = np.random.default_rng(4).normal(size=(100_000, 3))
-    e[1:] += [0.02, 0.3, 0.0] * e[:-1]
-    found = residuals.portmanteau(e)
-    assert found.p_value[0] < 1e-3
-    assert found.verdicts == ('nearly white', 'coloured', 'white')
-    # three standard errors of one white channel
-    assert_allclose(found.autocorrelation[0, 1:], [0.3 / 1.09, 0.0], atol=0.01)
-
-
-def test_too_few_residuals_are_refused():
-    """Ask for more samples than lags."""
-    with pytest.raises(BellowsError):
-        residuals.portmanteau(np.zeros((20, 6)))
 
 
 def test_spectrum_integrates_to_the_mean_square():
