@@ -4,18 +4,19 @@ from collections.abc import Iterator, Mapping
 import math
 from typing import Any
 
-from bellows_ros.core.identification import weighing
 from bellows_ros.core.model.cup_package import gravity_vector
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.preparation import filtered_tool
 from bellows_ros.core.recording.recording import PrepareSettings
-from bellows_ros.core.sensors.wrench import inertial_numbers, Readings
+from bellows_ros.core.sensors import weighing
+from bellows_ros.core.sensors.weighing import Wrenches
+from bellows_ros.core.sensors.wrench import inertial_numbers, sizes_of
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.trajectory import Filtered
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, File
-from bellows_ros.workflows.recordings import Progress, readings_of
+from bellows_ros.workflows.recordings import Progress
 import numpy as np
 
 MIN_SIGMAS = 3.0
@@ -52,7 +53,7 @@ def gripper_sentence(values: Values) -> Iterator[str]:
                f'± {1e3 * std[1] * math.hypot(*com):.2g} mm.')
 
 
-def tool_and_readings(bag: File, values: Values) -> tuple[Filtered, Readings]:
+def tool_and_readings(bag: File, values: Values) -> tuple[Filtered, Wrenches]:
     """Return the filtered tool and the wrenches of a recording, which needs no package."""
     topics = {role: values[f'topics.{role}'] for role in ('tool_pose', 'tool_wrench')}
     if not topics['tool_wrench']:
@@ -60,14 +61,14 @@ def tool_and_readings(bag: File, values: Values) -> tuple[Filtered, Readings]:
     return prepared_tool(bags.read_streams(bag, topics), values)
 
 
-def prepared_tool(streams: Mapping[str, Any], values: Values) -> tuple[Filtered, Readings]:
+def prepared_tool(streams: Mapping[str, Any], values: Values) -> tuple[Filtered, Wrenches]:
     """Return the filtered tool and the wrenches of streams by their roles."""
     settings = PrepareSettings(
         world=values.recording.world, gravity_direction=values['gravity.direction'],
         tool_half_window=values.filter.tool.half_window, tool_order=values.filter.tool.order)
     pose = trajectory.at_tip(streams['tool_pose'], conversion.tip_of(values))
     tool = filtered_tool(pose, settings)
-    return tool, readings_of(
+    return tool, Wrenches.of(
         streams['tool_wrench'], tool, pose.frame_id, settings.R_world_recorded, values)
 
 
@@ -93,4 +94,4 @@ def gripper_of(information: Any, slope: Any) -> dict[str, Any]:
     worst = np.array([std[0], std[1:4].max(), std[4:].max()])
     return {'gripper.mass': float(phi[0]), 'gripper.com': tuple(com.tolist()),
             'gripper.inertia': tuple(about_com.tolist()),
-            'gripper.std': tuple((worst / np.maximum(weighing.sizes_of(phi), 1e-9)).tolist())}
+            'gripper.std': tuple((worst / np.maximum(sizes_of(phi), 1e-9)).tolist())}

@@ -20,6 +20,7 @@ from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOf
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
+from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
@@ -54,7 +55,8 @@ FREE_PARAMETERS = {
 """Parameter and unit of each estimated quantity of cup and package."""
 
 CELL_PREFIXES = ('package.', 'recording.', 'topics.', 'tool_pose.', 'tool_twist.', 'gravity.',
-                 'measured.', 'filter.', 'vacuum.', 'wrench.', 'gripper.')
+                 'measured.', 'filter.', 'vacuum.',
+                 *(prefix for sensor in SENSORS.values() for prefix in sensor.parameters))
 """Prefixes of the parameters of a cell and its package."""
 
 

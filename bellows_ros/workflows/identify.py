@@ -27,6 +27,7 @@ from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import FIT
 from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bag_folder
@@ -166,8 +167,9 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     yield ({*free} - {'length', 'package_marker', 'clock_rate', 'scale'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')
-    yield (values.topics.tool_wrench and values.fit.method == 'least_squares',
-           "topics.tool_wrench needs fit.method: output_error. Set it, or topics.tool_wrench: ''.")
+    for topic in (f'topics.{role}' for role in SENSORS):
+        yield (values[topic] and values.fit.method == 'least_squares',
+               f"{topic} needs fit.method: output_error. Set it, or {topic}: ''.")
     yield ('length' in free and values.static.length,
            f'{names}static.length estimates the length from standstills. Use one of the two.')
     bags, validation = values.bags, values.validation.bags

@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.pressed import pressed_cup, PressedCup
-from bellows_ros.core.identification.quantities import gripper_std
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.standstills import rests_of
+from bellows_ros.core.sensors.wrench import WrenchSensor
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files
@@ -55,9 +55,8 @@ def pressed_check(
     tool = Trajectory(np.arange(sum(map(len, tools))), *(
         np.concatenate([getattr(each, name) for each in tools])
         for name in ('position', 'rotation')))
-    sensor = conversion.wrench_sensor_of(values)
     return PressedResult(pressed_cup(
-        tool, np.concatenate(wrenches), sensor, gripper_std(values, sensor),
+        tool, np.concatenate(wrenches), WrenchSensor.of(values),
         conversion.given_structure(values), np.reshape(values.cup.stiffness, (6, 6)),
         values.cup.length, values.gravity.magnitude), values.cup.length, tuple(bags))
 

@@ -6,7 +6,7 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.geometry.lie import (
     apply,
     exp_so3,
@@ -23,11 +23,11 @@ from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
-from bellows_ros.core.sensors.wrench import Readings
+from bellows_ros.core.sensors.readings import Readings
+from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, shown, UnexplainedError
 from bellows_ros.files import bag_folder, detections, File, parameter_files
 from bellows_ros.report.sentences import sentence
@@ -79,8 +79,8 @@ def load(
     with_digest : bool
         Whether the digests of its files are computed.
     held : bool
-        Whether it is for a fit: only the holds are used, if vacuum.signal is set, and wrenches are
-        read.
+        Whether it is for a fit: only the holds are used, if vacuum.signal is set, and further
+        sensors are read.
     accepted : str
         Code of a fault that is accepted.
 
@@ -91,7 +91,7 @@ def load(
 
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
-    roles = ('tool_pose', 'package_pose', 'tool_twist', *('tool_wrench',) * held)
+    roles = ('tool_pose', 'package_pose', 'tool_twist', *(SENSORS if held else ()))
     topics = {role: values[f'topics.{role}'] for role in roles}
     if values.measured.type == 'tf':
         topics['package_pose'] = detections.TF_TOPIC
@@ -193,7 +193,7 @@ def prepare_streams(
     topics.
     """
     recording = _prepared(streams, settings, values, name, accepted)
-    recording = replace(recording, felt=_felt(recording, streams.get('tool_wrench'), values))
+    recording = replace(recording, further=_further(recording, streams, values))
     return _with_sentences(recording, recording.report.remarks)
 
 
@@ -219,34 +219,17 @@ def _with_sentences(recording: Recording, remarks: Iterable[Remark]) -> Recordin
         *recording.report.warnings, *remark_sentences(remarks))))
 
 
-def _felt(
-    recording: Recording, wrenches: trajectory.TwistStream | None, values: Values
-) -> Readings | None:
-    """Return recorded wrenches in the axes of the sensor, on the corrected clock of the tool."""
-    if wrenches is None:
-        return None
+def _further(
+    recording: Recording, streams: Mapping[str, Any], values: Values
+) -> tuple[Readings, ...]:
+    """Return the measurements of further sensors, on the corrected clock of the tool."""
     offset = recording.report.time_offset
-    wrenches = trajectory.earlier(wrenches, offset.value if offset else 0.0)
-    return readings_of(wrenches, recording.aligned_tool, recording.tool_pose.frame_id,
-                       recording.settings.R_world_recorded, values)
-
-
-def readings_of(
-    wrenches: trajectory.TwistStream, tool: Trajectory, world: str, R_world_recorded: Array,
-    values: Values,
-) -> Readings:
-    """
-    Return recorded wrenches during the motion of a tool, in the axes of the sensor.
-
-    Those with the frame of the tool's poses, the world, are in recorded axes.
-    """
-    sensor, stamps = conversion.wrench_sensor_of(values), wrenches.stamps_ns
-    used = (stamps >= tool.stamps_ns[0]) & (stamps <= tool.stamps_ns[-1])
-    pairs = np.stack([wrenches.linear, wrenches.angular])[:, used]
-    if wrenches.frame_id == world:
-        R = resample(tool, stamps[used]).rotation @ np.reshape(sensor.mount[1], (3, 3))
-        pairs = apply(np.swapaxes(R, 1, 2) @ R_world_recorded, pairs)
-    return Readings(sensor, stamps[used], np.hstack([*pairs]))
+    return tuple(
+        sensor.of(
+            trajectory.earlier(streams[role], offset.value if offset else 0.0),
+            recording.aligned_tool, recording.tool_pose.frame_id,
+            recording.settings.R_world_recorded, values)
+        for role, sensor in SENSORS.items() if role in streams)
 
 
 def remark_sentences(remarks: Iterable[Remark], name: File = '') -> tuple[str, ...]:

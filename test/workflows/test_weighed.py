@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.sensors.weighing import Wrenches
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, messages
@@ -11,7 +12,7 @@ from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.pressed import pressed_check, save_stiffness
-from bellows_ros.workflows.recordings import load, readings_of
+from bellows_ros.workflows.recordings import load
 import numpy as np
 import pytest
 
@@ -62,8 +63,8 @@ def test_wrenches_in_axes_of_the_world_are_turned(cell):
     turned = replace(
         stream, frame_id='world', stamps_ns=stream.stamps_ns[inside],
         **{name: lie.apply(R, getattr(stream, name)[inside]) for name in ('linear', 'angular')})
-    found = readings_of(turned, tool, 'world', np.eye(3), values)
-    np.testing.assert_allclose(found.values, recording.felt.values, atol=1e-6)
+    found = Wrenches.of(turned, tool, 'world', np.eye(3), values)
+    np.testing.assert_allclose(found.values, recording.further[0].values, atol=1e-6)
 
 
 def test_a_topic_of_another_type_is_named(cell):

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.identification.problem import BLOCK_DURATION, Problem, WhitenedSegment
+from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
 from bellows_ros.core.identification.result import CHANCE, DISTINCT, Finding, MATERIAL
 from bellows_ros.core.identification.search import (
@@ -36,6 +36,7 @@ from bellows_ros.core.identification.segments import (
     outline_of,
     Segments,
 )
+from bellows_ros.core.identification.whitening import BLOCK_DURATION, WhitenedSegment
 from bellows_ros.core.model.cup_package import Cup, gravity_vector, Package
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.sensors.body import of_fixed_frame

@@ -10,7 +10,7 @@ from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.diagnosis import MARKERS
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.pool import Held, here
-from bellows_ros.core.identification.quantities import felt_std, given_std, weak_prior
+from bellows_ros.core.identification.quantities import given_std, weak_prior
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
 from bellows_ros.core.identification.samples import (
     AnyRecording,
@@ -166,8 +166,7 @@ def fitted(
         {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,
         'off' if structure.places else values.fit.stretch,
-        MARKERS if values.recording.marker == 'shared' else (), standstills,
-        felt_std(values, given_std(values)))
+        MARKERS if values.recording.marker == 'shared' else (), standstills)
 
 
 def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:

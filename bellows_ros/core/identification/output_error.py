@@ -13,7 +13,7 @@ from dataclasses import replace
 from itertools import groupby
 import math
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.geometry.lie import exp_so3
@@ -34,6 +34,8 @@ from bellows_ros.core.identification.quantities import (
     Free,
     KINDS,
     NOTHING,
+    PACKAGE_STD,
+    stated,
     STRETCH_UNITS,
     weak_prior,
 )
@@ -72,6 +74,7 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import has_coupling, require_stretch, Structure
 from bellows_ros.core.recording.recording import BodyNoise, Recording
 from bellows_ros.core.recording.standstills import Standstill
+from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
@@ -117,12 +120,8 @@ axes, and the robust value of the worst axis.
 HELD_OUT = 5
 """Number of seconds of a recording per held-out second."""
 
-MAX_FELT_SIGMAS = 5.0
-"""Largest deviation of a quantity of a force-torque sensor, standard deviations."""
-
-FELT_NAMES = {'wrench_gain': 'wrench.gain_std', 'gripper': 'gripper.std',
-              'wrench_bias': 'wrench.bias_std', 'wrench_delay': 'wrench.delay'}
-"""Parameters by quantities of a force-torque sensor."""
+MAX_FURTHER_SIGMAS = 5.0
+"""Largest deviation of a quantity of a further sensor, standard deviations."""
 
 MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
@@ -142,7 +141,6 @@ def output_error(
     stretch: str = 'off',
     common: tuple[str, ...] = (),
     standstills: Sequence[Standstill] = (),
-    felt: Free = NOTHING,
 ) -> Fit:
     """
     Fit K and P so that the model, driven by the measured tool, reproduces the package's poses.
@@ -177,9 +175,6 @@ def output_error(
         Names of quantities that all recordings share instead of having their own.
     standstills : sequence of Standstill
         Standstills of the cup, whose balance is part of the fit.
-    felt : mapping, optional
-        Standard deviations of the quantities of a force-torque sensor, and of the mass, with which
-        they are free in the last search.
 
     Raises
     ------
@@ -196,14 +191,8 @@ def output_error(
 
     held = measured if isinstance(measured, Held) else here([
         segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
-    problem = Problem.of(held, structure, start, free, common=common,
-                         standstills=tuple(standstills))
-    if not any(outline.is_felt for outline in problem.outlines):
-        felt = NOTHING
-    given = {**given, **{name: std for name, std in felt.items() if name == 'mass'}}
-    if any(outline.is_tag for outline in problem.outlines) and 'com' in given:
-        problem = replace(problem, free={'com': given['com'], **free})  # as a tag's marker is free
-    given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
+    problem, given, further = _with_priors(Problem.of(
+        held, structure, start, free, common=common, standstills=tuple(standstills)), given)
     near = approach(problem, record, with_couplings=problem.is_slow)
     if min(near.squares / near.residual_count, near.worst_chi2) > LEAST_OF_SETTING and (
             setting := likeliest_setting(near, other_start or start)):
@@ -214,10 +203,29 @@ def output_error(
     if not (end.is_plausible and end.robust_chi2 < MISFIT_CHI2):  # given quantities hide the cause
         tested = found if first.problem is problem else minimise(problem)
     reasons = () if is_explained(tested, given) else rank(tested, given)
-    if felt and end.is_plausible:
-        end, given = _weighed(end, felt, record), {**given, **felt}
-        named = *named, *{'mass'}.difference(named)
+    if further and end.is_plausible:
+        end, given = _with_further(end, further, record), {**given, **further}
+        named = *named, *(
+            name for name in further if name in PACKAGE_STD and name not in named)
     return _fit(end, iterations, named, given, reasons)
+
+
+def _with_priors(problem: Problem, given: Free) -> tuple[Problem, Free, Free]:
+    """
+    Return a problem with the quantities that are free from the start.
+
+    Further results are the standard deviations of given quantities, and of those that are free
+    with further sensors.
+    """
+    further = {
+        name: given[name] if name in stated(given) else std
+        for outline in problem.outlines for name, std in outline.further.items()}
+    given = {**given, **{name: std for name, std in further.items() if name in PACKAGE_STD}}
+    if any(outline.is_tag for outline in problem.outlines) and 'com' in given:
+        problem = replace(problem, free={  # as a tag's marker is free
+            'com': given['com'], **problem.free})
+    return problem, {name: std for name, std in given.items()
+                     if problem.is_slow or name != 'exposure'}, further
 
 
 def _plausible_root(
@@ -354,26 +362,26 @@ def with_given(found: Solution, given: Free, report: Report = no_report) -> Solu
     return end if end.converged else replace(near, converged=True)
 
 
-def _weighed(found: Solution, felt: Free, report: Report) -> Solution:
+def _with_further(found: Solution, further: Free, report: Report) -> Solution:
     """
-    Return the minimum with wrenches, near the minimum without.
+    Return the minimum with further sensors, near the minimum without.
 
     Raises
     ------
     UnexplainedError
-        If there is none within the deviations of the sensor's quantities.
+        If there is none within the deviations of the sensors' quantities.
 
     """
-    end = settled(found.freed(felt), report)
-    problem = end.problem
-    names = [name for name in felt if name != 'mass']
-    sizes = np.abs(end.theta) * np.sqrt(problem.weights)
-    off = {name: float(np.max(sizes[problem.places[name]])) for name in names}
-    worst = max(names, key=off.__getitem__)
-    if not end.converged or off[worst] > MAX_FELT_SIGMAS:
-        raise UnexplainedError(NOTES['contradicting_wrenches'].format(what=(
-            f'{FELT_NAMES[worst]} is off by {off[worst]:.0f} standard deviations' if end.converged
-            else 'the search finds no cup that fits both')))
+    end = settled(found.freed(further), report)
+    sizes, places = np.abs(end.theta) * np.sqrt(end.problem.weights), end.problem.places
+    off = {name: float(np.max(sizes[places[name]])) for name in further if KINDS[name].parameter}
+    worst = max(off, key=off.__getitem__)
+    if not end.converged or off[worst] > MAX_FURTHER_SIGMAS:
+        role, sensor = next(row for row in SENSORS.items() if worst in row[1].quantities)
+        raise UnexplainedError(NOTES['contradicting_sensor'].format(
+            role=role, remedy=sensor.remedy, what=(
+                f'{KINDS[worst].parameter} is off by {off[worst]:.0f} standard deviations'
+                if end.converged else 'the search finds no cup that fits both')))
     return end
 
 
@@ -388,14 +396,6 @@ def _of_given(found: Solution, given: Free) -> Array:
     moved = H.carried @ C
     return np.asarray(C.T @ (weights[:len(C), None] * C) + np.einsum(
         'ros,ro,rot->st', moved, weights[problem.own], moved))
-
-
-def _strengths(found: Solution, covariance: Array) -> tuple[Array, Array]:
-    """Return the strengths of relaxation (2,) with their covariance, zeros without relaxation."""
-    if 'relaxation' not in found.problem.places:
-        return np.zeros(2), np.zeros((2, 2))
-    (place,) = found.problem.places['relaxation']
-    return found.problem.strengths(found.theta), covariance[np.ix_(place, place)]
 
 
 def covariance_of(
@@ -481,19 +481,11 @@ def _fit(
     reasons: tuple[Finding, ...],
 ) -> Fit:
     """Return the result of a solution, with the covariance of identifiable parameters."""
-    problem, size = found.problem, found.problem.count
-    x, places = problem.units * found.theta, problem.places
+    problem, size, x = found.problem, found.problem.count, found.problem.units * found.theta
     covariance, from_given, std, identifiable, notes = _identifiable(found, given, named)
     own_std = np.where(identifiable, std, np.inf)
-    strengths, of_strengths = _strengths(found, covariance)
-    notes += _notes_on_ratio(strengths, of_strengths)
-    results = [name for name in places if name in named and not KINDS[name].each]
-    nuisances = {name: place for name, place in places.items()
-                 if name not in ('relaxation', 'stretch', *results)}
-    total_std = np.sqrt(own_std**2 + np.pad(np.diag(from_given), (0, problem.own.size)))
     used, information = found.residual_count // 6, found.information.shared[:size, :size]
-    offsets = np.ravel(places['time_offset']) if 'time_offset' in named else slice(0)
-    return Fit(
+    fit = Fit(
         method='output_error',
         structure=problem.structure.name,
         parameters=x[:size],
@@ -505,36 +497,60 @@ def _fit(
         condition_number=inverted(information, np.sqrt(np.diag(information)))[2],
         weight=np.diag(found.pose_std[0][0] ** -2),
         residual_rms=np.sqrt(found.mean_square),
-        notes=tuple(notes) if found.converged else (NOTES['not_converged'],),
+        notes=tuple(notes),
         misfit=NOTES['too_large_chi2'].format(chi2=found.robust_chi2) if (
             found.robust_chi2 > MAX_NOISE_CHI2) else '',
         chi2=found.squares / max(found.residual_count - len(x), 1),
         robust_chi2=found.robust_chi2 * max(found.learned, 1.0),
         converged=found.converged,
         iterations=tuple(iterations),
-        delays=tuple(x[offsets].tolist()),
-        delays_std=tuple(own_std[offsets].tolist()),
-        freed=tuple(
-            Freed(name, *(tuple(each[places[name][0]].tolist()) for each in (x, total_std)))
-            for name in results),
         causes=reasons,
-        nuisances={name: x[place] for name, place in nuisances.items()},
         standstills=(len(problem.standstills), problem.local.at_rest(
             found.theta[problem.index(0)])[2]) if problem.standstills else None,
-        nuisances_std={name: total_std[place] for name, place in nuisances.items()},
-        relaxation=_pair(strengths),
-        relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
         noise_in_motion=found.noise_in_motion,
         stretch=problem.stretch(found.theta),
-        stretch_std=_pair(own_std[places['stretch'][0]] * STRETCH_UNITS) if (
-            'stretch' in places) else (0.0, 0.0))
+        **_of_quantities(problem, x, own_std, np.pad(
+            np.diag(from_given), (0, problem.own.size)), named))
+    if 'relaxation' in problem.places:
+        fit = _relaxed(fit, found, covariance)
+    return fit if found.converged else replace(fit, notes=(NOTES['not_converged'],))
 
 
-def _notes_on_ratio(strengths: Array, covariance: Array) -> list[str]:
-    """Return a note if the prior determines the ratio of the strengths of relaxation."""
+def _of_quantities(
+    problem: Problem, x: Array, std: Array, from_given: Array, named: Sequence[str]
+) -> dict[str, Any]:
+    """
+    Return the fields of a fit on quantities beside K and P.
+
+    By their values (m,), standard errors (m,) by the recordings alone, and additional variances
+    (m,) by given quantities.
+    """
+    places, total_std = problem.places, np.sqrt(std**2 + from_given)
+    results = [name for name in places if name in named and not KINDS[name].each]
+    nuisances = {name: place for name, place in places.items()
+                 if name not in ('relaxation', 'stretch', *results)}
+    offsets = np.ravel(places['time_offset']) if 'time_offset' in named else slice(0)
+    return {
+        'delays': tuple(x[offsets].tolist()),
+        'delays_std': tuple(std[offsets].tolist()),
+        'freed': tuple(
+            Freed(name, *(tuple(each[places[name][0]].tolist()) for each in (x, total_std)))
+            for name in results),
+        'nuisances': {name: x[place] for name, place in nuisances.items()},
+        'nuisances_std': {name: total_std[place] for name, place in nuisances.items()},
+        'stretch_std': _pair(std[places['stretch'][0]] * STRETCH_UNITS) if (
+            'stretch' in places) else (0.0, 0.0)}
+
+
+def _relaxed(fit: Fit, found: Solution, covariance: Array) -> Fit:
+    """Return a fit with the strengths of relaxation, and a note if a prior gives their ratio."""
+    (place,) = found.problem.places['relaxation']
+    strengths, of_strengths = found.problem.strengths(found.theta), covariance[place][:, place]
     ratio = np.array([-DEFAULT_RATIO, 1.0])
-    is_assumed = np.sqrt(ratio @ covariance @ ratio) > 0.7 * RATIO_STD * strengths[0]
-    return [NOTES['r2_assumed']] if is_assumed else []
+    is_assumed = np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * strengths[0]
+    return replace(
+        fit, relaxation=_pair(strengths), relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
+        notes=(*fit.notes, *[NOTES['r2_assumed']] * bool(is_assumed)))
 
 
 def _pair(values: Array) -> tuple[float, float]:

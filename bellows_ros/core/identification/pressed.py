@@ -47,8 +47,8 @@ class PressedCup(NamedTuple):
 
 
 def pressed_cup(
-    tool: Trajectory, wrenches: Array, sensor: WrenchSensor, gripper_std: Array,
-    structure: Structure, usual: Array, length: float, gravity: float,
+    tool: Trajectory, wrenches: Array, sensor: WrenchSensor, structure: Structure,
+    usual: Array, length: float, gravity: float,
 ) -> PressedCup:
     """
     Return K from standstills of a tool above a fixed lip.
@@ -59,8 +59,8 @@ def pressed_cup(
         N poses at rest.
     wrenches : ndarray (N, 6)
         Mean wrenches in axes of the sensor, N and N m.
-    sensor, gripper_std : WrenchSensor, ndarray (10,)
-        The sensor with its gripper, and the standard deviations of its inertial numbers.
+    sensor : WrenchSensor
+        The sensor with its gripper.
     structure, usual, length : Structure, ndarray (6, 6), float
         Structure of K, a usual K, and the length of the cup, m.
     gravity : float
@@ -91,7 +91,7 @@ def pressed_cup(
     first = T_E[least] @ lie.transform(np.eye(3), np.array([0.0, 0.0, -length]))
     T_E_F = lie.transform(np.reshape(sensor.mount[1], (3, 3)), np.array(sensor.mount[0]))
     prior = np.concatenate([np.full(size, SPRING_STD), LIP_STD, np.repeat(sensor.bias_std, 3),
-                            np.full(6, sensor.gain_std), np.maximum(gripper_std, 1e-9)])
+                            np.full(6, sensor.gain_std), np.maximum(sensor.gripper_std, 1e-9)])
     start = np.zeros(len(prior))
     start[:size] = structure.parameters(usual, usual)[:size] / units
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
-from bellows_ros.core.identification import quantities, weighing, whitening
+from bellows_ros.core.geometry.arrays import Array, Places, Stamps
+from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.identification.information import Arrow, symmetric_roots
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import Free, KINDS
@@ -34,6 +34,7 @@ from bellows_ros.core.identification.segments import (
     segments_of,
 )
 from bellows_ros.core.identification.statics import balance
+from bellows_ros.core.identification.whitening import sums_of_blocks, WhitenedSegment
 from bellows_ros.core.model import pseudo_inertia, simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
@@ -41,18 +42,15 @@ from bellows_ros.core.model.jacobians import BY_DAMPING, PARAMETER_COLUMNS
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.standstills import Standstill
-from bellows_ros.core.sensors import body, wrench
+from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import Seen
+from bellows_ros.core.sensors.readings import Readings, Simulated
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import first_order
-from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
-
-BLOCK_DURATION = 1.0
-"""Length of the parts of a recording whose information is stored, s: some periods of a swing."""
 
 INITIAL_STD = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
 """
@@ -106,56 +104,11 @@ APPROACH_LOG_STD = 0.3
 LOSS_FACTOR = 0.25
 """Loss factor of ordinary rubber, the prior of the damping; an undamped cup would fit noise."""
 
-LOAD_STEP = 1e-4, 1e-2
-"""Steps of unknowns of the cup, and of others, for derivatives of the load on a sensor."""
+DIFFERENCE_STEP = 1e-4, 1e-2
+"""Steps of unknowns of the cup, and of others, for derivatives of a further sensor."""
 
 MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
-
-WHITE_SIGMAS = 4.0
-"""Largest correlation of white innovations, standard deviations; false-alarm rate 1 in 900."""
-
-MAX_WHITE_CORRELATION = 0.1
-"""Largest correlation of innovations that count as white."""
-
-
-class WhitenedSegment(NamedTuple):
-    """
-    The whitened differences of a segment.
-
-    Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the recording, the variance
-    (N, 6) of each difference, the variance (6,) of the innovation of a pose's noise, the mask of
-    the used poses of the package, the effect (6,) of a residual on a pose, 1 or of views of a tag
-    in m and rad per rad, the likeliest changes of the tool's path and first state of the package,
-    information (c, q, q) and slope (c, q) of each second, and the smear (N,) of views, rad.
-    """
-
-    innovations: Array
-    jacobian: Array
-    variance: Array
-    new_variance: Array
-    used: Mask
-    scale: Array
-    tool_change: Array
-    start: State
-    information: Array
-    slope: Array
-    smear: Array
-
-    @property
-    def residuals(self) -> Array:
-        """Differences (N, 6) without whitening, m and rad."""
-        return np.asarray(
-            self.scale * self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
-
-    @property
-    def is_white(self) -> bool:
-        """Whether successive innovations are uncorrelated."""
-        e = np.clip(self.innovations.reshape(-1, 6), -CHANCE, CHANCE)
-        correlation = [np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
-                       for lag in (1, 2, 3) if lag < len(e)]
-        limit = max(MAX_WHITE_CORRELATION, WHITE_SIGMAS / np.sqrt(len(e)))
-        return bool(np.max(np.abs(correlation), initial=0.0) < limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -524,11 +477,9 @@ class Problem:
         path = whitening.Path(
             simulation.tool_rows(resample(course.path, nodes.stamps)), nodes.lengths,
             substeps_of(nodes.lengths, self._integration_step(model, segment)))
-        expected, start = (
-            adapted(model, simulation.row_state(path.rows[0]), body)
-            for body in (segment.expected_start, course.start))
-        start = _start_near_rest(model, path.rows[0], start, course.std)
-        mean = _difference(start, expected)
+        start = _start_near_rest(model, path.rows[0], course)
+        mean = _difference(start, adapted(
+            model, simulation.row_state(path.rows[0]), segment.expected_start))
         marker = free.get('tool_marker', np.zeros(6))
         tool_noise = segment.tool_noise(course.deviation + marker, nodes)
         initial_std = INITIAL_STD[:len(mean)]
@@ -566,60 +517,51 @@ class Problem:
         self, theta: Array, segment: Segment, course: Course, nodes: Nodes, path: whitening.Path,
         slopes: Array, innovations: Array,
     ) -> tuple[Array, Array]:
-        """Return information (c, q, q) and slope (c, q) of each second, also of wrenches."""
-        seen = _sums_of_blocks(slopes, innovations, segment.period)
-        if 'wrench_bias' not in self.rows or segment.measured.felt is None or self.forgetting:
-            return seen
-        felt = _sums_of_blocks(
-            *self._felt(theta, segment, course, nodes, path), wrench.BLOCK_NS / NS_PER_S)
+        """Return information (c, q, q) and slope (c, q) of each second, of all sensors."""
+        sums = [sums_of_blocks(slopes, innovations, segment.period)]
+        for readings in () if self.forgetting else segment.measured.further:
+            if readings.quantities.keys() & self.rows:
+                sums.append(self._compared(theta, segment, course, nodes, path, readings))
         order = np.argsort(np.concatenate([
-            np.linspace(0.0, 1.0, len(each[0])) for each in (seen, felt)]), kind='stable')
+            np.linspace(0.0, 1.0, len(each)) for each, _ in sums]), kind='stable')
         information, slope = (
-            np.concatenate(pair)[order] for pair in zip(seen, felt, strict=True))
+            np.concatenate(pair)[order] for pair in zip(*sums, strict=True))
         return information, slope
 
-    def _felt(
-        self, theta: Array, segment: Segment, course: Course, nodes: Nodes, path: whitening.Path
+    def _compared(
+        self, theta: Array, segment: Segment, course: Course, nodes: Nodes, path: whitening.Path,
+        readings: Readings,
     ) -> tuple[Array, Array]:
-        """Return derivatives (B, 6, q) and residuals (B, 6) of wrenches, whitened."""
-        measured, free, felt = segment.measured, self._values(theta), segment.measured.felt
-        assert felt is not None
-        blocks, seconds = weighing.Blocks.of(felt, nodes.stamps), nodes.stamps / NS_PER_S
-        now = self._load(theta, segment, course, path)
-        slopes = np.zeros((len(blocks.means), 6, len(theta)))
-        payload = quantities.payload_of(measured.payload, free)
-        columns = self._columns(payload, measured.gravity, free)[:, :-1]
-        for j in np.flatnonzero(np.any(columns, axis=0)).tolist():
-            step = np.zeros(len(theta))
-            step[j] = LOAD_STEP[j >= self.count]
-            change = self._load(theta + step, segment, course, path) - now
-            slopes[:, :, j] = blocks.averaged(change) / (step[j] * self.units[j])
-        regressors = weighing.of_gripper(
-            path.rows, seconds, quantities.gravity_of(measured.gravity, free), felt.sensor.mount)
-        shown = now + regressors @ np.array(felt.sensor.gripper)
-        J, r = weighing.compared(
-            blocks, blocks.averaged(now), blocks.averaged(np.gradient(shown, seconds, axis=0)),
-            blocks.averaged(regressors), felt.sensor, free, self.rows, slopes)
-        begin = (segment.span_ns or segment.ends_ns)[0] / NS_PER_S
-        return weighing.whitened(
-            J * self.units, r, blocks.seconds - begin, felt.sensor, blocks.size)
+        """Return information (c, q, q) and slope (c, q) of each second of a further sensor."""
+        now, free = self._simulated(theta, segment, course, path), self._values(theta)
+        compared = readings.compared(
+            path.rows, nodes.stamps, now.gravity, (segment.span_ns or segment.ends_ns)[0])
+        here = compared.predicted(now, free)
+        moves = np.any(self._columns(
+            now.payload, segment.measured.gravity, free)[:, :-1], axis=0)
+        own = np.isin(np.arange(len(theta)), [
+            row for name in readings.quantities for row in self.rows.get(name, ())])
+        J = np.zeros((*here.shape, len(theta)))
+        for j in np.flatnonzero(moves | own).tolist():
+            step = DIFFERENCE_STEP[j >= self.count] * (np.arange(len(theta)) == j)
+            motion = self._simulated(theta + step, segment, course, path) if moves[j] else now
+            J[..., j] = (compared.predicted(motion, self._values(theta + step)) - here) / step[j]
+        return sums_of_blocks(
+            *compared.whitened(J, compared.values - here), compared.period)
 
-    def _load(
+    def _simulated(
         self, theta: Array, segment: Segment, course: Course, path: whitening.Path
-    ) -> Array:
-        """Return the load (M, 6) of the simulated package on the sensor at nodes, N and N m."""
+    ) -> Simulated:
+        """Return the simulated motion at nodes."""
         (model, free), measured = self.model(theta, segment), segment.measured
-        assert measured.felt is not None
-        start = _start_near_rest(model, path.rows[0], adapted(
-            model, simulation.row_state(path.rows[0]), course.start), course.std)
+        start = _start_near_rest(model, path.rows[0], course)
         motion = np.empty((len(path.rows), 19))
         whitening.write_motion(
             whitening.relaxing(model), whitening.with_inner(start), path,
             np.arange(len(motion)), np.zeros(len(motion)), motion)
-        return wrench.loads(
+        return Simulated(
             quantities.payload_of(measured.payload, free),
-            quantities.gravity_of(measured.gravity, free), motion, path.rows,
-            measured.felt.sensor.mount)
+            quantities.gravity_of(measured.gravity, free), motion, path.rows)
 
     def _integration_step(self, model: ModelTuple, segment: Segment) -> float:
         """Return the longest step (s) of the integrator, or raise for too fast a cup."""
@@ -687,34 +629,26 @@ def _changed(
     return other, outline_of(other)
 
 
-def _sums_of_blocks(slopes: Array, innovations: Array, period: float) -> tuple[Array, Array]:
-    """Return information (c, q, q) and slope (c, q) of each second of a segment."""
-    length = max(round(BLOCK_DURATION / period), 1)
-    blocks = [(slopes[first:first + length].reshape(-1, slopes.shape[-1]),
-               innovations[first:first + length].ravel())
-              for first in range(0, len(slopes), length)]
-    return np.array([J.T @ J for J, _ in blocks]), np.array([J.T @ r for J, r in blocks])
-
-
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:
     """Return strengths of relaxation large enough for internal strains."""
     r = np.maximum(strengths, MIN_STRENGTH)
     return float(r[0]), float(r[1])
 
 
-def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -> State:
+def _start_near_rest(model: ModelTuple, tool: Array, course: Course) -> State:
     """
-    Return a first state at rest if its pose is within the noise of the poses.
+    Return the first state of a course, at rest if its pose is within the noise of the poses.
 
     Noise in the first state would excite a swing, which derivatives would treat as motion. The
     twist is not tested, because for a slow camera its uncertainty exceeds ordinary swings.
     """
+    start = adapted(model, simulation.row_state(tool), course.start)
     try:
         rest = simulation.rest(model, tool)
     except UnstableError:
         return start
     difference = _difference(rest, start)
-    size = np.max(np.abs(difference[:6]) / std) / CHANCE
+    size = np.max(np.abs(difference[:6]) / course.std) / CHANCE
     return whitening.shifted(rest, (1.0 - max(size, 1.0) ** -2) * difference)
 
 

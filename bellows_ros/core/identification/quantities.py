@@ -9,43 +9,28 @@ from dataclasses import replace
 from pathlib import Path
 import tomllib
 from types import MappingProxyType
-from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.weighing import DELAY_STD, sizes_of
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import pseudo_inertia
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
 from bellows_ros.core.model.structure import INERTIA_STD
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
-from bellows_ros.core.parameters.conversion import (
-    package_of,
-    stated_std,
-    wrench_sensor_of,
-)
+from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.sensors import body
-from bellows_ros.core.sensors.wrench import WrenchSensor
+from bellows_ros.core.sensors.readings import Kind, Readings
+from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-
-class Kind(NamedTuple):
-    """A kind of quantity that may be estimated jointly with K and P, see `quantities.toml`."""
-
-    unit: float
-    size: int
-    max_std: float
-    prior_std: float
-    each: bool = False
-
-
 KINDS: Mapping[str, Kind] = {
-    name: Kind(**numbers) for name, numbers in tomllib.loads(
-        Path(__file__).with_name('quantities.toml').read_text()).items()}
-"""Kinds by their names in fit.free."""
+    **{name: Kind(**numbers) for name, numbers in tomllib.loads(
+        Path(__file__).with_name('quantities.toml').read_text()).items()},
+    **{name: kind for sensor in SENSORS.values() for name, kind in sensor.quantities.items()}}
+"""Kinds by their names in fit.free, and of further sensors."""
 
 COLUMNS: Mapping[str, slice] = {
     'length': jac.BY_LENGTH, 'length_drift': jac.BY_LENGTH, 'com': jac.BY_COM,
@@ -131,23 +116,16 @@ def given_std(values: Values) -> dict[str, Array]:
     return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}
 
 
-def felt_std(values: Values, given: Free) -> dict[str, Array]:
+def deviations_of(readings: Iterable[Readings]) -> Free:
     """
-    Return standard deviations of the quantities of a force-torque sensor, and of the mass.
+    Return the standard deviations of the quantities of further sensors.
 
-    The mass is free unless its deviation is stated.
+    Given quantities that they determine have weak priors.
     """
-    sensor = wrench_sensor_of(values)
-    stds = {'wrench_gain': np.full(6, sensor.gain_std), 'gripper': gripper_std(values, sensor),
-            'wrench_bias': np.repeat(sensor.bias_std, 3), 'wrench_delay': np.array([DELAY_STD]),
-            'mass': given['mass'] if 'mass' in stated(given) else weak_prior(['mass'])['mass']}
-    return {name: np.maximum(std, MIN_STD) for name, std in stds.items()
-            if name != 'gripper' or values.gripper.mass}
-
-
-def gripper_std(values: Values, sensor: WrenchSensor) -> Array:
-    """Return the standard deviations (10,) of the inertial numbers of a gripper."""
-    return np.repeat(values.gripper.std * sizes_of(np.array(sensor.gripper)), (1, 3, 6))
+    stds = dict[str, Array]()
+    for each in readings:
+        stds |= {**weak_prior(each.determined), **each.deviations}
+    return stds
 
 
 def _exposure_std(values: Values) -> Array:

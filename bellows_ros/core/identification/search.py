@@ -23,7 +23,6 @@ from bellows_ros.core.identification.pool import Held, in_threads
 from bellows_ros.core.identification.problem import (
     MIN_STRENGTH,
     Problem,
-    WhitenedSegment,
 )
 from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.result import CHANCE
@@ -33,14 +32,12 @@ from bellows_ros.core.identification.segments import (
     Segment,
     Segments,
 )
-from bellows_ros.core.identification.whitening import HUBER_STD
+from bellows_ros.core.identification.whitening import HUBER_STD, WhitenedSegment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.sensors.corners import CornerNoise
 from bellows_ros.core.signals.resampling import MAD_TO_STD
 from bellows_ros.errors import BellowsError
 import numpy as np
-from scipy.optimize import nnls
 
 FORGETTING_RATE = 30.0
 """Rate at which an unknown acceleration makes the model forget during the approach, 1/s."""
@@ -527,21 +524,10 @@ def _with_corner_noise(
     segments: Segments, courses: Sequence[Course], parts: Parts
 ) -> tuple[tuple[Course, ...], bool]:
     """Return courses with one noise of all corners, from clipped squares in proportion."""
-    before = courses[0].corners
-    smears = np.concatenate([part.smear for part in parts])
-    squares = np.mean(np.concatenate([
-        np.clip(part.innovations, -HUBER_STD, HUBER_STD) for part in parts
-    ]).reshape(-1, 6) ** 2, axis=1)
-    units = np.column_stack([np.ones(len(smears)), smears**4])
-    now = units @ np.square(before)
-    found = np.square(before)
-    for _ in range(4):  # weights follow the noise
-        expected = np.maximum(units @ found, 1e-3 * now)
-        found = nnls(units / expected[:, None], squares * now / expected)[0]
-        found[0] = max(found[0], MIN_POSE_STD[-1] ** 2)
-    noise = CornerNoise(*np.sqrt(found).tolist())
-    changes = units @ found / now
-    if np.sqrt(np.mean(np.square(changes - 1.0))) < 2.0 * NOISE_TOLERANCE:
+    noise, change = courses[0].corners.estimated(
+        np.concatenate([part.smear for part in parts]), np.mean(np.clip(
+            innovations_of(parts), -HUBER_STD, HUBER_STD) ** 2, axis=1))
+    if change < 2.0 * NOISE_TOLERANCE:
         return tuple(courses), True
     return tuple(course._replace(corners=noise) for course in courses), False
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
-from bellows_ros.core.identification import whitening
+from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.kernels import State
@@ -27,7 +27,7 @@ from bellows_ros.core.recording.recording import (
 )
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import CornerNoise, TagViews, USUAL_NOISE
-from bellows_ros.core.sensors.wrench import Readings
+from bellows_ros.core.sensors.readings import Readings
 from bellows_ros.core.signals.resampling import subdivided
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.savgol import bridged, savgol
@@ -102,8 +102,8 @@ class MeasuredSegment:
         World of the recording, the parameter recording.world.
     views : TagViews or None
         Corners of a tag on the package, at stamps of all its poses; None for a tracked body.
-    felt : Readings or None
-        Wrenches of the whole recording.
+    further : tuple of Readings
+        Measurements of further sensors in the whole recording.
 
     """
 
@@ -118,7 +118,7 @@ class MeasuredSegment:
     middle: Array | None = None
     world: str = 'z_up'
     views: TagViews | None = None
-    felt: Readings | None = None
+    further: tuple[Readings, ...] = ()
 
 
 def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSegment]:
@@ -137,7 +137,7 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
     context: tuple[Any, ...] = (
         recording.payload, recording.settings.gravity, *noises, number,
         recording.settings.moves_with_com, body.middle_of(package), recording.settings.world,
-        recording.views, recording.felt)
+        recording.views, recording.further)
     motions = []
     for start, end, _ in recording.segments:
         count = int((end - start) / NS_PER_S / MAX_SEGMENT) + 1
@@ -384,8 +384,10 @@ class Outline(NamedTuple):
     ----------
     payload, world, moves_with_com
         As of its segments.
-    is_slow, is_tag, is_felt : bool
-        Whether its poses come slowly, whether they are of a tag, and whether it has wrenches.
+    is_slow, is_tag : bool
+        Whether its poses come slowly, and whether they are of a tag.
+    further : mapping
+        Standard deviations of the quantities of further sensors.
     poses : int
         Number of poses of the package.
     begin_ns : int
@@ -400,7 +402,7 @@ class Outline(NamedTuple):
     moves_with_com: tuple[bool, bool, bool]
     is_slow: bool
     is_tag: bool
-    is_felt: bool
+    further: quantities.Free
     poses: int
     begin_ns: int
     ends_ns: tuple[tuple[int, int], ...]
@@ -413,7 +415,7 @@ def outline_of(segments: Segments) -> Outline:
         measured.payload, measured.world, measured.moves_with_com,
         any(segment.is_slow for segment in segments),
         measured.views is not None,
-        measured.felt is not None,
+        quantities.deviations_of(measured.further),
         sum(len(segment.measured.package) for segment in segments),
         int(min(segment.package.stamps_ns[0] for segment in segments)),
         tuple(segment.ends_ns for segment in segments))

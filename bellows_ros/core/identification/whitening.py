@@ -22,8 +22,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array, Places, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.geometry.jit import entry, kernel
+from bellows_ros.core.identification.result import CHANCE
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import moved, moved_by
@@ -52,6 +53,63 @@ NO_BRANCHES = tuple((0.0, tau) for tau in RELAXATION_TIMES)
 
 PARAMETER_COUNT = jac.PARAMETER_COLUMNS + 2
 """Number of parameters: `jacobians.PARAMETER_COLUMNS`, and two strengths of relaxation."""
+
+BLOCK_DURATION = 1.0
+"""Length of the parts of a recording whose information is stored, s: some periods of a swing."""
+
+WHITE_SIGMAS = 4.0
+"""Largest correlation of white innovations, standard deviations; false-alarm rate 1 in 900."""
+
+MAX_WHITE_CORRELATION = 0.1
+"""Largest correlation of innovations that count as white."""
+
+
+class WhitenedSegment(NamedTuple):
+    """
+    The whitened differences of a segment.
+
+    Innovations (6 N,), their derivatives (6 N, q) by the unknowns of the recording, the variance
+    (N, 6) of each difference, the variance (6,) of the innovation of a pose's noise, the mask of
+    the used poses of the package, the effect (6,) of a residual on a pose, 1 or of views of a tag
+    in m and rad per rad, the likeliest changes of the tool's path and first state of the package,
+    information (c, q, q) and slope (c, q) of each second, and the smear (N,) of views, rad.
+    """
+
+    innovations: Array
+    jacobian: Array
+    variance: Array
+    new_variance: Array
+    used: Mask
+    scale: Array
+    tool_change: Array
+    start: State
+    information: Array
+    slope: Array
+    smear: Array
+
+    @property
+    def residuals(self) -> Array:
+        """Differences (N, 6) without whitening, m and rad."""
+        return np.asarray(
+            self.scale * self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
+
+    @property
+    def is_white(self) -> bool:
+        """Whether successive innovations are uncorrelated."""
+        e = np.clip(self.innovations.reshape(-1, 6), -CHANCE, CHANCE)
+        correlation = [np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
+                       for lag in (1, 2, 3) if lag < len(e)]
+        limit = max(MAX_WHITE_CORRELATION, WHITE_SIGMAS / np.sqrt(len(e)))
+        return bool(np.max(np.abs(correlation), initial=0.0) < limit)
+
+
+def sums_of_blocks(slopes: Array, innovations: Array, period: float) -> tuple[Array, Array]:
+    """Return information (c, q, q) and slope (c, q) of each second of a segment."""
+    length = max(round(BLOCK_DURATION / period), 1)
+    blocks = [(slopes[first:first + length].reshape(-1, slopes.shape[-1]),
+               innovations[first:first + length].ravel())
+              for first in range(0, len(slopes), length)]
+    return np.array([J.T @ J for J, _ in blocks]), np.array([J.T @ r for J, r in blocks])
 
 
 def relaxing(model: ModelTuple) -> ModelTuple:

@@ -32,9 +32,8 @@ from bellows_ros.core.observer.support import Support
 from bellows_ros.core.observer.track import Track
 from bellows_ros.core.observer.wrench_alarms import Watch
 from bellows_ros.core.observer.wrenches import Wrenches
-from bellows_ros.core.parameters.conversion import wrench_sensor_of
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.sensors.wrench import BLOCK_NS
+from bellows_ros.core.sensors.wrench import BLOCK_NS, WrenchSensor
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -124,7 +123,7 @@ class Observer:
 
     def _set_values(self, values: Values) -> None:
         self._values, self.sensor = values, PoseSensor(values)
-        self.wrenches = Wrenches(wrench_sensor_of(values))
+        self.wrenches = Wrenches(WrenchSensor.of(values))
 
     def use_values(self, values: Values) -> None:
         """Use other parameters from the next model on; estimates of the camera are kept."""

@@ -12,14 +12,11 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, Uncertain
 from bellows_ros.core.model.grip import Grip, Law, Release, RELEASE_NAMES
-from bellows_ros.core.model.kernels import matrix_of
 from bellows_ros.core.model.pseudo_inertia import flatness, nearest
 from bellows_ros.core.model.structure import matrix, Structure, UPPER
 from bellows_ros.core.model.validity_range import Envelope, RANGE_PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.sensors.corners import CornerNoise, Tag
-from bellows_ros.core.sensors.wrench import inertial_numbers, WrenchSensor
-from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnitWarning
 import numpy as np
 
@@ -63,19 +60,6 @@ def tag_of(values: Values) -> Tag | None:
     usual = CornerNoise()
     return Tag(given.tag_size * given.scale, CornerNoise(
         given.noise[0] or usual.sigma, given.noise[1] or usual.growth), given.exposure)
-
-
-def wrench_sensor_of(values: Values) -> WrenchSensor:
-    """Return the sensor of wrench.* and gripper.*."""
-    given, gripper = values.wrench, values.gripper
-    pose = np.array([float(part) for part in given.frame.split()])
-    (x, y, z), R = pose[:3].tolist(), matrix_of(
-        lie.quaternion_to_rotation(pose[3:]).ravel().tolist())
-    noise, drift, bias = ((a, b) for a, b in (given.noise, given.drift, given.bias_std))
-    return WrenchSensor(
-        ((x, y, z), R, 1.0 if given.sign == 'load' else -1.0), noise, drift, bias,
-        given.gain_std, round(NS_PER_S * given.delay),
-        inertial_numbers(gripper.mass, np.array(gripper.com), np.array(gripper.inertia)))
 
 
 def package_of(values: Values) -> Package:

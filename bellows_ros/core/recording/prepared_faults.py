@@ -15,6 +15,7 @@ from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.model.cup_package import gravity_vector
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.sensors.set_up import fault_of, Still
+from bellows_ros.core.sensors.weighing import Wrenches
 from bellows_ros.core.sensors.wrench import gripper_regressors, loads
 from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
@@ -291,9 +292,10 @@ def jumps(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remar
 
 def wrong_set_up(recording: Recording, length: float) -> Iterator[Remark]:
     """Yield a wrong set-up of the force-torque sensor, by the package's weight at standstills."""
-    felt, stills = recording.felt, tuple[Standstill, ...]()
+    felt = next((each for each in recording.further if isinstance(each, Wrenches)), None)
     if felt is None:
         return
+    stills = tuple[Standstill, ...]()
     with suppress(BellowsError):
         stills, _ = standstills_of(recording)
     spans = [still.start_ns + felt.sensor.delay_ns + np.array([0, round(

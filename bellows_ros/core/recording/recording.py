@@ -29,7 +29,7 @@ from bellows_ros.core.recording.alignment import (
 )
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.sensors.corners import CornerNoise, Tag, TagViews
-from bellows_ros.core.sensors.wrench import Readings
+from bellows_ros.core.sensors.readings import Readings
 from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.signals.savgol import savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
@@ -566,8 +566,8 @@ class Recording:
         Name, bytes and sha256 of each of its files.
     seen : TagViews, optional
         Views of a tag with the estimates of a fit, instead of the settings.
-    felt : Readings, optional
-        Wrenches of a force-torque sensor.
+    further : tuple of Readings
+        Measurements of further sensors.
 
     """
 
@@ -585,7 +585,7 @@ class Recording:
     digest: str = ''
     files: tuple[Mapping[str, Any], ...] = ()
     seen: TagViews | None = None
-    felt: Readings | None = None
+    further: tuple[Readings, ...] = ()
     _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:

@@ -30,6 +30,7 @@ from bellows_ros.core.model.simulation import row_state, write_row
 from bellows_ros.core.sensors import body as poses
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 import numpy as np
+from scipy.optimize import nnls
 
 CORNERS = (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)
 """Corners of a tag in its own axes, in units of half its side, in the order of OpenCV and of the
@@ -40,6 +41,9 @@ LEAST_DEPTH = 0.05
 
 LEAST_SLOPE = 1e-4
 """Smallest derivative of a corner's direction by the pose in a usable view, rad/m or 1."""
+
+MIN_CORNER_STD = 2e-6
+"""Smallest noise of a corner, by rounding, rad."""
 
 SAME_IMAGE = 3e-4
 """Largest motion of the corners between two frames of one view, rad; about a third of a pixel."""
@@ -275,6 +279,22 @@ class CornerNoise(NamedTuple):
         """Return the variances (N,) of corners, rad^2, from smears (rad) and numbers of frames."""
         return np.asarray((self.sigma**2 + (self.growth * smear**2) ** 2)
                           * ((1.0 - SAME_VIEW) + SAME_VIEW * frames))
+
+    def estimated(self, smear: Array, squares: Array) -> tuple[CornerNoise, float]:
+        """
+        Return the noise of corners with the squares (N,) of residuals relative to this noise.
+
+        The second result is the RMS change of the standard deviations.
+        """
+        units = np.column_stack([np.ones(len(smear)), smear**4])
+        now = units @ np.square(self)
+        found = np.square(self)
+        for _ in range(4):  # weights follow the noise
+            expected = np.maximum(units @ found, 1e-3 * now)
+            found = nnls(units / expected[:, None], squares * now / expected)[0]
+            found[0] = max(found[0], MIN_CORNER_STD**2)
+        return CornerNoise(*np.sqrt(found).tolist()), float(
+            np.sqrt(np.mean(np.square(units @ found / now - 1.0))))
 
 
 def frames_of(corners: Array) -> Array:

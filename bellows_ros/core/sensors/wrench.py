@@ -8,12 +8,15 @@ a sign s, +1 for a sensor that shows the load on it. Derivatives are by the erro
 body axes, as in `core.model.jacobians`.
 """
 
+from __future__ import annotations
+
+from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model import jacobians as jac
@@ -21,6 +24,7 @@ from bellows_ros.core.model import kernels
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -51,14 +55,28 @@ class WrenchSensor(NamedTuple):
     delay_ns: int
     gripper: tuple[float, ...]
     """Inertial numbers phi (10,)."""
+    gripper_std: tuple[float, ...]
+    """Standard deviations of phi (10,)."""
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> WrenchSensor:
+        """Return the sensor of the parameters wrench.* and gripper.*."""
+        pose = np.array([float(part) for part in values['wrench.frame'].split()])
+        (x, y, z), R = pose[:3].tolist(), kernels.matrix_of(
+            lie.quaternion_to_rotation(pose[3:]).ravel().tolist())
+        phi = inertial_numbers(values['gripper.mass'], *(
+            np.array(values[f'gripper.{name}']) for name in ('com', 'inertia')))
+        noise, drift, bias = ((a, b) for a, b in (
+            values[f'wrench.{name}'] for name in ('noise', 'drift', 'bias_std')))
+        return cls(
+            ((x, y, z), R, 1.0 if values['wrench.sign'] == 'load' else -1.0), noise, drift, bias,
+            values['wrench.gain_std'], round(NS_PER_S * values['wrench.delay']), phi, tuple(
+                np.repeat(values['gripper.std'] * sizes_of(np.array(phi)), (1, 3, 6)).tolist()))
 
 
-class Readings(NamedTuple):
-    """Wrenches (N, 6) of a sensor in its axes, N and N m, with stamps by the tool's clock, ns."""
-
-    sensor: WrenchSensor
-    stamps_ns: Stamps
-    values: Array
+def sizes_of(phi: Array) -> Array:
+    """Return the sizes (3,) of mass, first moments and inertia of inertial numbers (10,)."""
+    return np.array([abs(phi[0]), np.linalg.norm(phi[1:4]), np.linalg.norm(phi[4:])])
 
 
 def inertial_numbers(mass: float, com: Array, inertia: Array) -> tuple[float, ...]:

@@ -3,16 +3,15 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.identification import weighing
 from bellows_ros.core.identification.methods import fitted
 from bellows_ros.core.model.cup_package import Cup, gravity_vector, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
+from bellows_ros.core.sensors import weighing
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.workflows.gripper import gripper_of, prepared_tool
-from bellows_ros.workflows.recordings import readings_of
 import numpy as np
 
 from .simulated import GRAVITY, shake
@@ -94,8 +93,8 @@ def recording_of(tool, body, package, sensor, seed, values):
 def _prepared(tool, body, wrenches, values):
     """Return a prepared recording of streams; its stated package is `PACKAGE`."""
     recording = prepare(tool, body, PrepareSettings(payload=PACKAGE, gravity=GRAVITY))
-    return replace(recording, felt=readings_of(
-        wrenches, recording.aligned_tool, 'world', np.eye(3), values))
+    return replace(recording, further=(weighing.Wrenches.of(
+        wrenches, recording.aligned_tool, 'world', np.eye(3), values),))
 
 
 def empty_run(seed, sensor, values):

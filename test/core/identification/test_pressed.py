@@ -2,12 +2,10 @@
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.identification.pressed import pressed_cup
-from bellows_ros.core.identification.quantities import gripper_std
 from bellows_ros.core.model.cup_package import model_tuple, Package
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.model.structure import STRUCTURES, THESIS_STIFFNESS
-from bellows_ros.core.parameters.conversion import wrench_sensor_of
-from bellows_ros.core.sensors.wrench import cup_load
+from bellows_ros.core.sensors.wrench import cup_load, WrenchSensor
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
@@ -23,7 +21,7 @@ def pressed(seed, count=30):
     """Return poses of a tool above a lip in an unknown place, and its noisy wrenches."""
     rng = np.random.default_rng(seed)
     values = felt.settings('UR')
-    sensor = wrench_sensor_of(values)
+    sensor = WrenchSensor.of(values)
     lip = lie.transform(lie.exp_so3([0.02, -0.03, 0.4]), [0.3, 0.1, 0.2])
     way = REACH * rng.uniform(-1.0, 1.0, (count, 6))
     way[0] = 0.0
@@ -42,7 +40,7 @@ def pressed(seed, count=30):
         weight = R.T @ force - force
         shown.append(load + np.r_[weight, np.cross(lever, weight)])
     noise = np.repeat([0.05, 0.003], 3) * rng.normal(size=(count, 6))
-    return tool, gains * (np.array(shown) + noise), sensor, gripper_std(values, sensor)
+    return tool, gains * (np.array(shown) + noise), sensor
 
 
 def found(seed, count=30, sign=1.0):

@@ -7,8 +7,8 @@ from bellows_ros.core.observer import states
 from bellows_ros.core.observer.wrench_alarms import SetUp
 from bellows_ros.core.observer.wrenches import block, CUP
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.parameters.conversion import wrench_sensor_of
 from bellows_ros.core.sensors.set_up import Still
+from bellows_ros.core.sensors.wrench import WrenchSensor
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -67,7 +67,7 @@ def test_fault_is_named(cause):
     assert 0.0 < delay < (0.02 if cause == 'lost' else 0.04)
 
 
-SENSOR = wrench_sensor_of(resolve({'wrench.frame': '0 0 0.12 0 0 0 1'}))
+SENSOR = WrenchSensor.of(resolve({'wrench.frame': '0 0 0.12 0 0 0 1'}))
 WEIGHT = 9.81 * PACKAGE.mass
 SET_UPS = '', 'sign', 'world_axes', 'tcp', 'zeroed_holding', 'compensated', 'unknown'
 

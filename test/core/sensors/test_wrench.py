@@ -6,8 +6,8 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import moved_by, static_equilibrium
 from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.parameters.conversion import wrench_sensor_of
 from bellows_ros.core.sensors import wrench
+from bellows_ros.core.sensors.wrench import WrenchSensor
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -26,7 +26,7 @@ def sensor(sign='load'):
     """Return the sensor of parameters that describe `T_TOOL_SENSOR` and `GRIPPER`."""
     mass, com, inertia = wrench_cell.numbers_of(*GRIPPER)
     q = lie.rotation_to_quaternion(T_TOOL_SENSOR[:3, :3])
-    return wrench_sensor_of(resolve({
+    return WrenchSensor.of(resolve({
         'wrench.frame': ' '.join(map(repr, [*T_TOOL_SENSOR[:3, 3].tolist(), *q.tolist()])),
         'wrench.sign': sign, 'gripper.mass': float(mass), 'gripper.com': com.tolist(),
         'gripper.inertia': inertia.tolist()}, ()))

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.identification.methods import fitted
-from bellows_ros.core.identification.weighing import without_walk
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.prepared_faults import wrong_set_up
+from bellows_ros.core.sensors.weighing import without_walk
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
@@ -15,8 +15,8 @@ from bellows_ros.workflows.gripper import gripper_of
 import numpy as np
 import pytest
 
-from . import felt
-from ..sensors import wrench_cell
+from . import wrench_cell
+from ..identification import felt
 
 LARGEST = np.array([0.06, 0.03, 0.03, 0.03])  # of K x, z, rx, rz
 SEEDS = 20
@@ -105,12 +105,13 @@ def test_a_wrong_set_up_is_named_at_standstills():
         values = felt.settings('UR')
         recording = felt.recording_of(
             tool, simulate(felt.CUP, package, tool, gravity=9.81), package, 'UR', seed, values)
-        R = resample(recording.aligned_tool, recording.felt.stamps_ns).rotation
+        R = resample(
+            recording.aligned_tool, recording.further[0].stamps_ns).rotation
         for name, found in named.items():
-            other = recording.felt._replace(
-                values=changed(recording.felt.values, name, R))
+            shown = recording.further[0]
+            other = replace(shown, values=changed(shown.values, name, R))
             found += [remark.code for remark in wrong_set_up(
-                replace(recording, felt=other), felt.CUP.length)]
+                replace(recording, further=(other,)), felt.CUP.length)]
     assert not named.pop('')
     for name, found in named.items():
         assert {*found} <= {f'wrench.{name}', 'wrench.unknown'}

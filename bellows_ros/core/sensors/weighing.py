@@ -1,5 +1,5 @@
 """
-A force-torque sensor in a fit by simulation, the third kind of sensor beside poses and corners.
+A force-torque sensor in a fit by simulation.
 
 The sensor shows `(1 + k) X + s Y phi + b`, with the load X of the simulated package by Newton and
 Euler, the gripper phi, and gain errors k of each axis. Means of measured and predicted wrenches
@@ -9,19 +9,24 @@ successive means with a correlation c count less, by (1 - c) / (1 + c).
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Self
 
-from bellows_ros.core.geometry.arrays import Array, Places, Stamps
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.model.simulation import tool_rows
+from bellows_ros.core.sensors.body import Values
+from bellows_ros.core.sensors.readings import Kind, Simulated
 from bellows_ros.core.sensors.wrench import (
     BLOCK_NS,
     gripper_regressors,
     INERTIAL_NUMBERS,
+    loads,
     Mount,
-    Readings,
     WrenchSensor,
 )
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, TwistStream
 import numpy as np
 from scipy.sparse import csr_matrix
 
@@ -33,6 +38,72 @@ GRIPPER_STD = np.repeat([10.0, 1.0, 0.1], (1, 3, 6))
 
 MAX_CORRELATION = 0.95
 """Largest correlation of successive means."""
+
+MIN_STD = 1e-9
+"""Smallest standard deviation, SI units."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wrenches:
+    """
+    Wrenches (N, 6) of a sensor in its axes, N and N m, with stamps by the tool's clock, ns.
+
+    See `Readings` for the members.
+    """
+
+    sensor: WrenchSensor
+    stamps_ns: Stamps
+    values: Array
+
+    quantities: ClassVar[Mapping[str, Kind]] = {
+        'wrench_gain': Kind(1e-2, 6, 0.1, 0.1, parameter='wrench.gain_std'),
+        'gripper': Kind(1e-3, INERTIAL_NUMBERS, 1.0, 1.0, parameter='gripper.std'),
+        'wrench_bias': Kind(0.1, 6, 1.0, 10.0, each=True, parameter='wrench.bias_std'),
+        'wrench_delay': Kind(1e-3, 1, 0.01, 0.1, each=True, parameter='wrench.delay')}
+    """Relative errors of the gains; inertial numbers of the gripper (kg, kg m, kg m^2); bias (N, N
+    m); change of the delay, s."""
+    determined: ClassVar[tuple[str, ...]] = ('mass',)
+    parameters: ClassVar[tuple[str, ...]] = ('wrench.', 'gripper.')
+    remedy: ClassVar[str] = (
+        'Check wrench.sign, wrench.frame, gripper.mass and gripper.com, and zero the sensor with '
+        'the empty gripper')
+
+    @classmethod
+    def of(
+        cls, stream: TwistStream, tool: Trajectory, world: str, R_world_recorded: Array,
+        values: Mapping[str, Any],
+    ) -> Self:
+        """
+        Return recorded wrenches during the motion of a tool, in the axes of the sensor.
+
+        Those with the frame of the tool's poses, the world, are in recorded axes.
+        """
+        sensor, stamps = WrenchSensor.of(values), stream.stamps_ns
+        used = (stamps >= tool.stamps_ns[0]) & (stamps <= tool.stamps_ns[-1])
+        pairs = np.stack([stream.linear, stream.angular])[:, used]
+        if stream.frame_id == world:
+            R = resample(tool, stamps[used]).rotation @ np.reshape(sensor.mount[1], (3, 3))
+            pairs = lie.apply(np.swapaxes(R, 1, 2) @ R_world_recorded, pairs)
+        return cls(sensor, stamps[used], np.hstack([*pairs]))
+
+    @property
+    def deviations(self) -> Values:
+        """Standard deviations of the quantities; a gripper without mass is exact."""
+        sensor = self.sensor
+        stds = {'wrench_gain': np.full(6, sensor.gain_std),
+                'wrench_bias': np.repeat(sensor.bias_std, 3),
+                'wrench_delay': np.array([DELAY_STD])}
+        if sensor.gripper[0]:
+            stds['gripper'] = np.array(sensor.gripper_std)
+        return {name: np.maximum(std, MIN_STD) for name, std in stds.items()}
+
+    def compared(
+        self, tool: Array, nodes_ns: Stamps, gravity: Array, begin_ns: int
+    ) -> 'ComparedWrenches':
+        """Return the mean wrenches of blocks within a segment; see `Readings`."""
+        return ComparedWrenches(
+            self.sensor, Blocks.of(self, nodes_ns), nodes_ns / NS_PER_S, begin_ns / NS_PER_S,
+            of_gripper(tool, nodes_ns / NS_PER_S, gravity, self.sensor.mount))
 
 
 class Blocks(NamedTuple):
@@ -48,7 +119,7 @@ class Blocks(NamedTuple):
     size: int
 
     @classmethod
-    def of(cls, felt: Readings, nodes_ns: Stamps) -> 'Blocks':
+    def of(cls, felt: Wrenches, nodes_ns: Stamps) -> 'Blocks':
         """Return the blocks of wrenches within nodes (M,), with their delay subtracted."""
         stamps = felt.stamps_ns - felt.sensor.delay_ns
         used = (stamps >= nodes_ns[0]) & (stamps < nodes_ns[-1])
@@ -71,18 +142,50 @@ class Blocks(NamedTuple):
         return np.asarray(means.reshape(-1, *values.shape[1:]))
 
 
+class ComparedWrenches(NamedTuple):
+    """
+    Blocks of wrenches, and the regressors (M, 6, 10) of the gripper at nodes, see `Comparison`.
+
+    Further values are the times (M,) of the nodes and the begin of the recording, s.
+    """
+
+    sensor: WrenchSensor
+    blocks: Blocks
+    seconds: Array
+    begin: float
+    regressors: Array
+
+    @property
+    def values(self) -> Array:
+        """Measured means (B, 6)."""
+        return self.blocks.means
+
+    @property
+    def period(self) -> float:
+        """Duration of a block, s."""
+        return BLOCK_NS / NS_PER_S
+
+    def predicted(self, motion: Simulated, free: Values) -> Array:
+        """Return the means (B, 6) of predicted wrenches; the rate of the load shows the delay."""
+        load = loads(*motion, self.sensor.mount)
+        of_gripper = self.regressors @ np.array(self.sensor.gripper)
+        shown = (1.0 + free['wrench_gain']) * load + of_gripper + free['wrench_bias'] - (
+            free['wrench_delay'] * np.gradient(load + of_gripper, self.seconds, axis=0))
+        return self.blocks.averaged(shown + self.regressors @ free.get(
+            'gripper', np.zeros(INERTIAL_NUMBERS)))
+
+    def whitened(self, J: Array, r: Array) -> tuple[Array, Array]:
+        """Return derivatives (B, 6, q) and residuals (B, 6), see `whitened`."""
+        return whitened(J, r, self.blocks.seconds - self.begin, self.sensor, self.blocks.size)
+
+
 def of_gripper(tool: Array, seconds: Array, gravity: Array, mount: Mount) -> Array:
     """Return the regressors (M, 6, 10) of a gripper along states of the tool (M, 13)."""
     return gripper_regressors(tool, np.gradient(tool[:, 7:], seconds, axis=0), gravity, mount)
 
 
-def sizes_of(phi: Array) -> Array:
-    """Return the sizes (3,) of mass, first moments and inertia of inertial numbers (10,)."""
-    return np.array([abs(phi[0]), np.linalg.norm(phi[1:4]), np.linalg.norm(phi[4:])])
-
-
 def information_on_gripper(
-    tool: Trajectory, felt: Readings, gravity: Array
+    tool: Trajectory, felt: Wrenches, gravity: Array
 ) -> tuple[Array, Array]:
     """Return information (10, 10) and slope (10,) on a gripper without a package."""
     rows, seconds, sensor = tool_rows(tool), tool.stamps_ns / NS_PER_S, felt.sensor
@@ -105,41 +208,6 @@ def information_on_gripper(
             carried[:, own].T @ g[INERTIAL_NUMBERS:])
         phi = np.asarray(np.linalg.solve(H + np.diag(GRIPPER_STD**-2), g))
     return H, g
-
-
-def compared(
-    blocks: Blocks, load: Array, rate: Array, regressors: Array, sensor: WrenchSensor,
-    free: Mapping[str, Array], rows: Mapping[str, Places], slopes: Array,
-) -> tuple[Array, Array]:
-    """
-    Return derivatives (B, 6, q) and residuals (B, 6) of blocks, in standard deviations.
-
-    Parameters
-    ----------
-    blocks : Blocks
-        Measured means.
-    load, rate : ndarray (B, 6)
-        Means of the package's load, and of the change of the prediction in 1 s.
-    regressors : ndarray (B, 6, 10)
-        Means of s Y.
-    sensor : WrenchSensor
-        The sensor, and the stated gripper.
-    free, rows : mapping
-        Values of quantities, SI units, and their unknowns.
-    slopes : ndarray (B, 6, q)
-        Derivatives of the load by the unknowns of cup and package, SI units.
-
-    """
-    gain, delay = free['wrench_gain'], float(free['wrench_delay'][0])
-    J = (1.0 + gain)[:, None] * slopes
-    J[:, :, rows['wrench_gain']] = load[:, :, None] * np.eye(6)
-    J[:, :, rows['wrench_bias']] = np.eye(6)
-    J[:, :, rows['wrench_delay']] = -rate[:, :, None]
-    if 'gripper' in rows:
-        J[:, :, rows['gripper']] = regressors
-    phi = np.array(sensor.gripper) + free.get('gripper', np.zeros(INERTIAL_NUMBERS))
-    return J, blocks.means - (1.0 + gain) * load - regressors @ phi - free['wrench_bias'] + (
-        delay * rate)
 
 
 def whitened(
