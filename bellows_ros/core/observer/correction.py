@@ -371,8 +371,9 @@ class Correction:
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         verdict, after, likeliest = self._step(
             before, track, stamp_ns, is_recorded, measurement, GATE, support)
-        fallen = self.alarms.fallen(stamp_ns, after.fall) if (
-            self.alarms and support and not has_vacuum) else None
+        if has_vacuum:  # what holds does not fall
+            after = after._replace(fall=0.0)
+        fallen = self.alarms.fallen(stamp_ns, after.fall) if self.alarms and support else None
         if verdict in (OUT_OF_REACH, FALLING):
             falls = verdict == FALLING and (before.falls or before.away_ns == 0)
             return before._replace(falls=falls, fall=after.fall), 'out_of_reach', fallen
