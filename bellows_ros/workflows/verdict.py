@@ -131,8 +131,8 @@ class FitVerdict(NamedTuple):
     """
     Free simulations of recordings of the fit, and deviations from given quantities.
 
-    A definite cup of a converged search is rejected for a held-out error, or for a cause without
-    which K is wrong.
+    A definite cup of a converged search is rejected for a held-out error, for a cause without
+    which K is wrong, or for given values that it contradicts without a certain cause.
     """
 
     simulated: tuple[Simulated, ...]
@@ -159,6 +159,20 @@ class FitVerdict(NamedTuple):
         """The likeliest cause, if the cup is wrong without it."""
         likely = [each for each in self.causing if each.name != 'unknown']
         return [each for each in likely[:1] if each.material]
+
+    @property
+    def contradicted(self) -> list[str]:
+        """Given values beyond their stated errors, if no single cause explains the deviations."""
+        is_open = self.causing and not self.causing[0].certain and (
+            self.causing[0].name != 'unknown' or self._is_misfit)
+        return [f'{name} by {off}, {pull:.2g} times {name}_std'
+                for name, (_, off, pull) in self.found.items()
+                if is_open and pull > SIGMAS and f'{name}_std' in PARAMETERS]
+
+    @property
+    def _is_misfit(self) -> bool:
+        """Whether a free simulation has larger errors than recordings without faults cause."""
+        return any((each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -231,8 +245,7 @@ class FitVerdict(NamedTuple):
             return (finding_sentence(first, self.given),)
         likely = [each for each in self.causing if each.name != 'unknown']
         is_sound = self.is_at_noise or self.simulated and not self.refusals and not (
-            likely and likely[0].share >= DISTINCT or any(
-                (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated))
+            likely and likely[0].share >= DISTINCT or self._is_misfit)
         if is_sound:
             return ()
         listed = ' '.join(f'{number}. {finding_sentence(each, self.given)}'
@@ -251,6 +264,11 @@ class FitVerdict(NamedTuple):
             'the recording.' for simulated in self.simulated if simulated.unpredicted]
         reasons += ['Correct the recording as the first line says, and fit again.'] * bool(
             self.faults)
+        if self.contradicted:
+            reasons.append(
+                'No single cause is certain, and the fit contradicts given values: '
+                f'{"; ".join(self.contradicted)}. K and P are wrong accordingly. Measure these '
+                'again, or state larger standard deviations.')
         for finding in self.wrong[:1]:
             line = 'first line says' if finding is self.causing[0] else 'lines above say'
             reasons.append(f'Correct {setting_of(finding)} as the {line}, and fit again.')

@@ -74,6 +74,14 @@ def test_a_certain_cause_or_a_likely_one_that_moves_k_refuses_a_cup(
     assert bool(found.refusals) == refused
 
 
+@pytest.mark.parametrize(('pull', 'certain', 'words'), [
+    (2.0, False, ''), (8.0, True, 'Correct'), (8.0, False, 'package.com by 18 mm')])
+def test_contradicted_given_values_refuse_a_cup_without_a_certain_cause(pull, certain, words):
+    found = judged(cause('com', [0.02], 0.1, certain))._replace(
+        found={'package.com': (np.zeros(3), '18 mm', pull)})
+    assert words in ' '.join(found.refusals) and bool(found.refusals) == bool(words)
+
+
 def made_for(laboratory, factor=1.0, std=1e-3, structure='axisymmetric'):
     """Return a fit that found the true cup, but for a factor and a part of K rz and P rz."""
     structure = STRUCTURES[structure]

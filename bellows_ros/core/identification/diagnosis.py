@@ -17,7 +17,7 @@ from operator import itemgetter
 from statistics import NormalDist
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
@@ -138,20 +138,33 @@ def pulls(found: Solution, given: Free) -> dict[str, tuple[float, float]]:
 
     places = {name: problem.places[name].ravel() for name in problem.places.keys() & given.keys()
               - {'mass', 'inertia', 'exposure'}}  # an exposure is bounded, and no cause
-    count = max(sum(place.size for place in places.values()), 1)
+    moments = problem.places['inertia'].ravel() if (
+        'inertia' in problem.places.keys() & given.keys()) else np.zeros(0, dtype=int)
+    count = max(sum(place.size for place in places.values()) + moments.size, 1)
     limit = -NormalDist().inv_cdf(0.5 * FALSE_ALARMS / count)
     sizes = {name: (pull(found.theta[place], 1.0 / problem.weights[place],
                          information.variances[place]), limit) for name, place in places.items()}
-    if {'mass', 'inertia'} <= problem.places.keys() & given.keys():
-        ratio = np.zeros(problem.shared)
-        for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
-            place = problem.places[name].ravel()
-            ratio[place] = part * problem.units[place]
-        weights = np.where(ratio != 0.0, problem.weights[:len(ratio)], 1.0)
-        sizes['inertia'] = pull(
-            ratio @ found.theta[:len(ratio)], np.asarray(np.sum(ratio**2 / weights)),
-            ratio @ information.covariance @ ratio), CHANCE
+    if moments.size:
+        sizes['inertia'] = max(
+            ((pull(ratio @ found.theta[:len(ratio)], np.asarray(np.sum(ratio**2 / weights)),
+                   ratio @ information.covariance @ ratio), largest)
+             for ratio, weights, largest in _ratios_of_inertia(problem, moments, limit)),
+            key=lambda own: own[0] / own[1])
     return sizes
+
+
+def _ratios_of_inertia(
+    problem: Problem, moments: Places, limit: float
+) -> Iterator[tuple[Array, Array, float]]:
+    """Yield the mean ratio of inertia and mass and each one, as factors, weights and a limit."""
+    for parts, largest in ((np.full(moments.size, 1.0 / moments.size), CHANCE), *(
+            (row, limit) for row in np.eye(moments.size))):
+        ratio = np.zeros(problem.shared)
+        ratio[moments] = parts
+        if 'mass' in problem.places:
+            ratio[problem.places['mass'].ravel()] = -1.0
+        yield ratio * problem.units[:problem.shared], np.where(
+            ratio != 0.0, problem.weights[:problem.shared], 1.0), largest
 
 
 def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
