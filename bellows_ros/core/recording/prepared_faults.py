@@ -17,6 +17,7 @@ from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.sensors.set_up import fault_of, Still
 from bellows_ros.core.sensors.weighing import Wrenches
 from bellows_ros.core.sensors.wrench import gripper_regressors, loads
+from bellows_ros.core.signals.resampling import common_span
 from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
@@ -73,6 +74,13 @@ which the package does not follow its tool as stamped."""
 MIN_CORRELATION_GAP = 0.1
 """Smallest significant difference of two correlations of rotations by Fisher's transform (atanh),
 above chance and nearly repetitive motion."""
+
+HALVES = ((0.0, 0.45), (0.55, 1.0))
+"""Parts of a recording that are compared for a step of a clock between them."""
+
+MIN_STEP_GAP = 0.5
+"""Smallest difference, by Fisher's transform, of the correlations of rotations in each half and in
+the whole that shows a step of a clock."""
 
 SPECTRUM_SECONDS = 1.0
 """Length of the periodograms of poses, s."""
@@ -141,10 +149,11 @@ def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[R
     if away <= conventions.MAX_DISTANCE and above <= 0.0 and conventions.spread(lip) < MAX_SPREAD:
         return
     with suppress(BellowsError):  # too short with other stamps
-        if (late := [*clocks_apart(recording)]) and not [*misplaced(_earlier(
-                recording, late[0].numbers['late']))]:
-            yield from late
-            return
+        for late in clocks_apart(recording):
+            if late.code == 'clock_shift' or not [*misplaced(_earlier(
+                    recording, late.numbers['late']))]:
+                yield late
+                return
     if apart := [*_two_worlds(recording, tool, package, lip)]:
         yield from apart
     elif away > conventions.MAX_DISTANCE:
@@ -209,7 +218,7 @@ def wrong_length(recording: Recording, length: float) -> Iterator[Remark]:
 
 def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
     """
-    Yield the offset of the clocks if the rotations of both bodies agree only at a lag.
+    Yield the offset of the clocks, or its step, if the rotations of both bodies agree at lags.
 
     Two parts of a motion may be similar by chance. If the correlation at small lags is less than
     half of the largest, the package does not follow the tool as stamped, and a lower threshold is
@@ -217,21 +226,34 @@ def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterato
     lag is due to nearly repetitive motion.
     """
     bodies = recording.aligned_tool, recording.aligned_package
-    lags, correlation = alignment.rotation_correlation(*bodies)
-    if not len(lags):
-        return
-    best, near = int(np.argmax(correlation)), (lags >= MIN_SWING) & (lags <= MAX_SWING)
-    largest, small = correlation[best], np.max(correlation[near], initial=0.0)
-    limit = alignment.MIN_CORRELATION * (1.0 if small < MIN_CORRELATION_RATIO * largest else 2.0)
-    if largest < limit or near[best] or _correlation_gap(small, largest) < MIN_CORRELATION_GAP:
-        return
-    in_axes = alignment.rotation_correlation(*bodies, one_world=True)[1]
-    near_in_axes = np.max(in_axes[near], initial=0.0)
-    if near_in_axes <= alignment.MIN_CORRELATION or (
-            _correlation_gap(near_in_axes, np.max(in_axes)) >= MIN_CORRELATION_GAP):
-        late = float(lags[best]) + SWING_DELAY
+    late, whole = _lag(*bodies)
+    first, last = common_span(*bodies)
+    (before, first_part), (after, last_part) = (_lag(*(
+        body.between(*(first + round(part * (last - first)) for part in span)) for body in bodies))
+        for span in HALVES)
+    if abs(after - before) > MAX_SWING - MIN_SWING and (
+            _correlation_gap(whole, min(first_part, last_part)) > MIN_STEP_GAP):
+        yield Remark('clock_shift', body='both')
+    elif late:
         yield Remark('time_offset', {'late': late, 'offset': abs(late), 'side': (
             'behind' if late > 0.0 else 'ahead of')}, 'tool')
+
+
+def _lag(tool: Trajectory, package: Trajectory) -> tuple[float, float]:
+    """Return the tool's delay (s) if beyond the usual swing, else 0, and the best correlation."""
+    lags, correlation = alignment.rotation_correlation(tool, package)
+    if not len(lags):
+        return 0.0, 0.0
+    best, near = int(np.argmax(correlation)), (lags >= MIN_SWING) & (lags <= MAX_SWING)
+    largest, small = float(correlation[best]), np.max(correlation[near], initial=0.0)
+    limit = alignment.MIN_CORRELATION * (1.0 if small < MIN_CORRELATION_RATIO * largest else 2.0)
+    if largest < limit or near[best] or _correlation_gap(small, largest) < MIN_CORRELATION_GAP:
+        return 0.0, largest
+    in_axes = alignment.rotation_correlation(tool, package, one_world=True)[1]
+    near_in_axes = np.max(in_axes[near], initial=0.0)
+    is_late = near_in_axes <= alignment.MIN_CORRELATION or (
+        _correlation_gap(near_in_axes, np.max(in_axes)) >= MIN_CORRELATION_GAP)
+    return (float(lags[best]) + SWING_DELAY if is_late else 0.0), largest
 
 
 def _correlation_gap(small: float, large: float) -> float:
