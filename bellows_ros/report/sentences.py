@@ -13,6 +13,7 @@ become 'a, b and c'; None and numbers that are not finite become '-'.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from itertools import permutations
 import json
 import math
 from pathlib import Path
@@ -177,8 +178,28 @@ def _cause_of(finding: Finding) -> str:
     if finding.instead == 'force':
         return 'gravity or force'
     if finding.name == 'inertia':
-        return 'factor of inertia'
+        is_factor = np.ptp(finding.theta) < 3.0 * np.max(finding.std)
+        return f'{"factor" if is_factor else "moments"} of inertia'
     return 'axis of gravity' if finding.value.startswith('gravity') else finding.name
+
+
+def order_of(given: Array, moments: Array) -> str:
+    """Return the axes of which the given moments of inertia (3,) seem to be, '' if as given."""
+    off = {order: float(np.max(np.abs(np.log(moments / given[list(order)]))))
+           for order in permutations(range(3))}
+    best = min(off, key=lambda order: off[order])
+    if best == (0, 1, 2) or 2.0 * off[best] > off[(0, 1, 2)]:
+        return ''
+    axes = ', '.join('xyz'[best.index(axis)] for axis in range(3))
+    return f'those of x, y and z seem to be given as those of {axes}'
+
+
+def _moments_fields(finding: Finding, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return moments of inertia, and their order."""
+    moments = np.array(given['package.inertia'][:3])
+    order = order_of(moments, moments * np.exp(finding.theta))
+    return {'moments': ', '.join(f'{x:.3g}' for x in moments * np.exp(finding.theta)),
+            'order': order and f': {order}'}
 
 
 def _com_fields(finding: Finding, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -228,6 +249,7 @@ FINDING_FIELDS: Mapping[str, Callable[[Finding, Mapping[str, Any]], dict[str, An
         'motion': alignment.motion_sentence(finding.theta, finding.std)},
     'factor of inertia': lambda finding, given: {
         'factor': np.exp(-finding.theta[0]), 'std': np.exp(-finding.theta[0]) * finding.std[0]},
+    'moments of inertia': _moments_fields,
     'time_offset': lambda finding, given: {
         'offset': f'{_thousandths(finding.theta[0], finding.std[0])} ms'},
     'com': _com_fields,

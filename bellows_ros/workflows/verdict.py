@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -29,7 +28,7 @@ from bellows_ros.core.signals.residuals import (
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
-from bellows_ros.report.sentences import finding_sentence, setting_of, texts
+from bellows_ros.report.sentences import finding_sentence, order_of, setting_of, texts
 from bellows_ros.workflows.recordings import remark_sentences
 import numpy as np
 
@@ -60,9 +59,6 @@ SENSORS = ('tag_as_body', 'body_as_tag')
 """Remarks on another kind of sensor than stated."""
 
 CLOCK_RATE = 'rate of the clocks (ppm)'
-
-ORDERS = tuple(permutations('xyz'))[1:]
-"""Other orders of the principal moments of a package."""
 
 
 class Simulated(NamedTuple):
@@ -219,17 +215,8 @@ class FitVerdict(NamedTuple):
         """Return a sentence on moments of inertia that were given in another order, or ''."""
         if name != 'package.inertia' or not {name} <= self.given.keys() & self.found.keys():
             return ''
-        given = np.array(self.given[name])[:3]
-
-        def off(order: Sequence[str]) -> float:
-            """Return the largest relative error of the given moments in an order."""
-            moments = given[['xyz'.index(axis) for axis in order]]
-            return float(np.max(np.abs(np.log(value[:3] / moments))))
-
-        best = min(ORDERS, key=off)
-        return '' if 2.0 * off(best) > off('xyz') else (
-            ' The given moments fit about other axes: those of x, y and z seem to be given as '
-            f'those of {", ".join("xyz"[best.index(axis)] for axis in "xyz")}.')
+        order = order_of(np.array(self.given[name])[:3], value[:3])
+        return order and f' The given moments fit about other axes: {order}.'
 
     @property
     def cause(self) -> tuple[str, ...]:
