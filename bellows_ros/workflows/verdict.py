@@ -231,8 +231,9 @@ class FitVerdict(NamedTuple):
         if first.certain:
             return (finding_sentence(first, self.given),)
         likely = [each for each in self.causing if each.name != 'unknown']
-        is_sound = self.is_at_noise or self.simulated and not self.refusals and not (
-            likely and likely[0].share >= DISTINCT or self._is_misfit)
+        is_sound = not self.contradicted and (
+            self.is_at_noise or self.simulated and not self.refusals and not (
+                likely and likely[0].share >= DISTINCT or self._is_misfit))
         if is_sound:
             return ()
         listed = ' '.join(f'{number}. {finding_sentence(each, self.given)}'
