@@ -117,6 +117,7 @@ class Observer:
         self._delay_ns = 0  # of the newest measurement at its arrival
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # stamp, whether it holds, and period
+        self._held_ns = 0  # stamp of the last reading that holds
         self._of_signals: list[Alarm] = []
         self._lost_cups: tuple[int, ...] = ()
         self._is_proven = False  # whether the cup has carried a package without an alarm
@@ -356,7 +357,7 @@ class Observer:
                 self._correction, estimates[k], self._track, measurements[k].stamp_ns)
             after, verdict, alarm = self._correction.updated(
                 before, self._track, measurements[k], is_recorded and before is estimates[k],
-                support, bool(self._is_held(estimates[k])))
+                support, self._has_vacuum(estimates[k], measurements[k].stamp_ns))
             if k == first and verdict:
                 self.counts[verdict] += 1
             if verdict == 'recovered':
@@ -526,6 +527,7 @@ class Observer:
         """
         newest_ns = self._track.newest_ns
         if cup < 0:
+            self._held_ns = newest_ns if is_held else self._held_ns
             before_ns, was_held, _ = self._vacuum or (0, not is_held, 0.0)
             self._vacuum = (
                 newest_ns, is_held, newest_ns - before_ns if is_held == was_held else math.inf)
@@ -550,6 +552,11 @@ class Observer:
         stamp_ns, is_held, period_ns = self._vacuum or (0, None, 0.0)
         is_silent = self._track.newest_ns - stamp_ns > _silence_ns(period_ns)
         return None if is_silent or (is_held and estimate.falls) else is_held
+
+    def _has_vacuum(self, estimate: Estimate, stamp_ns: int) -> bool:
+        """Return whether the vacuum held at a stamp, also if it has broken since."""
+        is_held = self._is_held(estimate)
+        return bool(is_held) or (is_held is False and stamp_ns <= self._held_ns)
 
     def _raise(self, alarm: Alarm | None) -> None:
         """Store an alarm, if any, unless an equal one has just been raised."""
