@@ -71,13 +71,13 @@ def _next(arguments: argparse.Namespace, result: Identification) -> tuple[str, .
         return ('The cup was not written to a file; give --out cup.yaml to keep it.',)
     lost = ', '.join(name for name in result.found if name != 'cup.length') if not cell else ''
     files = [cell] if cell else arguments.params
-    replay = ' '.join([
+    replay = 'Next, check how well it predicts another recording:', ' '.join([
         '  bellows replay BAG', *(f'--params {file}' for file in (*files, out)),
         *([f'--observe {result.remappings.get("package/measured", "/tf")}'] if cell else [])])
     return (
         *([f'Estimated, but not written: {lost}; give --out-cell cell.yaml to keep them.']
           if lost else []),
-        'Next, check how well it predicts another recording:', replay, *((
+        *replay * bool(result.values.topics.package_pose), *((
             'Then predict live:',
             f'  ros2 run bellows_ros predictor --ros-args --params-file {cell} --params-file {out}'
             + ''.join(f' -r {name}:={topic}' for name, topic in result.remappings.items())

@@ -211,9 +211,11 @@ class Identification(CommandResult):
     def remappings(self) -> dict[str, str]:
         """Recorded topics by input of the node."""
         topics = self.values.topics
-        inputs = {'tool_arm/pose': topics.tool_pose, 'package/measured': topics.package_pose}
+        inputs = {'tool_arm/pose': topics.tool_pose, 'package/measured': topics.package_pose,
+                  'tool_arm/wrench': topics.tool_wrench}
         if self.values.measured.type == 'tf':
             del inputs['package/measured']
+        inputs = {name: topic for name, topic in inputs.items() if topic}
         for recording in self.recordings[:1]:
             if calibration := recording.report.package.recorded.calibration:
                 inputs['package/camera_info'] = calibration
@@ -315,7 +317,8 @@ class Identification(CommandResult):
         """Findings in addition to K and P, as sentences."""
         static, consistency = self.static, self.consistency
         return (
-            *(self.verdict.sentences if self.verdict else (NO_VERDICT,)),
+            *(self.verdict.sentences if self.verdict else (
+                (NO_VERDICT,) * bool(self.values.topics.package_pose))),
             *(text for number, part in enumerate(self.parts)
               for text in world_sentence(part.name, self._final_world(number))),
             *self._clock_sentences(),

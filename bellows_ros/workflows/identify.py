@@ -170,6 +170,8 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     for topic in (f'topics.{role}' for role in SENSORS):
         yield (values[topic] and values.fit.method == 'least_squares',
                f"{topic} needs fit.method: output_error. Set it, or {topic}: ''.")
+    yield (not (values.topics.package_pose or values.topics.tool_wrench),
+           "topics.package_pose is '' and topics.tool_wrench, too: name the topic of one.")
     yield ('length' in free and values.static.length,
            f'{names}static.length estimates the length from standstills. Use one of the two.')
     bags, validation = values.bags, values.validation.bags
@@ -345,7 +347,8 @@ def _identify(
             for n, part in enumerate(parts)]
     recordings = whole_recordings(parts)
     progress(CAUSE_TESTS, FIT_ENDS)
-    verdict = verdict_of(fit, recordings, effective.cup.length, effective)
+    seen = [recording for recording in recordings if recording.is_seen]
+    verdict = verdict_of(fit, seen, effective.cup.length, effective)
     identified = identification.Identification(
         fit, values,
         tuple(reduced(part, effective.cup.length) for part in parts),

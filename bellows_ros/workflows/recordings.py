@@ -14,6 +14,7 @@ from bellows_ros.core.geometry.lie import (
     quaternion_to_rotation,
     transform,
 )
+from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
@@ -21,7 +22,7 @@ from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.alignment import FIT, Remark, REPLAY
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
-from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.preparation import filtered_tool, prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.sensors.readings import Readings
 from bellows_ros.core.sensors.table import SENSORS
@@ -280,10 +281,13 @@ def _prepared(
         if not len(stream):
             raise BellowsError(
                 f"Topic '{stream.name}' has no messages from recording.start to recording.end.")
-    tool, package, twist = streams['tool_pose'], streams['package_pose'], streams.get('tool_twist')
+    tool, twist = streams['tool_pose'], streams.get('tool_twist')
     if values.get('tool_pose.offset'):
         tool, twist = trajectory.streams_at_tip(
             tool, twist, conversion.tip_of(values), values.tool_twist.frame == 'world')
+    if 'package_pose' not in streams:
+        return _unseen(tool, settings, values, 'tool_wrench' in streams)
+    package = streams['package_pose']
     if values.recording.package_world == '':
         prepared.require_one_frame(tool, package)
     world = values.recording.package_world
@@ -300,6 +304,22 @@ def _prepared(
     recording = _joined(tool, package, twist, settings, values, registers)
     return replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found)))
+
+
+def _unseen(
+    tool: PoseStream, settings: PrepareSettings, values: Values, has_wrenches: bool
+) -> Recording:
+    """Return a recording with a package of unknown poses, simulated with the given cup."""
+    if not has_wrenches:
+        raise BellowsError(
+            "topics.package_pose is '', which only 'bellows identify' with topics.tool_wrench can "
+            "do without. Name the topic with the package's poses.")
+    body = simulate(conversion.one_cup_of(values), settings.payload, filtered_tool(tool, settings),
+                    gravity=settings.gravity)
+    back = settings.R_world_recorded.T
+    package = PoseStream('', tool.frame_id, body.stamps_ns, apply(back, body.position),
+                         back @ body.rotation)
+    return prepare(tool, package, replace(settings, package_frame='com', align_at_rest=False))
 
 
 def _joined(

@@ -67,6 +67,20 @@ def test_wrenches_in_axes_of_the_world_are_turned(cell):
     np.testing.assert_allclose(found.values, recording.further[0].values, atol=1e-6)
 
 
+def test_identify_needs_no_poses_of_the_package(cell):
+    """K about x and mass are of wrenches alone, within their standard errors, and no P is sure."""
+    result = identify({**cell, 'topics.package_pose': ''})
+    K, std = (np.diag(each)[3] for each in (result.fit.stiffness, result.fit.stiffness_std))
+    assert abs(K - felt.CUP.stiffness[3, 3]) < 3.0 * std < 0.1 * K
+    mass, std, _ = result.found['package.mass']
+    assert abs(mass - felt.PACKAGE.mass) < 3.0 * np.max(std) < 0.05 * mass
+    assert 'measured.offset' not in result.found and 'P may be off' in str(result.fit.notes)
+    with pytest.raises(BellowsError, match='name the topic of one'):
+        identify({**cell, 'topics.package_pose': '', 'topics.tool_wrench': ''})
+    with pytest.raises(BellowsError, match="topics.package_pose is ''"):
+        load(cell['bags'][0], resolve({**cell, 'topics.package_pose': ''}))
+
+
 def test_a_topic_of_another_type_is_named(cell):
     """Poses are no wrenches; the topic of wrenches is proposed."""
     with pytest.raises(BellowsError, match='topics.tool_wrench to one of: /wrench'):

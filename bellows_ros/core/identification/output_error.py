@@ -89,6 +89,10 @@ MAX_NOISY_ERROR = 0.1
 NOISE_FACTOR = 3.0
 """Size of the noise that is added to test the information, relative to the noise of the poses."""
 
+UNSEEN_NOISE_FACTOR = 1.0
+"""Size of the added noise for wrenches alone: it gives their bias, as noise of the tool shakes a
+package that no pose shows."""
+
 MIN_NOISE_FACTOR = 0.1
 """Smallest size of added noise, as large noise may turn the package over."""
 
@@ -205,6 +209,7 @@ def output_error(
     reasons = () if is_explained(tested, given) else rank(tested, given)
     if further and end.is_plausible:
         end, given = _with_further(end, further, record), {**given, **further}
+        end = end if problem.is_seen else _without_bias(end)
         named = *named, *(
             name for name in further if name in PACKAGE_STD and name not in named)
     return _fit(end, iterations, named, given, reasons)
@@ -385,6 +390,12 @@ def _with_further(found: Solution, further: Free, report: Report) -> Solution:
     return end
 
 
+def _without_bias(found: Solution) -> Solution:
+    """Return the solution of wrenches alone less the bias by noise of the tool."""
+    theta = found.problem.moved(found.theta, -noise_effects(found)[1])
+    return replace(evaluated(found.problem, theta, found.courses), converged=True)
+
+
 def _of_given(found: Solution, given: Free) -> Array:
     """Return the covariance (s, s), SI units, by the priors of freed given quantities."""
     problem, H = found.problem, found.information
@@ -484,6 +495,7 @@ def _fit(
     problem, size, x = found.problem, found.problem.count, found.problem.units * found.theta
     covariance, from_given, std, identifiable, notes = _identifiable(found, given, named)
     own_std = np.where(identifiable, std, np.inf)
+    notes += [NOTES['felt_alone']] * (not problem.is_seen)
     used, information = found.residual_count // 6, found.information.shared[:size, :size]
     fit = Fit(
         method='output_error',
@@ -569,8 +581,11 @@ def _identifiable(
     identifiable numbers, and notes on the others.
     """
     problem, size = found.problem, found.problem.count
-    covariance, variances, shares = covariance_of(
-        found, noise_information(found) if found.converged else None)
+    noise, bias = noise_effects(found) if found.converged else (None, np.zeros(len(found.theta)))
+    covariance, variances, shares = covariance_of(found, noise)
+    if not problem.is_seen:  # the bias was subtracted, see `_without_bias`
+        covariance = covariance + np.outer(*[(bias * problem.units)[:problem.shared]] * 2)
+        variances = variances + (bias * problem.units) ** 2
     of_given = _of_given(found, given)
     by_given = np.pad(np.diag(of_given), (0, problem.own.size))
     largest = np.full(len(variances), np.inf)
@@ -588,18 +603,20 @@ def _identifiable(
     return covariance - of_given, of_given, std, identifiable, notes
 
 
-def noise_information(found: Solution) -> Arrow:
+def noise_effects(found: Solution) -> tuple[Arrow, Array]:
     """
-    Return the part of the information on the unknowns that is due to noise.
+    Return the part of the information on the unknowns that is due to noise, and their bias (m,).
 
     Noise in the path also shakes the simulated package. With additional noise of either sign the
-    information of motion is unchanged, and the information of noise grows with the squared noise.
+    information of motion is unchanged, and the information of noise grows with the squared noise,
+    as does the bias (simulation extrapolation, Cook and Stefanski 1994).
     """
-    size, known, differences = NOISE_FACTOR, found.information, list[Arrow]()
+    size = NOISE_FACTOR if found.problem.is_seen else UNSEEN_NOISE_FACTOR
+    known, ends = found.information, list[Solution]()
     pool = found.problem.held.pool
-    while len(differences) < 2:
+    while len(ends) < 2:
         segments = pool.keep(
-            _noisier, size * (-1.0) ** len(differences), found.problem.held, found.courses)
+            _noisier, size * (-1.0) ** len(ends), found.problem.held, found.courses)
         courses = pool.keep(_begun, segments, found.courses)
         noisy = found.problem.with_segments(segments, found.problem.outlines)
         for _ in range(2):  # about the measured path, then about the likeliest
@@ -608,14 +625,16 @@ def noise_information(found: Solution) -> Arrow:
                 break
             courses = at.refined(False)[0].courses
         if at.is_finite:
-            differences.append(at.information)
+            ends.append(at)
         elif size < MIN_NOISE_FACTOR:
-            return known
+            return known, np.zeros(len(found.theta))
         else:  # large noise may turn the package over
-            size, differences = 0.5 * size, []
+            size, ends = 0.5 * size, []
+    bias = known.solve(np.mean([end.slope for end in ends], axis=0) - found.slope)
     return replace(known, **{
-        name: (np.mean([getattr(one, name) for one in differences], axis=0)
-               - getattr(known, name)) / size**2 for name in ('shared', 'coupling', 'own')})
+        name: (np.mean([getattr(end.information, name) for end in ends], axis=0)
+               - getattr(known, name)) / size**2 for name in ('shared', 'coupling', 'own')}
+    ), bias / size**2
 
 
 def _noisier(size: float, segments: Segments, courses: Sequence[Course]) -> Segments:

@@ -193,6 +193,11 @@ class Problem:
         """Whether the noise of some poses is estimated together with K and P."""
         return any(outline.is_slow for outline in self.outlines)
 
+    @property
+    def is_seen(self) -> bool:
+        """Whether poses of the packages are measured, or only wrenches."""
+        return all(outline.is_seen for outline in self.outlines)
+
     def freed(self, theta: Array, more: Free, structure: Structure | None = None) -> 'Problem':
         """Return the problem from the cup of unknowns, with more free quantities."""
         return replace(self, structure=structure or self.structure, guess=self.cup(theta),

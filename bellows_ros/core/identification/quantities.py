@@ -107,6 +107,8 @@ def given_std(values: Values) -> dict[str, Array]:
             'exposure': _exposure_std(values)}
     if values.recording.package_world:
         stds['package_world'] = marker
+    if not values.topics.package_pose:
+        stds = {'length': stds['length']}
     if all(name in values for name in PACKAGE_PARAMETERS):
         payload = package_of(values)
         for name, size in (('mass', np.array([payload.mass])), ('com', np.ones(3)),

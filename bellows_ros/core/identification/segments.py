@@ -24,6 +24,7 @@ from bellows_ros.core.recording.recording import (
     LOW_RATE_HZ,
     MIN_SEGMENT,
     Recording,
+    UNSEEN_STD,
 )
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import CornerNoise, TagViews, USUAL_NOISE
@@ -140,7 +141,7 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
         recording.views, recording.further)
     motions = []
     for start, end, _ in recording.segments:
-        count = int((end - start) / NS_PER_S / MAX_SEGMENT) + 1
+        count = int((end - start) / NS_PER_S / MAX_SEGMENT) + 1 if recording.is_seen else 1
         edges = start + np.linspace(0, end - start, count + 1).astype(np.int64)
         for first, last in pairwise(edges):
             poses = [body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
@@ -384,8 +385,9 @@ class Outline(NamedTuple):
     ----------
     payload, world, moves_with_com
         As of its segments.
-    is_slow, is_tag : bool
-        Whether its poses come slowly, and whether they are of a tag.
+    is_slow, is_tag, is_seen : bool
+        Whether its poses come slowly, whether they are of a tag, and whether the poses of its
+        package are measured.
     further : mapping
         Standard deviations of the quantities of further sensors.
     poses : int
@@ -402,6 +404,7 @@ class Outline(NamedTuple):
     moves_with_com: tuple[bool, bool, bool]
     is_slow: bool
     is_tag: bool
+    is_seen: bool
     further: quantities.Free
     poses: int
     begin_ns: int
@@ -415,6 +418,7 @@ def outline_of(segments: Segments) -> Outline:
         measured.payload, measured.world, measured.moves_with_com,
         any(segment.is_slow for segment in segments),
         measured.views is not None,
+        bool(np.all(measured.package_noise.std < 0.1 * UNSEEN_STD)),
         quantities.deviations_of(measured.further),
         sum(len(segment.measured.package) for segment in segments),
         int(min(segment.package.stamps_ns[0] for segment in segments)),

@@ -64,6 +64,9 @@ OF_RECORDING = (
     Check(prepared_faults.wrong_set_up, FIT, level=2))
 """Checks of a prepared recording, in one world and on one clock."""
 
+OF_WRENCHES = OF_RECORDING[-1:]
+"""Checks of a recording without poses of the package."""
+
 
 def pose_remarks(poses: RecordedPoses) -> tuple[Remark, ...]:
     """Return the remarks of the checks on recorded poses."""
@@ -74,9 +77,9 @@ def recording_remarks(
     recording: Recording, length: float | None = None
 ) -> tuple[Remark, ...]:
     """Return the remarks of the checks on a prepared recording of a cup with a length (m)."""
-    return _remarks(
-        [check for check in OF_RECORDING if length is not None or not check.needs_length],
-        (recording.tool_pose, recording.package_pose), recording, length)
+    checks = [check for check in (OF_RECORDING if recording.is_seen else OF_WRENCHES)
+              if length is not None or not check.needs_length]
+    return _remarks(checks, (recording.tool_pose, recording.package_pose), recording, length)
 
 
 def _remarks(

@@ -235,6 +235,10 @@ def ar1_noise_of(
     return fitted(noise.position, wide.position), fitted(noise.rotation, wide.rotation)
 
 
+UNSEEN_STD = np.full(6, 10.0)
+"""Standard deviation of unknown poses, m and rad, which determine nothing."""
+
+
 class BodyNoise(NamedTuple):
     """
     Noise of a body's poses: standard deviations (6,), and its correlation from pose to pose.
@@ -623,6 +627,11 @@ class Recording:
         return self.settings.payload
 
     @property
+    def is_seen(self) -> bool:
+        """Whether the poses of the package are measured, by a topic."""
+        return bool(self.package_pose.name)
+
+    @property
     def valid(self) -> Mask:
         """Samples (N,) with usable filtered poses of both bodies."""
         return self.tool.valid & self.package.valid
@@ -682,7 +691,7 @@ class Recording:
         Noise of tool and package per axis, each at the stamps of the body.
 
         Polynomials do not follow a package between slow poses; the noise is then estimated at
-        rest.
+        rest. Unknown poses have `UNSEEN_STD`.
         """
         of_tool, of_package = (
             BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
@@ -698,7 +707,7 @@ class Recording:
                 noise.std, report.stamp_std * rms_twist(getattr(self, body))))
             if report.stamp_std else noise for noise, report, body in zip(
                 (of_tool, of_package), reports, ('tool', 'package'), strict=True))
-        return tool, package
+        return tool, package if self.is_seen else BodyNoise(UNSEEN_STD, 0.0)
 
     @cached_property
     def views(self) -> TagViews | None:

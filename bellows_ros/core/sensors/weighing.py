@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.sensors.body import Values
 from bellows_ros.core.sensors.readings import Kind, Simulated
@@ -127,14 +127,13 @@ class Blocks(NamedTuple):
         counts = np.bincount(number[used], minlength=1)
         used[used] = 2 * counts[number[used]] >= counts.max()
         _, number, counts = np.unique(number[used], return_inverse=True, return_counts=True)
-        after = np.searchsorted(nodes_ns, stamps[used], side='right')
-        part = (stamps[used] - nodes_ns[after - 1]) / (nodes_ns[after] - nodes_ns[after - 1])
         weight, shape = 1.0 / counts[number], (len(counts), len(nodes_ns))
+        places, parts = _cubic(nodes_ns, stamps[used])
         average = csr_matrix((
-            np.append((1.0 - part) * weight, part * weight),
-            (np.tile(number, 2), np.append(after - 1, after))), shape)
+            (weight * parts).ravel(), (np.tile(number, 4), places.ravel())), shape)
         means = csr_matrix((weight, (number, np.arange(len(number))))) @ felt.values[used]
-        return cls(means, average, average @ (nodes_ns / NS_PER_S), int(counts.max(initial=1)))
+        seconds = np.asarray(average @ (nodes_ns / NS_PER_S))
+        return cls(means, average, seconds, int(counts.max(initial=1)))
 
     def averaged(self, values: Array) -> Array:
         """Return the means (B, ...) of values at nodes (M, ...)."""
@@ -177,6 +176,15 @@ class ComparedWrenches(NamedTuple):
     def whitened(self, J: Array, r: Array) -> tuple[Array, Array]:
         """Return derivatives (B, 6, q) and residuals (B, 6), see `whitened`."""
         return whitened(J, r, self.blocks.seconds - self.begin, self.sensor, self.blocks.size)
+
+
+def _cubic(nodes_ns: Stamps, stamps_ns: Stamps) -> tuple[Places, Array]:
+    """Return the places (4, n) and weights (4, n) of nodes in cubic interpolation (Lagrange)."""
+    after = np.searchsorted(nodes_ns, stamps_ns, side='right')
+    places = np.clip(after - 2, 0, len(nodes_ns) - 4) + np.arange(4)[:, None]
+    t = (nodes_ns[places] - stamps_ns) / NS_PER_S
+    return places, np.array([np.prod([t[k] / (t[k] - t[j]) for k in range(4) if k != j], axis=0)
+                             for j in range(4)])
 
 
 def of_gripper(tool: Array, seconds: Array, gravity: Array, mount: Mount) -> Array:

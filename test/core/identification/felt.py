@@ -12,6 +12,7 @@ from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.sensors import weighing
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.workflows.gripper import gripper_of, prepared_tool
+from bellows_ros.workflows.recordings import prepare_settings, prepare_streams
 import numpy as np
 
 from .simulated import GRAVITY, shake
@@ -104,8 +105,12 @@ def empty_run(seed, sensor, values):
         {'tool_pose': pose, 'tool_wrench': wrenches}, values), gravity_vector(9.81))
 
 
-def joint_fit(seed, sensor, seconds=10.0):
-    """Return a fit with an empty run, the errors of K and mass, and their standard errors."""
+def joint_fit(seed, sensor, seconds=10.0, with_poses=True):
+    """
+    Return a fit with an empty run, the errors of K and mass, and their standard errors.
+
+    Without poses of the package the wrenches alone are fitted.
+    """
     rng = np.random.default_rng([seed, 3])
     stiffer, heavier = 1.0 + np.array([0.05, 0.1]) * rng.choice([-1.0, 1.0], 2)
     cup = Cup(stiffer * CUP.stiffness, CUP.damping, CUP.length)
@@ -114,7 +119,14 @@ def joint_fit(seed, sensor, seconds=10.0):
     values = settings(sensor, **{
         'package.inertia_std': [*0.1 * np.diag(PACKAGE.inertia), 0.0, 0.0, 0.0]})
     values = values.replaced(gripper_of(*empty_run(seed, sensor, values)))
-    fit = fitted([recorded(seed, sensor, seconds, cup, package, values=values)], values)
+    if with_poses:
+        recording = recorded(seed, sensor, seconds, cup, package, values=values)
+    else:
+        values = values.replaced({'topics.package_pose': ''})
+        pose, _, wrenches = streams(seed, sensor, seconds, cup, package)
+        recording = prepare_streams(
+            {'tool_pose': pose, 'tool_wrench': wrenches}, prepare_settings(values), values)
+    fit = fitted([recording], values)
     true, (mass,) = np.diag(cup.stiffness)[PLACES], fit.freed
     return fit, np.append(
         np.diag(fit.stiffness)[PLACES] / true - 1.0,
