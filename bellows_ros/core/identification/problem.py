@@ -276,9 +276,7 @@ class Problem:
     @cached_property
     def start(self) -> Array:
         """Unknowns (m,) of the initial guess."""
-        return self._of_all(self.structure.parameters(
-            self.first_cup.stiffness, self.first_cup.damping) / self.units[:self.count],
-            lambda name: 0.0)
+        return self.unknowns(self.first_cup)
 
     @cached_property
     def uncoupled(self) -> Array:
@@ -297,10 +295,8 @@ class Problem:
 
     def unknowns(self, cup: Cup) -> Array:
         """Return the unknowns of a cup, with other unknowns at the start."""
-        theta = self.start.copy()
-        theta[:self.count] = self.structure.parameters(
-            cup.stiffness, cup.damping) / self.units[:self.count]
-        return theta
+        return self._of_all(self.structure.parameters(
+            cup.stiffness, cup.damping) / self.units[:self.count], lambda name: 0.0)
 
     def strengths(self, theta: Array) -> Array:
         """Return the strengths of relaxation (2,) of the unknowns."""

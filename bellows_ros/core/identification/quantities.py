@@ -124,10 +124,8 @@ def deviations_of(readings: Iterable[Readings]) -> Free:
 
     Given quantities that they determine have weak priors.
     """
-    stds = dict[str, Array]()
-    for each in readings:
-        stds |= {**weak_prior(each.determined), **each.deviations}
-    return stds
+    return {name: np.maximum(std, MIN_STD) for each in readings for name, std in (
+        *weak_prior(each.determined).items(), *each.deviations.items())}
 
 
 def _exposure_std(values: Values) -> Array:

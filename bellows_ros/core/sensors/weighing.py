@@ -39,9 +39,6 @@ GRIPPER_STD = np.repeat([10.0, 1.0, 0.1], (1, 3, 6))
 MAX_CORRELATION = 0.95
 """Largest correlation of successive means."""
 
-MIN_STD = 1e-9
-"""Smallest standard deviation, SI units."""
-
 
 @dataclass(frozen=True, eq=False)
 class Wrenches:
@@ -95,7 +92,7 @@ class Wrenches:
                 'wrench_delay': np.array([DELAY_STD])}
         if sensor.gripper[0]:
             stds['gripper'] = np.array(sensor.gripper_std)
-        return {name: np.maximum(std, MIN_STD) for name, std in stds.items()}
+        return stds
 
     def compared(
         self, tool: Array, nodes_ns: Stamps, gravity: Array, begin_ns: int
