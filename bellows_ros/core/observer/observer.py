@@ -354,7 +354,8 @@ class Observer:
                 continue
             support = self._support.at(measurements[k].stamp_ns)
             before = estimates[k] if support else self.wrenches.corrected(
-                self._correction, estimates[k], self._track, measurements[k].stamp_ns)
+                self._correction, estimates[k], self._track, measurements[k].stamp_ns,
+                bool(self.counts['used']))
             after, verdict, alarm = self._correction.updated(
                 before, self._track, measurements[k], is_recorded and before is estimates[k],
                 support, self._has_vacuum(estimates[k], measurements[k].stamp_ns))

@@ -21,7 +21,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import kernels
@@ -68,6 +68,10 @@ SMOOTH_NS = 12_000_000
 
 CUP = np.array(states.CUP_ROWS)
 """Rows of the error that wrenches leave unchanged: K and P."""
+
+WITH_CAMERA = np.append(CUP, COM + 2)
+"""The same beside a camera: also the depth of the centre of mass, which errors of the spring law
+would change by 1 mm."""
 
 MIN_COUNT = 3
 """Smallest number of wrenches in a block."""
@@ -196,7 +200,8 @@ class Wrenches:
         return stamp_ns
 
     def corrected(
-        self, correction: Correction, before: Estimate, track: Track, until_ns: int
+        self, correction: Correction, before: Estimate, track: Track, until_ns: int,
+        has_camera: bool,
     ) -> Estimate:
         """Return an estimate corrected by the block of wrenches up to a stamp."""
         first, last = np.searchsorted(
@@ -217,7 +222,8 @@ class Wrenches:
         H[:, states.ZERO:states.ZERO + 6], H[:, states.GAIN] = np.eye(6), mean
         gain, zero = (before.theta[row - STATE:][:6] for row in (states.GAIN, states.ZERO))
         return self._updated(
-            correction, before, used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
+            correction, before, WITH_CAMERA if has_camera else CUP,
+            used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
             np.repeat(np.square(self.sensor.noise) / (last - first) + PERSISTENCE * (
                 self.sensor.gain_std**2 + before.memory[SHARE]) * np.square(
                     np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
@@ -248,9 +254,10 @@ class Wrenches:
         return np.asarray(Y[0] @ self.sensor.gripper)
 
     def _updated(
-        self, correction: Correction, before: Estimate, y: Array, H: Array, variance: Array
+        self, correction: Correction, before: Estimate, kept: Places, y: Array, H: Array,
+        variance: Array,
     ) -> Estimate:
-        """Return an estimate corrected by an innovation (6,) with derivative H (6, n)."""
+        """Return an estimate corrected by an innovation (6,), with derivative H (6, n)."""
         memory = np.array(before.wrench_memory or (FIRST_FACTOR, FIRST_FACTOR))
         variance = variance * np.repeat(memory, 3)
         P = before.covariance
@@ -264,8 +271,8 @@ class Wrenches:
             root, z = math.sqrt(excess) * root, z / math.sqrt(excess)
         memory = _learned(memory, y / np.sqrt(np.diag(S)), variance / np.diag(S))
         W = np.linalg.solve(root, HP)
-        gain, of_cup = W.copy(), np.zeros_like(W)
-        gain[:, CUP], of_cup[:, CUP] = 0.0, W[:, CUP]
+        gain, of_kept = W.copy(), np.zeros_like(W)
+        gain[:, kept], of_kept[:, kept] = 0.0, W[:, kept]
         body, theta = changed_by(before.body, before.theta, gain.T @ z)
         if not dynamics.is_possible(body, theta, correction.largest):
             return before._replace(wrench_memory=tuple(memory.tolist()))
@@ -275,8 +282,8 @@ class Wrenches:
             E[:-FALLEN] -= (gain.T @ np.linalg.solve(root, H)).astype(np.float32) @ E[:-FALLEN]
             evidence = evidence._replace(signatures=E, from_start=False)
         return before._replace(
-            body=body, theta=theta, covariance=P - W.T @ W + of_cup.T @ of_cup, evidence=evidence,
-            wrench_memory=tuple(memory.tolist()))
+            body=body, theta=theta, covariance=P - W.T @ W + of_kept.T @ of_kept,
+            evidence=evidence, wrench_memory=tuple(memory.tolist()))
 
 
 def _learned(memory: Array, z: Array, share: Array) -> Array:
