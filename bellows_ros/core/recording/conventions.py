@@ -212,7 +212,7 @@ def motion_in_tool(bodies: Bodies) -> tuple[float, float]:
     tool, package = bodies
     back = np.swapaxes(tool.rotation, 1, 2)
     offset, turned = lie.apply(back, package.position - tool.position), back @ package.rotation
-    offset = offset / np.median(np.linalg.norm(offset, axis=1))
+    offset = offset / max(float(np.median(np.linalg.norm(offset, axis=1))), 1e-12)
     rotation = lie.log_so3(turned[len(turned) // 2].T @ turned)
     return (spread(offset) + spread(rotation),
             2.0 + float(np.mean(offset[:, 2]) - np.mean(turned[:, 2, 2])))
