@@ -58,7 +58,13 @@ class Simulated(NamedTuple):
 
 
 class Comparison(Protocol):
-    """Measured values of a segment, to be compared with predictions."""
+    """
+    Measured values of a segment, to be compared with predictions.
+
+    Values of a quick sensor are means over some 50 ms, with the predictions averaged alike: single
+    predictions follow the noise of the tool's path, and their derivatives would count as
+    information by noise.
+    """
 
     @property
     def values(self) -> Array:
