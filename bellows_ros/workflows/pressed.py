@@ -43,6 +43,10 @@ def pressed_check(
         If a parameter or a recording is unusable, or they do not determine K.
 
     """
+    if 'cup.length' not in settings:
+        raise BellowsError(
+            'cup.length is not set, on which K depends. Measure the length from the tool tip to '
+            'the lip, under vacuum and without load.')
     values = with_gripper(checks.resolve(settings), progress)
     if not bags:
         raise BellowsError('No recording is given. Name one or more rosbag2 folders.')
