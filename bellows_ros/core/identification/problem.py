@@ -525,8 +525,7 @@ class Problem:
                 sums.append(self._compared(theta, segment, course, nodes, path, readings))
         order = np.argsort(np.concatenate([
             np.linspace(0.0, 1.0, len(each)) for each, _ in sums]), kind='stable')
-        information, slope = (
-            np.concatenate(pair)[order] for pair in zip(*sums, strict=True))
+        information, slope = (np.concatenate(pair)[order] for pair in zip(*sums, strict=True))
         return information, slope
 
     def _compared(

@@ -18,6 +18,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.information import Arrow, symmetric_roots
 from bellows_ros.core.identification.pool import Held, in_threads
 from bellows_ros.core.identification.problem import (
@@ -31,11 +32,15 @@ from bellows_ros.core.identification.segments import (
     MIN_POSE_STD,
     Segment,
     Segments,
+    segments_of,
 )
 from bellows_ros.core.identification.whitening import HUBER_STD, WhitenedSegment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.resampling import MAD_TO_STD
+from bellows_ros.core.signals.savgol import correlated
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -96,6 +101,16 @@ step."""
 MAX_SMALL_RISE = 1.02
 """Ratio of chi² after a step to chi² before the step, above which the next step has more
 damping."""
+
+NOISE_FACTOR = 3.0
+"""Size of the noise that is added to test the information, relative to the noise of the poses."""
+
+UNSEEN_NOISE_FACTOR = 1.0
+"""Size of the added noise for wrenches alone: it gives their bias, as noise of the tool shakes a
+package that no pose shows."""
+
+MIN_NOISE_FACTOR = 0.1
+"""Smallest size of added noise, as large noise may turn the package over."""
 
 Report = Callable[[Cup, float], None]
 """Callback with the cup and chi^2 after a step."""
@@ -617,3 +632,71 @@ def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]
     weights = np.linalg.pinv(squares, 0.1**2, hermitian=True) @ (differences @ H.times(step))
     weights *= min(1.0, MAX_ANDERSON_WEIGHT / max(np.abs(weights).max(), 1e-99))
     return np.asarray(step - weights @ (changes + differences))
+
+
+def noise_effects(found: Solution) -> tuple[Arrow, Array]:
+    """
+    Return the part of the information on the unknowns that is due to noise, and their bias (m,).
+
+    Noise in the path also shakes the simulated package. With additional noise of either sign the
+    information of motion is unchanged, and the information of noise grows with the squared noise,
+    as does the bias (simulation extrapolation, Cook and Stefanski 1994).
+    """
+    size = NOISE_FACTOR if found.problem.is_seen else UNSEEN_NOISE_FACTOR
+    known, ends = found.information, list[Solution]()
+    pool = found.problem.held.pool
+    while len(ends) < 2:
+        segments = pool.keep(
+            _noisier, size * (-1.0) ** len(ends), found.problem.held, found.courses)
+        courses = pool.keep(_begun, segments, found.courses)
+        noisy = found.problem.with_segments(segments, found.problem.outlines)
+        for _ in range(2):  # about the measured path, then about the likeliest
+            at = evaluated(noisy, found.theta, courses)
+            if not at.is_finite:
+                break
+            courses = at.refined(False)[0].courses
+        if at.is_finite:
+            ends.append(at)
+        elif size < MIN_NOISE_FACTOR:
+            return known, np.zeros(len(found.theta))
+        else:  # large noise may turn the package over
+            size, ends = 0.5 * size, []
+    bias = known.solve(np.mean([end.slope for end in ends], axis=0) - found.slope)
+    return replace(known, **{
+        name: (np.mean([getattr(end.information, name) for end in ends], axis=0)
+               - getattr(known, name)) / size**2 for name in ('shared', 'coupling', 'own')}
+    ), bias / size**2
+
+
+def _noisier(size: float, segments: Segments, courses: Sequence[Course]) -> Segments:
+    """Return a recording with more noise, in units of its own, by a seed of its number."""
+    measured = []
+    for place, (segment, course) in enumerate(zip(segments, courses, strict=True)):
+        own = segment.measured
+        noise = BodyNoise(course.std, own.package_noise.correlation), own.tool_noise
+        draw = np.random.default_rng([own.recording, place])
+        package, tool = (_shaken(body, body_noise, size, draw) for body, body_noise in zip(
+            (own.package, own.tool), noise, strict=True))
+        if own.views:
+            smear = np.zeros(len(own.views.corners))
+            sizes = np.sqrt(course.corners.variance(smear, own.views.frames))[:, None]
+            own = replace(own, views=replace(own.views, corners=own.views.corners + (
+                size * sizes * draw.standard_normal((len(smear), 8)))))
+        measured.append(replace(own, tool=tool, package=package))
+    return segments_of(measured, segments)
+
+
+def _begun(segments: Segments, courses: Sequence[Course]) -> tuple[Course, ...]:
+    """Return the measured courses from first states and with the noise of others."""
+    return tuple(segment.first._replace(
+        start=course.start, std=course.std, corners=course.corners)
+                 for segment, course in zip(segments, courses, strict=True))
+
+
+def _shaken(
+    body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
+) -> Trajectory:
+    """Return poses with added noise, in units of their own."""
+    e = size * noise.std * correlated(draw.standard_normal((len(body), 6)), noise.correlation)
+    return replace(body, position=body.position + e[:, :3],
+                   rotation=body.rotation @ exp_so3(e[:, 3:]))
