@@ -11,6 +11,7 @@ from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.output_error import HELD_OUT
 from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
 from bellows_ros.core.identification.result import DISTINCT, Finding, Fit, POSE_UNITS
+from bellows_ros.core.identification.search import MAX_NOISE_CHI2
 from bellows_ros.core.identification.validation import MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure
@@ -167,8 +168,9 @@ class FitVerdict(NamedTuple):
 
     @property
     def _is_misfit(self) -> bool:
-        """Whether a free simulation has larger errors than recordings without faults cause."""
-        return any((each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated)
+        """Whether chi² or a free simulation exceeds the errors of recordings without faults."""
+        return self.excess > MAX_NOISE_CHI2 - 1.0 or any(
+            (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated)
 
     @property
     def sentences(self) -> tuple[str, ...]:
