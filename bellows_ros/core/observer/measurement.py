@@ -341,14 +341,18 @@ def vertical_ratios(
     Return the log-likelihood ratios of a rise by the sag of the cup (m), and of a fall.
 
     From contact on, a support takes the weight off the cup, which shortens by its sag. The ratio
-    of a fall is computed for its likeliest length, minus `FALL_COST`.
+    of a fall is computed for its likeliest length, from `LEAST_FALL` on, minus `FALL_COST`.
     """
     n = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
     g = t3.norm(gravity)
     along, square = _along(
         innovation, np.array((n[0] / g, n[1] / g, n[2] / g, 0.0, 0.0, 0.0)))
-    return -sag * (along + 0.5 * sag * square), 0.5 * max(along, 0.0)**2 / square - FALL_COST
+    fall = 0.5 * along * along / square if along > LEAST_FALL * square else 0.0
+    return -sag * (along + 0.5 * sag * square), fall - FALL_COST
 
+
+LEAST_FALL = 5e-3
+"""Smallest length of a fall at a pose, which takes the period of a usual camera, m."""
 
 FALL_COST = 1.0
 """Cost of the unknown length of a fall at each pose, by which the sum of ratios decreases without
