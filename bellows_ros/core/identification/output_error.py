@@ -88,7 +88,11 @@ recordings K x or K rz was off by 6 to 1700 standard errors, and each standard e
 """
 
 LOADED_PARAMETER = 'K z'
-"""The stiffness that the weight loads: the sag shows it without motion."""
+"""
+The stiffness that the weight loads: the sag shows it without motion.
+
+In a gripper the other cups load each stiffness of one cup.
+"""
 
 MIN_SQUARED_DISTANCE = -2.0 * math.log(1e-3)
 """Smallest squared Mahalanobis distance of two significant parameters from zero; false-alarm rate
@@ -592,7 +596,8 @@ def _identifiable(
     is_noise = (shares > MAX_NOISE_SHARE) & (std > MAX_NOISY_ERROR * largest)
     identifiable = (total <= largest) & ~is_noise & found.converged
     of_K, of_P = slice(size // 2), slice(size // 2, size)
-    is_loaded = np.array([label == LOADED_PARAMETER for label in problem.structure.labels])
+    is_loaded = np.array([label == LOADED_PARAMETER or bool(problem.structure.places)
+                          for label in problem.structure.labels])
     identifiable[of_K] &= (
         identifiable[of_P] | (is_loaded | (std <= MAX_NOISY_ERROR * largest)[:size])[of_K])
     notes = [_unidentifiable(problem, problem.structure.labels[i], *(
