@@ -26,7 +26,7 @@ def test_the_true_cup_predicts_to_the_noise(replayed):
     rows = [line.split() for line in replayed[0].splitlines()]
     errors = {row[0]: row[1:] for row in rows if row and row[0] in AXES}
     assert len(errors) == 6
-    for axis, (unit, rms, live, of_noise, peak, percent, sign, _) in errors.items():
+    for axis, (unit, rms, live, of_noise, peak, percent, sign) in errors.items():
         assert (unit, sign[0]) == ('deg' if axis.startswith('r') else 'mm', '%')
         noise = NOISE[unit]
         # that of the tool's poses, to whose axes the package is taken, comes on top

@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.grip import Margin
-from bellows_ros.core.signals.residuals import Comparison, score, Spectrum
+from bellows_ros.core.signals.residuals import Comparison, score
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots import pictures
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
@@ -51,8 +51,7 @@ def draw_all(motion, loads, theme):
         'margin': pictures.margin_figure(margins, 'note', theme),
         'motion': pictures.motion_figure(motion, 'note', theme),
         'path': pictures.path_figure(motion, 'note', theme),
-        'spectra': pictures.spectra_figure(
-            spectra, 'note', theme, Spectrum(frequency, np.full((40, 6), 1e-12))),
+        'spectra': pictures.spectra_figure(spectra, 'note', theme),
         'deflection': pictures.deflection_figure(loads, 'note', theme),
         'residual': pictures.residual_figure(loads, 'note', theme)}
 

@@ -30,7 +30,6 @@ from bellows_ros.core.model.simulation import row_state, write_row
 from bellows_ros.core.sensors import body as poses
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 import numpy as np
-from scipy.optimize import nnls
 
 CORNERS = (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)
 """Corners of a tag in its own axes, in units of half its side, in the order of OpenCV and of the
@@ -286,6 +285,8 @@ class CornerNoise(NamedTuple):
 
         The second result is the RMS change of the standard deviations.
         """
+        from scipy.optimize import nnls  # not in the node
+
         units = np.column_stack([np.ones(len(smear)), smear**4])
         now = units @ np.square(self)
         found = np.square(self)
