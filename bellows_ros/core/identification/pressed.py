@@ -7,6 +7,7 @@ of the sensor and, within given standard deviations, the gains of the sensor and
 residuals of force and moment give the noise.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
@@ -104,25 +105,40 @@ def pressed_cup(
         off = shown - (1.0 + gain) * load[:, :, 0] - bias - Y @ phi
         return np.append(off / noise, (x - start) / prior)
 
-    x, noise = start, np.repeat(sensor.noise, 3)
-    for _ in range(3):
-        found = least_squares(residual, x, x_scale=prior, args=(noise,))
-        x, off = found.x, found.fun[:6 * count].reshape(count, 2, 3)
-        freedom = max(1.0 - (len(x) - INERTIAL_NUMBERS) / (6.0 * count), 0.1)
-        rms = np.sqrt(np.mean(off**2, axis=(0, 2)) / freedom) * noise[[0, 3]]
-        noise = np.repeat(rms, 3)
-    jacobian: Any = found.jac
-    covariance = np.linalg.inv(jacobian.T @ jacobian)[:size, :size]
-    std = np.sqrt(np.diag(covariance))
-    is_axis = np.array([row == column for row, column in structure.leads])
-    if np.any((std > MAX_ERROR * np.abs(x[:size])) & is_axis):
-        worst = structure.labels[int(np.argmax(is_axis * std / np.abs(x[:size])))]
-        raise UndeterminedError(
-            f'The standstills do not determine {worst}. Hold poses shifted along x, y and z by '
-            'some millimetres, and tilted and turned by some degrees.')
+    x, covariance, rms = _weighted(residual, start, prior, sensor, count)
+    std = np.sqrt(np.diag(covariance)[:size])
+    _require_determined(structure, x[:size], std)
     K, _ = structure.matrices(np.tile(units * x[:size], 2))
     if (smallest := float(np.linalg.eigvalsh(K)[0])) <= 0.0:
         raise UnexplainedError(
             f'K of these wrenches is not positive definite, its smallest eigenvalue is '
             f'{smallest:.3g}. Check wrench.sign and wrench.frame.')
     return PressedCup(K, structure.spread(np.tile(units * std, 2))[0], count, rms)
+
+
+def _weighted(
+    residual: Callable[[Array, Array], Array], start: Array, prior: Array, sensor: WrenchSensor,
+    count: int
+) -> tuple[Array, Array, Array]:
+    """Return unknowns (m,), covariance (m, m) and RMS residuals (N, N m) of standstills."""
+    x, noise = start, np.repeat(sensor.noise, 3)
+    for _ in range(3):  # weights follow the residuals
+        found = least_squares(residual, x, x_scale=prior, args=(noise,))
+        x, off = found.x, found.fun[:6 * count].reshape(count, 2, 3)
+        freedom = max(1.0 - (len(x) - INERTIAL_NUMBERS) / (6.0 * count), 0.1)
+        rms = np.sqrt(np.mean(off**2, axis=(0, 2)) / freedom) * noise[[0, 3]]
+        noise = np.repeat(rms, 3)
+    jacobian: Any = found.jac
+    return x, np.linalg.inv(jacobian.T @ jacobian), rms
+
+
+def _require_determined(structure: Structure, x: Array, std: Array) -> None:
+    """Require small standard errors, relative to the entries (s,), of the axes of K."""
+    is_axis = [row == column for row, column in structure.leads]
+    excess = np.where(is_axis, std - MAX_ERROR * np.abs(x), -np.inf)
+    if np.any(excess > 0.0):
+        worst = structure.labels[int(np.argmax(excess))]
+        raise UndeterminedError(
+            f'The standstills do not determine {worst}. Hold '
+            'poses shifted along x, y and z by some millimetres, and tilted and turned by some '
+            'degrees.')
