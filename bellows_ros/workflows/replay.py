@@ -27,6 +27,8 @@ from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
+from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.recording.prepared_faults import sensor_remarks
 from bellows_ros.core.recording.recording import (
     LOW_RATE_HZ,
     Recording,
@@ -34,7 +36,7 @@ from bellows_ros.core.recording.recording import (
     TimeOffset,
 )
 from bellows_ros.core.signals import residuals
-from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.resampling import resample, timing
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
@@ -124,6 +126,8 @@ class Observed(NamedTuple):
         Parameters with these estimates, and their remaining uncertainty.
     model_calibration : ModelCalibration or None
         Calibrated measurement model, if requested.
+    warnings : tuple of str
+        Warnings on the kind of sensor.
 
     """
 
@@ -135,6 +139,7 @@ class Observed(NamedTuple):
     calibration: Calibration | None
     parameters: Mapping[str, Any]
     model_calibration: ModelCalibration | None
+    warnings: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -351,6 +356,8 @@ def replay(
     progress(f'reading {os.fspath(bag)}', 0.0)
     recording, signals = load(bag, values), signals_of(bag, values)
     rated, note = _held_part(bag, recording, values, signals) if signals else (recording, '')
+    if observe not in ('', values.topics.package_pose):  # measured.tag_size is of observe
+        rated = replace(rated, settings=replace(rated.settings, tag=None))
     rated = checked(rated, values.cup.length)
     progress('simulating', 0.3)
     free = validated(values, rated)
@@ -372,12 +379,13 @@ def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
     hint = _mass_hint(free.values, free.recording)
     if not losses:
         is_known = camera.alarms or free.values.payload.estimate
-        return tuple(text for text in free.warnings if text not in hint or not is_known)
+        return (*(text for text in free.warnings if text not in hint or not is_known),
+                *camera.warnings)
     return (
         f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
         'that are not of the cup. Rate it with '
         f'recording.end: {max(losses[0] - 0.5, 0.0):.1f}.',
-        *(warning for warning in free.warnings if warning not in hint))
+        *(warning for warning in free.warnings if warning not in hint), *camera.warnings)
 
 
 def validated(values: Values, recording: Recording) -> Replay:
@@ -589,7 +597,18 @@ def observed(
         observer.payload, observer.calibration, {
             **_calibrated(observer.calibration, pose, world_rotation(
                 values.recording.world, values.gravity.direction)),
-            **(found.parameters if found else {})}, found)
+            **(found.parameters if found else {})}, found,
+        _sensor_sentences(stream, values.measured.tag_size > 0.0))
+
+
+def _sensor_sentences(stream: PoseStream, is_tag: bool) -> tuple[str, ...]:
+    """Return the warning of measured poses that are stated as of a tag, or not as of one."""
+    body = stream.trajectory()
+    outliers = find_outliers(body, LONGEST_GAP_NS)
+    return tuple(sentence('recording', remark.code, topic=stream.name, **remark.numbers)
+                 for remark in sensor_remarks(
+                     body.select(outliers.good), timing(stream.stamps_ns).rate_hz,
+                     outliers.excursions / len(stream), is_tag, stream.corners is not None))
 
 
 def _transformed_pose(pose: Array, R: Array, shift: Array | float = 0.0) -> Array:

@@ -72,6 +72,15 @@ def test_slow_poses_are_compared_at_their_own_stamps(filmed):
     np.testing.assert_allclose(alone.scores.rms, live, rtol=0.01)
 
 
+def test_a_tag_is_named_in_the_observed_poses_alone(filmed):
+    """Wild poses are those of a tag; the reference of motion capture is no tag if they are."""
+    bag, values = filmed
+    as_body, as_tag = (replay(bag, values.replaced(more), observe=CAMERA).warnings for more in (
+        {}, {'measured.tag_size': 0.05, 'recording.package_world': '0 0 0 1 0 0 0'}))
+    assert any(f"'/{CAMERA}' seem to come from a detected tag" in text for text in as_body)
+    assert not any('tracked body' in text for text in as_tag)
+
+
 def test_both_are_better_than_either(filmed):
     """Grip the package 10 mm beside its middle: the camera says so, and the model its noise."""
     bag, values = filmed

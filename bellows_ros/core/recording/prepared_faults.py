@@ -125,16 +125,24 @@ def seems_tag(noise: Array, rate_hz: float, excursions: float) -> bool:
 def wrong_sensors(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
     """Yield poses of a detected tag given as poses of a tracked body, or vice versa."""
     report, body = recording.report.package, recording.tracked_package
-    noise, rate_hz = noise_of(body.select(body.valid)), report.timing.rate_hz
-    excursions = report.outliers.excursions / len(report.recorded)
-    is_of_tag, is_tag = (seems_tag(noise, own, excursions) for own in (0.0, rate_hz))
+    yield from sensor_remarks(
+        body.select(body.valid), report.timing.rate_hz,
+        report.outliers.excursions / len(report.recorded), recording.settings.tag is not None,
+        report.recorded.corners is not None)
+
+
+def sensor_remarks(
+    body: Trajectory, rate_hz: float, excursions: float, is_tag: bool, has_corners: bool
+) -> Iterator[Remark]:
+    """Yield the fault of poses with a share of excursions that are stated as of a tag, or not."""
+    noise = noise_of(body)
     sizes = {'rate': rate_hz, 'rotation': float(np.sqrt(np.mean(noise[3:]**2)))}
     if not np.isfinite(noise).all():
         return
-    if is_tag and recording.settings.tag is None:
+    if not is_tag and seems_tag(noise, rate_hz, excursions):
         yield Remark('tag_as_body', sizes, 'package')
-    elif rate_hz > TAG_RATE_HZ and not is_of_tag and recording.settings.tag and (
-            report.recorded.corners is None):
+    elif is_tag and rate_hz > TAG_RATE_HZ and not has_corners and (
+            not seems_tag(noise, 0.0, excursions)):
         yield Remark('body_as_tag', sizes, 'package')
 
 
