@@ -123,14 +123,18 @@ class _Sentence(Formatter):
 
 
 def alarm_sentence(alarm: 'Alarm') -> str:
-    """Return the finding of an alarm, its second cause, and a test to decide between them."""
+    """
+    Return the finding of an alarm, its second cause, and a test to decide between them.
+
+    The finding of the second cause is left out if its standard error exceeds its size.
+    """
     parts = [_finding(alarm.cause, alarm.parts, alarm), sentence(
         'alarms', 'second', second=alarm.second, odds=max(alarm.odds, 1.0))]
+    if alarm.second_parts and all(std < size for size, std in alarm.second_parts):
+        parts.append(texts('alarms')['then'].format(
+            finding=_finding(alarm.second, alarm.second_parts, alarm)))
     if alarm.second_parts:
-        parts += [
-            texts('alarms')['then'].format(
-                finding=_finding(alarm.second, alarm.second_parts, alarm)),
-            texts('alarms').get('_'.join(sorted((alarm.cause, alarm.second))), '')]
+        parts.append(texts('alarms').get('_'.join(sorted((alarm.cause, alarm.second))), ''))
     return ' '.join(filter(None, parts))
 
 
