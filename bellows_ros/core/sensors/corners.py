@@ -285,7 +285,7 @@ class CornerNoise(NamedTuple):
 
         The second result is the RMS change of the standard deviations.
         """
-        from scipy.optimize import nnls  # not in the node
+        from scipy.optimize import nnls  # for fits: the node loads no optimizer
 
         units = np.column_stack([np.ones(len(smear)), smear**4])
         now = units @ np.square(self)
