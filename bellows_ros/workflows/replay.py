@@ -25,6 +25,7 @@ from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.observer.results import Calibration, Payload
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
 from bellows_ros.core.recording.outliers import find_outliers
@@ -354,9 +355,12 @@ def replay(
     require_types(recording=(bag, str, os.PathLike))
     values = checks.resolve(settings, checks.RECORDING_PARAMETERS)
     progress(f'reading {os.fspath(bag)}', 0.0)
-    recording, signals = load(bag, values), signals_of(bag, values)
-    rated, note = _held_part(bag, recording, values, signals) if signals else (recording, '')
-    if observe not in ('', values.topics.package_pose):  # measured.tag_size is of observe
+    is_other = observe not in ('', values.topics.package_pose)  # measured.* is of observe
+    own = values.replaced({name: PARAMETERS[name].default for name in (
+        'measured.offset', 'measured.latency', 'measured.scale')}) if is_other else values
+    recording, signals = load(bag, own), signals_of(bag, values)
+    rated, note = _held_part(bag, recording, own, signals) if signals else (recording, '')
+    if is_other:
         rated = replace(rated, settings=replace(rated.settings, tag=None))
     rated = checked(rated, values.cup.length)
     progress('simulating', 0.3)

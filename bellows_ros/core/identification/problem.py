@@ -44,7 +44,7 @@ from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import Seen
-from bellows_ros.core.sensors.readings import Readings, Simulated
+from bellows_ros.core.sensors.readings import Readings, SimulatedMotion
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.errors import BellowsError, UnstableError
@@ -551,7 +551,7 @@ class Problem:
 
     def _simulated(
         self, theta: Array, segment: Segment, course: Course, path: whitening.Path
-    ) -> Simulated:
+    ) -> SimulatedMotion:
         """Return the simulated motion at nodes."""
         (model, free), measured = self.model(theta, segment), segment.measured
         start = _start_near_rest(model, path.rows[0], course)
@@ -559,7 +559,7 @@ class Problem:
         whitening.write_motion(
             whitening.relaxing(model), whitening.with_inner(start), path,
             np.arange(len(motion)), np.zeros(len(motion)), motion)
-        return Simulated(
+        return SimulatedMotion(
             quantities.payload_of(measured.payload, free),
             quantities.gravity_of(measured.gravity, free), motion, path.rows)
 

@@ -31,7 +31,7 @@ from bellows_ros.core.observer.states import ANOTHER_PACKAGE, CAMERA_ROWS, CUP_R
 from bellows_ros.core.observer.support import Support
 from bellows_ros.core.observer.track import Track
 from bellows_ros.core.observer.wrench_alarms import Watch
-from bellows_ros.core.observer.wrenches import Wrenches
+from bellows_ros.core.observer.wrenches import WrenchFilter
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.sensors.wrench import BLOCK_NS, WrenchSensor
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -124,7 +124,7 @@ class Observer:
 
     def _set_values(self, values: Values) -> None:
         self._values, self.sensor = values, PoseSensor(values)
-        self.wrenches = Wrenches(WrenchSensor.of(values))
+        self.wrenches = WrenchFilter(WrenchSensor.of(values))
 
     def use_values(self, values: Values) -> None:
         """Use other parameters from the next model on; estimates of the camera are kept."""

@@ -160,7 +160,7 @@ def block(
     return mean, H, first, tool
 
 
-class Wrenches:
+class WrenchFilter:
     """
     The recent wrenches of a sensor, and the correction by them.
 

@@ -43,7 +43,7 @@ class Kind(NamedTuple):
     parameter: str = ''
 
 
-class Simulated(NamedTuple):
+class SimulatedMotion(NamedTuple):
     """
     A simulated motion at M nodes.
 
@@ -57,7 +57,7 @@ class Simulated(NamedTuple):
     tool: Array
 
 
-class Comparison(Protocol):
+class ComparedReadings(Protocol):
     """
     Measured values of a segment, to be compared with predictions.
 
@@ -74,7 +74,7 @@ class Comparison(Protocol):
     def period(self) -> float:
         """Time between values, s."""
 
-    def predicted(self, motion: Simulated, free: Values) -> Array:
+    def predicted(self, motion: SimulatedMotion, free: Values) -> Array:
         """Return values (B, d) by a simulated motion and own quantities."""
 
     def whitened(self, J: Array, r: Array) -> tuple[Array, Array]:
@@ -123,7 +123,7 @@ class Readings(Protocol):
 
     def compared(
         self, tool: Array, nodes_ns: Stamps, gravity: Array, begin_ns: int
-    ) -> Comparison:
+    ) -> ComparedReadings:
         """
         Return the measurements within a segment.
 

@@ -16,7 +16,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.sensors.body import Values
-from bellows_ros.core.sensors.readings import Kind, Simulated
+from bellows_ros.core.sensors.readings import Kind, SimulatedMotion
 from bellows_ros.core.sensors.wrench import (
     BLOCK_NS,
     gripper_regressors,
@@ -140,7 +140,7 @@ class Blocks(NamedTuple):
 
 class ComparedWrenches(NamedTuple):
     """
-    Blocks of wrenches, and the regressors (M, 6, 10) of the gripper at nodes, see `Comparison`.
+    Blocks of wrenches, and the regressors (M, 6, 10) of the gripper at nodes: `ComparedReadings`.
 
     Further values are the times (M,) of the nodes and the begin of the recording, s.
     """
@@ -161,7 +161,7 @@ class ComparedWrenches(NamedTuple):
         """Duration of a block, s."""
         return BLOCK_NS / NS_PER_S
 
-    def predicted(self, motion: Simulated, free: Values) -> Array:
+    def predicted(self, motion: SimulatedMotion, free: Values) -> Array:
         """Return the means (B, 6) of predicted wrenches; the rate of the load shows the delay."""
         load = loads(*motion, self.sensor.mount)
         of_gripper = self.regressors @ np.array(self.sensor.gripper)

@@ -28,10 +28,14 @@ WRONG = {'stiffness': 0.03, 'damping': 0.2, 'mass': 0.02, 'com': 2e-3, 'inertia'
 FLAT = 1.0, 1.0, 0.5
 """Ratio of the errors of the centre of mass along the axes."""
 NOISE = np.repeat([2e-3, 1e-2], 3)
-CAMERA, TAG = np.array([0.5, 0.0, 1.6]), 0.08
-"""Position of a camera that looks down, and side of a tag at the centre of mass, m."""
-CORNER_NOISE, EXPOSURE = 1e-4, 3e-3
-"""Standard deviation of a corner at rest, rad, and exposure, s."""
+CAMERA = np.array([0.5, 0.0, 1.6])
+"""Position of a camera that looks down, m."""
+TAG = 0.08
+"""Side of a tag at the centre of mass, m."""
+CORNER_NOISE = 1e-4
+"""Standard deviation of a corner at rest, rad."""
+EXPOSURE = 3e-3
+"""Exposure of the camera, s."""
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 
