@@ -696,7 +696,7 @@ def _begun(segments: Segments, courses: Sequence[Course]) -> tuple[Course, ...]:
 def _shaken(
     body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
 ) -> Trajectory:
-    """Return poses with added noise, in units of their own."""
+    """Return poses with added noise: `size` times their own noise, and as correlated."""
     e = size * noise.std * correlated(draw.standard_normal((len(body), 6)), noise.correlation)
     return replace(body, position=body.position + e[:, :3],
                    rotation=body.rotation @ exp_so3(e[:, 3:]))
