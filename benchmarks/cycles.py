@@ -231,7 +231,7 @@ FAULTS: dict[str, list[dict[str, Any]]] = {
     'collision': [{'size': 0.3}],
     'drop': [{'at_event': 'hold', 'after': 0.15}, {'at_event': 'hold', 'after': -0.3},
              {'at_event': 'hold', 'after': 0.1, 'gradual': 0.15},
-             {'at_event': 'move', 'after': 0.05}],
+             {'at_event': 'move', 'after': 0.05}, {'at_event': 'lift', 'after': 0.2}],
     'drop lowering': [{'at_event': 'lower', 'after': 0.1},
                       {'at_event': 'lower', 'after': 0.25}],
     'slip': [{'size': 5e-3}],
@@ -256,9 +256,10 @@ def faults(kind: str, seeds: range, sensor: str, has_switch: bool = True) -> Non
         found = [each for each in run.alarms if each[0] >= 2]
         first[found[0][2].cause if found else ''] += 1
         delays += [t - cycles[2].at['fault'] for number, t, _ in found[:1] if number == 2]
-        if kind in DIRECTIONS and sensor != 'rig':
+        if kind in DIRECTIONS:
             sound = _with_fault(seed, sensor, kind, {**fault, 'size': 0.0})
-            found_by += ideal(sound[2], cycles[2], DIRECTIONS[kind])
+            found_by += ideal(sound[2], cycles[2], DIRECTIONS[kind],
+                              cup_of(sensor, False)['cup.stiffness'][21])
         for _, _, alarm in found[:1]:
             if alarm.cause not in RIGHT.get(kind, (kind,)):
                 odds = max(odds, alarm.odds)
@@ -268,8 +269,8 @@ def faults(kind: str, seeds: range, sensor: str, has_switch: bool = True) -> Non
     switch = '' if has_switch else ' without the switch'
     print(f'| {kind}{switch} | {sensor} | {right} of {len(seeds)} {dict(first)} | largest wrong '
           f'odds {odds:.0f} | delay {np.median(delays or [np.nan]):.2f} s, largest '
-          f'{max(delays, default=np.nan):.2f} s | z rms '
-          f'{np.sqrt(np.mean(np.square(z))):.2f} of {len(z)} |' + (
+          f'{max(delays, default=np.nan):.2f} s |' + (
+              f' z rms {np.sqrt(np.mean(np.square(z))):.2f} of {len(z)} |' if z else '') + (
               ' ideal {:.1f}, {:.1f} with its direction |'.format(*found_by)
               if found_by.any() else ''), flush=True)
 
@@ -281,12 +282,13 @@ def _with_fault(seed: int, sensor: str, kind: str, fault: Mapping[str, Any]) -> 
         cell.cycle(kind.split()[0], **fault) for _ in range(count))]
 
 
-def ideal(sound: Any, faulty: Any, dimensions: int) -> tuple[float, float]:
+def ideal(sound: Any, faulty: Any, dimensions: int, bending: float) -> tuple[float, float]:
     """
     Return the probabilities that ideal tests find a fault at the threshold of an alarm.
 
     The tests have the true time and size of the fault, its effect on the poses, and the true noise
-    of poses and stamps. Marker, camera and centre of mass have their stated standard deviations.
+    of poses and stamps. Marker, camera and centre of mass have their stated standard deviations;
+    the latter turns a package on a cup with a stiffness in bending (N m/rad).
     The first test averages over directions, the second has the true one. With n dimensions, the
     fault's squared distance k and r = sqrt(k) |y| for the whitened score y, the average of the
     likelihood ratio is 0F1(n / 2; r^2 / 4) exp(-k / 2).
@@ -295,7 +297,7 @@ def ideal(sound: Any, faulty: Any, dimensions: int) -> tuple[float, float]:
     (stamps, _, o0, q0), (_, _, o1, q1) = (
         map(np.array, zip(*cycle.seen[:count], strict=True)) for cycle in (sound, faulty))
     turn = (Rotation.from_quat(q0).inv() * Rotation.from_quat(q1)).as_rotvec()
-    by_weight = faulty.stated['package.mass'] * 9.81 / STIFFNESS[3]
+    by_weight = faulty.stated['package.mass'] * 9.81 / bending
     speed = np.linalg.norm(np.gradient(sound.truth[:, :2], sound.times, axis=0), axis=1)
     late = 5e-3 / np.sqrt(2.0) * np.interp(stamps, sound.times, speed)
     offset, twist = np.hypot(WRONG['camera'], WRONG['marker'])

@@ -1,5 +1,5 @@
 """
-Ordinary cells of an independent simulator, `../shared/cell/cycle_rig`, with slips by its hook.
+Ordinary cells of an independent simulator, `../shared/cell/cycle_rig`, with faults.
 
 Its C source is compiled into a temporary folder. It shares no line with the package.
 """
@@ -22,6 +22,8 @@ from test.core.observer.contact_cell import Cycle  # noqa: I100, I201
 SOURCE = Path(__file__).parents[2] / 'shared/cell/cycle_rig'
 EVERY = 2
 """Number of samples of 5 ms between two of the tool."""
+HIT = 0.02
+"""Duration of a collision, s."""
 
 
 @cache
@@ -51,33 +53,57 @@ class RigCell:
         """Draw the cell."""
         self._draw, self._rng = world().Draw(seed), np.random.default_rng(seed)
 
-    def cycle(self, fault: str = '', size: float = 0.0) -> Cycle:
-        """Return a cycle; a 'slip' (m) is 0.1 s after the beginning of the hold."""
+    def cycle(
+        self, fault: str = '', at_event: str = 'hold', after: float = 0.1, size: float = 1.0,
+        gradual: float = 0.0,
+    ) -> Cycle:
+        """Return a cycle with a fault, as `contact_cell.ContactCell.cycle` does."""
         rig, draw, g = world(), self._draw, self._rng
         path, t, stated, true = rig.cycle(draw, g)
-        direction = np.r_[g.normal(size=2), 0.0]
-        by = size * direction / np.linalg.norm(direction)
+        at = {'grip': t['held'], 'lift': t['lift'], 'move': t['move'], 'hold': t['hold'],
+              'lower': t['lower'], 'low': t['placed'], 'valve': t['valve_off'],
+              'release': t['released']}
+        when = at['fault'] = at[at_event] + after
+        way = np.r_[g.normal(size=2), g.normal() if fault in ('camera', 'collision') else 0.0]
+        way *= size / np.linalg.norm(way)
+        if fault == 'swap':
+            true['m'], true['I'] = size * true['m'], size * true['I']
+        if fault == 'drop':
+            at['release'] = when + gradual + 0.05  # of the vacuum switch
 
         def slipped(y: np.ndarray, c: Any, given: Mapping[str, Any]) -> tuple[np.ndarray, Any]:
-            y[:3] += y[3:12].reshape(3, 3) @ by
-            return y, rig.cell(**{**given, 'com': given['com'] + by})
+            y[:3] += y[3:12].reshape(3, 3) @ way
+            return y, rig.cell(**{**given, 'com': given['com'] + way})
 
-        hook = {t['hold'] + 0.1: slipped} if fault == 'slip' else None
-        times, E, Y = rig.simulate(draw, path, t, true, hook=hook)
-        seen = rig.see(g, draw, times, Y, true, t)
-        late = max(round(draw.lag / (times[1] - times[0])), 0)
-        R = Rotation.from_matrix(E[:, 3:12].reshape(-1, 3, 3))
-        pose = np.hstack([E[:, :3], R.as_quat()])[np.maximum(np.arange(len(E)) - late, 0)]
-        tool = np.hstack([pose, R.apply(E[:, 12:15]), R.apply(E[:, 15:])])
-        tool += np.r_[[2e-5] * 3, [0.0] * 4, [5e-4] * 3, [1e-3] * 3] * g.normal(size=tool.shape)
-        truth = np.hstack([
+        def act(inputs: np.ndarray, times: np.ndarray) -> None:
+            if fault == 'drop':
+                fading = np.clip(1.0 - (times - when) / max(gradual, rig.H), 0.0, 1.0)
+                inputs[:, :2] *= fading[:, None]
+            elif fault == 'collision':
+                arm = 0.5 * true['size'] * g.uniform(-1.0, 1.0, 3)
+                hit = (times > when) & (times < when + HIT)
+                inputs[hit, 4:] = np.r_[way, np.cross(arm, way)] / HIT
+
+        times, E, Y = rig.simulate(draw, path, t, true, extra=act,
+                                   hook={when: slipped} if fault == 'slip' else None)
+        moved, size = way * (fault == 'camera'), size * (fault == 'latency')
+        seen = rig.see(g, draw, times, Y, true, t, late=lambda t: size * (t > when),
+                       bump=lambda t, o, R: (o + np.outer(t > when, moved), R))
+        tool, truth = self._told(times, E), np.hstack([
             Y[:, :3], Rotation.from_matrix(Y[:, 3:12].reshape(-1, 3, 3)).as_quat()])
         return Cycle(
             times[::EVERY], tool[::EVERY], truth[::EVERY],
             [(stamp, arrival, o, q) for stamp, o, q, arrival in seen], _stated(stated, draw.sd),
-            {'grip': t['held'], 'lift': t['lift'], 'move': t['move'], 'hold': t['hold'],
-             'lower': t['lower'], 'low': t['placed'], 'valve': t['valve_off'],
-             'release': t['released'], 'fault': t['hold'] + 0.1})
+            at)
+
+    def _told(self, times: np.ndarray, E: np.ndarray) -> np.ndarray:
+        """Return the messages of the tool (N, 13), whose poses are late."""
+        late = max(round(self._draw.lag / (times[1] - times[0])), 0)
+        R = Rotation.from_matrix(E[:, 3:12].reshape(-1, 3, 3))
+        pose = np.hstack([E[:, :3], R.as_quat()])[np.maximum(np.arange(len(E)) - late, 0)]
+        tool = np.hstack([pose, R.apply(E[:, 12:15]), R.apply(E[:, 15:])])
+        noise = [2e-5] * 3, [0.0] * 4, [5e-4] * 3, [1e-3] * 3
+        return tool + np.concatenate(noise) * self._rng.normal(size=tool.shape)
 
 
 def _stated(package: Mapping[str, Any], std: Mapping[str, Any]) -> dict[str, Any]:
