@@ -97,8 +97,9 @@ class Support:
         return self._height(place) < self._height(position) - ASIDE and self._aside(
             place, nearest) < ASIDE
 
-    def _way_to_stop(self, stamp_ns: int, down: float) -> float:
-        """Return the distance (m) to the stop of a descent (m/s), once it slows down."""
+    def _way_to_stop(self, stamp_ns: int, tool: State) -> float:
+        """Return the distance (m) to the stop of a descent, once it slows down."""
+        down = -t3.dot(self._up, t3.apply(t3.rotation_matrix(tool[1]), tool[2]))
         if down >= FASTEST * self._fastest:
             self._fastest, self._fastest_ns = max(down, self._fastest), stamp_ns
             return math.inf
@@ -108,10 +109,11 @@ class Support:
     def follow(self, stamp_ns: int, tool: State) -> str:
         """Process a sample of the tool; return whether a package 'leaves' or 'meets' a support."""
         position = tool[0]
-        height, down = self._height(position), -t3.dot(
-            self._up, t3.apply(t3.rotation_matrix(tool[1]), tool[2]))
-        way = self._way_to_stop(stamp_ns, down)
+        height = self._height(position)
+        if self._grip_height == -math.inf and not self._is_gripping:
+            return ''
         if self.is_near:
+            way = self._way_to_stop(stamp_ns, tool)
             self._low = min(self._low, height)
             rises = height > self._low + self._lift or self._aside(position, self._begin) > ASIDE
             if rises:
@@ -129,10 +131,11 @@ class Support:
         drop = self._height(top) - height
         if drop <= 0.0 or self._aside(position, top) > STRAIGHT * drop + 1e-3:
             top, drop, self._fastest = position, 0.0, 0.0
+        else:
+            self._way_to_stop(stamp_ns, tool)
         self._top = top
         is_low = self._may_reach and height < self._grip_height + self._lift
-        is_down = drop > DESCENT and self._grip_height > -math.inf
-        if not (self._is_gripping or is_low or is_down):
+        if not (self._is_gripping or is_low or drop > DESCENT):
             return ''
         kind = CONTACT if self._is_gripping else NEAR
         if self._is_gripping:
@@ -141,9 +144,3 @@ class Support:
         self._times = [each for each in self._times if each[1] > stamp_ns - REMEMBERED_NS]
         self._times.append((stamp_ns, 0, kind))
         return ''
-
-    def release(self, stamp_ns: int) -> None:
-        """End the support at a stamp, as the package has been released."""
-        if self.is_near:
-            self._end(stamp_ns)
-        self._top, self._is_gripping = None, False
