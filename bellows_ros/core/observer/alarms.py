@@ -138,7 +138,7 @@ class Alarms:
         onsets[1, 0] = stamp_ns
         return Evidence(
             np.zeros((len(self.steps), columns), np.float32),
-            np.zeros((1 + MAX_COMPONENTS, columns)), np.zeros(1 + ONSETS), onsets, (), from_start)
+            np.zeros((1 + MAX_COMPONENTS, columns)), np.zeros(1 + ONSETS), onsets, from_start)
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:
         """Return the stamps (ns) since half the threshold, including another measurement."""
@@ -170,8 +170,8 @@ class Alarms:
         in_view = self._of_tag and likely.name == 'camera'
         confirmed_ns = VIEW_NS if in_view else DECIDE_NS if (
             lead < MIN_LEAD) else likely.confirmed_ns
-        suspect_ns = stamp_ns - min(evidence.suspect_ns, default=stamp_ns)
-        if len(evidence.suspect_ns) <= likely.confirmed or suspect_ns < confirmed_ns or (
+        suspect_ns = stamp_ns - min(estimate.suspect_ns, default=stamp_ns)
+        if len(estimate.suspect_ns) <= likely.confirmed or suspect_ns < confirmed_ns or (
                 stamp_ns < evidence.onsets[1, best.onset] + best.components * likely.after_ns):
             return None
         holding = [k for k in range(len(self._places)) if k not in estimate.lost_cups]

@@ -26,7 +26,7 @@ from bellows_ros.core.observer.hypotheses import (
     START_ROWS,
     START_STEPS,
 )
-from bellows_ros.core.observer.likelihood import FaultEvidence, prior_of
+from bellows_ros.core.observer.likelihood import prior_of
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FALLING,
@@ -295,21 +295,20 @@ class Correction:
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, support: int = 0,
     ) -> tuple[int, Estimate, Likeliest]:
         """Return verdict, estimate and faults by `filter_step`; with gate 0 propagate only."""
-        evidence, theta, walk = before.evidence, before.theta.copy(), self._walk
+        evidence, theta, walk = before.evidence, before.theta, self._walk
         if support:
             evidence = NO_EVIDENCE._replace(from_start=evidence.from_start)
         if support == CONTACT:
             walk = walk.copy()
             walk[WRENCH_ROWS] += self._by_support(before.body) / TOUCHDOWN
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
-        theta[states.LATENCY - STATE] -= late  # correction for reading the pose earlier
+        if late:  # correction for reading the pose earlier
+            theta = theta.copy()
+            theta[states.LATENCY - STATE] -= late
         result = likelihood.filter_step(
             self.row(before.lost_cups), self.law, before.numbers(theta),
             (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
-            (self._drive, walk, self._marker[3][0]),
-            FaultEvidence(
-                evidence.signatures, evidence.statistics, evidence.distances, evidence.onsets,
-                evidence.from_start, self._at_start, self._steps),
+            (self._drive, walk, self._marker[3][0]), evidence, self._at_start, self._steps,
             self._holding(before.lost_cups),
             MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
@@ -319,10 +318,8 @@ class Correction:
         return result.verdict, before._replace(
             stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
             contact=max(before.contact + result.rise, 0.0),
-            fall=max(before.fall + result.fall, 0.0),
-            evidence=evidence._replace(
-                signatures=result.signatures, statistics=result.statistics,
-                distances=result.distances, onsets=result.onsets)), result.likeliest
+            fall=max(before.fall + result.fall, 0.0), evidence=result.evidence,
+            suspect_ns=() if support else before.suspect_ns), result.likeliest
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
@@ -470,7 +467,7 @@ class Correction:
 
     def _may_be_fault(self, estimate: Estimate, likeliest: Likeliest) -> bool:
         """Return whether the evidence is close to an alarm; a restart would lose the evidence."""
-        suspect_ns = estimate.evidence.suspect_ns
+        suspect_ns = estimate.suspect_ns
         return self.alarms is not None and bool(suspect_ns) and (
             self.alarms.is_likely(likeliest.total, likeliest.lead)
             and estimate.stamp_ns - suspect_ns[0] < DECIDE_NS)
@@ -479,42 +476,41 @@ class Correction:
         self, before: Estimate, after: Estimate, likeliest: Likeliest, has_vacuum: bool
     ) -> tuple[Estimate, alarms.Alarm | None]:
         """Return an estimate with a detected fault removed, and the alarm on it."""
-        row, evidence, stamp_ns = states.LATENCY, after.evidence, after.stamp_ns
+        row, stamp_ns = states.LATENCY, after.stamp_ns
         change = after.theta[row - STATE] - before.theta[row - STATE]
         if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
             after.covariance[row, row] += change**2
-            return after._replace(evidence=self._evidence(
-                stamp_ns, after.lost_cups, evidence.from_start)), None
+            return self._renewed(after), None
         if self.alarms is None:
             return after, None
         is_back = before.gated_ns and not after.gated_ns  # earlier evidence does not count
         suspect_ns = self.alarms.suspect_ns(
-            () if is_back else evidence.suspect_ns, stamp_ns, likeliest.total)
-        if suspect_ns != evidence.suspect_ns:
-            evidence = evidence._replace(suspect_ns=suspect_ns)
-        after = after._replace(evidence=evidence)
+            () if is_back else after.suspect_ns, stamp_ns, likeliest.total)
+        if suspect_ns != after.suspect_ns:
+            after = after._replace(suspect_ns=suspect_ns)
         fault = self.alarms.detected(after, self._at_start, likeliest, has_vacuum)
         if fault is None:
             gated = len(after.gated_ns) if (
-                evidence.onsets[0, 0] >= SETTLING) else 0
+                after.evidence.onsets[0, 0] >= SETTLING) else 0
             alarm = self.alarms.disturbance(stamp_ns, gated, likeliest)
             return after if alarm is None else self._disturbed(after), alarm
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
         body, theta = changed_by(after.body, after.theta, fault.error)
         if not dynamics.is_possible(body, theta, self.largest):
-            return after._replace(gated_ns=(), evidence=self._evidence(
-                stamp_ns, after.lost_cups, False)), fault.alarm
+            return self._renewed(after, False), fault.alarm
         memory = np.r_[self.initial.memory[:ekf.FACTORS], after.memory[ekf.FACTORS:]]
-        return after._replace(  # the fault has increased the noise, too
-            body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
-            evidence=self._evidence(stamp_ns, lost_cups, False),
-            covariance=after.covariance + fault.spread @ fault.spread.T), fault.alarm
+        return self._renewed(after._replace(  # the fault has increased the noise, too
+            body=body, theta=theta, memory=memory, lost_cups=lost_cups,
+            covariance=after.covariance + fault.spread @ fault.spread.T), False), fault.alarm
 
     def _disturbed(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the initial uncertainty of the state."""
-        return self._unsure(estimate, np.arange(STATE))._replace(
-            gated_ns=(), evidence=self._evidence(
-                estimate.stamp_ns, estimate.lost_cups, estimate.evidence.from_start))
+        return self._renewed(self._unsure(estimate, np.arange(STATE)))
+
+    def _renewed(self, estimate: Estimate, from_start: bool = True) -> Estimate:
+        """Return an estimate without evidence of faults; whether they may be from the start."""
+        return estimate._replace(gated_ns=(), suspect_ns=(), evidence=self._evidence(
+            estimate.stamp_ns, estimate.lost_cups, from_start and estimate.evidence.from_start))
 
     def _unsure(self, estimate: Estimate, rows: Array) -> Estimate:
         """Return an estimate with the prior variance added to some rows."""
@@ -524,10 +520,7 @@ class Correction:
 
     def released(self, estimate: Estimate) -> Estimate:
         """Return an estimate of a package just released by its support."""
-        return self._without_support(estimate)._replace(
-            support=0, gated_ns=(), away_ns=0,
-            evidence=self._evidence(
-                estimate.stamp_ns, estimate.lost_cups, estimate.evidence.from_start))
+        return self._renewed(self._without_support(estimate)._replace(support=0, away_ns=0))
 
     def _without_support(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the initial wrench."""
@@ -552,15 +545,13 @@ class Correction:
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement
     ) -> Estimate:
         """Return an estimate with initial uncertainty, corrected with a measurement."""
-        stamp_ns = estimate.stamp_ns
+        evidence = estimate.evidence
         theta = np.where(np.abs(estimate.theta) <= self.largest[STATE:], estimate.theta, 0.0)
         restarted = self._unsure(estimate, np.r_[:STATE, WRENCH_ROWS])._replace(
             theta=theta, memory=memory, evidence=NO_EVIDENCE)
         _, after, _ = self._step(
-            restarted, track, stamp_ns, True, measurement, math.inf, estimate.support)
-        from_start = estimate.evidence.from_start
+            restarted, track, estimate.stamp_ns, True, measurement, math.inf, estimate.support)
         # a fault this early was present from the start
-        from_start &= bool(estimate.evidence.onsets[0].max(initial=0) < MIN_NOISE_COUNT)
-        return after._replace(
-            memory=memory, gated_ns=(), away_ns=0,
-            evidence=self._evidence(stamp_ns, estimate.lost_cups, from_start))
+        is_early = bool(evidence.onsets[0].max(initial=0) < MIN_NOISE_COUNT)
+        return self._renewed(
+            after._replace(memory=memory, away_ns=0, evidence=evidence), is_early)

@@ -103,7 +103,7 @@ JITTER = SHARE + 1
 
 
 class Evidence(NamedTuple):
-    """Evidence of faults after a measurement."""
+    """Evidence of faults after a measurement, as the kernels take it."""
 
     signatures: Any
     """Signatures (n + 7, columns), in single precision for speed."""
@@ -113,8 +113,6 @@ class Evidence(NamedTuple):
     """Sum of squared distances since each onset."""
     onsets: Stamps
     """Number of measurements since each onset, and its stamp (ns): (2, onsets)."""
-    suspect_ns: tuple[int, ...] = ()
-    """Stamps since half the threshold, ns."""
     from_start: bool = True
     """Whether faults from the start are tested, because there was no alarm and no wrench."""
 
@@ -138,6 +136,8 @@ class Estimate(NamedTuple):
     """Memory (15,) of the noise, with indices from `PERIOD` on."""
     evidence: Evidence = NO_EVIDENCE
     """Evidence of faults."""
+    suspect_ns: tuple[int, ...] = ()
+    """Stamps (ns) since the evidence exceeded half the threshold."""
     lost_cups: tuple[int, ...] = ()
     """Lost cups of a gripper, by index among the cups that held."""
     gated_ns: tuple[int, ...] = ()

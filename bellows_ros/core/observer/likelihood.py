@@ -98,28 +98,12 @@ def prior_of(theta: Array, P: Array) -> Prior:
     return Prior(theta[START_ROWS - states.STATE], W, START_STEPS.T @ W)
 
 
-class FaultEvidence(NamedTuple):
-    """Evidence of faults before a measurement, see `Evidence`."""
-
-    signatures: Any
-    statistics: Array
-    distances: Array
-    onsets: Stamps
-    from_start: bool
-    prior: Prior
-    steps: Array
-    """Error (n + 7, components) by each component of a fault."""
-
-
 class Assessment(NamedTuple):
     """An estimate after a measurement, and the evidence of faults."""
 
     verdict: int
     estimate: ekf.EstimateTuple
-    signatures: Any
-    statistics: Array
-    distances: Array
-    onsets: Stamps
+    evidence: ekf.Evidence
     likeliest: Likeliest
     rise: float
     """Log-likelihood ratio of a rise by `vertical_ratios`; 0 without a support."""
@@ -130,24 +114,24 @@ class Assessment(NamedTuple):
 def filter_step(
     row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples,
     is_recorded: bool, until_ns: int, max_step: float, noise: ekf.Noise,
-    faults: FaultEvidence, cups: Array, seen: MeasuredPose,
+    evidence: ekf.Evidence, prior: Prior, steps: Array, cups: Array, seen: MeasuredPose,
 ) -> Assessment:
     """
     Propagate an estimate to a later stamp, correct it with a measurement, and assess faults.
 
-    Other inputs are as for `model_of`, `predicted` and `updated`. Cups are the holding cups of a
-    gripper. One kernel, with the model as an array, is faster to call from Python.
+    Other inputs are as for `model_of`, `predicted` and `updated`. Steps (n + 7, components) are
+    the errors by each component of a fault, cups the holding cups of a gripper. One kernel, with
+    the model as an array, is faster to call from Python.
     """
     model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
-    E, statistics, distances, onsets = (
-        faults.signatures, faults.statistics, faults.distances, faults.onsets)
+    E, statistics, distances, onsets, from_start = evidence
     verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
     after, E, gain = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
     _, tool, body, theta, P, _ = after
     rise = fall = 0.0
     if seen.gate > 0.0:
-        is_early = faults.from_start and len(E) > 0 and onsets[0, 0] < MIN_NOISE_COUNT
+        is_early = from_start and len(E) > 0 and onsets[0, 0] < MIN_NOISE_COUNT
         verdict, is_used, innovation, body, theta, learned = updated(
             model, after, seconds, seen, gain, is_early)
         if seen.sag > 0.0 and verdict <= OUTSIDE:
@@ -159,13 +143,13 @@ def filter_step(
             statistics, distances = statistics.copy(), distances.copy()
             onsets = onsets.copy()
             likeliest = _assessed(
-                E, statistics, distances, onsets, faults.steps, until_ns, body[0], innovation,
-                seen.marker[2], is_used, faults.from_start,
-                of_start(faults.prior, theta, P))
+                E, statistics, distances, onsets, steps, until_ns, body[0], innovation,
+                seen.marker[2], is_used, from_start, of_start(prior, theta, P))
         if likeliest.total < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
-    return Assessment(verdict, (until_ns, tool, body, theta, P, memory), E, statistics, distances,
-                      onsets, likeliest, rise, fall)
+    return Assessment(
+        verdict, (until_ns, tool, body, theta, P, memory),
+        ekf.Evidence(E, statistics, distances, onsets, from_start), likeliest, rise, fall)
 
 
 @kernel

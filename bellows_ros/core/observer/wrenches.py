@@ -204,9 +204,11 @@ class WrenchFilter:
         has_camera: bool,
     ) -> Estimate:
         """Return an estimate corrected by the block of wrenches up to a stamp."""
+        if self._count < MIN_COUNT or before.support:
+            return before
         first, last = np.searchsorted(
             self._stamps[:self._count], [before.stamp_ns + 1, until_ns + 1])
-        if last - first < MIN_COUNT or before.support:
+        if last - first < MIN_COUNT:
             return before
         used = self._stamps[first:last], self._values[first:last]
         mean, H, start, end = block(

@@ -359,9 +359,10 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     interpreted = ekf.predicted
 
     def processing(row, law, before, *more):
-        *track, noise, faults, cups, seen = more
+        *track, noise, evidence, prior, steps, cups, seen = more
         result = processed(
-            row, law, before, *track, noise, faults._replace(from_start=False), cups, seen)
+            row, law, before, *track, noise, evidence._replace(from_start=False), prior, steps,
+            cups, seen)
         if seen.gate > 0.0:
             model = model_of(row, law)
             F = _dense_transition(model, before, *track, noise[0])
