@@ -124,20 +124,22 @@ class Alarms:
         self._places, self._of_tag, self._latency_std = places, of_tag, latency_std
         self._threshold = math.log(3600 * NS_PER_S / ONSET_NS / false_per_hour) + (
             MARGIN if len(places) == 1 else GRIPPER_MARGIN)
-        self.steps: Array = np.zeros((states.ROWS + ekf.FALLEN, len(STEPS)))
+        self.steps: Array = np.zeros((states.ROWS_WITHOUT_SENSOR + ekf.FALLEN, len(STEPS)))
         for component, step in enumerate(STEPS):
             for row in step:
                 self.steps[row, component] = 1.0
                 if of_lip and states.COM <= row < states.COM + 3:
                     self.steps[states.MARKER + row - states.COM, component] = 1.0
 
-    def start(self, stamp_ns: int, cups: int, from_start: bool = True) -> Evidence:
-        """Return the initial evidence, for a gripper with some holding cups."""
+    def start(
+        self, stamp_ns: int, rows: int, cups: int, from_start: bool = True
+    ) -> Evidence:
+        """Return the initial evidence, for rows of the error and a gripper with holding cups."""
         columns = COLUMNS[CUP] + cups * ONSETS
         onsets: Stamps = np.repeat([[0], [-1]], 1 + ONSETS, axis=1)
         onsets[1, 0] = stamp_ns
         return Evidence(
-            np.zeros((len(self.steps), columns), np.float32),
+            np.zeros((rows + ekf.FALLEN, columns), np.float32),
             np.zeros((1 + MAX_COMPONENTS, columns)), np.zeros(1 + ONSETS), onsets, from_start)
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:

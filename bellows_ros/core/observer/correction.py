@@ -36,7 +36,7 @@ from bellows_ros.core.observer.measurement import (
     OUTSIDE,
 )
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
-from bellows_ros.core.observer.states import KNOWN, KNOWN_ROWS, LARGEST, STATE
+from bellows_ros.core.observer.states import KNOWN_ROWS, LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT, NEAR
 from bellows_ros.core.observer.track import Track
 from bellows_ros.core.parameters.conversion import places_of
@@ -163,7 +163,11 @@ class Known(NamedTuple):
 
     def with_rows(self, other: Known, rows: Any) -> Known:
         """Return estimates with some rows (k,) of others, independent of the rest."""
-        theta, P, block = self.theta.copy(), self.covariance.copy(), np.ix_(rows, rows)
+        rows = np.asarray(rows)[np.less(rows, len(other.covariance))]
+        n, block = max(len(self.covariance), 1 + rows.max(initial=0)), np.ix_(rows, rows)
+        theta, P = np.zeros(n - STATE), np.zeros((n, n))
+        theta[:len(self.theta)] = self.theta
+        P[:len(self.covariance), :len(self.covariance)] = self.covariance
         theta[np.subtract(rows, STATE)] = other.theta[np.subtract(rows, STATE)]
         P[rows, :], P[:, rows] = 0.0, 0.0
         P[block] = other.covariance[block]
@@ -210,7 +214,8 @@ class Correction:
             self.prior[START_ROWS], LEAST_PRIOR * START_STEPS @ PRIOR_STD[:START_STEPS.shape[1]])
         prior = np.diag(np.square(self.prior))
         prior[INERTIAS, INERTIAS] = stated.inertia
-        self.initial = Known(np.zeros(states.ROWS - STATE), prior, first_memory())
+        n = states.ROWS_WITHOUT_SENSOR
+        self.initial = Known(np.zeros(n - STATE), prior[:n, :n].copy(), first_memory())
         self.largest = LARGEST.copy()
         self.weight = stated.weight
         self.largest[WRENCH_ROWS] *= stated.weight
@@ -250,7 +255,8 @@ class Correction:
         self._drive = dynamics.driving(self.nominal, tool, body, self._tool_noise)
         self._at_start = prior_of(initial.theta, initial.covariance)
         return Estimate(
-            stamp_ns, tool, body, *initial, self._evidence(stamp_ns, lost_cups), lost_cups)
+            stamp_ns, tool, body, *initial,
+            self._evidence(stamp_ns, len(initial.covariance), lost_cups), (), lost_cups)
 
     def after_hanging(self, estimate: Estimate, hung_ns: int) -> Estimate:
         """Return the first estimate of a package that was predicted for some time (ns)."""
@@ -284,11 +290,11 @@ class Correction:
         return cups if len(cups) > 1 else NO_CUPS
 
     def _evidence(
-        self, stamp_ns: int, lost_cups: tuple[int, ...], from_start: bool = True
+        self, stamp_ns: int, rows: int, lost_cups: tuple[int, ...], from_start: bool = True
     ) -> Evidence:
         """Return the evidence without a fault."""
         return NO_EVIDENCE if self.alarms is None else self.alarms.start(
-            stamp_ns, len(self._holding(lost_cups)), from_start)
+            stamp_ns, rows, len(self._holding(lost_cups)), from_start)
 
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
@@ -383,8 +389,10 @@ class Correction:
             late_ns=measurement.stamp_ns - stamp_ns)
         if support:
             after, fault = self._touching(after), fallen
-            after.theta[KNOWN_ROWS - STATE] = before.theta[KNOWN_ROWS - STATE]
-            after.covariance[KNOWN] = before.covariance[KNOWN]
+            known = KNOWN_ROWS[KNOWN_ROWS < len(before.covariance)]
+            block = np.ix_(known, known)
+            after.theta[known - STATE] = before.theta[known - STATE]
+            after.covariance[block] = before.covariance[block]
         else:
             after, fault = self._judged(before, after, likeliest, has_vacuum)
         if fault is not None:
@@ -418,7 +426,7 @@ class Correction:
         cup, (mass, com, _, _), gravity = dynamics.model_at(
             self.row(estimate.lost_cups), self.law, estimate.theta)
         x, y, z = t3.apply_transposed(t3.rotation_matrix(estimate.body[1]), gravity)
-        error, weight = np.zeros(states.ROWS), self.nominal[1][0] * t3.norm(gravity)
+        error, weight = np.zeros(len(estimate.covariance)), self.nominal[1][0] * t3.norm(gravity)
         if -z < FLAT * t3.norm(gravity):
             return error
         arm, (a, b, _) = t3.subtract(com, (0.0, 0.0, 0.5 * cup[1])), estimate.body[3]
@@ -510,7 +518,8 @@ class Correction:
     def _renewed(self, estimate: Estimate, from_start: bool = True) -> Estimate:
         """Return an estimate without evidence of faults; whether they may be from the start."""
         return estimate._replace(gated_ns=(), suspect_ns=(), evidence=self._evidence(
-            estimate.stamp_ns, estimate.lost_cups, from_start and estimate.evidence.from_start))
+            estimate.stamp_ns, len(estimate.covariance), estimate.lost_cups,
+            from_start and estimate.evidence.from_start))
 
     def _unsure(self, estimate: Estimate, rows: Array) -> Estimate:
         """Return an estimate with the prior variance added to some rows."""
@@ -546,7 +555,8 @@ class Correction:
     ) -> Estimate:
         """Return an estimate with initial uncertainty, corrected with a measurement."""
         evidence = estimate.evidence
-        theta = np.where(np.abs(estimate.theta) <= self.largest[STATE:], estimate.theta, 0.0)
+        largest = self.largest[STATE:len(estimate.covariance)]
+        theta = np.where(np.abs(estimate.theta) <= largest, estimate.theta, 0.0)
         restarted = self._unsure(estimate, np.r_[:STATE, WRENCH_ROWS])._replace(
             theta=theta, memory=memory, evidence=NO_EVIDENCE)
         _, after, _ = self._step(

@@ -264,8 +264,10 @@ def add_onset(
         for a in range(FIRSTS[h + 1] - first):
             signature = E[:, column + a * slots + slot]
             statistics[:, column + a * slots + slot] = 0.0
-            for i in range(len(signature)):
-                signature[i] = steps[i, first + a]
+            signature[:] = 0.0
+            for i in range(len(steps)):
+                row = i if i < states.ROWS_WITHOUT_SENSOR else i - len(steps)
+                signature[row] = steps[i, first + a]
             x, y, z = signature[states.CAMERA + 3:states.CAMERA + 6]
             shift = t3.cross(place, (x, y, z))
             for i in range(3):

@@ -15,7 +15,7 @@ from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.dynamics import is_possible, with_theta, wrench_bias
 from bellows_ros.core.observer.pose_sensor import Marker
-from bellows_ros.core.observer.states import CAMERA, COM, LATENCY, MARKER, NOISE, ROWS, STATE
+from bellows_ros.core.observer.states import CAMERA, COM, LATENCY, MARKER, NOISE, STATE
 from bellows_ros.core.sensors.corners import (
     equivalent_pose,
     SAME_VIEW,
@@ -165,9 +165,9 @@ def cholesky(S: Array) -> tuple[Array, Array]:
 
 
 @kernel
-def observation(body: State, noise: Array, of_lip: bool, white: float) -> Array:
+def observation(n: int, body: State, noise: Array, of_lip: bool, white: float) -> Array:
     """Return the derivative (6, n) of an innovation by the error, with the noise's white part."""
-    H, root = np.zeros((6, ROWS)), cholesky(noise)[0]
+    H, root = np.zeros((6, n)), cholesky(noise)[0]
     R = t3.rotation_matrix(body[1])
     lever = t3.multiply(t3.transposed(R), t3.hat(body[0]))
     v = body[2] + body[3]
@@ -224,7 +224,7 @@ def innovation_of(
     n, of_lip, is_tag = len(P), marker[2], marker[3][0]
     white = WHITE_SHARE_OF_TAG if is_tag else WHITE_SHARE
     y = difference.copy()
-    H = observation(body, noise, of_lip, white)
+    H = observation(n, body, noise, of_lip, white)
     for i in range(6):
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]

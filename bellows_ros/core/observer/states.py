@@ -152,7 +152,7 @@ STATES = (
           lambda by: by.camera / math.sqrt(CAMERA_WALK_TIME)),
     State('LATENCY', 1, 's', CAMERA_SIDE, 1.0, lambda by: by.latency),
     State('NOISE', 6, '1', NOISE_SIDE, 100.0, lambda by: 1.0),
-    # bias and gain of a force-torque sensor
+    # bias and gain of a force-torque sensor, present from its first wrenches on
     State('ZERO', 6, 'N, N m', CAMERA_SIDE, 1e4, lambda by: by.zero, lambda by: by.drift),
     State('GAIN', 1, '1', CAMERA_SIDE, 0.5, lambda by: by.gain),
 )
@@ -166,6 +166,8 @@ FIRST = dict(zip((each.name for each in STATES), np.cumsum(
  MARKER, CAMERA, LATENCY, NOISE, ZERO, GAIN) = FIRST.values()
 ROWS = sum(each.size for each in STATES)
 """Number of rows."""
+ROWS_WITHOUT_SENSOR = ZERO
+"""Number of rows without a force-torque sensor."""
 STATE = MASS
 """Number of rows of the state of motion; theta has the others."""
 
@@ -187,8 +189,6 @@ SAME_PACKAGE = rows_of(CAMERA_SIDE, CUP, PACKAGE)
 """Rows that are kept over a gap in the tool's poses, with the same package."""
 KNOWN_ROWS: Array = np.sort(SAME_PACKAGE)
 """Rows that are estimated over time; the others belong to the motion."""
-KNOWN = np.ix_(KNOWN_ROWS, KNOWN_ROWS)
-"""Index of the block of these rows in a covariance."""
 
 
 def each_row(sizes: str, stated: Stated) -> Array:

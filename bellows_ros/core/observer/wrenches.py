@@ -34,6 +34,7 @@ from bellows_ros.core.observer.filter import (
     FALLEN,
     identity_plus,
     Moving,
+    NO_EVIDENCE,
     part_of_motion,
     Samples,
     SHARE,
@@ -221,6 +222,7 @@ class WrenchFilter:
             self.set_up.add(Still(used[1].mean(axis=0), mean, R), correction.weight)
         if self.set_up.is_contradicted:
             return before
+        before = _with_sensor(before, correction.prior)
         H[:, states.ZERO:states.ZERO + 6], H[:, states.GAIN] = np.eye(6), mean
         gain, zero = (before.theta[row - STATE:][:6] for row in (states.GAIN, states.ZERO))
         return self._updated(
@@ -243,7 +245,7 @@ class WrenchFilter:
             correction.row(estimate.lost_cups), correction.law, estimate.theta)
         other = self._of_gripper(
             before, now, (stamps[k] - stamps[j]) / NS_PER_S, correction.nominal[2])
-        zero = estimate.theta[states.ZERO - STATE:][:6]
+        zero = _with_sensor(estimate, correction.prior).theta[states.ZERO - STATE:][:6]
         return (self._values[self._count - 1] - zero - other,
                 np.ravel(cup_load(model, now, body, self.sensor.mount)))
 
@@ -286,6 +288,19 @@ class WrenchFilter:
         return before._replace(
             body=body, theta=theta, covariance=P - W.T @ W + of_kept.T @ of_kept,
             evidence=evidence, wrench_memory=tuple(memory.tolist()))
+
+
+def _with_sensor(estimate: Estimate, prior: Array) -> Estimate:
+    """Return an estimate with bias and gain of the sensor, of prior standard deviations (n,)."""
+    n, E = len(estimate.covariance), estimate.evidence.signatures
+    if n == ROWS:
+        return estimate
+    P = np.diag(np.square(prior))
+    P[:n, :n] = estimate.covariance
+    return estimate._replace(
+        theta=np.r_[estimate.theta, np.zeros(ROWS - n)], covariance=P,
+        evidence=estimate.evidence._replace(
+            signatures=np.insert(E, [n] * (ROWS - n), 0.0, axis=0)) if len(E) else NO_EVIDENCE)
 
 
 def _learned(memory: Array, z: Array, share: Array) -> Array:

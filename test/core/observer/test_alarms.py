@@ -387,7 +387,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 def test_likeliest_onsets_keep_their_slots():
     """Put a new onset elsewhere than the likeliest ones, from whose slots an alarm has sizes."""
     made = Alarms(1.0, False, SINGLE)
-    E, statistics, distances, onsets, *_ = made.start(1, 0)
+    E, statistics, distances, onsets, *_ = made.start(1, states.ROWS_WITHOUT_SENSOR, 0)
 
     def add(k, pinned):
         likelihood.add_onset(
