@@ -14,27 +14,12 @@ from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, State
 from bellows_ros.core.model.structure import is_single, maps
 from bellows_ros.core.observer import alarms, dynamics, likelihood, states
 from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer import hypotheses as bank
+from bellows_ros.core.observer import measurement as measured
 from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE
-from bellows_ros.core.observer.hypotheses import (
-    DECIDE_NS,
-    LEAST_PRIOR,
-    Likeliest,
-    MAX_DEVIATION,
-    MIN_NOISE_COUNT,
-    PRIOR_STD,
-    SETTLING,
-    START_ROWS,
-    START_STEPS,
-)
+from bellows_ros.core.observer.hypotheses import Likeliest
 from bellows_ros.core.observer.likelihood import prior_of
-from bellows_ros.core.observer.measurement import (
-    changed_by,
-    FALLING,
-    GATE,
-    MeasuredPose,
-    OUT_OF_REACH,
-    OUTSIDE,
-)
+from bellows_ros.core.observer.measurement import changed_by, MeasuredPose
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
 from bellows_ros.core.observer.states import KNOWN_ROWS, LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT, NEAR
@@ -210,8 +195,9 @@ class Correction:
         self._row = model_row(model)
         stated = states.stated_by(values, model)
         self.prior = states.each_row('prior', stated)
-        self.prior[START_ROWS] = np.maximum(
-            self.prior[START_ROWS], LEAST_PRIOR * START_STEPS @ PRIOR_STD[:START_STEPS.shape[1]])
+        steps = bank.START_STEPS @ bank.PRIOR_STD[:bank.START_STEPS.shape[1]]
+        self.prior[bank.START_ROWS] = np.maximum(
+            self.prior[bank.START_ROWS], bank.LEAST_PRIOR * steps)
         prior = np.diag(np.square(self.prior))
         prior[INERTIAS, INERTIAS] = stated.inertia
         n = states.ROWS_WITHOUT_SENSOR
@@ -264,13 +250,8 @@ class Correction:
         still: State = *estimate.tool[:2], ZERO, ZERO
         body: State = *estimate.body[:2], ZERO, ZERO, *estimate.body[4:]
         track.begin(since_ns)
-        hanging = body
         for k in range(1, HANGING_SAMPLES + 1):
-            stamp_ns = since_ns + k * hung_ns // HANGING_SAMPLES
-            hanging, _, _ = ekf.followed(
-                self.row(estimate.lost_cups), self.law, estimate.theta, hanging,
-                (*track.rows, track.count), stamp_ns, still, still, self.max_step, self.reach)
-            track.advance(stamp_ns)
+            track.add(since_ns + k * hung_ns // HANGING_SAMPLES, still, still, body)
         before = estimate._replace(
             stamp_ns=since_ns, tool=still, body=body, evidence=NO_EVIDENCE)
         return estimate._replace(
@@ -313,7 +294,7 @@ class Correction:
             theta[states.LATENCY - STATE] -= late
         result = likelihood.filter_step(
             self.row(before.lost_cups), self.law, before.numbers(theta),
-            (*track.rows, track.count), is_recorded, stamp_ns, self.max_step,
+            track.samples, is_recorded, stamp_ns, self.max_step,
             (self._drive, walk, self._marker[3][0]), evidence, self._at_start, self._steps,
             self._holding(before.lost_cups),
             MeasuredPose(
@@ -352,7 +333,7 @@ class Correction:
         return ekf.body_at_end(
             self.row(estimate.lost_cups), self.law,
             (estimate.stamp_ns, estimate.tool, estimate.body, estimate.theta),
-            (*track.rows, track.count), track.newest_ns, self.max_step)
+            track.samples, track.newest_ns, self.max_step)
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
@@ -373,14 +354,14 @@ class Correction:
                 1]._replace(support=support), '', None
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         verdict, after, likeliest = self._step(
-            before, track, stamp_ns, is_recorded, measurement, GATE, support)
+            before, track, stamp_ns, is_recorded, measurement, measured.GATE, support)
         if has_vacuum:  # what holds does not fall
             after = after._replace(fall=0.0)
         fallen = self.alarms.fallen(stamp_ns, after.fall) if self.alarms and support else None
-        if verdict in (OUT_OF_REACH, FALLING):
-            falls = verdict == FALLING and (before.falls or before.away_ns == 0)
+        if verdict in (measured.OUT_OF_REACH, measured.FALLING):
+            falls = verdict == measured.FALLING and (before.falls or before.away_ns == 0)
             return before._replace(falls=falls, fall=after.fall), 'out_of_reach', fallen
-        gated = (*before.gated_ns, stamp_ns) if verdict == OUTSIDE else ()
+        gated = (*before.gated_ns, stamp_ns) if verdict == measured.OUTSIDE else ()
         name = 'used' if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS
             and not self._may_be_fault(after, likeliest)) else 'gate'
@@ -469,7 +450,7 @@ class Correction:
     def excess(self, estimate: Estimate, rows: Any) -> Array:
         """Return the deviations of an estimate beyond the deviations allowed by the parameters."""
         std = np.sqrt(estimate.covariance[rows, rows])
-        excess: Array = np.abs(estimate.theta[rows - STATE]) - MAX_DEVIATION * (
+        excess: Array = np.abs(estimate.theta[rows - STATE]) - bank.MAX_DEVIATION * (
             self.prior[rows] + std)
         return excess
 
@@ -478,7 +459,7 @@ class Correction:
         suspect_ns = estimate.suspect_ns
         return self.alarms is not None and bool(suspect_ns) and (
             self.alarms.is_likely(likeliest.total, likeliest.lead)
-            and estimate.stamp_ns - suspect_ns[0] < DECIDE_NS)
+            and estimate.stamp_ns - suspect_ns[0] < bank.DECIDE_NS)
 
     def _judged(
         self, before: Estimate, after: Estimate, likeliest: Likeliest, has_vacuum: bool
@@ -499,7 +480,7 @@ class Correction:
         fault = self.alarms.detected(after, self._at_start, likeliest, has_vacuum)
         if fault is None:
             gated = len(after.gated_ns) if (
-                after.evidence.onsets[0, 0] >= SETTLING) else 0
+                after.evidence.onsets[0, 0] >= bank.SETTLING) else 0
             alarm = self.alarms.disturbance(stamp_ns, gated, likeliest)
             return after if alarm is None else self._disturbed(after), alarm
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
@@ -562,6 +543,6 @@ class Correction:
         _, after, _ = self._step(
             restarted, track, estimate.stamp_ns, True, measurement, math.inf, estimate.support)
         # a fault this early was present from the start
-        is_early = bool(evidence.onsets[0].max(initial=0) < MIN_NOISE_COUNT)
+        is_early = bool(evidence.onsets[0].max(initial=0) < bank.MIN_NOISE_COUNT)
         return self._renewed(
             after._replace(memory=memory, away_ns=0, evidence=evidence), is_early)

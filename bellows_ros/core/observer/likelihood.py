@@ -34,49 +34,12 @@ from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model.kernels import LawTuple, model_of
 from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer import hypotheses as bank
+from bellows_ros.core.observer import measurement as measured
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.filter import ONSETS, predicted
-from bellows_ros.core.observer.hypotheses import (
-    AT_START,
-    CAUSES,
-    COLUMNS,
-    CUP,
-    DENSE_NS,
-    EVERY,
-    FIRSTS,
-    IS_END,
-    Likeliest,
-    LOG_SHARE_OF_NONE,
-    LOG_SHARES,
-    MAX_COMPONENTS,
-    MAX_NOISE_RATIO,
-    MAX_UNEXPLAINED,
-    MEANS,
-    MIN_NOISE_COUNT,
-    NO_FAULT,
-    NONE,
-    OLDEST_NS,
-    ONSET_NS,
-    PRIOR_STD,
-    PUSH,
-    SETTLING,
-    SLOTS,
-    START_ROWS,
-    START_STEPS,
-    START_WEIGHT,
-    Tested,
-)
-from bellows_ros.core.observer.measurement import (
-    FALL_RATIO,
-    FALLING,
-    Innovation,
-    MeasuredPose,
-    output_of,
-    OUTSIDE,
-    updated,
-    USED,
-    vertical_ratios,
-)
+from bellows_ros.core.observer.hypotheses import Likeliest, Tested
+from bellows_ros.core.observer.measurement import Innovation, MeasuredPose
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -94,8 +57,8 @@ class Prior(NamedTuple):
 
 def prior_of(theta: Array, P: Array) -> Prior:
     """Return the prior for theta and the covariance (n, n) at the start."""
-    W = np.linalg.solve(P[np.ix_(START_ROWS, START_ROWS)], START_STEPS)
-    return Prior(theta[START_ROWS - states.STATE], W, START_STEPS.T @ W)
+    W = np.linalg.solve(P[np.ix_(bank.START_ROWS, bank.START_ROWS)], bank.START_STEPS)
+    return Prior(theta[bank.START_ROWS - states.STATE], W, bank.START_STEPS.T @ W)
 
 
 class Assessment(NamedTuple):
@@ -125,27 +88,27 @@ def filter_step(
     """
     model, seconds = model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     E, statistics, distances, onsets, from_start = evidence
-    verdict, likeliest, memory = USED, NO_FAULT, estimate[5]
+    verdict, likeliest, memory = measured.USED, bank.NO_FAULT, estimate[5]
     after, E, gain = predicted(
         model, estimate, samples, is_recorded, until_ns, max_step, noise, E, cups)
     _, tool, body, theta, P, _ = after
     rise = fall = 0.0
     if seen.gate > 0.0:
-        is_early = from_start and len(E) > 0 and onsets[0, 0] < MIN_NOISE_COUNT
-        verdict, is_used, innovation, body, theta, learned = updated(
+        is_early = from_start and len(E) > 0 and onsets[0, 0] < bank.MIN_NOISE_COUNT
+        verdict, is_used, innovation, body, theta, learned = measured.updated(
             model, after, seconds, seen, gain, is_early)
-        if seen.sag > 0.0 and verdict <= OUTSIDE:
-            rise, fall = vertical_ratios(body, model[2], innovation, seen.sag)
-            rise = rise if verdict == USED else 0.0
-        elif verdict == FALLING:
-            fall = FALL_RATIO
-        if len(E) > 0 and verdict <= OUTSIDE:
+        if seen.sag > 0.0 and verdict <= measured.OUTSIDE:
+            rise, fall = measured.vertical_ratios(body, model[2], innovation, seen.sag)
+            rise = rise if verdict == measured.USED else 0.0
+        elif verdict == measured.FALLING:
+            fall = measured.FALL_RATIO
+        if len(E) > 0 and verdict <= measured.OUTSIDE:
             statistics, distances = statistics.copy(), distances.copy()
             onsets = onsets.copy()
             likeliest = _assessed(
                 E, statistics, distances, onsets, steps, until_ns, body[0], innovation,
                 seen.marker[2], is_used, from_start, of_start(prior, theta, P))
-        if likeliest.total < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
+        if likeliest.total < bank.MAX_NOISE_RATIO or onsets[0, 0] < bank.MIN_NOISE_COUNT:
             memory = learned
     return Assessment(
         verdict, (until_ns, tool, body, theta, P, memory),
@@ -155,15 +118,15 @@ def filter_step(
 @kernel
 def layout(number: int) -> tuple[int, int]:
     """Return hypothesis and first column of a fault."""
-    h = min(number, CUP)
-    return h, COLUMNS[h] + (number - h) * ONSETS
+    h = min(number, bank.CUP)
+    return h, bank.COLUMNS[h] + (number - h) * ONSETS
 
 
 @entry
 def of_start(prior: Prior, theta: Array, P: Array) -> Array:
     """Return the statistics of faults from the start, of theta and P now, as in `Evidence`."""
-    W, rows = prior.weights, START_ROWS
-    m, out = W.shape[1], np.zeros((1 + MAX_COMPONENTS, W.shape[1]))
+    W, rows = prior.weights, bank.START_ROWS
+    m, out = W.shape[1], np.zeros((1 + bank.MAX_COMPONENTS, W.shape[1]))
     PW = np.zeros((len(rows), m))
     for i in range(len(rows)):
         change = theta[rows[i] - states.STATE] - prior.theta[i]
@@ -171,13 +134,13 @@ def of_start(prior: Prior, theta: Array, P: Array) -> Array:
             out[0, a] += W[i, a] * change
             for j in range(len(rows)):
                 PW[i, a] += P[rows[i], rows[j]] * W[j, a]
-    for h in range(AT_START):
-        for a in range(FIRSTS[h], FIRSTS[h + 1]):
-            for b in range(FIRSTS[h], a + 1):
+    for h in range(bank.AT_START):
+        for a in range(bank.FIRSTS[h], bank.FIRSTS[h + 1]):
+            for b in range(bank.FIRSTS[h], a + 1):
                 gained = prior.information[a, b]
                 for i in range(len(rows)):
                     gained -= W[i, a] * PW[i, b]
-                out[1 + b - FIRSTS[h], a] = gained
+                out[1 + b - bank.FIRSTS[h], a] = gained
             if gained <= 0.0:  # less is known than at the start
                 out[:, a] = 0.0
     return out
@@ -192,25 +155,25 @@ def _assessed(
     """Update the evidence by the next `Innovation`, for a package at a place (m, world)."""
     z, H, root, _, whitened = innovation
     n, C = H.shape[1], H.astype(np.float32)
-    response = output_of(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
+    response = measured.output_of(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
     t3.add_product(  # fall, as a shift in the world
         np.ascontiguousarray(C[:3, states.CAMERA:states.CAMERA + 3]), E[n + 4:], response[:3])
     change = t3.product(
         root.astype(np.float32), response, np.empty((6, E.shape[1]), np.float32))
-    counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
+    counts, is_settled = onsets[0], onsets[0, 0] >= bank.SETTLING
     for k in range(1 + ONSETS):
         if onsets[1, k] >= 0:
             distances[k] += (z * z).sum() if is_settled else 0.0
             counts[k] += 1
-    faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
-    if counts[0] > SETTLING:
-        for number in range(AT_START, faults):
+    faults = bank.CUP + (E.shape[1] - bank.COLUMNS[bank.CUP]) // ONSETS
+    if counts[0] > bank.SETTLING:
+        for number in range(bank.AT_START, faults):
             _add_products(z, change, number, statistics)
     if used:
         t3.subtract_product(whitened.astype(np.float32), change, E)
     likeliest = _likeliest_fault(
-        statistics, since_start, distances, onsets, 0 if from_start else AT_START, faults)
-    if counts[0] >= SETTLING and stamp_ns - onsets[1].max() >= ONSET_NS // 2:
+        statistics, since_start, distances, onsets, 0 if from_start else bank.AT_START, faults)
+    if counts[0] >= bank.SETTLING and stamp_ns - onsets[1].max() >= bank.ONSET_NS // 2:
         add_onset(E, statistics, distances, onsets, steps, stamp_ns, place, likeliest.pinned)
     return likeliest
 
@@ -230,14 +193,14 @@ def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
             return k
         if pinned >> k & 1:
             continue
-        if stamp_ns - onsets[k] > OLDEST_NS:
+        if stamp_ns - onsets[k] > bank.OLDEST_NS:
             return k
         for other in onsets:
             if other < onsets[k]:
                 before_ns = max(before_ns, other)
             elif other > onsets[k]:
                 after_ns = min(after_ns, other)
-        gap = (after_ns - before_ns) / max(stamp_ns - DENSE_NS - onsets[k], 1)
+        gap = (after_ns - before_ns) / max(stamp_ns - bank.DENSE_NS - onsets[k], 1)
         if gap < least:
             slot, least = k, gap
     return slot
@@ -255,13 +218,13 @@ def add_onset(
     """
     k = _free_slot(onsets[1], stamp_ns, pinned)
     distances[k], onsets[0, k], onsets[1, k] = 0.0, 0, stamp_ns
-    faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
-    for number in range(AT_START, faults):
+    faults = bank.CUP + (E.shape[1] - bank.COLUMNS[bank.CUP]) // ONSETS
+    for number in range(bank.AT_START, faults):
         h, column = layout(number)
-        if (k - 1) % EVERY[h] > 0:
+        if (k - 1) % bank.EVERY[h] > 0:
             continue
-        first, slots, slot = FIRSTS[h], SLOTS[h], (k - 1) // EVERY[h]
-        for a in range(FIRSTS[h + 1] - first):
+        first, slots, slot = bank.FIRSTS[h], bank.SLOTS[h], (k - 1) // bank.EVERY[h]
+        for a in range(bank.FIRSTS[h + 1] - first):
             signature = E[:, column + a * slots + slot]
             statistics[:, column + a * slots + slot] = 0.0
             signature[:] = 0.0
@@ -278,8 +241,8 @@ def add_onset(
 def _add_products(z: Array, change: Array, number: int, statistics: Array) -> None:
     """Add a measurement's information on the sizes of a fault."""
     h, column = layout(number)
-    m = SLOTS[h]
-    for a in range(FIRSTS[h + 1] - FIRSTS[h]):
+    m = bank.SLOTS[h]
+    for a in range(bank.FIRSTS[h + 1] - bank.FIRSTS[h]):
         i = column + a * m
         for k in range(m):
             statistics[0, i + k] += (
@@ -301,30 +264,31 @@ def _likeliest_fault(
 ) -> Likeliest:
     """Return the result of `_assessed` for the faults from `tested` on."""
     top, sums, best = np.full(faults, -math.inf), np.zeros(faults), np.zeros((faults, 3), np.int64)
-    A, z = np.empty((MAX_COMPONENTS, MAX_COMPONENTS, ONSETS)), np.empty((MAX_COMPONENTS, ONSETS))
+    most = bank.MAX_COMPONENTS
+    A, z = np.empty((most, most, ONSETS)), np.empty((most, ONSETS))
     explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
     unusual = _unusual(distances, onsets[0])
     for c in range(tested, faults):
         h, column = layout(c)
-        first, later = FIRSTS[h], h >= AT_START
+        first, later = bank.FIRSTS[h], h >= bank.AT_START
         given = statistics if later else since_start
-        weight = math.log(EVERY[h] if later else START_WEIGHT)
+        weight = math.log(bank.EVERY[h] if later else bank.START_WEIGHT)
         explained[:], determinant[:] = 0.0, 1.0
-        for i in range(FIRSTS[h + 1] - first):
+        for i in range(bank.FIRSTS[h + 1] - first):
             _explain(given[:, column:], h, i, A, z, explained, determinant)
-            if IS_END[first + i]:
+            if bank.IS_END[first + i]:
                 slot, top[c], sums[c] = _sum_over_onsets(
-                    unusual[later::EVERY[h]], explained[:SLOTS[h]], determinant, weight, top[c],
-                    sums[c])
+                    unusual[later::bank.EVERY[h]], explained[:bank.SLOTS[h]], determinant, weight,
+                    top[c], sums[c])
                 if slot >= 0:
-                    best[c, 0], best[c, 1], best[c, 2] = slot * EVERY[h] + later, c, i + 1
-        top[c] += math.log(max(sums[c], 1.0)) + LOG_SHARES[h]
-        top[c] -= math.log(faults - CUP) if h == CUP else 0.0
+                    best[c, 0], best[c, 1], best[c, 2] = slot * bank.EVERY[h] + later, c, i + 1
+        top[c] += math.log(max(sums[c], 1.0)) + bank.LOG_SHARES[h]
+        top[c] -= math.log(faults - bank.CUP) if h == bank.CUP else 0.0
     leader, pinned = int(top.argmax()), 1
     none = _none_of_these(distances, onsets)
     if top[leader] == -math.inf:
         return Likeliest(-math.inf, -math.inf, Tested(0, 0, 0), 0, Tested(0, 0, 0), 1, none)
-    second, rival = NONE, -math.inf if leader == PUSH else none
+    second, rival = bank.NONE, -math.inf if leader == bank.PUSH else none
     for c in range(faults):
         pinned |= 1 << best[c, 0]
         if not _is_one_cause(c, leader) and top[c] > rival:
@@ -338,7 +302,7 @@ def _likeliest_fault(
 @kernel
 def _is_one_cause(a: int, b: int) -> bool:
     """Return whether two hypotheses have one cause; the losses of single cups are several."""
-    return a == b or (max(a, b) < CUP and CAUSES[a] == CAUSES[b])
+    return a == b or (max(a, b) < bank.CUP and bank.CAUSES[a] == bank.CAUSES[b])
 
 
 @kernel
@@ -365,7 +329,7 @@ def _none_of_these(distances: Array, onsets: Stamps) -> float:
         if expected > 0.0 and distances[k] > expected:
             top = max(top, 0.5 * (distances[k] - expected) - 0.5 * expected * math.log(
                 distances[k] / expected))
-    return top + LOG_SHARE_OF_NONE
+    return top + bank.LOG_SHARE_OF_NONE
 
 
 @kernel
@@ -381,7 +345,7 @@ def _sum_over_onsets(
     """
     slot, largest = -1, -math.inf
     for k in range(len(explained)):
-        if unusual[k] <= (1.0 + MAX_UNEXPLAINED) * explained[k]:
+        if unusual[k] <= (1.0 + bank.MAX_UNEXPLAINED) * explained[k]:
             largest = max(largest, explained[k])
     if largest == -math.inf:
         return slot, top, total
@@ -389,7 +353,7 @@ def _sum_over_onsets(
     greatest = math.exp(top - weight - base)
     total *= greatest
     for k in range(len(explained)):
-        if unusual[k] <= (1.0 + MAX_UNEXPLAINED) * explained[k]:
+        if unusual[k] <= (1.0 + bank.MAX_UNEXPLAINED) * explained[k]:
             ratio = math.exp(0.5 * explained[k] - base) / math.sqrt(determinant[k])
             total += ratio
             if ratio > greatest:
@@ -410,16 +374,16 @@ def _explain(
     A = I + s J s and z = s d with prior sizes s; plus the part explained by their mean. A (6, 6,
     n) and z (6, n) hold the factors of previous components.
     """
-    first, m = FIRSTS[h], SLOTS[h]
-    std, d, J = PRIOR_STD[first + i], statistics[0, i * m:], statistics[1:, i * m:]
+    first, m = bank.FIRSTS[h], bank.SLOTS[h]
+    std, d, J = bank.PRIOR_STD[first + i], statistics[0, i * m:], statistics[1:, i * m:]
     for k in range(m):
         z[i, k] = std * d[k]
-    if MEANS[h] != 0.0:
+    if bank.MEANS[h] != 0.0:
         for k in range(m):
             explained[k] = 2.0 * d[k] - J[0, k]
             z[i, k] -= std * J[0, k]
     for j in range(i + 1):
-        both, one = std * PRIOR_STD[first + j], 1.0 if i == j else 0.0
+        both, one = std * bank.PRIOR_STD[first + j], 1.0 if i == j else 0.0
         for k in range(m):
             A[i, j, k] = both * J[j, k] + one
     _eliminate(A, z, i, m)

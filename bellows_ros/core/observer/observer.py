@@ -257,7 +257,7 @@ class Observer:
         track, correction = self._track, self._correction
         track.discard_before(self._estimates[0].stamp_ns)
         prediction: tuple[State, Wrench, bool] | None = ekf.followed(
-            self._row, correction.law, self._theta, self.body, (*track.rows, track.count),
+            self._row, correction.law, self._theta, self.body, track.samples,
             stamp_ns, start, end, correction.max_step, correction.reach)
         assert prediction is not None
         self.body = prediction[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.model.kernels import State
 from bellows_ros.core.model.simulation import first_after, write_row
+from bellows_ros.core.observer.filter import Samples
 import numpy as np
 
 MIN_SAMPLES = 4096
@@ -49,6 +50,11 @@ class Track:
         for rows, state in ((starts, start), (ends, end), (bodies, body)):
             write_row(rows[self.count], state)
         self.advance(stamp_ns)
+
+    @property
+    def samples(self) -> Samples:
+        """All samples, as kernels take them."""
+        return *self.rows, self.count
 
     def after(self, stamp_ns: int) -> int:
         """Return the index of the first sample after a stamp."""

@@ -29,16 +29,8 @@ from bellows_ros.core.model.equilibrium import substeps_for
 from bellows_ros.core.model.kernels import LawTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, stands
 from bellows_ros.core.observer import dynamics, states
-from bellows_ros.core.observer.filter import (
-    Estimate,
-    FALLEN,
-    identity_plus,
-    Moving,
-    NO_EVIDENCE,
-    part_of_motion,
-    Samples,
-    SHARE,
-)
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer.filter import Estimate, Moving, Samples
 from bellows_ros.core.observer.measurement import changed_by, GATE
 from bellows_ros.core.observer.states import COM, DAMPING, LENGTH, MARKER, ROWS, STATE, STIFFNESS
 from bellows_ros.core.observer.wrench_alarms import SetUp
@@ -108,10 +100,10 @@ def _add_node(
 @kernel
 def _advance_transition(T: Array, A: Array, B: Array, h: float) -> Array:
     """Return a transition (12, m) after a time h (s): dT/dt = A T + [0; B], to third order."""
-    X, G = np.empty((STATE, STATE)), identity_plus(h / 3.0, A, np.empty((STATE, STATE)))
-    identity_plus(0.5 * h, t3.product(A, G, X), G)
+    X, G = np.empty((STATE, STATE)), ekf.identity_plus(h / 3.0, A, np.empty((STATE, STATE)))
+    ekf.identity_plus(0.5 * h, t3.product(A, G, X), G)
     forced = t3.product(np.ascontiguousarray(G[:, 6:]), B, np.empty((STATE, MARKER)))
-    F, out = identity_plus(h, t3.product(A, G, X), np.empty((STATE, STATE))), T.copy()
+    F, out = ekf.identity_plus(h, t3.product(A, G, X), np.empty((STATE, STATE))), T.copy()
     t3.product(F, T, out)
     t3.add_array(forced, h, out)
     return out
@@ -140,7 +132,7 @@ def block(
         T[j, j] = 1.0
     dynamics.slopes(model, bias, ratio, tool, body, A, B)
     while now_ns < until_ns and k < count:
-        tool, end, later_ns = part_of_motion(samples, k, now_ns, until_ns, tool, max_step)
+        tool, end, later_ns = ekf.part_of_motion(samples, k, now_ns, until_ns, tool, max_step)
         seconds = (later_ns - now_ns) / NS_PER_S
         body = dynamics.advanced_with_wrench(
             model, bias, body, tool, end, seconds, substeps_for(seconds, max_step))
@@ -214,7 +206,7 @@ class WrenchFilter:
         used = self._stamps[first:last], self._values[first:last]
         mean, H, start, end = block(
             correction.row(before.lost_cups), correction.law, before[:4],
-            (*track.rows, track.count), used, until_ns, correction.max_step, self.sensor.mount)
+            track.samples, used, until_ns, correction.max_step, self.sensor.mount)
         mean = mean + self._of_gripper(
             start, end, (until_ns - before.stamp_ns) / NS_PER_S, correction.nominal[2])
         if stands(np.ravel(start[2:4])) and stands(np.ravel(end[2:4])):
@@ -229,7 +221,7 @@ class WrenchFilter:
             correction, before, WITH_CAMERA if has_camera else CUP,
             used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
             np.repeat(np.square(self.sensor.noise) / (last - first) + PERSISTENCE * (
-                self.sensor.gain_std**2 + before.memory[SHARE]) * np.square(
+                self.sensor.gain_std**2 + before.memory[ekf.SHARE]) * np.square(
                     np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
 
     def package_load(
@@ -283,7 +275,8 @@ class WrenchFilter:
         evidence = before.evidence
         if len(evidence.signatures):
             E = evidence.signatures.copy()
-            E[:-FALLEN] -= (gain.T @ np.linalg.solve(root, H)).astype(np.float32) @ E[:-FALLEN]
+            change = (gain.T @ np.linalg.solve(root, H)).astype(np.float32)
+            E[:-ekf.FALLEN] -= change @ E[:-ekf.FALLEN]
             evidence = evidence._replace(signatures=E, from_start=False)
         return before._replace(
             body=body, theta=theta, covariance=P - W.T @ W + of_kept.T @ of_kept,
@@ -300,7 +293,7 @@ def _with_sensor(estimate: Estimate, prior: Array) -> Estimate:
     return estimate._replace(
         theta=np.r_[estimate.theta, np.zeros(ROWS - n)], covariance=P,
         evidence=estimate.evidence._replace(
-            signatures=np.insert(E, [n] * (ROWS - n), 0.0, axis=0)) if len(E) else NO_EVIDENCE)
+            signatures=np.insert(E, [n] * (ROWS - n), 0.0, axis=0)) if len(E) else ekf.NO_EVIDENCE)
 
 
 def _learned(memory: Array, z: Array, share: Array) -> Array:
