@@ -33,6 +33,7 @@ from bellows_ros.core.observer.hypotheses import (
     ONSET_NS,
     OUT_OF_REACH_ODDS,
     PAYLOAD,
+    PUSH,
     SIZE_ROUNDS,
     SLOTS,
     START_ROWS,
@@ -156,14 +157,14 @@ class Alarms:
         """
         Return a fault detected by a measurement, from the result of `filter_step`, if any.
 
-        A holding vacuum contradicts a loss.
+        A holding vacuum contradicts a loss. A push is a `disturbance`.
         """
         evidence, stamp_ns = estimate.evidence, estimate.stamp_ns
         total, lead, best, second, runner_up, *_ = likeliest
         likely = HYPOTHESES[min(best.number, CUP)]
         if likely.name == 'lost':
             lead -= has_vacuum * math.log(VACUUM_ODDS)
-        if not self.is_likely(total, lead):
+        if best.number == PUSH or not self.is_likely(total, lead):
             return None
         if self.is_cup_proven and lead < CLEAR_LEAD and second == PAYLOAD and (
                 likely.name == 'wear'):
@@ -202,21 +203,24 @@ class Alarms:
         return alarm._replace(cause=f'cup {index:.0f}', cup=round(index), place=(x, y))
 
     def disturbance(
-        self, stamp_ns: int, gated: int, likeliest: Likeliest
+        self, stamp_ns: int, gated: int, likeliest: Likeliest, onsets: Stamps
     ) -> Alarm | None:
-        """Return the alarm on innovations that match no signature, if any."""
-        total, lead, second, none = (
-            likeliest.total, likeliest.lead, likeliest.second, likeliest.none)
-        least = TAG_BURST if self._of_tag else DISTURBED_COUNT
-        cause = HYPOTHESES[min(likeliest.best.number, CUP)].name if total > -math.inf else 'slip'
-        is_push = cause == 'disturbance' and max(total, none) >= self._threshold
-        if gated < least or not (
-                is_push or none >= max(self._threshold, total + MIN_LEAD)):
+        """
+        Return the alarm on a push, or on innovations that match no signature, if any.
+
+        It takes some poses since the onset of a push, or as many outside the gate in succession.
+        """
+        total, lead, best, second, _, _, none = likeliest
+        if best.number == PUSH and total >= self._threshold:
+            count, other = max(gated, onsets[0, best.onset]), second
+        elif none >= max(self._threshold, total + MIN_LEAD):
+            count, lead, other = gated, none - total, best.number if total > -math.inf else NONE
+        else:
             return None
-        if is_push:
-            cause, none = HYPOTHESES[second].name if second >= 0 else 'slip', total + lead
-        odds = math.exp(min(max(none - total, 0.0), CLEAR_LEAD))
-        return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, cause, odds)
+        if count < (TAG_BURST if self._of_tag else DISTURBED_COUNT):
+            return None
+        name = 'slip' if other == NONE else HYPOTHESES[min(other, CUP)].name
+        return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, name, math.exp(min(lead, CLEAR_LEAD)))
 
     def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
         """Return the alarm on a cup with broken vacuum, by its index; None if the cup is open."""

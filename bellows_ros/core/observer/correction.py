@@ -481,7 +481,8 @@ class Correction:
         if fault is None:
             gated = len(after.gated_ns) if (
                 after.evidence.onsets[0, 0] >= bank.SETTLING) else 0
-            alarm = self.alarms.disturbance(stamp_ns, gated, likeliest)
+            alarm = self.alarms.disturbance(
+                stamp_ns, gated, likeliest, after.evidence.onsets)
             return after if alarm is None else self._disturbed(after), alarm
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
         body, theta = changed_by(after.body, after.theta, fault.error)

@@ -137,12 +137,11 @@ MAX_NOISE_RATIO = 3.0
 increase the noise."""
 
 DISTURBED_COUNT = 3
-"""Number of consecutive poses outside the gate from which a disturbance is named: outliers are
-rarer."""
+"""Number of poses since the onset of a push, or of consecutive poses outside the gate, from which
+a disturbance is named: outliers are rarer."""
 
 TAG_BURST = 7
-"""Number of consecutive poses of a tag outside the gate from which a disturbance is named; blurred
-poses come in bursts of 2 to 6."""
+"""Number of poses of a tag, as `DISTURBED_COUNT`; blurred poses come in bursts of 2 to 6."""
 
 VIEW_NS = 3_000_000_000
 """Shortest duration of a camera shift seen with a tag, ns: work changes the view within this

@@ -230,11 +230,15 @@ def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shi
 
 @pytest.mark.parametrize(('of_tag', 'least'), [(False, 3), (True, 7)])
 def test_blurred_poses_of_a_tag_are_no_disturbance(of_tag, least):
-    """Wait longer than a burst of blur lasts, which a tracked body does not have."""
-    made = Alarms(1.0, False, SINGLE, of_tag)
-    likeliest = hypotheses.NO_FAULT._replace(none=100.0)
-    assert made.disturbance(1, least - 1, likeliest) is None
-    assert made.disturbance(1, least, likeliest).cause == 'disturbance'
+    """Wait longer than a burst lasts; the poses of a push need not all be outside the gate."""
+    made, onsets = Alarms(1.0, False, SINGLE, of_tag), np.zeros((2, 13), int)
+    unknown = hypotheses.NO_FAULT._replace(none=100.0)
+    push = unknown._replace(total=100.0, lead=1.0, best=hypotheses.Tested(3, hypotheses.PUSH, 6))
+    for count, cause in ((least - 1, None), (least, 'disturbance')):
+        onsets[0, 3] = count
+        for gated, likeliest in ((count, unknown), (0, push)):
+            alarm = made.disturbance(1, gated, likeliest, onsets)
+            assert (alarm and alarm.cause) == cause
 
 
 @pytest.mark.parametrize(('rate_hz', 'within'), [(125 / 4, 0.27), (125 / 12, 0.27)])
