@@ -21,6 +21,7 @@ from bellows_ros.core.observer.hypotheses import (
     EVERY,
     GRIPPER_MARGIN,
     HYPOTHESES,
+    LIKE_VIEW,
     Likeliest,
     MARGIN,
     MAX_COMPONENTS,
@@ -102,7 +103,7 @@ class Alarms:
     places : ndarray (cups, 4)
         Places of the holding cups of a gripper, as `places_of` returns them.
     of_tag : bool
-        Whether a tag is measured, whose errors in one view resemble a shifted camera.
+        Whether a tag is measured, whose errors change with the view, see `LIKE_VIEW`.
     latency_std : float
         Stated standard deviation of the latency, s.
 
@@ -152,7 +153,8 @@ class Alarms:
         return min(total - self._threshold, lead) > 0.0
 
     def detected(
-        self, estimate: Estimate, prior: Prior, likeliest: Likeliest, has_vacuum: bool = False,
+        self, estimate: Estimate, prior: Prior, likeliest: Likeliest,
+        has_vacuum: bool | None = None,
     ) -> DetectedFault | None:
         """
         Return a fault detected by a measurement, from the result of `filter_step`, if any.
@@ -163,14 +165,14 @@ class Alarms:
         total, lead, best, second, runner_up, *_ = likeliest
         likely = HYPOTHESES[min(best.number, CUP)]
         if likely.name == 'lost':
-            lead -= has_vacuum * math.log(VACUUM_ODDS)
+            lead -= bool(has_vacuum) * math.log(VACUUM_ODDS)
         if best.number == PUSH or not self.is_likely(total, lead):
             return None
         if self.is_cup_proven and lead < CLEAR_LEAD and second == PAYLOAD and (
                 likely.name == 'wear'):
             best, runner_up, second, lead = runner_up, best, WEAR, CLEAR_LEAD - lead
             likely = HYPOTHESES[PAYLOAD]
-        in_view = self._of_tag and likely.name == 'camera'
+        in_view = self._of_tag and likely.name in LIKE_VIEW
         confirmed_ns = VIEW_NS if in_view else DECIDE_NS if (
             lead < MIN_LEAD) else likely.confirmed_ns
         suspect_ns = stamp_ns - min(estimate.suspect_ns, default=stamp_ns)

@@ -44,6 +44,10 @@ filter nonlinear; the evidence of faults is then reset.
 LARGEST_LOAD = 5.0
 """Largest load of a holding cup, in weights, for the largest plausible displacement of its lip."""
 
+ON_SUPPORT = np.repeat([5e-3, 0.02, 0.0, 0.0], 3)
+"""Standard deviations of the state of a package at rest on a support, in which a cup that grips
+it is bent: m, rad, m/s and rad/s."""
+
 TOUCHDOWN = 0.2
 """Time in which a support takes over the weight of a lowered package, s."""
 
@@ -102,7 +106,7 @@ def first_memory() -> Array:
     products = FIRST_SQUARES * math.exp(-FIRST_PERIOD / FIRST_MEMORY)
     memory: Array = np.r_[
         FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2),
-        MODEL_ERROR_SHARE, FIRST_JITTER**2]
+        MODEL_ERROR_SHARE, FIRST_JITTER**2, 0.0]
     return memory
 
 
@@ -236,13 +240,18 @@ class Correction:
 
     def start(
         self, stamp_ns: int, tool: State, body: State, initial: Known, lost_cups: tuple[int, ...],
+        on_support: bool = False,
     ) -> Estimate:
         """Return the initial estimate of a package at rest."""
         self._drive = dynamics.driving(self.nominal, tool, body, self._tool_noise)
         self._at_start = prior_of(initial.theta, initial.covariance)
+        theta, P, memory = initial
+        if on_support:
+            P = P.copy()
+            P[:STATE, :STATE] = np.diag(np.square(ON_SUPPORT))
         return Estimate(
-            stamp_ns, tool, body, *initial,
-            self._evidence(stamp_ns, len(initial.covariance), lost_cups), (), lost_cups)
+            stamp_ns, tool, body, theta, P, memory,
+            self._evidence(stamp_ns, len(P), lost_cups), (), lost_cups)
 
     def after_hanging(self, estimate: Estimate, hung_ns: int) -> Estimate:
         """Return the first estimate of a package that was predicted for some time (ns)."""
@@ -337,7 +346,7 @@ class Correction:
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
-        support: int = 0, has_vacuum: bool = False,
+        support: int = 0, has_vacuum: bool | None = None,
     ) -> tuple[Estimate, str, alarms.Alarm | None]:
         """
         Return the estimate after a measurement, or before it if the pose is not of the package.
@@ -355,7 +364,7 @@ class Correction:
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         verdict, after, likeliest = self._step(
             before, track, stamp_ns, is_recorded, measurement, measured.GATE, support)
-        if has_vacuum:  # what holds does not fall
+        if has_vacuum is not None:  # the vacuum tells a fall from a release
             after = after._replace(fall=0.0)
         fallen = self.alarms.fallen(stamp_ns, after.fall) if self.alarms and support else None
         if verdict in (measured.OUT_OF_REACH, measured.FALLING):
@@ -462,7 +471,7 @@ class Correction:
             and estimate.stamp_ns - suspect_ns[0] < bank.DECIDE_NS)
 
     def _judged(
-        self, before: Estimate, after: Estimate, likeliest: Likeliest, has_vacuum: bool
+        self, before: Estimate, after: Estimate, likeliest: Likeliest, has_vacuum: bool | None
     ) -> tuple[Estimate, alarms.Alarm | None]:
         """Return an estimate with a detected fault removed, and the alarm on it."""
         row, stamp_ns = states.LATENCY, after.stamp_ns

@@ -65,10 +65,10 @@ MAX_CORRELATION = 0.97
 """Largest correlation of the noise of successive measurements."""
 
 VIEW_LENGTH = 5e-4
-"""Displacement of the tool at which the errors of a tag have a correlation of exp(-1/2), m."""
+"""Displacement of the package at which the errors of a tag have a correlation of exp(-1/2), m."""
 
 VIEW_ANGLE = 5e-3
-"""Rotation of the tool at which the errors of a tag have this correlation, rad."""
+"""Rotation of the package at which the errors of a tag have this correlation, rad."""
 
 MODEL_ERROR_TIME = 0.05
 """
@@ -100,6 +100,9 @@ displacement of the lip."""
 
 JITTER = SHARE + 1
 """Index in the memory of the noise: variance of the random error of a stamp, s^2."""
+
+SAME = JITTER + 1
+"""Index in the memory of the noise: correlation by the view since the last pose, 0 for bodies."""
 
 
 class Evidence(NamedTuple):
@@ -133,7 +136,7 @@ class Estimate(NamedTuple):
     covariance: Array
     """Covariance (n, n) of the error."""
     memory: Array
-    """Memory (15,) of the noise, with indices from `PERIOD` on."""
+    """Memory (16,) of the noise, with indices from `PERIOD` on."""
     evidence: Evidence = NO_EVIDENCE
     """Evidence of faults."""
     suspect_ns: tuple[int, ...] = ()
@@ -462,12 +465,11 @@ def propagated(
 
 
 @kernel
-def correlations_of_tag(before: State, after: State) -> tuple[float, float]:
-    """Return the result of `correlations` for a tag, whose errors persist in a view."""
+def correlation_of_view(before: State, after: State) -> float:
+    """Return the correlation of the errors of a tag in two views, at two states of the body."""
     shift, turn = pose_error(before, after[0], after[1])
-    of_view = math.exp(-0.5 * (
+    return math.exp(-0.5 * (
         t3.dot(shift, shift) / VIEW_LENGTH**2 + t3.dot(turn, turn) / VIEW_ANGLE**2))
-    return of_view, of_view
 
 
 @kernel
@@ -484,7 +486,7 @@ def predicted(
     drive, walk, is_tag = noise
     T, Q, theta = identity_transition(), np.zeros((STATE, STATE)), theta.copy()
     model_error = memory[SHARE] * MODEL_ERROR_TIME**3
-    correlation, earlier = correlations(memory, (until_ns - now_ns) / NS_PER_S), tool
+    correlation, earlier = correlations(memory, (until_ns - now_ns) / NS_PER_S), body
     without_cup = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
     for c in range(len(without_cup)):
         for i in range(STATE):
@@ -493,7 +495,9 @@ def predicted(
         model, (now_ns, tool, body, theta), (T, Q, without_cup), samples, is_recorded, until_ns,
         max_step, drive, model_error, cups)
     if is_tag:
-        correlation = correlations_of_tag(earlier, tool)
+        memory = memory.copy()
+        memory[SAME] = of_view = correlation_of_view(earlier, body)
+        correlation = max(correlation[0], of_view), max(correlation[1], of_view)
     P = propagated_covariance(P, T, Q, walk, correlation)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], correlation)
     if len(signatures) > 0:

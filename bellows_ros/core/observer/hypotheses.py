@@ -144,8 +144,11 @@ TAG_BURST = 7
 """Number of poses of a tag, as `DISTURBED_COUNT`; blurred poses come in bursts of 2 to 6."""
 
 VIEW_NS = 3_000_000_000
-"""Shortest duration of a camera shift seen with a tag, ns: work changes the view within this
-time."""
+"""Shortest duration of a fault like `LIKE_VIEW` seen with a tag, ns: work changes the view within
+this time."""
+
+LIKE_VIEW = frozenset(('camera', 'leak'))
+"""Causes that resemble the errors of a tag in a new view, a shift or a change of depth."""
 
 MIN_LEAD = 3.0
 """Smallest lead in log-likelihood ratio of a reported cause, 95 %."""

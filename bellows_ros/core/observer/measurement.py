@@ -323,12 +323,13 @@ def updated_memory(
     out[ekf.SHARE] = min(max(out[ekf.SHARE] * math.exp(growth), least), SHARE_RANGE[1])
     if not is_used:
         return out
+    other = 1.0 - out[ekf.SAME]  # another view
     for i in range(ekf.SQUARES, ekf.LAST):
-        out[i] *= 1.0 - 1.0 / MEMORY_COUNT
+        out[i] *= 1.0 - other / MEMORY_COUNT
     for i in range(6):
         noise = theta[NOISE - STATE + i]
-        out[ekf.SQUARES + i // 3] += noise * noise
-        out[ekf.PRODUCTS + i // 3] += noise * out[ekf.LAST + i]
+        out[ekf.SQUARES + i // 3] += other * noise * noise
+        out[ekf.PRODUCTS + i // 3] += other * noise * out[ekf.LAST + i]
         out[ekf.LAST + i] = noise
     return out
 

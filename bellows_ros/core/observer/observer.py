@@ -150,7 +150,7 @@ class Observer:
 
     def grip(self, height: float | None = None) -> None:
         """Take another package from a support; a previous one was lifted at this height (m)."""
-        self._support.grip(height)
+        self._support.grip(height, self._track.newest_ns)
 
     def _keep(self) -> None:
         """Keep the newest estimate if no trouble followed."""
@@ -238,12 +238,12 @@ class Observer:
         """Begin with a package that has been at rest for some time (ns)."""
         self._track.begin(stamp_ns)
         self._measurements.clear()
-        self._estimates = [
-            self._correction.start(stamp_ns, tool, body, self._known, self._lost_cups)]
+        self._support.follow(stamp_ns, tool)
+        self._estimates = [self._correction.start(
+            stamp_ns, tool, body, self._known, self._lost_cups, self._support.is_near)]
         if hung_ns:
             self._estimates[0] = self._correction.after_hanging(self._estimates[0], hung_ns)
         self.body, self._candidate, self._since_ns = body, self._estimates[0], stamp_ns
-        self._support.follow(stamp_ns, tool)
 
     def follow(
         self, stamp_ns: int, start: State, end: State
@@ -554,10 +554,10 @@ class Observer:
         is_silent = self._track.newest_ns - stamp_ns > _silence_ns(period_ns)
         return None if is_silent or (is_held and estimate.falls) else is_held
 
-    def _has_vacuum(self, estimate: Estimate, stamp_ns: int) -> bool:
-        """Return whether the vacuum held at a stamp, also if it has broken since."""
+    def _has_vacuum(self, estimate: Estimate, stamp_ns: int) -> bool | None:
+        """Return whether the vacuum held at a stamp, as `_is_held`, also if it broke later."""
         is_held = self._is_held(estimate)
-        return bool(is_held) or (is_held is False and stamp_ns <= self._held_ns)
+        return is_held if is_held is None else is_held or stamp_ns <= self._held_ns
 
     def _raise(self, alarm: Alarm | None) -> None:
         """Store an alarm, if any, unless an equal one has just been raised."""

@@ -58,8 +58,14 @@ class Support:
         """Set the direction against gravity (unit vector) and the sag of the cup (m)."""
         self._up, self._lift = up, LIFT + sag
 
-    def grip(self, height: float | None = None) -> None:
-        """Let the next sample grip a package on a support; a previous one rose at a height (m)."""
+    def grip(self, height: float | None = None, stamp_ns: int = 0) -> None:
+        """
+        Let the next sample grip a package on a support; a previous one rose at a height (m).
+
+        The newest support ends at a stamp (ns), with the release of its package.
+        """
+        if self.is_near:
+            self._end(stamp_ns)
         self._top, self._may_reach = None, height is not None
         self._is_gripping = not self._may_reach
         if height is not None:

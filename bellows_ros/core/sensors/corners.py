@@ -231,7 +231,9 @@ def equivalent_pose(
     Return the shift and rotation (6,) from a body to the pose measured in one view.
 
     The second result is the covariance (6, 6) of shift and rotation. Both are of first order, in
-    body axes, and contain all information of the view.
+    body axes, and contain all information of the view. The corners have independent errors, and a
+    mean error of the same standard deviation: detected tags err by 0.3 to 0.8 mm across the line
+    of sight, twice to four times the error by independent corners.
     """
     rows, accelerations = np.empty((1, 13)), np.empty((1, 6))
     write_row(rows[0], (body[0], body[1], body[2], body[3]))
@@ -239,9 +241,10 @@ def equivalent_pose(
         accelerations[0, i], accelerations[0, 3 + i] = acceleration[0][i], acceleration[1][i]
     out, maps, speed = np.empty((1, 8, 2)), np.empty((1, 6, 6)), np.empty(1)
     _write_views(rows, accelerations, sight, seen, out, maps, speed)
-    blur, growth = sensor[6] * sensor[6], sensor[2] * sensor[6] * sensor[6] * speed[0]
+    blur = sensor[6] * sensor[6]
+    growth = sensor[2] * blur * speed[0] * speed[0]
     variance = sensor[1] * sensor[1] + growth * growth
-    inverse, x, noise = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
+    inverse, x = np.zeros((6, 6)), np.zeros(6)
     for i in range(5, -1, -1):
         diagonal = maps[0, i, i]
         if abs(diagonal) < LEAST_SLOPE:
@@ -253,9 +256,26 @@ def equivalent_pose(
     for i in range(6):
         for j in range(6):
             x[i] += inverse[i, j] * (out[0, j, 0] - blur / 24.0 * out[0, j, 1])
-            for k in range(6):
-                noise[i, k] += variance * inverse[i, j] * inverse[k, j]
+    noise = _times_transposed(inverse, variance)
+    # the mean error of the corners shifts the tag across the line of sight
+    R = t3.multiply(t3.transposed(sight[1]), t3.rotation_matrix(body[1]))
+    centre = t3.add(body[0], t3.apply(t3.rotation_matrix(body[1]), sight[2]))
+    depth = t3.apply_transposed(sight[1], t3.subtract(centre, sight[0]))[2]
+    for i in range(3):
+        for j in range(3):
+            noise[i, j] += variance * depth * depth * (R[i] * R[j] + R[3 + i] * R[3 + j])
     return x, noise
+
+
+@kernel
+def _times_transposed(A: Array, factor: float) -> Array:
+    """Return the product of a matrix (6, 6), its transpose and a factor."""
+    out = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(6):
+            for k in range(6):
+                out[i, j] += factor * A[i, k] * A[j, k]
+    return out
 
 
 class CornerNoise(NamedTuple):

@@ -11,7 +11,7 @@ from benchmarks import cycles
 import numpy as np
 import pytest
 
-from .cases import CUP, PACKAGE, values
+from .cases import CUP, observer, PACKAGE, truth, values
 from .cell import Cell, CONDITIONS, ORDINARY
 from .contact_cell import ContactCell
 
@@ -217,6 +217,33 @@ def test_drop_on_the_way_is_a_loss_without_the_switch(event, after):
         found += [alarm.cause for _, _, alarm in run.alarms] == ['lost'] or (
             sum(t > made[1].at['fault'] for t, *_ in made[1].seen) < 3)
     assert found >= 9
+
+
+def test_package_at_its_grip_is_at_rest_on_a_support():
+    """Also after a package whose support the tool has not left; not after a gap in the air."""
+    made, (body,) = observer(), truth([ORIGIN])
+    raised = (0.0, 0.0, 0.1), *ORIGIN[1:]
+    for stamp_ns in (1_000_000_000, 2_000_000_000):
+        made.forget()
+        made.grip()
+        made.start(stamp_ns, ORIGIN, body)
+        assert made._support.is_near
+        assert np.sqrt(np.diag(made._estimates[0].covariance)[:STATE]).max() < 0.03
+    made.follow(2_010_000_000, ORIGIN, raised)
+    made.start(3_000_000_000, raised, truth([raised])[0])
+    assert not made._support.is_near
+    assert np.sqrt(np.diag(made._estimates[0].covariance)[STATE - 1]) == 1.0
+
+
+def test_tag_seen_from_the_move_on_does_not_make_the_swing_worse():
+    """Compare the rotation of the first packages of five cells with and without the camera."""
+    total = np.zeros(2)
+    for seed in range(82200, 82205):
+        cell = ContactCell(seed, 'view')
+        made = [cell.cycle() for _ in range(3)]
+        total += [run.by_phase(run.errors)[1, 1] for run in (
+            cycles.followed(made, 'view', False, camera) for camera in (True, False))]
+    assert total[0] < 1.1 * total[1]
 
 
 def test_package_left_at_the_target_is_no_loss():

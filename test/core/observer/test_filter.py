@@ -51,10 +51,11 @@ pytestmark = pytest.mark.xdist_group('kernels called from Python')  # compiled b
 def test_errors_of_a_tag_persist_in_a_view():
     """Keep them at rest for any time with the noise of a robot's poses; not over a centimetre."""
     rng, still = np.random.default_rng(1), tool_motion(np.random.default_rng(1), 0.01)[1][0]
-    tools = [with_noise(rng, still, np.repeat([2e-5, 5e-5], 3)) for _ in range(31)]
-    kept = [ekf.correlations_of_tag(*pair)[0] for pair in zip(tools, tools[1:], strict=False)]
+    bodies = [with_noise(rng, still, np.repeat([2e-5, 5e-5], 3)) for _ in range(31)]
+    kept = [ekf.correlation_of_view(*pair) for pair in zip(bodies, bodies[1:], strict=False)]
     assert np.prod(kept) > 0.8  # after 1 s
-    assert ekf.correlations_of_tag(still, moved_by(still, np.r_[0.01, np.zeros(11)]))[0] < 1e-9
+    for swing in np.diag(np.repeat([0.01, 0.05], 3)):
+        assert ekf.correlation_of_view(still, moved_by(still, np.r_[swing, np.zeros(6)])) < 1e-9
 
 
 @pytest.mark.parametrize('is_off', [False, True])

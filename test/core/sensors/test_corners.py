@@ -4,6 +4,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.sensors.corners import (
     CornerNoise,
     corners_of_poses,
+    equivalent_pose,
     frames_of,
     Tag,
     TagViews,
@@ -127,3 +128,25 @@ def test_noise_grows_with_the_smear_and_with_the_frames_of_a_view():
     corners[:, 3] = [0.0, 1e-4, 2e-4, 1.0, 2.0, 2.0001, 3.0, 4.0, 4.0]
     assert_allclose(frames_of(corners), [3, 3, 3, 1, 2, 2, 1, 2, 2])
     assert_allclose(noise.variance(np.zeros(9), frames_of(corners))[:4] / 1e-8, [2.6] * 3 + [1.0])
+
+
+def test_pose_of_a_view_errs_across_the_line_of_sight_and_with_the_square_of_the_speed():
+    """
+    Add the common error of corners to a quarter each by their mean and by the tilt.
+
+    A tilt shifts all corners as much, which the other axis tells; the smear is v T / Z.
+    """
+    sigma, growth, exposure, depth, half = 3e-4, 30.0, 0.01, 1.5, 0.04
+    identity, still = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), ((0.0,) * 3, (0.0,) * 3)
+    sight = (0.0, 0.0, 0.0), identity, (0.0, 0.0, 0.0), identity, half
+    variances = []
+    for speed in (0.0, 0.5, 1.0):
+        body = (0.0, 0.0, depth), (0.0, 0.0, 0.0, 1.0), (speed, 0.0, 0.0), (0.0, 0.0, 0.0)
+        noise = equivalent_pose(
+            body, still, sight, (True, sigma, growth, (0.0,) * 3, identity, half, exposure),
+            np.zeros((1, 8)))[1]
+        variances.append(noise[0, 0])
+    assert variances[0] == pytest.approx((sigma * depth) ** 2 * (1.0 + 0.5), rel=0.01)
+    smear = np.array([0.5, 1.0]) * exposure / depth
+    assert_allclose(
+        variances[1:] / variances[0], 1.0 + (growth * smear**2 / sigma) ** 2, rtol=0.02)
