@@ -7,44 +7,10 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer import hypotheses as bank
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.filter import Estimate, Evidence, ONSETS
-from bellows_ros.core.observer.hypotheses import (
-    ALIKE,
-    AT_START,
-    Cause,
-    CLEAR_LEAD,
-    COLUMNS,
-    CUP,
-    DECIDE_NS,
-    DISTURBED_COUNT,
-    EVERY,
-    GRIPPER_MARGIN,
-    HYPOTHESES,
-    LIKE_VIEW,
-    Likeliest,
-    MARGIN,
-    MAX_COMPONENTS,
-    MAX_DEVIATION,
-    MAX_ODDS,
-    MIN_CLEAR_ODDS,
-    MIN_LEAD,
-    NAMED,
-    NONE,
-    ONSET_NS,
-    OUT_OF_REACH_ODDS,
-    PAYLOAD,
-    PUSH,
-    SIZE_ROUNDS,
-    SLOTS,
-    START_ROWS,
-    STEPS,
-    TAG_BURST,
-    Tested,
-    VACUUM_ODDS,
-    VIEW_NS,
-    WEAR,
-)
+from bellows_ros.core.observer.hypotheses import Cause, HYPOTHESES, Likeliest, Tested
 from bellows_ros.core.observer.likelihood import layout, of_start, Prior
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -124,10 +90,10 @@ class Alarms:
     ) -> None:
         """Set the threshold and the initial signatures."""
         self._places, self._of_tag, self._latency_std = places, of_tag, latency_std
-        self._threshold = math.log(3600 * NS_PER_S / ONSET_NS / false_per_hour) + (
-            MARGIN if len(places) == 1 else GRIPPER_MARGIN)
-        self.steps: Array = np.zeros((states.ROWS_WITHOUT_SENSOR + ekf.FALLEN, len(STEPS)))
-        for component, step in enumerate(STEPS):
+        self._threshold = math.log(3600 * NS_PER_S / bank.ONSET_NS / false_per_hour) + (
+            bank.MARGIN if len(places) == 1 else bank.GRIPPER_MARGIN)
+        self.steps: Array = np.zeros((states.ROWS_WITHOUT_SENSOR + ekf.FALLEN, len(bank.STEPS)))
+        for component, step in enumerate(bank.STEPS):
             for row in step:
                 self.steps[row, component] = 1.0
                 if of_lip and states.COM <= row < states.COM + 3:
@@ -137,12 +103,12 @@ class Alarms:
         self, stamp_ns: int, rows: int, cups: int, from_start: bool = True
     ) -> Evidence:
         """Return the initial evidence, for rows of the error and a gripper with holding cups."""
-        columns = COLUMNS[CUP] + cups * ONSETS
+        columns = bank.COLUMNS[bank.CUP] + cups * ONSETS
         onsets: Stamps = np.repeat([[0], [-1]], 1 + ONSETS, axis=1)
         onsets[1, 0] = stamp_ns
         return Evidence(
             np.zeros((rows + ekf.FALLEN, columns), np.float32),
-            np.zeros((1 + MAX_COMPONENTS, columns)), np.zeros(1 + ONSETS), onsets, from_start)
+            np.zeros((1 + bank.MAX_COMPONENTS, columns)), np.zeros(1 + ONSETS), onsets, from_start)
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:
         """Return the stamps (ns) since half the threshold, including another measurement."""
@@ -163,18 +129,18 @@ class Alarms:
         """
         evidence, stamp_ns = estimate.evidence, estimate.stamp_ns
         total, lead, best, second, runner_up, *_ = likeliest
-        likely = HYPOTHESES[min(best.number, CUP)]
+        likely = HYPOTHESES[min(best.number, bank.CUP)]
         if likely.name == 'lost':
-            lead -= bool(has_vacuum) * math.log(VACUUM_ODDS)
-        if best.number == PUSH or not self.is_likely(total, lead):
+            lead -= bool(has_vacuum) * math.log(bank.VACUUM_ODDS)
+        if best.number == bank.PUSH or not self.is_likely(total, lead):
             return None
-        if self.is_cup_proven and lead < CLEAR_LEAD and second == PAYLOAD and (
+        if self.is_cup_proven and lead < bank.CLEAR_LEAD and second == bank.PAYLOAD and (
                 likely.name == 'wear'):
-            best, runner_up, second, lead = runner_up, best, WEAR, CLEAR_LEAD - lead
-            likely = HYPOTHESES[PAYLOAD]
-        in_view = self._of_tag and likely.name in LIKE_VIEW
-        confirmed_ns = VIEW_NS if in_view else DECIDE_NS if (
-            lead < MIN_LEAD) else likely.confirmed_ns
+            best, runner_up, second, lead = runner_up, best, bank.WEAR, bank.CLEAR_LEAD - lead
+            likely = HYPOTHESES[bank.PAYLOAD]
+        in_view = self._of_tag and likely.name in bank.LIKE_VIEW
+        confirmed_ns = bank.VIEW_NS if in_view else bank.DECIDE_NS if (
+            lead < bank.MIN_LEAD) else likely.confirmed_ns
         suspect_ns = stamp_ns - min(estimate.suspect_ns, default=stamp_ns)
         if len(estimate.suspect_ns) <= likely.confirmed or suspect_ns < confirmed_ns or (
                 stamp_ns < evidence.onsets[1, best.onset] + best.components * likely.after_ns):
@@ -183,19 +149,20 @@ class Alarms:
         cause, error, spread, parts = _fault(estimate, prior, best)
         logs = [part for part, (_, _, is_log) in zip(parts, cause.parts, strict=False) if is_log]
         size, std = max(logs or parts[:1], key=lambda each: each[0] / each[1])
-        usual = MAX_DEVIATION * self._latency_std if cause.name == 'latency' else 0.0
+        usual = bank.MAX_DEVIATION * self._latency_std if cause.name == 'latency' else 0.0
         if size < max(cause.least, usual):
             return None
-        most = MAX_ODDS if likely.mean or best.number < AT_START else MIN_CLEAR_ODDS
+        most = bank.MAX_ODDS if likely.mean or best.number < bank.AT_START else bank.MIN_CLEAR_ODDS
         odds, cup = min(math.exp(min(lead, 20.0)), most), -1
-        name = 'disturbance' if second == NONE else HYPOTHESES[second].name if (
-            second < CUP) else self._of_cup(holding[second - CUP]).cause
+        name = 'disturbance' if second == bank.NONE else HYPOTHESES[second].name if (
+            second < bank.CUP) else self._of_cup(holding[second - bank.CUP]).cause
         alarm = Alarm(stamp_ns, cause.name, size, std, name, odds, parts)
-        if second != NONE and (odds < MIN_CLEAR_ODDS or {cause.name, name} == ALIKE):
+        if second != bank.NONE and (
+                odds < bank.MIN_CLEAR_ODDS or {cause.name, name} == bank.ALIKE):
             _, _, other, others = _fault(estimate, prior, runner_up)
             spread, alarm = np.hstack([spread, other]), alarm._replace(second_parts=others)
-        if best.number >= CUP:
-            cup = holding[best.number - CUP]
+        if best.number >= bank.CUP:
+            cup = holding[best.number - bank.CUP]
             alarm = self._of_cup(cup, alarm)
         return DetectedFault(alarm, error, spread, cup)
 
@@ -213,16 +180,17 @@ class Alarms:
         It takes some poses since the onset of a push, or as many outside the gate in succession.
         """
         total, lead, best, second, _, _, none = likeliest
-        if best.number == PUSH and total >= self._threshold:
+        if best.number == bank.PUSH and total >= self._threshold:
             count, other = max(gated, onsets[0, best.onset]), second
-        elif none >= max(self._threshold, total + MIN_LEAD):
-            count, lead, other = gated, none - total, best.number if total > -math.inf else NONE
+        elif none >= max(self._threshold, total + bank.MIN_LEAD):
+            count, lead = gated, none - total
+            other = best.number if total > -math.inf else bank.NONE
         else:
             return None
-        if count < (TAG_BURST if self._of_tag else DISTURBED_COUNT):
+        if count < (bank.TAG_BURST if self._of_tag else bank.DISTURBED_COUNT):
             return None
-        name = 'slip' if other == NONE else HYPOTHESES[min(other, CUP)].name
-        return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, name, math.exp(min(lead, CLEAR_LEAD)))
+        name = 'slip' if other == bank.NONE else HYPOTHESES[min(other, bank.CUP)].name
+        return Alarm(stamp_ns, 'disturbance', 0.0, 0.0, name, math.exp(min(lead, bank.CLEAR_LEAD)))
 
     def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
         """Return the alarm on a cup with broken vacuum, by its index; None if the cup is open."""
@@ -230,11 +198,11 @@ class Alarms:
         if not len(places):
             return None
         return self._of_cup(int(places[0]), Alarm(
-            stamp_ns, 'cup', 1.0, 0.0, 'leak', VACUUM_ODDS, shown_by='vacuum'))
+            stamp_ns, 'cup', 1.0, 0.0, 'leak', bank.VACUUM_ODDS, shown_by='vacuum'))
 
     def fallen(self, stamp_ns: int, ratio: float) -> Alarm | None:
         """Return the alarm for a fall near a support, by the log-likelihood ratio of the fall."""
-        odds = math.exp(min(ratio - self._threshold, CLEAR_LEAD))
+        odds = math.exp(min(ratio - self._threshold, bank.CLEAR_LEAD))
         return Alarm(stamp_ns, 'lost', 1.0, 0.0, 'disturbance', odds) if odds > 1.0 else None
 
     @staticmethod
@@ -248,10 +216,10 @@ class Alarms:
         are the ratio of prior shares, times `OUT_OF_REACH_ODDS` for poses out of reach, and times
         `VACUUM_ODDS` for a broken vacuum (divided for a holding vacuum).
         """
-        lost, second = NAMED['lost'], NAMED['camera' if is_seen else 'leak']
-        odds = lost.share / second.share * (OUT_OF_REACH_ODDS if is_seen else 1.0)
+        lost, second = bank.NAMED['lost'], bank.NAMED['camera' if is_seen else 'leak']
+        odds = lost.share / second.share * (bank.OUT_OF_REACH_ODDS if is_seen else 1.0)
         if is_held is not None:
-            odds *= VACUUM_ODDS ** (1 - 2 * is_held)
+            odds *= bank.VACUUM_ODDS ** (1 - 2 * is_held)
         if odds < 1.0:
             return Alarm(
                 stamp_ns, second.name, reach, 0.0, lost.name, 1.0 / odds, shown_by='vacuum')
@@ -265,23 +233,23 @@ def _fault(
     onset, number, components = fault
     h, column = layout(number)
     cause = HYPOTHESES[h]
-    slots, slot = SLOTS[h], max(onset - 1, 0) // EVERY[h]
+    slots, slot = bank.SLOTS[h], max(onset - 1, 0) // bank.EVERY[h]
     std, mean = np.array(cause.prior_std[:components]), np.full(components, cause.mean)
     columns = column + slot + slots * np.arange(components)
     statistics: Array = estimate.evidence.statistics
-    if h < AT_START:
+    if h < bank.AT_START:
         statistics = of_start(prior, estimate.theta, estimate.covariance)
-        E = estimate.covariance[:, START_ROWS] @ prior.weights[:, columns]
+        E = estimate.covariance[:, bank.START_ROWS] @ prior.weights[:, columns]
     else:
         E = estimate.evidence.signatures[:-ekf.FALLEN, columns]
     d, *products = statistics[:1 + components, columns]
     J = products + np.triu(products, 1).T
-    for _ in range(1 if cause.mean else SIZE_ROUNDS):  # large faults have larger parts
+    for _ in range(1 if cause.mean else bank.SIZE_ROUNDS):  # large faults have larger parts
         P = np.asarray(np.linalg.inv(J + np.diag(std ** -2.0)), np.float64)
         size = mean + P @ (d - J @ mean)
         if not cause.mean:
             std = std * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / std**2)))
-    made = size if number < CUP else mean  # the model continues without the whole cup
+    made = size if number < bank.CUP else mean  # the model continues without the whole cup
     parts = tuple(
         _length(size[first:end], P[first:end, first:end], is_log)
         for first, end, is_log in cause.parts if first < components)

@@ -24,15 +24,7 @@ from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import pose_error, substeps_for
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
-from bellows_ros.core.observer.dynamics import (
-    advanced_with_wrench,
-    model_at,
-    slopes,
-    stable_step,
-    with_theta,
-    wrench_bias,
-    write_losses,
-)
+from bellows_ros.core.observer import dynamics
 from bellows_ros.core.observer.states import LENGTH, LENGTHENING, MARKER, NOISE, STATE
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -160,6 +152,11 @@ class Estimate(NamedTuple):
     """Shift of the last measurement before its stamp, ns."""
     wrench_memory: tuple[float, ...] = ()
     """Factors of the variances of force and moment, see `wrenches`; empty before the first."""
+
+    @property
+    def moving(self) -> Moving:
+        """The moving package, as the kernels take it."""
+        return self.stamp_ns, self.tool, self.body, self.theta
 
     def numbers(self, theta: Array) -> EstimateTuple:
         """Return the kernels' form of the estimate, with a given theta."""
@@ -349,7 +346,7 @@ def propagated_covariance(
     return out
 
 
-@entry
+@kernel
 def ends_step(stamp_ns: int, next_ns: int, max_step: float) -> bool:
     """Return whether a covariance step ends at a sample, wherever the step began."""
     length_ns = int(NS_PER_S * min(COVARIANCE_STEPS * max_step, 1.0))
@@ -424,17 +421,18 @@ def propagated(
     """
     (now_ns, tool, body, theta), (T, Q, without_cup) = beginning, transition
     stamps, _, _, bodies, count = samples
-    k = first_after(stamps, now_ns, count)
-    bias, follows, is_reset, h, squares = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
-    nominal, model, max_step = model, with_theta(model, theta), stable_step(max_step, theta)
+    k, max_step = first_after(stamps, now_ns, count), dynamics.stable_step(max_step, theta)
+    bias = dynamics.wrench_bias(theta)
+    nominal, model = model, dynamics.with_theta(model, theta)
+    follows, is_reset, h, squares = T.shape[0] > 0, True, 0.0, 0.0
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     losses0, losses1 = np.zeros((6 * len(without_cup), 13)), np.zeros((6 * len(without_cup), 13))
     while True:
         if follows and (is_reset or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
                 now_ns, stamps[k], max_step)):
-            force = slopes(model, bias, math.exp(theta[0]), tool, body, A1, B1)
-            write_losses(nominal, theta, cups[:len(without_cup)], tool, body, losses1)
+            force = dynamics.slopes(model, bias, math.exp(theta[0]), tool, body, A1, B1)
+            dynamics.write_losses(nominal, theta, cups[:len(without_cup)], tool, body, losses1)
             if not is_reset:
                 t3.add_array(A1, 1.0, A0)
                 t3.add_array(B1, 1.0, B0)
@@ -543,7 +541,7 @@ def _followed(
     if is_recorded and is_sample:
         return body_row(row, body)
     substeps = substeps_for(seconds, max_step)
-    body = advanced_with_wrench(model, bias, body, start, end, seconds, substeps)
+    body = dynamics.advanced_with_wrench(model, bias, body, start, end, seconds, substeps)
     if is_sample:
         write_row(row, body)
     return body
@@ -555,20 +553,20 @@ def followed(
     stamp_ns: int, start: State, end: State, max_step: float, reach: float,
 ) -> tuple[State, Wrench, bool]:
     """Store another sample of the tool; return the package there, and `checked_wrench`."""
-    model, max_step = model_at(row, law, theta), stable_step(max_step, theta)
+    model, max_step = dynamics.model_at(row, law, theta), dynamics.stable_step(max_step, theta)
     stamps, starts, ends, bodies, k = samples
     stamps[k] = stamp_ns
     write_row(starts[k], start)
     write_row(ends[k], end)
-    seconds, tool = (stamp_ns - stamps[k - 1]) / NS_PER_S, start
+    seconds, tool, bias = (stamp_ns - stamps[k - 1]) / NS_PER_S, start, dynamics.wrench_bias(theta)
     parts = substeps_for(seconds, COVARIANCE_STEPS * max_step)
     part = seconds / parts
     for i in range(parts):
         tool_end = end
         if i < parts - 1:
             tool_end = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / parts)
-        body = advanced_with_wrench(
-            model, wrench_bias(theta), body, tool, tool_end, part, substeps_for(part, max_step))
+        body = dynamics.advanced_with_wrench(
+            model, bias, body, tool, tool_end, part, substeps_for(part, max_step))
         tool = tool_end
     write_row(bodies[k], body)
     wrench, is_sound = kernels.checked_wrench(model, end, body, reach)

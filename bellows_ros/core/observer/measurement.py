@@ -16,11 +16,7 @@ from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.dynamics import is_possible, with_theta, wrench_bias
 from bellows_ros.core.observer.pose_sensor import Marker
 from bellows_ros.core.observer.states import CAMERA, COM, LATENCY, MARKER, NOISE, STATE
-from bellows_ros.core.sensors.corners import (
-    equivalent_pose,
-    SAME_VIEW,
-    write_image,
-)
+from bellows_ros.core.sensors.corners import equivalent_pose, SAME_VIEW, write_image
 import numpy as np
 
 
