@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.tuples import ZERO
+from bellows_ros.core.geometry.tuples import Vector, ZERO
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, State
@@ -228,15 +228,11 @@ class Correction:
         The force is up to the weight along the normal, against gravity, and less across. Its
         moment, which the stiffness of the cup balances, turns the package flat.
         """
-        mass, gravity = self.nominal[1][0], self.nominal[2]
-        up = np.square(t3.apply_transposed(t3.rotation_matrix(body[1]), gravity))
-        weight = mass**2 * up.sum()
+        up = np.square(t3.apply_transposed(t3.rotation_matrix(body[1]), self.nominal[2]))
         normal = up / max(up.sum(), 1e-12)
-        across = 1.0 - normal
-        moment = TILT * np.array(self.nominal[0][2][2][::4])
-        variances: Array = np.r_[
-            weight * (normal + SLIDING**2 * across), np.square(moment) * across]
-        return variances
+        across, moment = 1.0 - normal, TILT * np.array(self.nominal[0][2][2][::4])
+        return np.asarray(np.r_[
+            self.weight**2 * (normal + SLIDING**2 * across), np.square(moment) * across])
 
     def start(
         self, stamp_ns: int, tool: State, body: State, initial: Known, lost_cups: tuple[int, ...],
@@ -340,9 +336,8 @@ class Correction:
         if estimate.stamp_ns == track.newest_ns:
             return estimate.body
         return ekf.body_at_end(
-            self.row(estimate.lost_cups), self.law,
-            (estimate.stamp_ns, estimate.tool, estimate.body, estimate.theta),
-            track.samples, track.newest_ns, self.max_step)
+            self.row(estimate.lost_cups), self.law, estimate.moving, track.samples,
+            track.newest_ns, self.max_step)
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
@@ -413,19 +408,24 @@ class Correction:
 
         The package turns about the middle of the bending cup. The moment balances the weight.
         """
-        cup, (mass, com, _, _), gravity = dynamics.model_at(
+        cup, (_, com, _, _), _ = dynamics.model_at(
             self.row(estimate.lost_cups), self.law, estimate.theta)
-        x, y, z = t3.apply_transposed(t3.rotation_matrix(estimate.body[1]), gravity)
-        error, weight = np.zeros(len(estimate.covariance)), self.nominal[1][0] * t3.norm(gravity)
-        if -z < FLAT * t3.norm(gravity):
+        error, turn = np.zeros(len(estimate.covariance)), self._turn_to_flat(estimate.body)
+        if turn is None:
             return error
         arm, (a, b, _) = t3.subtract(com, (0.0, 0.0, 0.5 * cup[1])), estimate.body[3]
-        turn, spin = (-y / z, x / z, 0.0), (-a, -b, 0.0)
+        spin = -a, -b, 0.0
         error[:STATE] = *t3.cross(turn, arm), *turn, *t3.cross(spin, arm), *spin
-        moment = weight * com[1], -weight * com[0]
+        moment = self.weight * com[1], -self.weight * com[0]
         rows = slice(states.WRENCH + 3, states.WRENCH + 5)
         error[rows] = moment - estimate.theta[rows.start - STATE:rows.stop - STATE]
         return error
+
+    def _turn_to_flat(self, body: State) -> Vector | None:
+        """Return the rotation (rad) of a package to a level support; None if tilted too far."""
+        gravity = self.nominal[2]
+        x, y, z = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
+        return None if -z < FLAT * t3.norm(gravity) else (-y / z, x / z, 0.0)
 
     def _touching(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the wrench of a support, once there is evidence of contact."""
@@ -447,13 +447,12 @@ class Correction:
 
     def _flat(self, estimate: Estimate) -> Estimate:
         """Return an estimate of a package that a support rotates back to its pose at the grip."""
-        gravity = self.nominal[2]
-        x, y, z = t3.apply_transposed(t3.rotation_matrix(estimate.body[1]), gravity)
-        if -z < FLAT * t3.norm(gravity):
+        turn = self._turn_to_flat(estimate.body)
+        if turn is None:
             return estimate
         P, rows = estimate.covariance, np.array([states.TURN, states.TURN + 1])
         gain = np.linalg.solve(P[np.ix_(rows, rows)] + TILT**2 * np.eye(2), P[rows]).T
-        body, theta = changed_by(estimate.body, estimate.theta, gain @ np.divide([y, -x], -z))
+        body, theta = changed_by(estimate.body, estimate.theta, gain @ np.array(turn[:2]))
         return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
     def excess(self, estimate: Estimate, rows: Any) -> Array:
@@ -538,8 +537,8 @@ class Correction:
         self, estimate: Estimate, known: Known, rows: Any = KNOWN_ROWS
     ) -> Estimate:
         """Return an estimate with the kept rows of camera, cup and package, or some of them."""
-        theta, P, _ = Known(*estimate[3:6]).with_rows(known, rows)
-        return estimate._replace(theta=theta, covariance=P)
+        kept = Known(estimate.theta, estimate.covariance, estimate.memory).with_rows(known, rows)
+        return estimate._replace(theta=kept.theta, covariance=kept.covariance)
 
     def _restarted(
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement

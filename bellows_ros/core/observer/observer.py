@@ -200,24 +200,25 @@ class Observer:
         """The estimate at the newest sample of the tool."""
         if not self._estimates:
             return None
-        newest, newest_ns = self._newest or self._estimates[-1], self._track.newest_ns
-        if newest.stamp_ns < newest_ns:
-            newest = self._correction.propagated(
-                newest._replace(evidence=NO_EVIDENCE), self._track, newest_ns)
-        self._newest = newest
-        return self._correction.with_noise_of_sample(newest)
+        self._newest = self._at(
+            self._newest or self._estimates[-1], self._track.newest_ns)
+        return self._correction.with_noise_of_sample(self._newest)
+
+    def _at(self, estimate: Estimate, stamp_ns: int) -> Estimate:
+        """Return an estimate at a later stamp, without evidence of faults."""
+        return estimate if estimate.stamp_ns >= stamp_ns else self._correction.propagated(
+            estimate._replace(evidence=NO_EVIDENCE), self._track, stamp_ns)
 
     def covariance(self, stamp_ns: int) -> Array | None:
         """Return the covariance of the state (12, 12) at a stamp of the last 0.5 s, or None."""
-        estimate, correction = self.estimate, self._correction
+        estimate = self.estimate
         if estimate is None or not (
                 self._estimates[0].stamp_ns <= stamp_ns <= estimate.stamp_ns):
             return None
         if stamp_ns < estimate.stamp_ns:
             before = self._estimates[bisect_right(
                 self._estimates, stamp_ns, key=lambda each: each.stamp_ns) - 1]
-            estimate = correction.with_noise_of_sample(correction.propagated(
-                before._replace(evidence=NO_EVIDENCE), self._track, stamp_ns))
+            estimate = self._correction.with_noise_of_sample(self._at(before, stamp_ns))
         return estimate.covariance[:STATE, :STATE]
 
     @property
@@ -290,16 +291,9 @@ class Observer:
         estimates, measurements = self._estimates, self._measurements
         while measurements and measurements[0].stamp_ns <= before_ns:
             del estimates[0], measurements[0]
-        if estimates[0].stamp_ns >= before_ns - HISTORY_NS:
-            return
-        stamps, k = self._track.rows[0], self._track.after(before_ns) - 1
-        max_step = dynamics.stable_step(self._correction.max_step, estimates[0].theta)
-        while stamps[k] > estimates[0].stamp_ns:
-            if ekf.ends_step(stamps[k], stamps[k + 1], max_step):
-                estimates[0] = self._correction.propagated(
-                    estimates[0], self._track, int(stamps[k]))
-                break
-            k -= 1
+        if estimates[0].stamp_ns < before_ns - HISTORY_NS:
+            stamp_ns = int(self._track.rows[0][self._track.after(before_ns) - 1])
+            estimates[0] = self._correction.propagated(estimates[0], self._track, stamp_ns)
 
     def propagated_briefly(self, body: State, start: State, end: State, seconds: float) -> State:
         """Return a package after a motion of the tool, without storing it."""
@@ -487,11 +481,9 @@ class Observer:
     def _note_silence(self, stamp_ns: int) -> None:
         """Detect a camera without poses after the package has left its reach."""
         alarms = self._correction.alarms
-        *_, last_ns = self._last_ns
-        silence_ns = _silence_ns(float(np.diff(self._last_ns).min()))
-        if alarms is None or stamp_ns - last_ns <= silence_ns + self._delay_ns:
+        last, last_ns = self._estimates[-1], self._last_ns[-1]
+        if alarms is None or stamp_ns - last_ns <= self._camera_silence_ns:
             return
-        last = self._estimates[-1]
         is_held, away_ns = self._is_held(last), last.away_ns
         is_wrong_pose = bool(is_held) and last_ns - away_ns < LOST_AFTER_NS
         self._estimates[-1] = last._replace(away_ns=0 if is_wrong_pose else -1)
@@ -515,9 +507,13 @@ class Observer:
         """Delay (ns) of a measured pose of the present; 0 if the camera is silent."""
         if not self._estimates or len(self._last_ns) < 3:
             return 0
-        silence_ns = self._delay_ns + _silence_ns(float(np.diff(self._last_ns).min()))
-        is_silent = self._track.newest_ns - self._last_ns[-1] > silence_ns
+        is_silent = self._track.newest_ns - self._last_ns[-1] > self._camera_silence_ns
         return 0 if is_silent else max(self._delay_ns, 1)
+
+    @property
+    def _camera_silence_ns(self) -> float:
+        """Time without a measured pose after which the camera is silent, ns."""
+        return self._delay_ns + _silence_ns(float(np.diff(self._last_ns).min()))
 
     def on_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
         """

@@ -205,7 +205,7 @@ class WrenchFilter:
             return before
         used = self._stamps[first:last], self._values[first:last]
         mean, H, start, end = block(
-            correction.row(before.lost_cups), correction.law, before[:4],
+            correction.row(before.lost_cups), correction.law, before.moving,
             track.samples, used, until_ns, correction.max_step, self.sensor.mount)
         mean = mean + self._of_gripper(
             start, end, (until_ns - before.stamp_ns) / NS_PER_S, correction.nominal[2])
