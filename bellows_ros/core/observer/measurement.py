@@ -383,6 +383,10 @@ FALL_FACTOR = 2.0
 """Largest ratio of the acceleration of a fall, relative to an accelerating tool, to gravity."""
 
 
+SPREAD = 5.0
+"""Largest error of a pose, standard deviations."""
+
+
 @kernel
 def _is_fall(away: Vector, gravity: Vector, reach: float, seconds: float) -> bool:
     """Return whether a fall from within reach (m) explains a displacement (m, world) in a time."""
@@ -443,21 +447,53 @@ def _measured_difference(
 
 
 @kernel
+def _is_beyond(away: Vector, arm: Vector, noise: Array, reach: float) -> bool:
+    """
+    Return whether the noise of a pose does not explain a displacement of the lip (m, B axes).
+
+    A plane separates the displacement from those within reach, plus `SPREAD` standard deviations
+    of the noise (6, 6) along its normal. The lip is at an arm from B.
+    """
+    if t3.norm(away) <= reach:
+        return False
+    wide = noise.copy()
+    for i in range(6):
+        wide[i, i] += (reach / SPREAD) ** 2
+    W, x = cholesky(wide)[1], np.zeros(6)
+    for i in range(6):
+        for k in range(3):
+            x[i] += W[i, k] * away[k]
+    u, variance = np.zeros(6), 0.0
+    for k in range(3):
+        for i in range(6):
+            u[k] += W[i, k] * x[i]
+    normal = u[0], u[1], u[2]
+    u[3], u[4], u[5] = t3.cross(arm, normal)
+    for i in range(6):
+        for j in range(6):
+            variance += u[i] * noise[i, j] * u[j]
+    return t3.dot(normal, away) > reach * t3.norm(normal) + SPREAD * math.sqrt(variance)
+
+
+@kernel
 def _out_of_reach(
-    model: ModelTuple, tool: State, there: State, theta: Array, P: Array, spread: float,
+    model: ModelTuple, tool: State, there: State, theta: Array, P: Array, noise: Array,
     seconds: float, seen: MeasuredPose,
 ) -> int:
     """Return `FALLING` or `OUT_OF_REACH` for a pose beyond any lip's reach, otherwise `USED`."""
-    o = kernels.lip_relative_to_tool(model[1][1], tool, there)[0]
+    com, R = model[1][1], t3.rotation_matrix(there[1])
+    o = kernels.lip_relative_to_tool(com, tool, there)[0]
     late = 3.0 * math.sqrt(P[LATENCY, LATENCY]) + abs(theta[LATENCY - STATE])
     unknown = np.trace(P[COM:COM + 3, COM:COM + 3]) + np.trace(
         P[CAMERA:CAMERA + 3, CAMERA:CAMERA + 3])
-    reach = seen.reach + 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
+    reach = seen.reach + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
+    spread = SPREAD * math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     away = t3.apply(t3.rotation_matrix(tool[1]), (o[0], o[1], o[2] + model[0][1]))
-    falls = _is_fall(away, model[2], reach, seconds)
+    falls = _is_fall(away, model[2], reach + spread, seconds)
     # near a support a fall is short: its length does not include the cup's, as a cup that holds
     # may be compressed by it, but not stretched
-    if t3.norm(away) > reach - (model[0][1] if falls and seen.sag > 0.0 else 0.0):
+    reach -= model[0][1] if falls and seen.sag > 0.0 else 0.0
+    if _is_beyond(t3.apply_transposed(R, away), t3.scale(-1.0, com), noise, reach):
         return FALLING if falls else OUT_OF_REACH
     return USED
 
@@ -494,8 +530,7 @@ def updated(
         exposed, theta, P, difference, noise, seen.marker, memory[ekf.JITTER])
     there = moved(exposed, (difference[0], difference[1], difference[2]),
                   (difference[3], difference[4], difference[5]), ZERO, ZERO)
-    spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
-    verdict = _out_of_reach(model, tool, there, theta, P, spread, seconds, seen)
+    verdict = _out_of_reach(model, tool, there, theta, P, noise, seconds, seen)
     inside = innovation.distance <= seen.gate  # false for NaN
     is_used = verdict == USED and (inside or is_early)
     if is_used:

@@ -263,7 +263,7 @@ def test_loss_takes_more_evidence_while_the_vacuum_holds(monkeypatch):
         return fault
 
     monkeypatch.setattr(Alarms, 'detected', kept)
-    ((cause, _), *_) = Cell(2, 1.5, {}, 'drop', at=1.0, **EXACTLY).run()
+    ((cause, _), *_) = Cell(2, 1.5, {}, 'peel', at=1.0, **EXACTLY).run()
     made, estimate, prior, (total, _, *more), *_ = given[0]
     for lead, odds in ((6.0, 0.0), (11.0, np.exp(11.0) / 1000.0)):
         fault = detected(made, estimate, prior, (total, lead, *more), True)
