@@ -62,6 +62,9 @@ VIEW_LENGTH = 5e-4
 VIEW_ANGLE = 5e-3
 """Rotation of the package at which the errors of a tag have this correlation, rad."""
 
+MAX_RESTING = 3.0
+"""Largest motion of a package between two views that counts as rest, in standard deviations."""
+
 MODEL_ERROR_TIME = 0.05
 """
 Time by which the lip's relative twist is multiplied to a displacement, s, whose variance
@@ -463,11 +466,27 @@ def propagated(
 
 
 @kernel
-def correlation_of_view(before: State, after: State) -> float:
-    """Return the correlation of the errors of a tag in two views, at two states of the body."""
+def correlation_of_view(before: State, after: State, P: Array, T: Array) -> float:
+    """
+    Return the correlation of the errors of a tag in two views, at two states of the body.
+
+    A motion within its uncertainty by the covariance P (n, n) and the transition T (13, m) counts
+    as rest.
+    """
     shift, turn = pose_error(before, after[0], after[1])
-    return math.exp(-0.5 * (
-        t3.dot(shift, shift) / VIEW_LENGTH**2 + t3.dot(turn, turn) / VIEW_ANGLE**2))
+    squares = t3.dot(shift, shift), t3.dot(turn, turn)
+    change, exponent = T[:6, :STATE].copy(), 0.0
+    for i in range(6):
+        change[i, i] -= 1.0
+    variances = t3.product(change, P[:STATE, :STATE].copy(), np.empty((6, STATE)))
+    for k in range(2):
+        variance = 0.0
+        for i in range(3 * k, 3 * k + 3):
+            for j in range(STATE):
+                variance += variances[i, j] * change[i, j]
+        scale = VIEW_ANGLE if k else VIEW_LENGTH
+        exponent += max(squares[k] - MAX_RESTING**2 * variance, 0.0) / (scale * scale)
+    return math.exp(-0.5 * exponent)
 
 
 @kernel
@@ -494,7 +513,7 @@ def predicted(
         max_step, drive, model_error, cups)
     if is_tag:
         memory = memory.copy()
-        memory[SAME] = of_view = correlation_of_view(earlier, body)
+        memory[SAME] = of_view = correlation_of_view(earlier, body, P, T)
         correlation = max(correlation[0], of_view), max(correlation[1], of_view)
     P = propagated_covariance(P, T, Q, walk, correlation)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], correlation)

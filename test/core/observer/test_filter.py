@@ -52,10 +52,18 @@ def test_errors_of_a_tag_persist_in_a_view():
     """Keep them at rest for any time with the noise of a robot's poses; not over a centimetre."""
     rng, still = np.random.default_rng(1), tool_motion(np.random.default_rng(1), 0.01)[1][0]
     bodies = [with_noise(rng, still, np.repeat([2e-5, 5e-5], 3)) for _ in range(31)]
-    kept = [ekf.correlation_of_view(*pair) for pair in zip(bodies, bodies[1:], strict=False)]
+    T, known = np.zeros((13, states.MARKER)), np.zeros((states.ROWS, states.ROWS))
+    T[:12, :12] = np.eye(12)
+    T[:6, 6:12] = 0.03 * np.eye(6)
+    kept = [ekf.correlation_of_view(*pair, known, T)
+            for pair in zip(bodies, bodies[1:], strict=False)]
     assert np.prod(kept) > 0.8  # after 1 s
+    vague = known.copy()
+    vague[6:12, 6:12] = np.diag(np.repeat([0.2, 1.0], 3) ** 2)
     for swing in np.diag(np.repeat([0.01, 0.05], 3)):
-        assert ekf.correlation_of_view(still, moved_by(still, np.r_[swing, np.zeros(6)])) < 1e-9
+        other = moved_by(still, np.r_[swing, np.zeros(6)])
+        assert ekf.correlation_of_view(still, other, known, T) < 1e-9
+        assert ekf.correlation_of_view(still, other, vague, T) == 1.0
 
 
 @pytest.mark.parametrize('is_off', [False, True])
