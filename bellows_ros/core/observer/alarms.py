@@ -132,7 +132,8 @@ class Alarms:
         likely = HYPOTHESES[min(best.number, bank.CUP)]
         if likely.name == 'lost':
             lead -= bool(has_vacuum) * math.log(bank.VACUUM_ODDS)
-        if best.number == bank.PUSH or not self.is_likely(total, lead):
+        if best.number == bank.PUSH or not self.is_likely(total, lead) or (
+                _is_undecided(likely.name, second, lead)):
             return None
         if self.is_cup_proven and lead < bank.CLEAR_LEAD and second == bank.PAYLOAD and (
                 likely.name == 'wear'):
@@ -224,6 +225,12 @@ class Alarms:
             return Alarm(
                 stamp_ns, second.name, reach, 0.0, lost.name, 1.0 / odds, shown_by='vacuum')
         return Alarm(stamp_ns, lost.name, 1.0, 0.0, second.name, odds)
+
+
+def _is_undecided(name: str, second: int, lead: float) -> bool:
+    """Return whether a cause leads too little over one that has another remedy."""
+    return bank.NONE < second and lead < bank.MIN_LEAD and (
+        {name, HYPOTHESES[min(second, bank.CUP)].name} not in (bank.ALIKE, {'cup'}))
 
 
 def _fault(

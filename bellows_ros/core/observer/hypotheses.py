@@ -154,7 +154,7 @@ MIN_LEAD = 3.0
 """Smallest lead in log-likelihood ratio of a reported cause, 95 %."""
 
 DECIDE_NS = 800_000_000
-"""Time after half the threshold from which no lead is required, ns."""
+"""Time after half the threshold from which causes with one remedy need no lead, ns."""
 
 MAX_UNEXPLAINED = 0.2
 """Largest fraction of the misfit not explained by a reported cause."""

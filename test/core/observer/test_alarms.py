@@ -254,7 +254,7 @@ def test_drop_is_always_noticed(kind, rate_hz, within):
 
 
 def test_loss_takes_more_evidence_while_the_vacuum_holds(monkeypatch):
-    """Divide its odds by 1000, and raise no alarm below 1."""
+    """Divide its odds by 1000; raise no alarm below 1, nor below 20 against another cause."""
     detected, given = Alarms.detected, []
 
     def kept(made, *arguments):
@@ -269,6 +269,11 @@ def test_loss_takes_more_evidence_while_the_vacuum_holds(monkeypatch):
         fault = detected(made, estimate, prior, (total, lead, *more), True)
         assert (fault.alarm.odds if fault else 0.0) == pytest.approx(odds)
     assert cause == 'lost'
+    old = estimate._replace(suspect_ns=(estimate.stamp_ns - 10**9,) * 9)
+    undecided = hypotheses.Likeliest(total, 2.0, *more)
+    for second, is_told in ((hypotheses.NONE, True), (hypotheses.WEAR, False)):
+        fault = detected(made, old, prior, undecided._replace(second=second), None)
+        assert (fault is not None) == is_told
 
 
 def _dense_transition(model, before, *track):
