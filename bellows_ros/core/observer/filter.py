@@ -62,7 +62,7 @@ VIEW_LENGTH = 5e-4
 VIEW_ANGLE = 5e-3
 """Rotation of the package at which the errors of a tag have this correlation, rad."""
 
-MAX_RESTING = 3.0
+MAX_RESTING = 2.0
 """Largest motion of a package between two views that counts as rest, in standard deviations."""
 
 MODEL_ERROR_TIME = 0.05
