@@ -146,6 +146,17 @@ def scale_matrix(factor: float, A: Matrix) -> Matrix:
 
 
 @kernel
+def inverse(A: Matrix) -> Matrix:
+    """Return the inverse of a 3x3 matrix."""
+    a = cross((A[3], A[4], A[5]), (A[6], A[7], A[8]))
+    b = cross((A[6], A[7], A[8]), (A[0], A[1], A[2]))
+    c = cross((A[0], A[1], A[2]), (A[3], A[4], A[5]))
+    k = 1.0 / (A[0] * a[0] + A[1] * a[1] + A[2] * a[2])
+    return (
+        k * a[0], k * b[0], k * c[0], k * a[1], k * b[1], k * c[1], k * a[2], k * b[2], k * c[2])
+
+
+@kernel
 def hat(a: Vector) -> Matrix:
     """Return the matrix a^ of the cross product: a^ b = a x b."""
     return (0.0, -a[2], a[1], a[2], 0.0, -a[0], -a[1], a[0], 0.0)

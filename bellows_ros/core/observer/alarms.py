@@ -99,9 +99,7 @@ class Alarms:
                 if of_lip and states.COM <= row < states.COM + 3:
                     self.steps[states.MARKER + row - states.COM, component] = 1.0
 
-    def start(
-        self, stamp_ns: int, rows: int, cups: int, from_start: bool = True
-    ) -> Evidence:
+    def start(self, stamp_ns: int, rows: int, cups: int, from_start: bool = True) -> Evidence:
         """Return the initial evidence, for rows of the error and a gripper with holding cups."""
         columns = bank.COLUMNS[bank.CUP] + cups * ONSETS
         onsets: Stamps = np.repeat([[0], [-1]], 1 + ONSETS, axis=1)

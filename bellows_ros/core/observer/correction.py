@@ -16,7 +16,7 @@ from bellows_ros.core.observer import alarms, dynamics, likelihood, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import hypotheses as bank
 from bellows_ros.core.observer import measurement as measured
-from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE
+from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
 from bellows_ros.core.observer.hypotheses import Likeliest
 from bellows_ros.core.observer.likelihood import prior_of
 from bellows_ros.core.observer.measurement import changed_by, MeasuredPose
@@ -245,9 +245,8 @@ class Correction:
         if on_support:
             P = P.copy()
             P[:STATE, :STATE] = np.diag(np.square(ON_SUPPORT))
-        return Estimate(
-            stamp_ns, tool, body, theta, P, memory,
-            self._evidence(stamp_ns, len(P), lost_cups), (), lost_cups)
+        return self._renewed(
+            Estimate(stamp_ns, tool, body, theta, P, memory, lost_cups=lost_cups))
 
     def after_hanging(self, estimate: Estimate, hung_ns: int) -> Estimate:
         """Return the first estimate of a package that was predicted for some time (ns)."""
@@ -274,13 +273,6 @@ class Correction:
         """Return the holding cups, see `cups_of`; none for the last cup."""
         cups = np.delete(self._cups, list(lost_cups), axis=0) if lost_cups else self._cups
         return cups if len(cups) > 1 else NO_CUPS
-
-    def _evidence(
-        self, stamp_ns: int, rows: int, lost_cups: tuple[int, ...], from_start: bool = True
-    ) -> Evidence:
-        """Return the evidence without a fault."""
-        return NO_EVIDENCE if self.alarms is None else self.alarms.start(
-            stamp_ns, rows, len(self._holding(lost_cups)), from_start)
 
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
@@ -487,11 +479,11 @@ class Correction:
             after = after._replace(suspect_ns=suspect_ns)
         fault = self.alarms.detected(after, self._at_start, likeliest, has_vacuum)
         if fault is None:
-            gated = len(after.gated_ns) if (
-                after.evidence.onsets[0, 0] >= bank.SETTLING) else 0
-            alarm = self.alarms.disturbance(
-                stamp_ns, gated, likeliest, after.evidence.onsets)
-            return after if alarm is None else self._disturbed(after), alarm
+            onsets = after.evidence.onsets
+            gated = len(after.gated_ns) if onsets[0, 0] >= bank.SETTLING else 0
+            alarm = self.alarms.disturbance(stamp_ns, gated, likeliest, onsets)
+            return after if alarm is None else self._renewed(  # the state may be any
+                self._unsure(after, np.arange(STATE))), alarm
         lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
         body, theta = changed_by(after.body, after.theta, fault.error)
         if not dynamics.is_possible(body, theta, self.largest):
@@ -501,15 +493,12 @@ class Correction:
             body=body, theta=theta, memory=memory, lost_cups=lost_cups,
             covariance=after.covariance + fault.spread @ fault.spread.T), False), fault.alarm
 
-    def _disturbed(self, estimate: Estimate) -> Estimate:
-        """Return an estimate with the initial uncertainty of the state."""
-        return self._renewed(self._unsure(estimate, np.arange(STATE)))
-
     def _renewed(self, estimate: Estimate, from_start: bool = True) -> Estimate:
         """Return an estimate without evidence of faults; whether they may be from the start."""
-        return estimate._replace(gated_ns=(), suspect_ns=(), evidence=self._evidence(
-            estimate.stamp_ns, len(estimate.covariance), estimate.lost_cups,
-            from_start and estimate.evidence.from_start))
+        evidence = NO_EVIDENCE if self.alarms is None else self.alarms.start(
+            estimate.stamp_ns, len(estimate.covariance), len(self._holding(estimate.lost_cups)),
+            from_start and estimate.evidence.from_start)
+        return estimate._replace(gated_ns=(), suspect_ns=(), evidence=evidence)
 
     def _unsure(self, estimate: Estimate, rows: Array) -> Estimate:
         """Return an estimate with the prior variance added to some rows."""

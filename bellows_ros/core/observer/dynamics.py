@@ -18,6 +18,7 @@ from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import linearise
 from bellows_ros.core.model.jacobians import Square
 from bellows_ros.core.model.kernels import Blocks, LawTuple, ModelTuple, State, Wrench
+from bellows_ros.core.model.pseudo_inertia import second_moments, stretched
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.states import (
     COM,
@@ -50,38 +51,13 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
     k, longer = math.exp(theta[0]), theta[LENGTH - STATE]
     (oo, oR, RR), P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
     P = _scaled(P, theta[DAMPING - STATE:])
-    s = theta[states.INERTIA - STATE:states.INERTIA - STATE + 3]
+    s = theta[states.INERTIA - STATE:]
     if s[0] != 0.0 or s[1] != 0.0 or s[2] != 0.0:
-        a = math.exp(0.5 * s[0]), math.exp(0.5 * s[1]), math.exp(0.5 * s[2])
-        inertia = of_second_moments(_scaled_block(second_moments(inertia), a, a))
-        inverse = inverse_of(inertia)
+        inertia = stretched(inertia, (0.5 * s[0], 0.5 * s[1], 0.5 * s[2]))
+        inverse = t3.inverse(inertia)
     return (cup[0] + 0.5 * longer, cup[1] + longer, (oo, oR, RR, *cup[2][3:]), P, *cup[4:]), (
         k * mass, t3.add(com, (theta[1], theta[2], theta[3])), t3.scale_matrix(k, inertia),
         t3.scale_matrix(1.0 / k, inverse)), gravity
-
-
-@kernel
-def second_moments(inertia: Matrix) -> Matrix:
-    """Return S = tr(I) / 2 - I, the integral of r r^T over the mass."""
-    half = 0.5 * (inertia[0] + inertia[4] + inertia[8])
-    return t3.add_scaled_matrix(
-        (half, 0.0, 0.0, 0.0, half, 0.0, 0.0, 0.0, half), -1.0, inertia)
-
-
-@kernel
-def of_second_moments(S: Matrix) -> Matrix:
-    """Return the inertia I = tr(S) - S."""
-    trace = S[0] + S[4] + S[8]
-    return t3.add_scaled_matrix(
-        (trace, 0.0, 0.0, 0.0, trace, 0.0, 0.0, 0.0, trace), -1.0, S)
-
-
-@kernel
-def inverse_of(A: Matrix) -> Matrix:
-    """Return the inverse of a symmetric matrix."""
-    x, y, z = (A[0], A[1], A[2]), (A[3], A[4], A[5]), (A[6], A[7], A[8])
-    a, b, c = t3.cross(y, z), t3.cross(z, x), t3.cross(x, y)
-    return t3.scale_matrix(1.0 / t3.dot(x, a), (*a, *b, *c))
 
 
 @entry
@@ -236,9 +212,13 @@ def _by_cup(model: ModelTuple, tool: State, body: State, B: Array) -> None:
 @kernel
 def _by_second_moment(package: Any, w: Vector, dw: Vector, axis: int) -> Vector:
     """Return the slope of the angular acceleration dw at a rate w by a logarithm of S."""
-    S, half = second_moments(package[2]), t3.unit(axis, 0.5)
-    row = (S[3 * axis], S[3 * axis + 1], S[3 * axis + 2])
-    dI = of_second_moments(t3.add_scaled_matrix(t3.outer(half, row), 1.0, t3.outer(row, half)))
+    inertia, along, k = package[2], t3.unit(axis, 1.0), 3 * axis
+    r = t3.scale(0.5, t3.add_scaled(
+        (inertia[k], inertia[k + 1], inertia[k + 2]), -inertia[k + axis], along))
+    dI = t3.add_scaled_matrix(
+        t3.add_scaled_matrix(t3.outer(along, r), 1.0, t3.outer(r, along)),
+        second_moments(inertia)[axis], t3.add_scaled_matrix(
+            jac.IDENTITY, -1.0, t3.outer(along, along)))
     by = t3.add(t3.apply(dI, dw), t3.cross(w, t3.apply(dI, w)))
     return t3.scale(-1.0, t3.apply(package[3], by))
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.observer import dynamics, states
+from bellows_ros.core.model.pseudo_inertia import second_moments
+from bellows_ros.core.observer import states
 from bellows_ros.core.observer.filter import Estimate
 from bellows_ros.core.observer.states import STATE
 import numpy as np
@@ -42,7 +43,7 @@ def payload_of(estimate: Estimate, model: ModelTuple) -> Payload:
     mass, com, inertia, _ = model[1]
     P, rows = estimate.covariance, slice(states.INERTIA, states.INERTIA + 3)
     std = np.sqrt(np.diag(P)[states.MASS:states.MASS + 4])
-    by_moment = (1.0 - np.eye(3)) * np.array(dynamics.second_moments(inertia))[::4]
+    by_moment = (1.0 - np.eye(3)) * np.array(second_moments(inertia))
     own = np.diag(by_moment @ P[rows, rows] @ by_moment.T)
     return Payload(
         estimate.stamp_ns, mass, com, inertia, float(std[0] * mass), std[1:],

@@ -16,7 +16,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
-from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import resting_on_tool, symmetric_matrix, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
@@ -82,17 +82,6 @@ class SwingMode(NamedTuple):
 
 
 @kernel
-def inverse3(A: Matrix) -> Matrix:
-    """Return the inverse of a 3x3 matrix."""
-    a = t3.cross((A[3], A[4], A[5]), (A[6], A[7], A[8]))
-    b = t3.cross((A[6], A[7], A[8]), (A[0], A[1], A[2]))
-    c = t3.cross((A[0], A[1], A[2]), (A[3], A[4], A[5]))
-    k = 1.0 / (A[0] * a[0] + A[1] * a[1] + A[2] * a[2])
-    return (
-        k * a[0], k * b[0], k * c[0], k * a[1], k * b[1], k * c[1], k * a[2], k * b[2], k * c[2])
-
-
-@kernel
 def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wrench:
     """Return the wrench at the lip, in S axes, required for given rates of the package (3.5)."""
     mass, com, inertia, _ = model[1]
@@ -121,10 +110,10 @@ def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw
     a = t3.subtract(spring_f, f)
     b = t3.subtract(spring_m, (m[0] + l1 * f[1], m[1] - l1 * f[0], m[2]))  # X(S_H_S1)^T
     D = damper_jacobians(o, R, t3.ZERO, t3.ZERO, cup[3])[1]  # -D1, by blocks
-    D_oo_inverse = inverse3(D[0])
+    D_oo_inverse = t3.inverse(D[0])
     cross_part = t3.multiply(D[2], D_oo_inverse)
     w = t3.apply(
-        inverse3(t3.add_scaled_matrix(D[3], -1.0, t3.multiply(cross_part, D[1]))),
+        t3.inverse(t3.add_scaled_matrix(D[3], -1.0, t3.multiply(cross_part, D[1]))),
         t3.subtract(t3.apply(cross_part, a), b))
     v = t3.apply(D_oo_inverse, t3.subtract(t3.scale(-1.0, a), t3.apply(D[1], w)))
     v_ES = (v[0] - l1 * w[1], v[1] + l1 * w[0], v[2])
