@@ -63,9 +63,6 @@ class Alarms:
     ----------
     false_per_hour : float
         Allowed rate of false alarms.
-    of_lip : bool
-        Whether the lip is measured, which a slipping package moves, instead of a marker on the
-        package.
     places : ndarray (cups, 4)
         Places of the holding cups of a gripper, as `places_of` returns them.
     of_tag : bool
@@ -75,8 +72,6 @@ class Alarms:
 
     Attributes
     ----------
-    steps : ndarray (rows + 7, components)
-        Error by each component of a fault.
     is_cup_proven : bool
         Whether the cup has carried another package without an alarm.
 
@@ -85,19 +80,12 @@ class Alarms:
     is_cup_proven = False
 
     def __init__(
-        self, false_per_hour: float, of_lip: bool, places: Array, of_tag: bool = False,
-        latency_std: float = 0.0,
+        self, false_per_hour: float, places: Array, of_tag: bool = False, latency_std: float = 0.0,
     ) -> None:
-        """Set the threshold and the initial signatures."""
+        """Set the threshold."""
         self._places, self._of_tag, self._latency_std = places, of_tag, latency_std
         self._threshold = math.log(3600 * NS_PER_S / bank.ONSET_NS / false_per_hour) + (
             bank.MARGIN if len(places) == 1 else bank.GRIPPER_MARGIN)
-        self.steps: Array = np.zeros((states.ROWS_WITHOUT_SENSOR + ekf.FALLEN, len(bank.STEPS)))
-        for component, step in enumerate(bank.STEPS):
-            for row in step:
-                self.steps[row, component] = 1.0
-                if of_lip and states.COM <= row < states.COM + 3:
-                    self.steps[states.MARKER + row - states.COM, component] = 1.0
 
     def start(self, stamp_ns: int, rows: int, cups: int, from_start: bool = True) -> Evidence:
         """Return the initial evidence, for rows of the error and a gripper with holding cups."""

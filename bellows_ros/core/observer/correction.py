@@ -214,10 +214,9 @@ class Correction:
         self._marker, places = marker, places_of(values)
         self._cups = cups_of(model, places)
         allowed = values.alarm.false_per_hour
-        self.alarms = alarms.Alarms(
-            allowed, marker[2], places, marker[3][0], values.measured.latency_std) if (
-                allowed > 0.0) else None
-        self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
+        self.alarms = None if allowed <= 0.0 else alarms.Alarms(
+            allowed, places, marker[3][0], values.measured.latency_std)
+        self._steps = bank.steps_of(marker[2])
         noise = values.tool_noise.position, values.tool_noise.rotation
         self._tool_noise = np.repeat(np.maximum(noise, LEAST_TOOL_NOISE), 3)
 

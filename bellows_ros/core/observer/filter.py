@@ -50,9 +50,6 @@ FORCE_LOSS = -FALLEN
 COVARIANCE_STEPS = 12
 """Largest ratio of the steps of the covariance and of the state."""
 
-NO_MATRIX: Array = np.zeros((0, 0))
-"""Placeholder for a transition and a covariance that are not computed."""
-
 MAX_CORRELATION = 0.97
 """Largest correlation of the noise of successive measurements."""
 

@@ -80,6 +80,22 @@ LOG_SHARES = tuple(math.log(cause.share / len(cause.ends)) for cause in HYPOTHES
 PRIOR_STD = tuple(std for cause in HYPOTHESES for std in cause.prior_std)
 MEANS = tuple(cause.mean for cause in HYPOTHESES)
 
+
+def steps_of(of_lip: bool) -> Array:
+    """
+    Return the error (n + 7, components) by each component of a fault.
+
+    The measured lip moves with a slipping package, unlike a marker on it.
+    """
+    out = np.zeros((states.ROWS_WITHOUT_SENSOR + ekf.FALLEN, len(STEPS)))
+    for component, step in enumerate(STEPS):
+        for row in step:
+            out[row, component] = 1.0
+            if of_lip and states.COM <= row < states.COM + 3:
+                out[states.MARKER + row - states.COM, component] = 1.0
+    return out
+
+
 ONSET_NS = 30_000_000
 """Mean spacing of the tested onsets, ns. Half of it is the smallest, so that an onset follows each
 pose of a camera of 30 Hz with jittering stamps."""

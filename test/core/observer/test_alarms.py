@@ -231,7 +231,7 @@ def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shi
 @pytest.mark.parametrize(('of_tag', 'least'), [(False, 3), (True, 7)])
 def test_blurred_poses_of_a_tag_are_no_disturbance(of_tag, least):
     """Wait longer than a burst lasts; the poses of a push need not all be outside the gate."""
-    made, onsets = Alarms(1.0, False, SINGLE, of_tag), np.zeros((2, 13), int)
+    made, onsets = Alarms(1.0, SINGLE, of_tag), np.zeros((2, 13), int)
     unknown = hypotheses.NO_FAULT._replace(none=100.0)
     push = unknown._replace(total=100.0, lead=1.0, best=hypotheses.Tested(3, hypotheses.PUSH, 6))
     for count, cause in ((least - 1, None), (least, 'disturbance')):
@@ -395,12 +395,12 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 
 def test_likeliest_onsets_keep_their_slots():
     """Put a new onset elsewhere than the likeliest ones, from whose slots an alarm has sizes."""
-    made = Alarms(1.0, False, SINGLE)
+    made = Alarms(1.0, SINGLE)
     E, statistics, distances, onsets, *_ = made.start(1, states.ROWS_WITHOUT_SENSOR, 0)
 
     def add(k, pinned):
         likelihood.add_onset(
-            E, statistics, distances, onsets, made.steps,
+            E, statistics, distances, onsets, hypotheses.steps_of(False),
             1_000_000_000 + k * hypotheses.ONSET_NS, ZERO, pinned)
 
     for k in range(ekf.ONSETS):
