@@ -505,10 +505,9 @@ class Observer:
     @property
     def patience_ns(self) -> int:
         """Delay (ns) of a measured pose of the present; 0 if the camera is silent."""
-        if not self._estimates or len(self._last_ns) < 3:
-            return 0
-        is_silent = self._track.newest_ns - self._last_ns[-1] > self._camera_silence_ns
-        return 0 if is_silent else max(self._delay_ns, 1)
+        is_seen = self._estimates and len(self._last_ns) == 3 and (
+            self._track.newest_ns - self._last_ns[-1] <= self._camera_silence_ns)
+        return max(self._delay_ns, 1) if is_seen else 0
 
     @property
     def _camera_silence_ns(self) -> float:
