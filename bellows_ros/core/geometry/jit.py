@@ -42,15 +42,19 @@ Function = TypeVar('Function', bound=Callable[..., Any])
 
 def _folder_of_source() -> Path:
     """
-    Return the folder for this version of the source in the user's cache; remove unused folders.
+    Return the folder for this version of the source; remove unused folders.
 
-    A folder used within the last day is kept, because a process of another version may use it.
+    The folder is in NUMBA_CACHE_DIR if set, otherwise in the user's cache: numba itself only
+    notices changes in the file of an entry. A folder used within the last day is kept, because a
+    process of another version may use it.
     """
     source = b''.join(path.read_bytes() for path in sorted(CORE.rglob('*.py')))
     digest = hashlib.sha256(numba.__version__.encode() + source)
     place = hashlib.sha256(bytes(CORE)).hexdigest()[:8]
-    caches = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'bellows_ros'
-    folder = caches / f'{place}-{digest.hexdigest()[:16]}'
+    name, given = f'{place}-{digest.hexdigest()[:16]}', os.environ.get('NUMBA_CACHE_DIR')
+    caches = Path(given) if given else Path(
+        os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'bellows_ros'
+    folder = caches if caches.name == name else caches / name  # a parent process has set it
     for older in caches.glob(f'{place}-*'):
         with suppress(OSError):
             if older != folder and older.stat().st_mtime < time.time() - UNUSED:
@@ -59,14 +63,9 @@ def _folder_of_source() -> Path:
 
 
 def _use_folder() -> Path | None:
-    """
-    Let numba store machine code in a folder, and return it; return None if it cannot be written.
-
-    The folder is NUMBA_CACHE_DIR if set, otherwise a folder for this version of the source: numba
-    itself only notices changes in the file of an entry.
-    """
+    """Let numba store machine code in a folder, and return it, or None if it is not writable."""
     try:
-        folder = Path(os.environ.get('NUMBA_CACHE_DIR') or _folder_of_source())
+        folder = _folder_of_source()
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
         os.utime(folder)

@@ -58,21 +58,26 @@ def test_interpreted_code_gives_the_same_numbers():
 
 
 @compiled
-def test_a_change_in_any_file_compiles_again_and_removes_what_is_unused_for_a_day(copy):
-    cache = {'XDG_CACHE_HOME': str(copy / 'cache')}
+@pytest.mark.parametrize(('variable', 'root'), [
+    ('XDG_CACHE_HOME', 'cache/bellows_ros'), ('NUMBA_CACHE_DIR', 'cache')])
+def test_a_change_in_any_file_compiles_again_and_removes_what_is_unused_for_a_day(
+    copy, variable, root
+):
+    cache = {variable: str(copy / 'cache')}
     (first, hits, folder), err = run(MOVED, copy, **cache)
     assert hits == 0 and err == ''
     assert run(MOVED, copy, **cache) == ([first, 1, folder], '')
+    assert run(MOVED, copy, NUMBA_CACHE_DIR=folder) == ([first, 1, folder], '')  # of a parent
     tuples = copy / 'bellows_ros/core/geometry/tuples.py'
     text, line = tuples.read_text(), 'return (a[0] + b[0], a[1] + b[1], a[2] + b[2])'
     assert line in text and Path(folder).is_relative_to(copy / 'cache')
     tuples.write_text(text.replace(line, 'return (a[0] + 5 * b[0], a[1] + b[1], a[2] + b[2])'))
     (second, hits, other), _ = run(MOVED, copy, **cache)
     assert second != first and hits == 0
-    assert set((copy / 'cache/bellows_ros').iterdir()) == {Path(folder), Path(other)}
+    assert set((copy / root).iterdir()) == {Path(folder), Path(other)}
     os.utime(folder, (0, time.time() - 90_000))
     assert run(MOVED, copy, **cache) == ([second, 1, other], '')
-    assert list((copy / 'cache/bellows_ros').iterdir()) == [Path(other)]
+    assert list((copy / root).iterdir()) == [Path(other)]
 
 
 @compiled
