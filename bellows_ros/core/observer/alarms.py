@@ -164,7 +164,8 @@ class Alarms:
         """
         Return the alarm on a push, or on innovations that match no signature, if any.
 
-        It takes some poses since the onset of a push, or as many outside the gate in succession.
+        The alarm requires `DISTURBED_COUNT` poses since the onset of a push, or as many
+        consecutive poses outside the gate; for a tag `TAG_BURST`.
         """
         total, lead, best, second, _, _, none = likeliest
         if best.number == bank.PUSH and total >= self._threshold:

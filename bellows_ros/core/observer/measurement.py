@@ -384,7 +384,7 @@ FALL_FACTOR = 2.0
 
 
 SPREAD = 5.0
-"""Largest error of a pose, standard deviations."""
+"""Largest error of a pose that is within reach, standard deviations."""
 
 
 @kernel

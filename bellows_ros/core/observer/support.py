@@ -60,9 +60,10 @@ class Support:
 
     def grip(self, height: float | None = None, stamp_ns: int = 0) -> None:
         """
-        Let the next sample grip a package on a support; a previous one rose at a height (m).
+        Let the next sample of the tool grip a package on a support.
 
-        The newest support ends at a stamp (ns), with the release of its package.
+        The height (m) is the height of the previous lift, if known. The newest support ends at the
+        stamp (ns), with the release of its package.
         """
         if self.is_near:
             self._end(stamp_ns)

@@ -134,7 +134,7 @@ def wrong_sensors(recording: Recording, length: float = THESIS_LENGTH) -> Iterat
 def sensor_remarks(
     body: Trajectory, rate_hz: float, excursions: float, is_tag: bool, has_corners: bool
 ) -> Iterator[Remark]:
-    """Yield the fault of poses with a share of excursions that are stated as of a tag, or not."""
+    """Yield the fault of poses whose excursions contradict the stated sensor, a tag or a body."""
     noise = noise_of(body)
     sizes = {'rate': rate_hz, 'rotation': float(np.sqrt(np.mean(noise[3:]**2)))}
     if not np.isfinite(noise).all():
