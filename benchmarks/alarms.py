@@ -38,8 +38,10 @@ NAMED = {'turn': 'slip', 'soften': 'leak', 'drop': 'lost', 'peel': 'lost'}
 FROM_START = ('wear', 'payload', 'mass')
 DIMENSIONS = {'slip': 2, 'payload': 2, 'camera': 3}
 """Dimensions of the space of a fault's directions: a camera is shifted and turned."""
-DRAWS, DIRECTIONS = 25, 1000
-"""Numbers of noise draws per fault, and of directions in an average."""
+DRAWS = 25
+"""Number of noise draws per fault."""
+DIRECTIONS = 1000
+"""Number of directions in an average."""
 THRESHOLD = math.log(3.6e12 / ONSET_NS)
 """Threshold of the log likelihood ratio for one false alarm per hour."""
 KINDS = ('slip', 'turn', 'leak', 'soften', 'camera', *FROM_START, 'cup')

@@ -21,8 +21,11 @@ SECONDS = {False: 7.0, True: 1.0}
 ROUNDS = {False: 3, True: 1}
 END_TIMEOUT = 10.0
 
-BARE, RAW = 'bare', 'bare, bytes'
-"""Nodes that send every pose back, with the executor of this package's commands."""
+BARE = 'bare'
+"""Node that sends every pose back, with the executor of this package's commands."""
+
+RAW = 'bare, bytes'
+"""Node that sends every pose back as bytes, with that executor."""
 
 WITHOUT_TWISTS = 'predictor without twists'
 

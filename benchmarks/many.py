@@ -32,8 +32,11 @@ from .offline import parameters, PEAK, ROOT
 from .tables import MEBI
 from .timing import in_process
 
-COUNT, SECONDS = 200, 26.0
-"""Number of recordings, and duration of each, s."""
+COUNT = 200
+"""Number of recordings."""
+
+SECONDS = 26.0
+"""Duration of each recording, s."""
 
 COUNTS = (1, 12, 48)
 """Numbers of recordings in one problem."""

@@ -28,8 +28,11 @@ DISCOVERY, TWISTS_DISCOVERY = 60.0, 1.0
 LAST_ANSWER = 2.0
 BUSY = 300e-6
 """Duration of busy waiting before each message, s."""
-WAY, TURNS = 0.02, 2.0 * math.pi
-"""Amplitude (m) and angular frequency (rad/s) of the tool."""
+WAY = 0.02
+"""Amplitude of the tool, m."""
+
+TURNS = 2.0 * math.pi
+"""Angular frequency of the tool, rad/s."""
 
 
 class Probe(Node):

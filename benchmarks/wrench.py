@@ -25,8 +25,12 @@ from scipy.spatial.transform import Rotation
 from test.core.identification.felt import joint_fit  # noqa: I100, I201
 from test.core.observer.wrench_run import predict, SENSORS, simulated, STEP_NS
 
-BEGIN, WEIGHED, ONSET = 0.1, 3.0, 6.0
-"""Times from which errors count, of the mass, and at which a fault begins, s."""
+BEGIN = 0.1
+"""Time from which errors count, s."""
+WEIGHED = 3.0
+"""Time of the error of the mass, s."""
+ONSET = 6.0
+"""Time at which a fault begins, s."""
 
 
 def row(sensor: str, seeds: range) -> str:

@@ -26,8 +26,10 @@ GRIPPER = wrench_cell.points_of(0.6, np.array([2e-3, -3e-3, -0.05]), np.diag([1e
 SENSORS = {'ATI': wrench_cell.ATI, 'UR': wrench_cell.UR}
 CAMERA_EVERY, CAMERA_NOISE = 17, np.repeat([2e-3, 1e-2], 3)
 TOOL_NOISE = np.repeat([2e-5, 5e-5], 3)
-SLIP, SLIP_TIME = 5e-3, 0.01
-"""Size (m) and duration (s) of a slip."""
+SLIP = 5e-3
+"""Size of a slip, m."""
+SLIP_TIME = 0.01
+"""Duration of a slip, s."""
 OFF = {'grip': 10e-3, 'mass': 0.1, 'stiffness': 0.05}
 
 
