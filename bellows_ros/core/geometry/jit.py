@@ -45,10 +45,12 @@ def _folder_of_source() -> Path:
     Return the folder for this version of the source; remove unused folders.
 
     The folder is in NUMBA_CACHE_DIR if set, otherwise in the user's cache: numba itself only
-    notices changes in the file of an entry. A folder used within the last day is kept, because a
-    process of another version may use it.
+    notices changes in the file of an entry. The version covers the rooms of core with kernels. A
+    folder used within the last day is kept, because a process of another version may use it.
     """
-    source = b''.join(path.read_bytes() for path in sorted(CORE.rglob('*.py')))
+    rooms = {path.parent for path in CORE.rglob('*.py') if b'jit import' in path.read_bytes()}
+    source = b''.join(
+        path.read_bytes() for room in sorted(rooms) for path in sorted(room.glob('*.py')))
     digest = hashlib.sha256(numba.__version__.encode() + source)
     place = hashlib.sha256(bytes(CORE)).hexdigest()[:8]
     name, given = f'{place}-{digest.hexdigest()[:16]}', os.environ.get('NUMBA_CACHE_DIR')
