@@ -66,7 +66,12 @@ def sentence(room: str, code: str, **numbers: Any) -> str:
         If the code or a field is unknown.
 
     """
-    return _Sentence().vformat(texts(room)[code], (), numbers)
+    return formatted(texts(room)[code], **numbers)
+
+
+def formatted(text: str, **numbers: Any) -> str:
+    """Return a text with its fields, values in SI units, filled in."""
+    return _Sentence().vformat(text, (), numbers)
 
 
 def flip_warning(angle: float, code: str = 'flips', begin: float = 0.0) -> str:

@@ -1,0 +1,35 @@
+"""Renderers of findings: sentences for the terminal and pages, an entry for JSON files."""
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+import tomllib
+from typing import Any
+
+from bellows_ros.core.findings import Finding
+from bellows_ros.report.sentences import formatted
+
+
+@cache
+def facts() -> Mapping[str, Mapping[str, Any]]:
+    """Return the entries of `findings.toml` by code."""
+    return tomllib.loads(Path(__file__).with_name('findings.toml').read_text(encoding='utf-8'))
+
+
+def text(finding: Finding) -> str:
+    """Return fact and remedy of a finding as sentences."""
+    fact = facts()[finding.code]
+    return ' '.join(formatted(fact[part], topic=finding.topic, **finding.numbers)
+                    for part in ('what', 'do') if part in fact)
+
+
+def prevents(finding: Finding, use: str) -> bool:
+    """Return whether a finding prevents a use of a recording, 'fit' or 'replay'."""
+    return facts()[finding.code].get('prevents') in ('replay', use)
+
+
+def entry(finding: Finding) -> dict[str, Any]:
+    """Return a finding for a JSON file, with its sentences and the parameters that it sets."""
+    return {'code': finding.code, 'level': finding.level.name, 'topic': finding.topic,
+            'numbers': dict(finding.numbers), 'sets': facts()[finding.code].get('sets', []),
+            'text': text(finding)}
