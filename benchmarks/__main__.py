@@ -1,15 +1,13 @@
 """
-Measure the speed of this package, and write it into docs/performance.json and .md.
+Measure the speed of this package, and write it into docs/performance.md.
 
     python -m benchmarks                # everything, some twenty minutes on an idle machine
     python -m benchmarks --only step    # print one section and write nothing
-    python -m benchmarks --tables       # make the page's tables anew from the figures, unmeasured
 """
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, UTC
-import json
 import os
 from pathlib import Path
 import platform
@@ -18,7 +16,7 @@ import sys
 from typing import Any
 
 from bellows_ros.files.atomic import write_text
-from bellows_ros.files.results import versions, write_json
+from bellows_ros.files.results import versions
 
 from . import camera, live, offline, plans, startup, step
 from .tables import markdown, tables
@@ -74,17 +72,12 @@ def main() -> None:
         prog='python -m benchmarks', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--only', choices=SECTIONS, metavar='SECTION', help=', '.join(SECTIONS))
-    parser.add_argument('--tables', action='store_true', help='do not measure')
     arguments = parser.parse_args()
-    figures, page = DOCS / 'performance.json', DOCS / 'performance.md'
-    if arguments.tables:
-        results = json.loads(figures.read_text())
-    else:
-        results = measured([arguments.only] if arguments.only else list(SECTIONS))
-        for table in tables(results).values():
-            print(markdown(table), end='\n\n')
+    results = measured([arguments.only] if arguments.only else list(SECTIONS))
+    for table in tables(results).values():
+        print(markdown(table), end='\n\n')
     if not arguments.only:
-        write_json(figures, results)
+        page = DOCS / 'performance.md'
         write_text(page, renewed(page.read_text(), results))
 
 

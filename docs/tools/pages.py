@@ -81,9 +81,8 @@ class Block:
 
 def pages() -> list[Path]:
     """Return all pages, the README first."""
-    inside = [page for page in sorted((ROOT / 'docs').rglob('*.md'))
-              if page.parent.name != 'notebooks']  # made while the site is built
-    return [ROOT / 'README.md', *inside, ROOT / 'bags' / 'README.md']
+    return [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md')),
+            ROOT / 'bags' / 'README.md']
 
 
 def blocks(text: str) -> list[Block]:

@@ -1,9 +1,9 @@
 """
-The pictures of the pages, in a light and a dark theme.
+The pictures of the pages.
 
 `python docs/tools/pictures.py [NAME ...]` draws them into docs/images/, all without a name. A
 script of docs/figures/ declares `FIGURES`, functions from a theme to a figure, and `FILES`,
-functions that write a file in a theme. The demo's pictures are copied from demo_output/.
+functions that write a file in a theme. The demo's picture is copied from demo_output/.
 """
 
 from collections.abc import Iterator
@@ -37,23 +37,19 @@ def declared(script: Path) -> Iterator[tuple[str, str, Any]]:
             yield name, kind, function
 
 
-def themed(name: str, theme: str) -> str:
-    """Return the name of a picture in a theme."""
-    return name if theme == 'light' else name.replace('.', f'_{theme}.')
-
-
 def draw(script: Path, folder: Path, names: tuple[str, ...] = ()) -> None:
-    """Draw the pictures of a script, or those with some names, in both themes."""
+    """Draw the pictures of a script, or those with some names."""
     for name, kind, function in declared(script):
-        for theme in THEMES if not names or name in names else ():
-            path = folder / themed(name, theme)
-            if kind == 'FIGURES':
-                write_figure(path, function(THEMES[theme]))
-            else:
-                function(path, theme)
-            if path.suffix == '.png':
-                reduce(path, path)
-            print(f'drew {path.name}')
+        if names and name not in names:
+            continue
+        path = folder / name
+        if kind == 'FIGURES':
+            write_figure(path, function(THEMES['light']))
+        else:
+            function(path, 'light')
+        if path.suffix == '.png':
+            reduce(path, path)
+        print(f'drew {path.name}')
 
 
 def reduce(source: Path, target: Path) -> None:
@@ -78,9 +74,8 @@ def main(names: tuple[str, ...]) -> None:
     """Draw all pictures, or those with some names."""
     for script in SCRIPTS:
         draw(script, IMAGES, names)
-    for demo in sorted((ROOT / 'demo_output').glob('demo*.png')):
-        if not names or 'demo.png' in names:
-            reduce(demo, IMAGES / demo.name)
+    if not names or 'demo.png' in names:
+        reduce(ROOT / 'demo_output' / 'demo.png', IMAGES / 'demo.png')
 
 
 if __name__ == '__main__':

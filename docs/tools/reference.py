@@ -6,16 +6,11 @@ their parsers, so that no page can say something else than the program does.
 """
 
 import argparse
-import ast
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 import json
-import os
 from pathlib import Path
 import re
-import subprocess
 import sys
-import tempfile
 from typing import Any
 
 from bellows_ros.cli import COMMANDS, PROGRAM, program_parser
@@ -23,9 +18,7 @@ from bellows_ros.core.parameters.checks import POSE_PARAMETERS
 from bellows_ros.core.parameters.table import NAMED_CUP, Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.parameter_files import SCHEMA
-from bellows_ros.files.results import UNITLESS
 from bellows_ros.nodes.command import interface
-import numpy as np
 
 FOLDER = Path(__file__).resolve().parents[1] / 'reference'
 GENERATED = '<!-- Made by docs/tools/reference.py; change the declarations and run it again. -->'
@@ -170,113 +163,6 @@ def _exit_codes() -> Iterator[str]:
     yield '| 141 | the reader of the output has closed it |'
 
 
-RESULTS = (
-    'identify bags/validation --to 6 --params bags/package.yaml --set fit.method=least_squares',
-    'replay bags/validation --to 6 --params bags/tossing.yaml --observe /package/pose '
-    '--set package.mass=2.2',
-    'static bags/static --params bags/cup.yaml',
-    'plan bags/transport.yaml --params bags/tossing.yaml --fastest',
-    'steer bags/transport.yaml --method inverse --params bags/tossing.yaml',
-    'steer bags/transport.yaml --method zv --params bags/tossing.yaml',
-    'toss bags/throw.yaml --params bags/tossing.yaml --target 1.8 0.149 --monte-carlo 50',
-    'info bags/validation',
-    'excite --params bags/cup.yaml --limits config/limits_example.yaml --time 6 '
-    '--out {folder}/excite',
-    'simulate --params bags/cup.yaml --motion bags/static.yaml --out {folder}/simulate',
-    *(f'plot {what} bags/validation --params bags/tossing.yaml --out {{folder}}/{what}.svg'
-      for what in ('motion', 'spectra', 'deflection', 'margin', 'prediction')),
-    'rehearse --params bags/cup.yaml --runs 1 --set fit.method=least_squares',
-    'warm-up',
-    'play bags/static --rate 50',
-    'convert bags/validation --topic /package/pose --out {folder}/package.tum',
-    'export bags/cup.yaml --to c --out {folder}/cup.h',
-    'parameters cup.length',
-    'warm-up',
-    'compare {folder}/0_identify.json {folder}/0_identify.json',
-)
-"""Commands that write every kind of result; the last needs what the first writes."""
-
-
-ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': '86'}
-"""What is played stays on this machine."""
-
-IN_UNIT = 'value', 'before', 'after', 'guess', 'expected', 'beside'
-"""Numbers that have the unit beside them."""
-
-NO_NUMBER = 'text', 'true or false'
-
-
-def results() -> Iterator[str]:
-    """Yield the lines of the page of results."""
-    yield from (
-        '# Results', '', GENERATED, '',
-        'The keys of what `--json` writes, with units and shapes. SI units; positions, rotations '
-        'and twists are linear first, quaternions x y z w. `K` and `P` are in axes of the lip S; '
-        'coordinates of six axes (`rms`, `motion`) are those of the package relative to the tool, '
-        'in tool axes; releases and landings are in the world, of the centre of mass B. `null` is '
-        'an unknown number, `X_std` the standard error of `X`. In a file every mapping '
-        'has the units of its numbers beside them, in `units` or `unit`; stamps (`_ns`), times '
-        '(`_s`), rates (`_hz`) and counts say so in their names. `settings` are '
-        '[parameters](parameters.md); `provenance` has files, digests and versions.', '',
-    )
-    before = ''
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
-        made = pool.map(lambda item: _result(folder, *item), enumerate(RESULTS))
-        for command, content in zip(RESULTS, made, strict=True):
-            verb = command.partition(' ')[0]
-            yield from (f'## {verb}', '') if verb != before else ()
-            yield from (of_command(command), '', '| key | unit | shape |', '|---|---|---|')
-            yield from dict.fromkeys(result_rows(content, ''))
-            yield ''
-            before = verb
-
-
-def _result(folder: str, number: int, command: str) -> Any:
-    """Run a command, and return the JSON that it writes."""
-    file = Path(folder) / f'{number}_{command.partition(" ")[0]}.json'
-    done = subprocess.run(
-        [sys.executable, '-m', 'bellows_ros.cli', *command.format(folder=folder).split(),
-         '--json', str(file)],
-        cwd=FOLDER.parents[1], env={**os.environ, **ALONE}, capture_output=True, text=True)
-    if not file.is_file():
-        sys.exit(f'bellows {command}\n{done.stdout}{done.stderr}')
-    return json.loads(file.read_text())
-
-
-def of_command(command: str) -> str:
-    """Return the line above the rows of a command."""
-    return f'Of `bellows {command.replace("{folder}/", "")}`:'
-
-
-def result_rows(content: Mapping[str, Any], inside: str, unit_inside: Any = '') -> Iterator[str]:
-    """Yield a row for each number or text in a result, mappings in lists once."""
-    unit_of_all = dict.fromkeys(IN_UNIT, content['unit']) if 'unit' in content else {}
-    units = {**unit_of_all, **content.get('units', {})}
-    for key, value in content.items():
-        unit = units.get(key, units.get(key.removesuffix('_std'), unit_inside))
-        if key in UNITLESS or key == 'unit':
-            continue
-        if isinstance(value, dict):
-            yield from result_rows(value, f'{inside}{key}.', unit)
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for item in value:
-                yield from result_rows(item, f'{inside}{key}[].', unit)
-        else:
-            listed = unit if isinstance(unit, str) else ', '.join(
-                dict.fromkeys(np.ravel(np.array(unit, dtype=object)).tolist()))
-            listed = '' if _shape(value).endswith(NO_NUMBER) else listed
-            yield f'| `{inside}{key}` | {listed} | {_shape(value)} |'
-
-
-def _shape(value: Any) -> str:
-    """Return the shape of a list of numbers in words."""
-    if not isinstance(value, list):
-        return {bool: 'true or false', str: 'text'}.get(type(value), '')
-    inner = _shape(value[0]) if value else ''
-    many = len(value) if value and len(value) in (2, 3, 4, 6, 7) else 'N'
-    return f'{many} x {inner}' if inner.replace(' x ', '').isalnum() else str(many)
-
-
 STUB = FOLDER.parents[1] / 'bellows_ros/core/parameters/values.pyi'
 """File with the types of the parameters as attributes, for mypy."""
 
@@ -380,30 +266,10 @@ def parameter_schema(parameter: Parameter) -> dict[str, Any]:
     return {**meaning, 'type': 'array', 'items': item, **count}
 
 
-def modules() -> Iterator[str]:
-    """Yield the lines of the page of modules: each with the first sentence of its docstring."""
-    yield from ('# Modules', '', GENERATED, '',
-                'Each module of the package with its purpose; '
-                '[architecture](../architecture.md) says where a change belongs.', '')
-    before = ''
-    for file in sorted((FOLDER.parents[1] / 'bellows_ros').rglob('*.py')):
-        text = ast.get_docstring(ast.parse(file.read_text())) or ''
-        path = file.relative_to(FOLDER.parents[1] / 'bellows_ros')
-        if file.name.startswith('__') or not text:
-            continue
-        if (room := str(path.parent)) != before:
-            yield from ('', f'## {room}' if room != '.' else '## bellows_ros', '',
-                        '| module | purpose |', '|---|---|')
-            before = room
-        yield f'| `{path.name}` | {_cell(" ".join(text.split(chr(10) * 2)[0].split()))} |'
-
-
 PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
-    'modules.md': modules,
     'parameters.md': parameters,
     'topics.md': topics,
     'commands.md': commands,
-    'results.md': results,
 }
 
 

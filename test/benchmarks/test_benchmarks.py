@@ -108,12 +108,6 @@ def test_scripts_of_other_processes_import_what_is_there(code):
             exec(ast.unparse(node), {})
 
 
-def test_page_holds_the_figures_beside_it(root):
-    docs = root / 'docs'
-    page, found = (docs / 'performance.md').read_text(), (docs / 'performance.json').read_text()
-    assert command.renewed(page, json.loads(found)) == page
-
-
 def test_interleaved_takes_turns():
     order = []
     found = timing.interleaved({name: partial(order.append, name) for name in 'ab'}, 2)

@@ -16,18 +16,15 @@ DECLARED = [(script, name) for script in PICTURES.SCRIPTS
     pytest.param(*each, id=each[1], marks=[pytest.mark.stress] if each[1] in SLOW else [])
     for each in DECLARED])
 def test_a_picture_shows_what_its_script_draws(script, name, tmp_path):
-    """Draw it again in both themes, and compare the descriptions."""
+    """Draw it again, and compare the descriptions."""
     pytest.importorskip('matplotlib')
     PICTURES.draw(script, tmp_path, (name,))
-    for theme in ('light', 'dark'):
-        file = PICTURES.themed(name, theme)
-        new, stored = (PICTURES.content(folder / file) for folder in (tmp_path, PICTURES.IMAGES))
-        assert show_the_same(new, stored), (
-            f'run: python docs/tools/pictures.py {name}\n{stored}\n{new}')
+    new, stored = (PICTURES.content(folder / name) for folder in (tmp_path, PICTURES.IMAGES))
+    assert show_the_same(new, stored), (
+        f'run: python docs/tools/pictures.py {name}\n{stored}\n{new}')
 
 
-def test_every_picture_has_a_script_and_both_themes():
+def test_every_picture_has_a_script():
     """Find no other picture than these and the demo's."""
-    names = {name for _, name in DECLARED} | {'demo.png'}
-    assert {PICTURES.themed(name, theme) for name in names for theme in ('light', 'dark')} == {
+    assert {name for _, name in DECLARED} | {'demo.png'} == {
         path.name for path in PICTURES.IMAGES.iterdir()}
