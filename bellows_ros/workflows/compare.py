@@ -1,16 +1,14 @@
-"""Comparison of fits: of two result files, and of the recordings of one fit."""
+"""Comparison of the fits to single recordings."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
-import os
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.result import Fit, parameter_units
+from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import AnyRecording
 from bellows_ros.core.model.structure import common_structure, Structure, structure_named
-from bellows_ros.files import File, results
 from bellows_ros.report.sentences import sentence
 import numpy as np
 
@@ -37,8 +35,6 @@ class ComparedFits(NamedTuple):
         Simplest structure that contains the structures of all fits.
     values, std : ndarray (n, p)
         Parameters of the structure, and their standard errors.
-    shared : tuple of str
-        Recordings used by both of two fits, which are then not independent.
 
     """
 
@@ -46,7 +42,6 @@ class ComparedFits(NamedTuple):
     structure: Structure
     values: Array
     std: Array
-    shared: tuple[str, ...] = ()
 
     @property
     def others(self) -> tuple[Array, Array]:
@@ -77,8 +72,8 @@ class ComparedFits(NamedTuple):
         return bool(np.any(np.abs(self.z) > self.limit))
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """The verdict, after a warning of shared recordings."""
+    def verdict(self) -> str:
+        """Sentence on the largest difference."""
         z = np.where(np.isfinite(self.z), self.z, 0.0)
         change = np.where(np.isfinite(self.z), self.values / self.others[0] - 1.0, 0.0)
         is_material = np.abs(change) > MATERIAL_DIFFERENCE
@@ -88,36 +83,17 @@ class ComparedFits(NamedTuple):
                             z.shape[1])
         code = ('not_comparable' if not np.isfinite(self.z).any() else 'one_cup'
                 if not self.differs else 'other_cups' if material else 'nearly_one_cup')
-        return (
-            *([sentence('comparison', 'shared', recordings=self.shared)] if self.shared else ()),
-            sentence('comparison', code, names=self.names, name=self.names[fit],
-                     label=self.structure.labels[entry], difference=float(change[fit, entry]),
-                     z=float(z[fit, entry]), limit=self.limit))
-
-    def rows(self) -> list[tuple[str, str, float, float, float, float, float]]:
-        """Return label, unit, values with standard errors, and z-score of the second fit."""
-        (before, after), (before_std, after_std) = self.values, self.std
-        return list(zip(
-            self.structure.labels, parameter_units(self.structure), before.tolist(),
-            before_std.tolist(), after.tolist(), after_std.tolist(), self.z[1].tolist(),
-            strict=True))
+        return sentence(
+            'comparison', code, names=self.names, name=self.names[fit],
+            label=self.structure.labels[entry], difference=float(change[fit, entry]),
+            z=float(z[fit, entry]), limit=self.limit)
 
     def verdict_json(self) -> dict[str, Any]:
         """Return the test for one cup."""
-        return {'one_cup': not self.differs, 'verdict': self.sentences[-1], 'z': self.z}
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file of two fits, in SI units."""
-        names = ('name', 'unit', 'before', 'before_std', 'after', 'after_std', 'z')
-        return results.with_units({
-            'before': self.names[0], 'after': self.names[1], **self.verdict_json(),
-            'parameters': [dict(zip(names, row, strict=True)) for row in self.rows()],
-            'shared_recordings': self.shared})
+        return {'one_cup': not self.differs, 'verdict': self.verdict, 'z': self.z}
 
 
-def compared(
-    names: Sequence[str], fits: Sequence[Estimates], shared: tuple[str, ...] = ()
-) -> ComparedFits:
+def compared(names: Sequence[str], fits: Sequence[Estimates]) -> ComparedFits:
     """Return the comparison of fits, in the simplest structure that contains all of theirs."""
     common = reduce(lambda one, other: one if one.name == other.name else common_structure(
         one, other), (structure for structure, *_ in fits))
@@ -128,43 +104,7 @@ def compared(
         values.append(T @ theta)
         std.append(np.sqrt(np.where(np.any(T[:, unknown] != 0.0, axis=1), np.inf,
                                     np.maximum(variance, 0.0))))
-    return ComparedFits(tuple(names), common, np.array(values), np.array(std), shared)
-
-
-def compare_files(before: File, after: File) -> ComparedFits:
-    """
-    Compare two JSON files written by `bellows identify`.
-
-    Raises
-    ------
-    BellowsError
-        If a file is not the result of a fit.
-
-    """
-    contents = [results.read_result(path) for path in (before, after)]
-    with results.content_of(before, after):
-        used, again = map(_digests, contents)
-        shared = tuple(name for name, digests in again.items() if digests in used.values())
-        return compared(
-            (os.fspath(before), os.fspath(after)), [*map(_estimates, contents)], shared)
-
-
-def _estimates(content: Mapping[str, Any]) -> Estimates:
-    structure = structure_named(content['structure'])
-    labels, rows = (content['parameters'][key] for key in ('labels', 'covariance'))
-    covariance = np.array([[np.inf if x is None else float(x) for x in row] for row in rows])
-    order = [labels.index(label) for label in structure.labels]
-    K, P = (np.array(content[key], dtype=float) for key in ('stiffness', 'damping'))
-    for name, matrix in (('stiffness', K), ('damping', P)):
-        if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-            raise ValueError(f'{name} is no matrix of shape (6, 6) of finite numbers')
-    return structure, structure.parameters(K, P), covariance[np.ix_(order, order)]
-
-
-def _digests(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    return {
-        recording['path']: tuple(file['sha256'] for file in recording['files'])
-        for recording in content['provenance']['recordings']}
+    return ComparedFits(tuple(names), common, np.array(values), np.array(std))
 
 
 def consistency(

@@ -326,7 +326,7 @@ class Identification(CommandResult):
             *gripper_sentence(self.values),
             *_standstill_sentences(self),
             *((static.verdict,) if static and static.spring else ()),
-            *(consistency.sentences if consistency and not consistency.differs else ()),
+            *((consistency.verdict,) if consistency and not consistency.differs else ()),
             *(text for each in self.validations for text in (
                 *offset_sentence(each.bag, each.time_offset), each.sentence)))
 
@@ -371,7 +371,7 @@ class Identification(CommandResult):
             *(f"Recording '{bag}' was left out: {reason}" for bag, reason in self.failed),
             *self.assumed,
             *self._fit_warnings(),
-            *(consistency.sentences if consistency and consistency.differs else ()),
+            *((consistency.verdict,) if consistency and consistency.differs else ()),
             *(static.warnings if static else ()),
             *(text for part in self.parts for text in part.report['warnings']),
             *(f'{each.bag}: {text}' for each in self.validations for text in each.warnings))

@@ -101,7 +101,6 @@ READ = [
     'IDENTIFY --set output.json=recording/recording.mcap',
     'identify --params bags.yaml --set bags=x --json recording/metadata.yaml',
     'static --params bags.yaml --json recording/recording.mcap',
-    'compare fit.json fit.json --json fit.json',
     'replay recording CUP --report cup.yaml',
     'plot motion recording CELL --out x.png --json package.yaml',
     'convert poses.tum --topic /p --out poses.tum',

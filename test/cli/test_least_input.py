@@ -27,7 +27,6 @@ LEAST = {
     'identify': ['recording', '--params', 'package.yaml'],
     'static': ['recording', '--params', 'cup.yaml'],
     'replay': ['recording', '--params', 'cup.yaml'],
-    'compare': ['fit.json', 'fit.json'],
     'plan': ['move.yaml', '--params', 'cup.yaml'],
     'steer': ['move.yaml', '--params', 'cup.yaml', '--method', 'zvd'],
     'toss': ['throw.yaml', '--params', 'cup.yaml', '--release', '2.95'],
@@ -85,7 +84,7 @@ def test_commands_run_without_an_optional_group(command, group, kitchen, bellows
 
 
 @pytest.mark.parametrize(('command', 'more'), [
-    *((command, ()) for command in ('info', 'identify', 'compare', 'parameters', 'excite')),
+    *((command, ()) for command in ('info', 'identify', 'parameters', 'excite')),
     *(('steer', ('--method', method)) for method in ('inverse', 'zv'))])
 def test_commands_run_with_their_least_input(command, more, kitchen, bellows):
     write_yaml(kitchen / 'cup.yaml', without(GROUPS['all']))

@@ -13,9 +13,6 @@ from bellows_ros.files.bags import read_contents, topics
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.files.trajectory_files import read_motive, read_tum
-from bellows_ros.workflows.compare import compare_files
-from bellows_ros.workflows.identification import save
-from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.info import info
 from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.recordings import load
@@ -223,32 +220,26 @@ def simulated(root, file):
 
 
 @pytest.fixture(scope='module')
-def texts(root, tmp_path_factory):
+def texts(root):
     """Give text and reader of each kind of file."""
-    fit = tmp_path_factory.mktemp('fit') / 'whole.json'
-    save(identify({
-        **read_parameters(root / 'bags/package.yaml'), 'fit.method': 'least_squares',
-        'bags': [str(root / 'bags/validation')]}), None, fit)
     return {
         'motion.tum': (TUM, read_tum), 'take.csv': (MOTIVE, read_motive),
         'predictor.yaml': ((root / 'config/predictor.yaml').read_text(), read_parameters),
         'cup.yaml': ((root / 'bags/cup.yaml').read_text(), read_parameters),
         **{f'{kind}.yaml': (json.dumps(plan), plan_in) for kind, plan in plan_messages().items()},
-        'motion.yaml': ((root / 'bags/static.yaml').read_text(), partial(simulated, root)),
-        'fit.json': (fit.read_text(), lambda file: json.dumps(
-            compare_files(fit, file).as_json(), default=list))}
+        'motion.yaml': ((root / 'bags/static.yaml').read_text(), partial(simulated, root))}
 
 
 @of_seeds
 @pytest.mark.parametrize('name', [
     'motion.tum', 'take.csv', 'predictor.yaml', 'cup.yaml', 'multi.yaml', 'path.yaml',
-    'joints.yaml', 'motion.yaml', 'fit.json'])
+    'joints.yaml', 'motion.yaml'])
 def test_scrambled_texts(name, seed, texts, tmp_path):
-    """Tables, parameters, plans, motions and results of a fit."""
+    """Tables, parameters, plans and motions."""
     (text, read), rng, file = texts[name], np.random.default_rng(seed), tmp_path / name
     file.write_text(text)
     read(file)
-    nested = json.dumps(safe_yaml.load(file)) if file.suffix in ('.yaml', '.json') else ''
+    nested = json.dumps(safe_yaml.load(file)) if file.suffix == '.yaml' else ''
     for _ in range(5 if name == 'motion.yaml' else ATTEMPTS):
         file.write_text(scrambled(rng, text, nested), errors='replace')
         refused('', lambda: require_finite(read(file)))
