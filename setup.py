@@ -81,8 +81,7 @@ setup(
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: [
-        'py.typed', '**/*.toml', '**/*.pyi', 'files/bellows_cup.h', 'files/cup.mjcf',
-        'files/cup.sdf', 'files/motion.script', 'files/parameters.schema.json',
+        'py.typed', '**/*.toml', '**/*.pyi', 'files/motion.script',
         'report/page.html', 'report/style.css']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.

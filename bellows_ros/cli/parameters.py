@@ -6,7 +6,9 @@ from dataclasses import asdict
 import textwrap
 from typing import Any
 
+from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.table import lookup, Parameter, PARAMETERS
+from bellows_ros.files import atomic, mjcf
 from bellows_ros.files.parameter_files import format_parameters
 
 from . import options
@@ -17,7 +19,9 @@ INDENT = '    '
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
-    """Select the parameters, and print their file."""
+    """Select the parameters, and print their file, or write the model for MuJoCo."""
+    if arguments.mjcf:
+        return _mjcf(arguments, console)
     chosen = [p for p in PARAMETERS.values()
               if not arguments.names or p.name.startswith(tuple(arguments.names))]
     for prefix in arguments.names:
@@ -27,6 +31,18 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
         print(template(chosen), end='')
     return options.Outcome([] if arguments.yaml or arguments.json else chosen, content={
         p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen})
+
+
+def _mjcf(arguments: argparse.Namespace, console: Console) -> options.Outcome:
+    """Write the model for MuJoCo, and warn of the properties that it lacks."""
+    settings = checks.resolve(
+        options.read_settings(arguments, cup_for=console), checks.PACKAGE_PARAMETERS)
+    text, lacking = mjcf.mjcf(conversion.cup_of(settings), conversion.package_of(settings),
+                              conversion.gravity_of(settings))
+    atomic.write_text(arguments.mjcf, text)
+    if lacking:
+        console.warn(f'The model lacks {", ".join(lacking)}.')
+    return options.Outcome([], content={'file': arguments.mjcf, 'not_expressed': lacking})
 
 
 def print_result(parameters: list[Parameter], console: Console) -> None:

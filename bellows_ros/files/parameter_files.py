@@ -3,8 +3,7 @@ Parameter files: YAML in the form of ROS, read and written.
 
 Accepted forms are `/**:`, a node's name or its full name above `ros__parameters:`, and files
 without either; names may be nested or dotted. ROS reads written files unchanged: every double has
-a decimal point. The first line of a written file names the schema of this installation, with which
-editors with the YAML language server complete names, show meanings and mark errors.
+a decimal point.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,9 +20,6 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml
 from bellows_ros.files.atomic import write_text
 import yaml
-
-SCHEMA = Path(__file__).with_name('parameters.schema.json')
-"""JSON schema of parameter files, for editors; made from the table by `make reference`."""
 
 NODES = ('identifier', 'predictor')
 _SECTION = 'ros__parameters'
@@ -134,8 +130,7 @@ def format_parameters(values: Mapping[str, Any], header: Sequence[str] = ()) -> 
     checked = {name: validate(name, value) for name, value in values.items()}
     # A line break must not end a comment.
     plain = (''.join(c if c.isprintable() else ' ' for c in line) for line in header)
-    lines = [f'# yaml-language-server: $schema={SCHEMA.as_uri()}']
-    lines += [f'# {line}'.rstrip() for line in plain]
+    lines = [f'# {line}'.rstrip() for line in plain]
     lines += ['/**:', f'{_INDENT}{_SECTION}:']
     body = list(_body(checked))
     return '\n'.join([*lines, *(body or [f'{_INDENT * 2}{{}}'])]) + '\n'

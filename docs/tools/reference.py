@@ -7,17 +7,13 @@ their parsers, so that no page can say something else than the program does.
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
-import json
 from pathlib import Path
 import re
 import sys
-from typing import Any
 
 from bellows_ros.cli import COMMANDS, PROGRAM, program_parser
-from bellows_ros.core.parameters.checks import POSE_PARAMETERS
-from bellows_ros.core.parameters.table import NAMED_CUP, Parameter, PARAMETERS
+from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
-from bellows_ros.files.parameter_files import SCHEMA
 from bellows_ros.nodes.command import interface
 
 FOLDER = Path(__file__).resolve().parents[1] / 'reference'
@@ -204,68 +200,6 @@ def _class_of(path: str) -> str:
     return ''.join(word.capitalize() for word in path.replace('.', '_').split('_')) + 'Group'
 
 
-JSON_TYPES: Mapping[str, str] = {
-    'bool': 'boolean', 'integer': 'integer', 'double': 'number', 'string': 'string'}
-"""Types of JSON of the kinds of parameters."""
-
-NODE = '^(.*/)?([*]{1,2}|identifier|predictor)$'
-"""Names of sections of a parameter file that are checked: of any node, or of one of ours."""
-
-
-def schema() -> dict[str, Any]:
-    """Return the JSON schema of parameter files: names nested or dotted, by node or flat."""
-    node = {'type': 'object', 'properties': {'ros__parameters': {'$ref': '#/$defs/parameters'}}}
-    nodes = {'patternProperties': {NODE: node}, 'additionalProperties': {'type': 'object'}}
-    named = {'^[A-Za-z][A-Za-z0-9_]*$': _group_schema('cup.')}
-    every = _group_schema('')
-    every['properties'] |= {'cups': {'type': 'object', 'patternProperties': named},
-                            'use_sim_time': {'type': 'boolean'},
-                            'start_type_description_service': {'type': 'boolean'},
-                            'qos_overrides': {'type': 'object'}}
-    every['patternProperties'] = {f'^{NAMED_CUP.pattern}$': {}, '^qos_overrides[.]': {}}
-    flat = {key: value for key, value in every.items() if key != 'additionalProperties'}
-    flat['patternProperties'] = flat['patternProperties'] | nodes['patternProperties']
-    flat['additionalProperties'] = nodes['additionalProperties']
-    return {'$schema': 'https://json-schema.org/draft/2020-12/schema',
-            'title': 'Parameters of bellows_ros', **flat,
-            '$defs': {'parameters': every, 'each': {
-                name: parameter_schema(parameter) for name, parameter in PARAMETERS.items()}}}
-
-
-def _group_schema(prefix: str) -> dict[str, Any]:
-    """Return the schema of a mapping: what follows a prefix, dotted or nested."""
-    names = [name.removeprefix(prefix) for name in PARAMETERS if name.startswith(prefix)]
-    groups = dict.fromkeys(
-        '.'.join(parts[:depth]) for name in names
-        for parts in [name.split('.')] for depth in range(1, len(parts)))
-    return {
-        'type': 'object',
-        'properties': {
-            **{name: {'$ref': f'#/$defs/each/{prefix}{name}'} for name in names},
-            **{group: _group_schema(f'{prefix}{group}.') for group in groups}},
-        'additionalProperties': False}
-
-
-def parameter_schema(parameter: Parameter) -> dict[str, Any]:
-    """Return the schema of the value of a parameter."""
-    ends = {'minimum': parameter.minimum, 'maximum': parameter.maximum,
-            'exclusiveMinimum': parameter.above}
-    limits = {key: end for key, end in ends.items() if end is not None}
-    kind, _, many = parameter.kind.partition('_')
-    item = {'type': JSON_TYPES[kind], **limits}
-    if parameter.choices:
-        item['enum'] = list(parameter.choices)
-    if parameter.name in POSE_PARAMETERS:
-        item = {'type': ['string', 'array']}
-    unit = f' Unit: {parameter.unit}.' if parameter.unit else ''
-    meaning = {'description': parameter.description + unit}
-    if not many:
-        return {**meaning, **item}
-    count = {'minItems': parameter.length, 'maxItems': parameter.length} if (
-        parameter.length) else {}
-    return {**meaning, 'type': 'array', 'items': item, **count}
-
-
 PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
     'parameters.md': parameters,
     'topics.md': topics,
@@ -283,15 +217,9 @@ def stub_text() -> str:
     return '\n'.join(stub()) + '\n'
 
 
-def schema_text() -> str:
-    """Return the text of the schema."""
-    return json.dumps(schema(), indent=1, ensure_ascii=False) + '\n'
-
-
 def main() -> None:
-    """Write the stub, the schema, and the pages that are named, or all."""
+    """Write the stub, and the pages that are named, or all."""
     write_text(STUB, stub_text())
-    write_text(SCHEMA, schema_text())
     FOLDER.mkdir(exist_ok=True)
     for name in sys.argv[1:] or PAGES:
         write_text(FOLDER / name, text_of(name))

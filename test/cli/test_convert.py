@@ -1,6 +1,5 @@
-"""`bellows convert` and `bellows export` as a user runs them."""
+"""`bellows convert` as a user runs it."""
 
-import json
 import re
 import shlex
 
@@ -8,7 +7,6 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_streams
 import numpy as np
-import pytest
 
 
 def test_a_recording_survives_a_round_trip_through_text(succeed, quietly, workshop, tmp_path):
@@ -56,13 +54,3 @@ def test_poses_are_converted_for_any_topic_name(bellows, succeed, tmp_path):
     done = bellows('convert', 'Twist', '--unit', 'mm', '--topic', 'arm_twist', '--out', 't',
                    cwd=tmp_path)
     assert done.returncode == 2 and "'/arm_twist'" in done.stderr and 'the topic' in done.stderr
-
-
-@pytest.mark.parametrize('name', ['mjcf', 'sdf', 'c'])
-def test_cups_go_out_with_a_word_on_what_is_lost(name, succeed, workshop, tmp_path):
-    """Write the model, and the sentences as JSON too."""
-    done = succeed('export', 'cup.yaml', '--to', name, '--out', tmp_path / 'model', '--json', '-',
-                   cwd=workshop)
-    assert json.loads(done.stdout)['not_expressed']
-    assert 'left out in' in done.stderr
-    assert (tmp_path / 'model').read_text().endswith('\n')

@@ -20,7 +20,6 @@ COMMANDS = {
     'plan': ('plan', '{plan}'),
     'toss': ('toss', '{plan}', '--release', '0.2', '--set', 'package.size=[0.2,0.16,0.06]'),
     'steer': ('steer', '{plan}', '--method', 'zvd'),
-    'export': ('export', '{cup}', '--to', 'c', '--out', '{out}.h'),
     'simulate': ('simulate', '--motion', '{plan}', '--out', '{out}'),
     'static': ('static', ROOT / 'bags' / 'static', '--mass', '1.8'),
     'replay': ('replay', '{recording}'),
@@ -46,8 +45,7 @@ def test_every_command_prints_a_question_once(command, bellows, workshop, transp
     words = [str(word).format(
         plan=transport, cup=cup, out=tmp_path / 'out', recording=workshop / 'recording')
         for word in COMMANDS[command]]
-    if command != 'export':
-        words += ['--params', cup]
+    words += ['--params', cup]
     if command == 'plan':
         words += ['--json', tmp_path / 'it.json']
     done = bellows(*words)

@@ -33,8 +33,7 @@ LEAST = {
     'excite': ['--params', 'cup.yaml', '--limits', 'limits.yaml', '--time', '5', '--hold', '0',
                '--out', 'excited', '--force'],
     'simulate': ['--params', 'cup.yaml', '--motion', 'move.yaml', '--out', 'made', '--force'],
-    'plot': ['motion', 'recording', '--params', 'cup.yaml', '--out', 'p.png', '--force'],
-    'export': ['cup.yaml', '--to', 'c', '--out', 'cup.h']}
+    'plot': ['motion', 'recording', '--params', 'cup.yaml', '--out', 'p.png', '--force']}
 """The least arguments of each command; None where its own tests have them."""
 NEEDED = {('toss', 'box'): 'package.size', ('toss', 'all'): 'package.size'}
 """The parameter that a command asks for without a group."""
@@ -69,7 +68,7 @@ def test_every_command_has_its_least_input():
 
 @pytest.mark.parametrize('group', GROUPS)
 @pytest.mark.parametrize('command', [
-    'plan', 'steer', 'toss', 'simulate', 'replay', 'static', 'export'])
+    'plan', 'steer', 'toss', 'simulate', 'replay', 'static'])
 def test_commands_run_without_an_optional_group(command, group, kitchen, bellows):
     """End to end, with a result as JSON; or name the parameter that is needed."""
     write_yaml(kitchen / 'cup.yaml', without(GROUPS[group]))

@@ -44,3 +44,12 @@ def test_the_table_is_there_as_json(bellows):
     """Give scripts unit, default and constraint."""
     content = json.loads(bellows('parameters', 'package', '--json', '-').stdout)
     assert content['package.mass']['unit'] == 'kg' and content['package.mass']['default'] is None
+
+
+def test_a_cup_is_written_for_mujoco(bellows, workshop, tmp_path):
+    """Write the model of a cup and its package; name what a cup has that joints lack."""
+    command = 'parameters', '--params', 'cup.yaml', '--mjcf', tmp_path / 'cup.xml'
+    assert bellows(*command, cwd=workshop).stderr == ''
+    assert (tmp_path / 'cup.xml').read_text().endswith('</mujoco>\n')
+    done = bellows(*command, '--set', 'cup.relaxation=[0.2,0.1]', cwd=workshop)
+    assert (done.returncode, 'lacks cup.relaxation' in done.stderr) == (0, True)

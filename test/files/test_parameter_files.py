@@ -1,6 +1,5 @@
 """Parameter files: what is read from them, and that what is written reads back the same."""
 
-import json
 
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import resolve
@@ -10,7 +9,6 @@ from bellows_ros.files import parameter_files
 from bellows_ros.files.parameter_files import (
     format_parameters,
     read_parameters,
-    SCHEMA,
     write_parameters,
 )
 from hypothesis import given, settings, strategies
@@ -161,42 +159,3 @@ def test_every_parameter_is_written_with_its_sentence_and_unit():
         assert sentence.replace(' # ', ' ') in text.replace(' # ', ' ')
         if parameter.unit and parameter.length != 36:
             assert f'# {parameter.unit}' in text
-
-
-@pytest.fixture(scope='module')
-def schema():
-    """Return a validator of parameter files."""
-    jsonschema = pytest.importorskip('jsonschema', reason="not here (pip install '.[lint]')")
-    content = json.loads(SCHEMA.read_text())
-    jsonschema.Draft202012Validator.check_schema(content)
-    return jsonschema.Draft202012Validator(content)
-
-
-def test_the_schema_takes_every_parameter_file(schema, root, tmp_path):
-    """Of config/ and bags/, each that the program reads, and a written one of all parameters."""
-    write_parameters(tmp_path / 'written.yaml', {**resolve({**PACKAGE, **NAMED})})
-    taken = 0
-    files = (*root.glob('config/*.yaml'), *root.glob('bags/*.yaml'))
-    for file in (*files, tmp_path / 'written.yaml'):
-        try:
-            read_parameters(file)
-        except BellowsError:
-            continue  # a motion, limits
-        errors = [error.message for error in schema.iter_errors(yaml.safe_load(file.read_text()))]
-        assert not errors, (file, errors)
-        taken += 1
-    assert taken > 6
-    first = (tmp_path / 'written.yaml').read_text().partition('\n')[0]
-    assert first == f'# yaml-language-server: $schema={SCHEMA.as_uri()}'
-
-
-@pytest.mark.parametrize('wrong', [
-    'package.mass: heavy', 'package: {mass: -1.0}', 'package: {com: [0.0, 0.0]}',
-    'cup: {lenght: 0.05}', 'cups: {left: {length: long}}', 'fit.structure: round',
-    '/**: {ros__parameters: {cup.length: true}}', '/ns/predictor: {ros__parameters: {mass: 1.0}}'])
-def test_the_schema_refuses_what_the_program_refuses(schema, wrong, tmp_path):
-    """Kinds, ranges, counts, names and choices, in each form of the file."""
-    (tmp_path / 'wrong.yaml').write_text(wrong)
-    with pytest.raises(BellowsError):
-        read_parameters(tmp_path / 'wrong.yaml')
-    assert not schema.is_valid(yaml.safe_load(wrong))

@@ -2,7 +2,6 @@
 Static equilibrium of the package, and its small motions about a state.
 
 Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium.
-`bellows_equilibrium` in files/bellows_cup.h has the same steps in C, with bitwise equal results.
 """
 
 import math

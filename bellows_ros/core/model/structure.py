@@ -1,7 +1,7 @@
 """
 Structures of K and P: free entries, tied entries, and the sum of equal cups.
 
-A new structure is one entry in `STRUCTURES`; methods, tables and exports use all entries.
+A new structure is one entry in `STRUCTURES`; methods and tables use all entries.
 
 Cup i of a gripper stands at a_i in E, and its lip at a_i in S. Its strain (3.18) and twist are
 linear in strain and twist of a cup at the origin, h_i = A_i h and v_i = A_i v, A_i = [[I, -a_i^],
