@@ -48,7 +48,7 @@ soak: $(VENV)/ready  ## attack a predictor for 12 minutes beside a twin (ARGS='-
 	@$(BIN)/python -m test.soak $(ARGS)
 
 .PHONY: bench
-bench: $(VENV)/ready  ## measure the speed, and write it into docs/performance.md
+bench: $(VENV)/ready  ## measure the speed, and print it
 	@$(BIN)/python -m benchmarks $(ARGS)
 
 .PHONY: bench-quick
@@ -90,12 +90,13 @@ reference: $(VENV)/ready  ## write docs/reference/ from the declarations
 	@$(BIN)/python docs/tools/reference.py $(ARGS)
 
 .PHONY: pictures
-pictures: $(VENV)/extras-ready demo  ## draw the pictures of the pages, and run the notebook
-	@$(BIN)/python docs/tools/pictures.py $(ARGS)
+pictures: $(VENV)/extras-ready  ## draw the pictures that no command on a page draws, and run the notebook
+	@$(BIN)/python docs/figures/overview.py
+	@$(BIN)/python docs/figures/release.py
 	@$(BIN)/python docs/tools/notebooks.py
 
 .PHONY: pages
-pages: $(VENV)/ready  ## run the commands on all pages, and write what they print into them
+pages: $(VENV)/ready  ## run the commands on all pages, and write what they print and draw into them
 	@$(BIN)/python docs/tools/pages.py
 
 .PHONY: bags

@@ -13,7 +13,7 @@ when that is not so:
 Blocks that would install something, or reach for ROS, are only checked, with or without comment.
 
 `python docs/tools/pages.py` runs all pages, or those it is given, and writes what the commands
-print now into them.
+print now into them, and the pictures that they draw into docs/images.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -193,6 +193,9 @@ def refresh(page: Path) -> bool:
                     sys.exit(f'{page}: {command.text}\nends with {done.returncode}\n{done.stdout}')
                 if command.output is not None and not _shortened(command.output):
                     edits.append((command.first, command.last, done.stdout.rstrip().splitlines()))
+        for picture in (ROOT / 'docs' / 'images').iterdir():
+            if (folder / picture.name).exists():
+                shutil.copy(folder / picture.name, picture)
     for first, last, output in reversed(edits):
         lines[first:last] = output + [''] * _blank_end(lines, first, last)
     new = '\n'.join(lines) + '\n'

@@ -43,7 +43,7 @@ def test_a_notebook_was_run_from_top_to_bottom(path):
         assert (path.parent / link).exists(), link
 
 
-@pytest.mark.parametrize('name', ['docs/tutorial.md', 'docs/validation.md', *(
+@pytest.mark.parametrize('name', ['docs/tutorial.md', *(
     f'notebooks/{path.name}' for path in NOTEBOOKS.notebooks())])
 def test_readers_meet_public_names_alone(root, name):
     """Import no module of the package but the library, and set no part of another."""
