@@ -114,7 +114,7 @@ def row(poses: Poses, band: tuple[float, float], seed: int = 0) -> str:
 
 
 def main() -> None:
-    """Print the table of docs/validation.md."""
+    """Print the table of docs/evidence.md."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('path', type=Path, help='vc_calibration_Nmm.json')

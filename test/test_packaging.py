@@ -112,7 +112,7 @@ def test_what_messages_tell_to_install_is_what_the_extras_need(root, tmp_path, m
     assert shlex.split(install('fast'))[-4:] == [
         '--user', '--break-system-packages', 'numba', 'numpy<2']
     command = install('fast').rpartition('numba')[0]
-    assert command in (root / 'docs' / 'install.md').read_text()
+    assert command in (root / 'docs' / 'first_prediction.md').read_text()
     sources = [*root.glob('bellows_ros/**/*.py'), *root.glob('docs/*.md'), root / 'README.md']
     assert not [str(file) for file in sources if "'bellows_ros[" in file.read_text()]
 

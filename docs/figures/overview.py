@@ -1,5 +1,5 @@
 """
-Draw docs/images/overview.svg: tool arm, cup and package from the side, to scale, with their frames.
+Draw docs/images/overview.svg: tool arm, cup and package from the side, with their frames.
 
 x points right and z up; a frame is an angle and an origin in this plane, its y points into the
 page.
@@ -46,7 +46,8 @@ CENTRE = LIP.moved(0.0, -0.040)
 def draw_frame(axes: Any, frame: Frame, name: str, length: float, name_at: Any) -> None:
     """Draw x in red and z in blue, the origin in green, and the name of a frame."""
     for label, ends in (('x', (1.0, 0.0)), ('z', (0.0, 1.0))):
-        axes.annotate('', xy=frame.at(*np.multiply(ends, length)), xytext=frame.origin, arrowprops={
+        tip = frame.at(*np.multiply(ends, length))
+        axes.annotate('', xy=tip, xytext=frame.origin, arrowprops={
             'arrowstyle': '-|>', 'color': AXES[label], 'linewidth': 1.8, 'shrinkA': 0,
             'shrinkB': 0})
         axes.text(*frame.at(*np.multiply(ends, 1.22 * length)), label, color=AXES[label],

@@ -28,7 +28,7 @@ NO_CUPS: Mapping[int, float] = MappingProxyType({})
 
 EXTRAPOLATION = 2.0
 """Relative growth of the law's standard deviations per factor e of mass beyond its range, from
-real drops of lighter and heavier packages (docs/toss.md)."""
+real drops of lighter and heavier packages (docs/evidence.md)."""
 
 
 def cup_of(values: Values) -> Cup:

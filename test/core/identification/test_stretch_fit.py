@@ -167,7 +167,7 @@ def test_a_cup_of_the_law_has_no_stretch():
 
 
 def main():
-    """Print the rows of docs/validation.md: errors of five seeds, smallest to largest."""
+    """Print the rows of docs/evidence.md: errors of five seeds, smallest to largest."""
     for name, recordings, tilt, settings in (
             ('1.8 kg, without stretch', of_one_mass, 10.0, {'fit__stretch': 'off'}),
             ('1.8 kg', of_one_mass, 10.0, {}), ('1.8 kg', of_one_mass, 20.0, {}),
