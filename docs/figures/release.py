@@ -7,13 +7,12 @@ Prints the rows of the table in docs/evidence.md, and draws docs/images/drops.sv
 from pathlib import Path
 import sys
 
-import matplotlib
-from matplotlib.figure import Figure
-import numpy as np
-
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from bellows_ros.core.toss.release_fit import fit_release  # noqa: E402
+import matplotlib  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+import numpy as np  # noqa: E402
 
 from test.core import drops  # noqa: E402, I100, I201
 
