@@ -24,7 +24,7 @@ def test_layouts_show_topics_of_the_predictor(name, root):
     shown = topics_of(content)
     nodes = ''.join(path.read_text() for path in (root / 'bellows_ros' / 'nodes').glob('*.py'))
     assert {'/tool_arm/pose', '/package/pose', '/package/measured', '/package/plan_path',
-            '/package/landing_markers'} <= shown
+            } <= shown
     assert [topic for topic in shown if f"'{topic[1:]}'" not in nodes] == []
 
 

@@ -1,13 +1,11 @@
 """
 Outputs of the predictor; topics other than the pose are published only with subscribers.
 
-Markers for RViz are the package as a box with its mass and inertia, the cup, and its force; for a
-toss, the path of the flight and the ellipse of the landing.
+Markers for RViz are the package as a box with its mass and inertia, the cup, and its force.
 """
 
 from collections.abc import Callable, Sequence
 import importlib.util
-import time
 from typing import Any, Self
 
 from bellows_ros.core.parameters import conversion
@@ -15,7 +13,6 @@ from builtin_interfaces.msg import Time
 from geometry_msgs import msg as geometry
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
-import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -23,16 +20,14 @@ from std_msgs.msg import Bool, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .conversions import odometry
-from .guarding import LATCHED, Worker
+from .guarding import LATCHED
 from .node_parameters import ManagedNode
-from ..core.geometry.arrays import Array
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
-from ..core.live import flight, LivePredictor, load, Prediction, uncertainty
+from ..core.live import LivePredictor, load, Prediction, uncertainty
+from ..core.live.landing import Landing
 from ..core.model import kernels
 from ..core.parameters.values import Values
 from ..core.signals.trajectory import NS_PER_S
-from ..core.toss.landing import ellipse
-from ..core.toss.release import flight_path
 from ..files import messages
 from ..files.messages import pack
 
@@ -68,13 +63,8 @@ class Predicting:
 
     @property
     def latest(self) -> Prediction | None:
-        """Newest prediction of a held or flying package."""
-        return self.live.latest
-
-    @property
-    def held(self) -> Prediction | None:
         """Newest prediction of a held package."""
-        return self.live.held
+        return self.live.latest
 
     @property
     def uncertainty(self) -> uncertainty.Uncertainty:
@@ -84,6 +74,10 @@ class Predicting:
 
     def compile_filter(self) -> None:
         """Compile the filter of covariances and measured poses, in a thread."""
+        raise NotImplementedError
+
+    def compile_landing(self) -> None:
+        """Compile the landing of a released package, in a thread."""
         raise NotImplementedError
 
 
@@ -191,6 +185,8 @@ class Outputs:
         self._deflection = Topic(geometry.PoseStamped, 'cup/deflection', self._make_deflection)
         self._markers = Topic(MarkerArray, 'package/markers', lambda now: self._picture.fill(
             shared.live.frame_id, shared.live.model, now))
+        self.landing = Topic(geometry.PoseWithCovarianceStamped, 'package/landing',
+                             prepare=shared.compile_landing)
         self._state = Topic(String, 'package/state', qos=LATCHED)
         self._ok = Topic(Bool, 'package/ok', qos=LATCHED)
         self._tf: Topic | None = None
@@ -225,7 +221,7 @@ class Outputs:
 
     def _make_odometry(self, now: Prediction) -> bytes:
         """Return pose and twist, with large covariance while it is unknown."""
-        is_known = now is not uncertainty.STILL and self._odometry.is_ready and not now.flies
+        is_known = now is not uncertainty.STILL and self._odometry.is_ready
         root = self._shared.uncertainty.root(now) if is_known else uncertainty.UNKNOWN_ROOT
         return odometry(self._shared.live.frame_id, *self._frame('package'), now, root)
 
@@ -267,12 +263,18 @@ class Outputs:
         if self._is_late:
             return
         self._odometry.send(prediction)
-        if not prediction.flies:
-            self._deflection.send(prediction)
+        self._deflection.send(prediction)
         if self._picture.is_due(prediction.stamp_ns):
             self._markers.send(prediction)
         if self._tf:
             self._tf.send(prediction)
+
+    def publish_landing(self, landing: Landing) -> None:
+        """Publish where a released package lands."""
+        position, xyzw, *_ = landing.body
+        self.landing.publish(pack(
+            messages.POSE_WITH_COVARIANCE, (self._shared.live.frame_id,), landing.stamp_ns,
+            *position, *xyzw, *landing.covariance.ravel().tolist()))
 
     def publish_state(self, state: str, is_ok: bool = False) -> None:
         """Publish changes of the state and of `is_ok`; late subscribers get both."""
@@ -316,8 +318,7 @@ class Markers:
         self._cup.points = []
         for place in self._places:
             root = add(tool, apply(R_world_tool, place))
-            end = root if prediction.flies else add(lip, apply(R_world_package, place))
-            self._cup.points += [point(root), point(end)]
+            self._cup.points += [point(root), point(add(lip, apply(R_world_package, place)))]
         self._force.points = [point(lip), point(tip)]
         for each, colour in (
                 (self._box, (0.76, 0.6, 0.42, 0.8)), (self._cup, (0.2, 0.3, 0.8, 0.9)),
@@ -354,79 +355,3 @@ def point(position: Sequence[float]) -> Point:
     """Return a position as a message."""
     x, y, z = position
     return Point(x=x, y=y, z=z)
-
-
-BLUE = (0.36, 0.29, 0.62, 0.9)
-
-
-class Tossing:
-    """
-    Subscribers and publishers of a toss.
-
-    Parameters
-    ----------
-    shared : Predicting
-
-    """
-
-    def __init__(self, shared: Predicting) -> None:
-        """Advertise."""
-        self._shared = shared
-        self._worker = Worker(shared.node, 'release')  # no plan waits behind a search
-        self._at = Topic(Header, 'release/at').advertise(shared.node)
-        self._landing, self._markers = (
-            Topic(kind, name, prepare=shared.compile_filter).advertise(shared.node)
-            for kind, name in ((geometry.PoseWithCovarianceStamped, 'package/landing'),
-                               (MarkerArray, 'package/landing_markers')))
-        self._landing_ns = self._valve_time_ns = 0
-
-    @property
-    def flight(self) -> flight.Flight:
-        """The flight of the package after its release."""
-        assert self._shared.live.flight
-        return self._shared.live.flight
-
-    def publish(self, held: Prediction) -> None:
-        """Publish landing and release time at their rates."""
-        if not self.flight.has_size or self.flight.state:
-            return
-        model, frame_id = self._shared.live.model, self._shared.live.frame_id
-        now_ns = time.monotonic_ns()
-        wanted = any(each.subscribed and each.is_ready for each in (self._landing, self._markers))
-        period_ns = 0.9e9 / self._shared.values.landing.rate  # tolerance for inexact ticks
-        if wanted and now_ns - self._landing_ns >= period_ns:
-            self._landing_ns = now_ns
-            landing = self.flight.landing(model, held, self._shared.uncertainty.covariance)
-            if landing is not None:
-                position, xyzw, *_ = landing.toss.landing
-                self._landing.publish(pack(
-                    messages.POSE_WITH_COVARIANCE, (frame_id,), landing.stamp_ns, *position,
-                    *xyzw, *landing.covariance.ravel().tolist()))
-                if self._markers.subscribed:
-                    path = flight_path(model, landing.toss, flight.PATH_POINTS)
-                    self._markers.publish(_landing_markers(landing, path, frame_id))
-        if (self._at.subscribed and now_ns - self._valve_time_ns >= 200_000_000
-                and not self._worker.is_busy):
-            self._valve_time_ns = now_ns
-            self._worker.submit('aim', self._publish_valve_time, model, held, frame_id)
-
-    def _publish_valve_time(
-        self, model: kernels.ModelTuple, prediction: Prediction, frame_id: str
-    ) -> None:
-        """Publish the valve time for the target."""
-        after = self.flight.time_to_target(model, prediction)
-        if after is not None and not self._worker.stop[0]:
-            self._at.publish(header(prediction.stamp_ns + round(after * NS_PER_S), frame_id))
-
-
-def _landing_markers(landing: flight.Landing, path: Array, frame_id: str) -> MarkerArray:
-    """Return the path of the flight, and the 95 % ellipse about its end."""
-    ring = np.zeros((33, 3)) + landing.toss.landing[0]
-    ring[:, :2] += ellipse(landing.covariance, 33)
-    markers = []
-    for number, points in enumerate((path[:, :3], ring)):
-        line = marker(number, Marker.LINE_STRIP, (0.005, 0.0, 0.0), f'{NAMESPACE}_landing')
-        show(line, landing.stamp_ns, frame_id, BLUE)
-        line.points = [point(each) for each in points.tolist()]
-        markers.append(line)
-    return MarkerArray(markers=markers)

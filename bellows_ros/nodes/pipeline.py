@@ -30,15 +30,18 @@ from std_srvs.srv import Trigger
 
 from . import conversions
 from .conversions import quaternion_xyzw, reader, stamp_to_ns, TOOL_POSES, type_name, vector
-from .guarding import COMPILE_TIME, GuardedNode
+from .guarding import COMPILE_TIME, GuardedNode, Worker
 from .node_parameters import ManagedNode
-from .outputs import Outputs, Predicting, QUEUE, Topic, Tossing
+from .outputs import Outputs, Predicting, QUEUE, Topic
 from .planning import Planning
 from ..core.geometry import lie
+from ..core.geometry.arrays import Array
 from ..core.geometry.jit import compile_aside, COMPILED
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import flight, LivePredictor, load, Prediction, warm_up
+from ..core.live import landing, LivePredictor, load, Prediction, warm_up
+from ..core.live.cycle import RELEASED
 from ..core.model.cup_package import model_tuple
+from ..core.model.grip import Grip
 from ..core.model.kernels import ModelTuple
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
 from ..core.parameters.conversion import cup_of, package_of
@@ -101,8 +104,7 @@ class Pipeline(Predicting):
             node, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self.attachment = Attachment(self)
         self.planning = Planning(self)
-        self.live.future = self.planning.rest
-        self.tossing = Tossing(self)
+        self._release = Worker(node, 'release')
         node.create_subscription(
             Bool, 'vacuum/valve', lambda message: self.switch_valve(message.data), 10)
         self.observing = Observing(self)
@@ -193,7 +195,6 @@ class Pipeline(Predicting):
         self.outputs.publish_more(prediction, factors)
         if factors and min(factors) < self.load.required:
             self.publish_state()
-        self.planning.follow()
 
     # ----------------------------------------------------------------- events
 
@@ -208,7 +209,27 @@ class Pipeline(Predicting):
         stamp_ns, newest_ns = self.node.get_clock().now().nanoseconds, self.live.newest_ns
         if abs(stamp_ns - newest_ns) > 500_000_000:  # stamps are of another clock
             stamp_ns = newest_ns
+        held, grip, before = self.latest, self.load.grip, self.live.state
         self.change(self.live.on_valve, on, stamp_ns)
+        topic = self.outputs.landing
+        if held and self.live.state == RELEASED != before and topic.subscribed and topic.is_ready:
+            self._release.submit(
+                'land', self._land, held, grip, self.uncertainty.covariance(held),
+                max(0, stamp_ns - held.stamp_ns))
+
+    def _land(
+        self, held: Prediction, grip: Grip | None, covariance: Array, switched_ns: int
+    ) -> None:
+        """Publish the landing of a released package, in a thread."""
+        found = landing.landing(
+            self.values, self.live.model, grip, held, covariance, switched_ns)
+        if found:
+            self.outputs.publish_landing(found)
+
+    def compile_landing(self) -> None:
+        """Compile the landing, in a thread; it needs package.size."""
+        self.compile_filter()
+        landing.warm_up(self.values, self.live.model)
 
     def change(self, step: Callable[..., Any], *arguments: Any) -> Any:
         """Return the result of a step that may change the package's state; report a change."""
@@ -244,9 +265,8 @@ class Pipeline(Predicting):
         self._arrival_at_last_tick = live.arrivals.newest_ns
         self.report(live.state)
         self.publish_state()
-        if held := self.held:
+        if held := self.latest:
             self.load.watch_deflection(live.model, held)
-            self.tossing.publish(held)
 
     def publish_state(self) -> None:
         """Publish a change of the state while the node is active."""
@@ -277,9 +297,6 @@ class Pipeline(Predicting):
         cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
         model = model_tuple(cup, package, gravity)
         warm_up(cup, package, gravity, values.tool_twist.frame)
-        release = flight.Flight(values)
-        if release.has_size:
-            release.warm_up(model)
         return model
 
     def compile_filter(self) -> None:
@@ -305,7 +322,6 @@ class Pipeline(Predicting):
         """Let all outputs use the values and the model, between two messages."""
         self._applied = self.values
         self.outputs.use_values()
-        self.planning.use_values()
 
 
 def compile_topics(values: Values) -> None:
@@ -313,9 +329,9 @@ def compile_topics(values: Values) -> None:
     warm_up_observer(values, model_tuple(cup_of(values), package_of(values), gravity_of(values)))
 
 
-def _kernels_of(values: Values) -> tuple[int, bool]:
-    """Return the properties of values that select kernels: relaxing cups, flights."""
-    return len(cup_of(values).as_tuple), flight.Flight(values).has_size
+def _kernels_of(values: Values) -> int:
+    """Return the property of values that selects kernels: relaxing cups have more numbers."""
+    return len(cup_of(values).as_tuple)
 
 
 class SensorInput:
@@ -757,5 +773,5 @@ class Observing:
         status.values.update({key: str(value) for key, value in more.items()})
         if alarm := live.alarm:
             return status._replace(level=health.Level.ERROR, message=alarm_sentence(alarm))
-        is_held = live.attached and not (live.flight and live.flight.state)
-        return status if is_held else status._replace(level=min(status.level, health.Level.WARN))
+        return status if live.attached else status._replace(
+            level=min(status.level, health.Level.WARN))

@@ -8,7 +8,7 @@ from multiprocessing import get_context
 from bellows_ros.core import live, usable_cores
 from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
-from bellows_ros.core.live.flight import Flight
+from bellows_ros.core.live import landing
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
@@ -85,9 +85,9 @@ def compile_fit(cup: Cup) -> None:
 def compile_plans(cup: Cup) -> None:
     """Compile predictions of plans, steering and tosses."""
     model = model_tuple(cup, PACKAGE, GRAVITY)
-    Flight(_values(cup)).warm_up(model)
+    landing.warm_up(_values(cup), model)
     PlanSimulation(model, (60.0, 0.02, 0.5), _moving(1.0), tail=0.1).predict()
-    steer(model, _moving(1.0), 'inverse')
+    steer(model, _moving(1.0), 'zvd')
 
 
 def compile_observer(cup: Cup) -> None:

@@ -3,7 +3,6 @@
 from threading import Event
 import time
 
-from bellows_ros.core.live import flight
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import POSE_PARAMETERS
 from bellows_ros.core.parameters.table import ANY_LENGTH, parameters_for
@@ -192,8 +191,9 @@ def test_malformed_requests_are_answered(node, caller):
 def test_one_type_that_does_not_exist_spoils_no_other_answer(node, caller, capfd):
     """Set the others that stand alone; refuse those that belong to it; report no fault of ours."""
     odd = [Parameter(name, value=value).to_parameter_msg() for name, value in (
-        ('plan.rate', 5.0), ('coast.limit', 0.3), ('package.mass', 2.0), ('landing.rate', 7.0))]
-    for name in ('plan.points_rate', 'use_sim_time'):
+        ('measured.noise', [1e-3, 1e-3]), ('coast.limit', 0.3), ('package.mass', 2.0),
+        ('landing.height', -0.5))]
+    for name in ('safety.least', 'use_sim_time'):
         odd.insert(2, ParameterMessage(name=name, value=ParameterValue(type=99)))
     results = caller.set_one_by_one(odd)
     assert [result.successful for result in results] == [True, True, False, False, True, True]
@@ -268,17 +268,14 @@ def ends(parameter):
 @pytest.mark.usefixtures('rubber_kernels')
 def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
     """
-    Predict, plan, aim and report with each, or change nothing and name what is wrong.
+    Predict, plan, land and report with each, or change nothing and name what is wrong.
 
     What a node would do for messages is called here, as nothing else runs.
     """
-    monkeypatch.setattr(flight, 'AIM_TIME', 0.04)
     partner = make_partner(VALUES.replaced({'package.size': [0.1] * 3, 'landing.height': -1.0}))
     node, tried = partner.predictor, 0
-    set_on(node, 'landing.aim', True)
-    pipeline, planning = node.pipeline, node.pipeline.planning.plans
-    topics = [*vars(pipeline.outputs).values(), *vars(pipeline.tossing).values(),
-              *vars(pipeline.planning).values()]
+    pipeline = node.pipeline
+    topics = [*vars(pipeline.outputs).values(), *vars(pipeline.planning).values()]
     for topic in topics:
         if hasattr(topic, 'subscribed'):
             topic.subscribed = True
@@ -300,11 +297,9 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
             for k in range(1, 12):
                 pipeline.process_pose(tried * 10**9 + k * 4_000_000, 'world',
                                       (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-            planning._attempt(pipeline.planning._on_plan, pipeline.planning.reader.of_tool, plan)
+            pipeline.planning._answer(pipeline.planning._of_tool, plan)
             if pipeline.latest is not None:
-                pipeline.tossing._landing_ns = 0
-                pipeline.tossing.publish(pipeline.latest)
-                pipeline.tossing.flight.time_to_target(pipeline.live.model, pipeline.latest)
+                pipeline._land(pipeline.latest, None, np.eye(12), 0)
             pipeline._tick()
             node.diagnostics.report()
             assert not node.failures, (parameter.name, value)

@@ -18,7 +18,6 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED, Signal
-from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL, check_live, Load, Vacuum
 from bellows_ros.core.live.payload import LivePayload, stated_payload
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
@@ -26,7 +25,7 @@ from bellows_ros.core.live.uncertainty import Prediction, Uncertainty
 from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
-from bellows_ros.core.model.simulation import ToolRows, trajectory_of
+from bellows_ros.core.model.simulation import trajectory_of
 from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.observer.alarms import Alarm, Alarms
 from bellows_ros.core.observer.observer import Observer
@@ -112,7 +111,7 @@ class LivePredictor:
         Parameters in use, with the chosen cup and without cups that do not hold; empty unless made
         by `from_parameters`.
     latest : Prediction or None
-        Newest prediction of a held or flying package.
+        Newest prediction of a held package.
     load : Load or None
         Safety factor of the grip, and distance from the validity range.
     uncertainty : Uncertainty or None
@@ -121,9 +120,6 @@ class LivePredictor:
         Pressures by cup.
     lost_cups : set of int
         Cups of cup.layout lost since the package was attached.
-    future : callable
-        Function of a prediction, and of a deviation of the progress in standard deviations, that
-        returns the tool's planned motion, or None.
     pairing : Pairing
         Poses that wait for their twists.
     tool : ToolMotion
@@ -134,8 +130,6 @@ class LivePredictor:
         Arrivals of accepted poses.
     attached : bool
         Whether the package is predicted.
-    flight : Flight or None
-        Flight of the package after the valve.
     poses_in, twists_in, predictions, twists_estimated, coasted : int
         Counts of inputs, outputs, and estimated twists and tool poses.
 
@@ -172,13 +166,11 @@ class LivePredictor:
         self.predictions = self.twists_estimated = self.coasted = 0
         self.attached, self._twists_expected = True, False
         self._cycle, self._held_cups = Cycle(True), dict[int, bool]()
-        self.flight: Flight | None = None
         self.alarms: list[Alarm] = []
         self.values = self._given = Values({})
         self.vacuum, self.lost_cups = Vacuum(), set[int]()
         self.load: Load | None = None
         self.uncertainty: Uncertainty | None = None
-        self.future: Callable[[Prediction, float], ToolRows | None] = lambda now, deviations: None
         self.latest: Prediction | None = None
         self._unsafe_ns, self._moved_ns = -1, -STOPPED_NS
         self._begun_ns: int | None = None
@@ -263,11 +255,6 @@ class LivePredictor:
         return self._cycle.state
 
     @property
-    def held(self) -> Prediction | None:
-        """The newest prediction of a held package."""
-        return None if self.latest is None or self.latest.flies else self.latest
-
-    @property
     def is_ok(self) -> bool:
         """
         Whether the package is held, predicted without an alarm for 0.5 s, and gripped safely.
@@ -344,12 +331,10 @@ class LivePredictor:
 
         The phase is 'detached', 'waiting' (before the first pose), 'predicting', 'settling'
         (predicting with a remaining initial error), 'coasting' (a short gap of poses) or 'lost' (a
-        longer gap, or no prediction); after the valve 'released', 'flying' or 'landed'.
+        longer gap, or no prediction).
         """
         if not self.attached:
             return 'detached'
-        if self.flight is not None and self.flight.state:
-            return self.flight.state
         has_package = bool(self.package.sample or self.pairing.waiting)
         if self.arrivals.newest_ns is None and not has_package:
             return 'waiting'
@@ -392,13 +377,10 @@ class LivePredictor:
         if self.package.observer is not None:
             self.package.observer.use_values(values)
         self.package.set_model(cup_of(values), package_of(values))
-        self.load = load = Load(
+        self.load = Load(
             values, self.load.pressure if self.load else None, self.vacuum.of_cups)
         self.uncertainty = Uncertainty(self.package.filter_with(values))
         self.coast_limit_ns = round(values.coast.limit * NS_PER_S)
-        if self.flight is None or not self.flight.state:
-            self.flight = Flight(
-                values, lambda now, deviations: self.future(now, deviations), lambda: load.grip)
 
     def reset(self, reason: str = '') -> None:
         """
@@ -433,12 +415,8 @@ class LivePredictor:
 
     def _attach(self, attached: bool) -> None:
         """Predict the next package, or none."""
-        is_next = attached and not (self.attached and (
-            self.flight is None or not self.flight.state))
-        if self.flight is not None and self.flight.state:
-            self.flight.forget()
-            self.package.forget()
-        elif attached != self.attached:
+        is_next = attached and not self.attached
+        if attached != self.attached:
             self.package.forget()
             self.arrivals.clear()
         self.attached, self.latest, self._begun_ns = attached, None, None
@@ -450,8 +428,6 @@ class LivePredictor:
 
     def _forget_motion(self, kept: tuple[int, ...] = SAME_PACKAGE) -> None:
         """Drop the package's state and waiting messages, but not the frame."""
-        if self.flight is not None:
-            self.flight.forget()
         self.package.forget(kept)
         self.latest, self._unsafe_ns, self._moved_ns = None, -1, -STOPPED_NS
         self._begun_ns = None
@@ -485,7 +461,7 @@ class LivePredictor:
         stamp_ns = self.newest_ns if stamp_ns is None else stamp_ns
         observer = self.package.observer
         moves = self.newest_ns - self._moved_ns < STOPPED_NS
-        if observer is not None and not (self.flight is not None and self.flight.state):
+        if observer is not None:
             breaks = self._held_cups.get(cup, False) and not held
             observer.on_vacuum(held, breaks and self.state in ON_CUP, moves, cup)
         self._held_cups[cup] = held
@@ -515,17 +491,11 @@ class LivePredictor:
 
     def _follow_cycle(self, before: str, stamp_ns: int) -> None:
         """Attach or detach the package after a change of its state."""
-        state, flight = self.state, self.flight
-        if state == before:
-            return
-        if state == LOST:
+        state = self.state
+        if state == LOST and before != LOST:
             self._note_loss(stamp_ns)
-        if state == RELEASED and flight is not None and flight.has_size and self._cycle.valve is (
-                False) and self._cycle.vacuum is not False:
-            flight.switch(stamp_ns)
-        elif before in ON_CUP or state in ON_CUP:
-            if (before in ON_CUP) != (state in ON_CUP):
-                self._attach(state in ON_CUP)
+        if (before in ON_CUP) != (state in ON_CUP):
+            self._attach(state in ON_CUP)
 
     def _note_loss(self, stamp_ns: int) -> None:
         """Raise the alarm on a loss indicated by the vacuum, unless the camera has raised it."""
@@ -649,8 +619,6 @@ class LivePredictor:
             observer.counts[measurement] += 1
         elif not observer.sensor.has_own_world and self.frame_id not in ('', frame_id):
             observer.counts['frame_id'] += 1
-        elif self.flight is not None and self.flight.is_free:
-            observer.counts['not_held'] += 1
         else:
             newest_ns = self.arrivals.newest_ns
             since_ns = 0 if arrival_ns is None or newest_ns is None else arrival_ns - newest_ns
@@ -683,7 +651,7 @@ class LivePredictor:
         """
         if not math.isfinite(sum(force) + sum(moment)):
             return 'nan'
-        if self._observing() is None or (self.flight is not None and self.flight.is_free):
+        if self._observing() is None:
             return 'not_held'
         in_world = bool(frame_id) and frame_id == self.frame_id
         refused = self.package.feel(stamp_ns, (force, moment), in_world)
@@ -743,16 +711,10 @@ class LivePredictor:
             self._on_tool(pose.stamp_ns, pose.position)
         if not self.attached:
             return None
-        flight = self.flight
-        if flight is not None and flight.state and flight.is_free:
-            prediction = flight.fly(self.model, pose.stamp_ns, now)
-        else:
-            prediction = self.package.follow(pose.stamp_ns, before, now)
-            if self.package.outcome:
-                self.restarts[self.package.outcome] += 1
-                self._begun_ns = None
-            if flight is not None and flight.has_size and prediction is not None:
-                prediction = flight.follow(self.model, prediction)
+        prediction = self.package.follow(pose.stamp_ns, before, now)
+        if self.package.outcome:
+            self.restarts[self.package.outcome] += 1
+            self._begun_ns = None
         if prediction is not None:
             self.predictions += 1
             self.latest = prediction

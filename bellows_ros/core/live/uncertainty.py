@@ -10,7 +10,7 @@ later, the prediction has an error that decays with the package's modes. Until t
 settles (`Settling`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 import math
 from typing import NamedTuple
 
@@ -87,8 +87,6 @@ class Prediction(NamedTuple):
     provides it."""
     strains: Strains = ()
     """Internal strains of the cup, if it relaxes."""
-    flies: bool = False
-    """Whether the cup has released the package."""
 
     @property
     def body(self) -> State:
@@ -151,28 +149,6 @@ class Uncertainty:
             raise ArithmeticError
         self.available = True
         return np.asarray(root)
-
-    def later(self, now: Prediction, future: Sequence[Prediction]) -> Array:
-        """Return `root` at the end of a predicted motion, without changing the filter."""
-        ahead, newest = Uncertainty(self._correction), self._now
-        try:
-            observed = now.covariance and now.covariance()
-            if newest is None or abs(now.stamp_ns - newest.stamp_ns) > MAX_GAP_NS:
-                ahead._followed(now)
-                newest = ahead._now
-            assert newest
-            P = newest.covariance.copy()
-            if observed is not None:
-                P[:STATE] = P[:, :STATE] = 0.0
-                P[:STATE, :STATE] = observed
-            ahead._begin(ahead._begun(now)._replace(covariance=P))
-            for prediction in future:
-                ahead._advance(prediction)
-            assert ahead._now
-            P = ahead._now.covariance[:STATE, :STATE]
-            return self._rooted(P + coasting(now.stamp_ns, future[-1]))
-        except (BellowsError, ArithmeticError, ValueError):
-            return UNKNOWN_ROOT
 
     def _followed(self, prediction: Prediction) -> Array:
         """Return the covariance (12, 12) of a prediction, with the filter advanced to it."""

@@ -13,9 +13,6 @@ class ValidationGroup:
 
 class LandingGroup:
     height: float
-    rate: float
-    aim: bool
-    target: tuple[float, ...]
 
 class ReleaseGroup:
     delay: float
@@ -106,8 +103,6 @@ class SteerGroup:
 
 class PlanGroup:
     frame: str
-    rate: float
-    points_rate: float
 
 class ToolTwistGroup:
     frame: str

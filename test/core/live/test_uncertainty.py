@@ -4,10 +4,9 @@ import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty, UNKNOWN_ROOT
 from bellows_ros.core.model.cup_package import Cup, Package
-from bellows_ros.core.model.simulation import simulate, ToolRows
+from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 from numpy.testing import assert_allclose
@@ -97,27 +96,6 @@ def test_uncertain_cup_and_package():
     ratio = np.log2(rms(said) / rms(np.array(drawn)))
     assert_allclose(ratio[:6], 0.0, atol=0.6)
     assert np.all((ratio[6:] > -0.6) & (ratio[6:] < 2.2))
-
-
-def test_covariance_of_a_later_state_is_that_of_its_own_time():
-    """With the tool as planned; without a plan the tool's acceleration is added."""
-    live, base = predict()
-    said = values()
-    at, later = 600, 690
-    rows = ToolRows(np.arange(later - at + 1) * PERIOD, np.array([
-        np.concatenate(p.tool) for p in base[at:later + 1]]))
-    uncertainty = Uncertainty(live.package.filter_with(said))
-    for prediction in base[:at]:
-        uncertainty.root(prediction)
-    planned, steady = (Flight(said, lambda now, deviations, rows=known: rows).root_later(
-        live.model, base[at], (later - at) * PERIOD * 1e-9, uncertainty)
-        for known in (rows, None))
-    for prediction in base[at:later]:
-        uncertainty.root(prediction)
-    expected, planned, steady = (
-        np.linalg.norm(root, axis=1) for root in (uncertainty.root(base[later]), planned, steady))
-    assert_allclose(planned, expected, rtol=0.05)
-    assert (steady > 3.0 * planned).all()
 
 
 def test_noise_of_the_tool_pose():

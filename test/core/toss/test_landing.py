@@ -3,12 +3,13 @@
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live.flight import Flight
+from bellows_ros.core.live.landing import landing as landing_live
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows
+from bellows_ros.core.model.simulation import row_state
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import release_factor, release_of, uncertain_of
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss import landing
 from bellows_ros.core.toss.landing import TossProblem
 from bellows_ros.core.toss.release import HeldMotion, toss
@@ -51,16 +52,20 @@ def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, count, inside,
 
 def test_law_counts_in_the_node_as_in_a_plan(case):
     """Compare one-sided differences from the valve on with central ones of the whole toss."""
-    held, k = case.held, 500
-    _, expected = landing.contributions_to(
-        case, toss(held, case.release, case.switched)).of('release.')
-    rows, stamps = tool_rows(held.tool), held.tool.stamps_ns
-    body = held.states[np.searchsorted(held.times, case.switched)]
-    now = Prediction(1, *row_state(body), ZERO, ZERO, row_state(rows[k]))
-    rest = ToolRows(stamps[k:] - stamps[k], rows[k:])
-    found = Flight(VALUES, lambda now, deviations: rest).landing(
-        MODEL, now, lambda _: np.zeros((12, 12)))
-    np.testing.assert_allclose(found.covariance, expected, rtol=5e-3, atol=1e-12)
+    steady = Trajectory(
+        np.arange(1001) * 1_000_000, np.outer(np.arange(1001) * 1e-3, [0.4, 0.0, 0.0]) + [0, 0, 2],
+        np.broadcast_to(np.eye(3), (1001, 3, 3)), np.tile([0.4, 0.0, 0, 0, 0, 0], (1001, 1)))
+    held = HeldMotion(MODEL, tosses.GRIP, steady)
+    case, k = case._replace(held=held), np.searchsorted(held.times, case.switched)
+    thrown = toss(held, case.release, case.switched)
+    _, expected = landing.contributions_to(case, thrown).of('release.')
+    now = Prediction(1, *row_state(held.states[k]), ZERO, ZERO, row_state(held.tools[k]))
+    found = landing_live(VALUES, MODEL, tosses.GRIP, now, np.zeros((12, 12)))
+    np.testing.assert_allclose(found.body[0], thrown.landing[0], atol=1e-5)
+    assert found.stamp_ns == pytest.approx(1e9 * (thrown.landing_time - case.switched), abs=1e4)
+    std = np.sqrt(np.diag(expected)).clip(1e-4)  # m, rad
+    np.testing.assert_allclose(
+        (found.covariance - expected) / np.outer(std, std), 0.0, atol=5e-3)
 
 
 @pytest.mark.parametrize(('target', 'turned'), [
