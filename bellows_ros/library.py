@@ -396,7 +396,7 @@ def fastest(
 
 
 def steer(
-    motion: MotionSource, parameters: Parameters, method: str = 'inverse',
+    motion: MotionSource, parameters: Parameters, method: str = 'zvd',
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
 ) -> SteerReport:
     """
@@ -406,15 +406,15 @@ def steer(
     ----------
     motion, parameters, urdf, topic
         As in `plan`.
-    method : {'inverse', 'zv', 'zvd'}
-        The inverse dynamics of cup and package, or input shaping for their modes at rest.
+    method : {'zv', 'zvd'}
+        Input shaping for the modes of cup and package at rest.
     limits : mapping or path, optional
         Limits of the arm, to which the motion is slowed down, as in config/limits_example.yaml.
 
     Returns
     -------
     SteerReport
-        It has steered.tool, the new motion; advice and motions; `plot()` and `to_json(path)`.
+        It has steered.tool, the new motion; motions; `plot()` and `to_json(path)`.
 
     Raises
     ------
@@ -424,7 +424,7 @@ def steer(
     Examples
     --------
     >>> result = bellows_ros.steer('bags/transport.yaml', 'bags/tossing.yaml')
-    >>> bool(result.motions['inverse'].summary()['swing_left'] < 0.01)
+    >>> bool(result.motions['zvd'].summary()['swing_left'] < 0.01)
     True
 
     """

@@ -32,18 +32,18 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
 
 
 def print_result(report: steer.SteerReport, console: Console) -> None:
-    """Print the effects of the motions, and the recommended one."""
+    """Print the effects of the motions."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows: list[tuple[str, ...]] = [
-        ('motion', 'tool moves', 'package arrives', 'tilt', 'residual', 'expected', 'settled',
+        ('motion', 'duration', 'longer by', 'bending', 'residual', 'expected', 'settled',
          'safety')]
     for name, motion in report.motions.items():
         figures = motion.summary()
         expected = figures['expected_swing'] if report.uncertain else math.nan
         rows.append((
-            name, f'{figures["duration"]:.3f} s', f'{1e3 * figures["added_time"]:.0f} ms later',
+            name, f'{figures["duration"]:.3f} s', f'{1e3 * figures["added_time"]:.0f} ms',
             *(formatted(angle, '.1f' if angle >= math.radians(10.0) else '.3f', 'deg', DEGREES)
-              for angle in (figures['largest_tilt'], figures['swing_left'], expected)),
+              for angle in (figures['peak_bending'], figures['swing_left'], expected)),
             formatted(figures['settled_after'], '.2f', 's'),
             formatted(figures['smallest_safety_factor'], '.2f')))
     console.table(rows, right=True)
@@ -51,6 +51,5 @@ def print_result(report: steer.SteerReport, console: Console) -> None:
     console.paragraph(
         f'The tool moves at up to {figures["speed"]:.3g} m/s, {figures["acceleration"]:.3g} '
         f'm/s^2, {DEGREES * figures["angular_speed"]:.3g} deg/s and '
-        f'{DEGREES * figures["angular_acceleration"]:.0f} deg/s^2; the package is at most '
-        f'{1e3 * figures["path_error"]:.2g} mm from its desired path.',
-        *report.notes, *filter(None, [report.advice]))
+        f'{DEGREES * figures["angular_acceleration"]:.0f} deg/s^2.',
+        *report.notes)

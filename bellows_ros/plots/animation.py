@@ -84,11 +84,11 @@ def write_steering(
         if motion := report.motions.get(name):
             seconds = motion.along.seconds
             package = ToolRows(motion.along.stamps_ns, motion.states).trajectory()
-            tool, package, outline = (body.select(seconds <= last)
-                                      for body in (motion.along, package, motion.reference))
+            tool, package = (
+                body.select(seconds <= last) for body in (motion.along, package))
             label = name if name == 'as planned' else f'steered ({name})'
             views.append(View(label, plot.Scene(
-                seconds[seconds <= last], tool, package, outline, values.cup.length,
+                seconds[seconds <= last], tool, package, package, values.cup.length,
                 np.array(values.package.com), np.array(equivalent_box(values))), 1.22,
                 shows_tilt=True))
     _write(path, views, 'The same transport, as planned and steered', note, theme,

@@ -473,7 +473,7 @@ TAIL_SHOWN = 1.0
 
 def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
     """
-    Draw the tilt of the package, and the path length and tilt of the tool, of several motions.
+    Draw the bending of the cup, and the path length of the tool, of several motions.
 
     Parameters
     ----------
@@ -490,25 +490,21 @@ def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
     motions = report.motions
     note = f'{report.source.path}; dotted: the motion of the tool ends'
     with style.picture('The motion as planned and steered', note, theme) as (figure, colours):
-        panels = figure.subplots(3, 1, sharex=True, gridspec_kw={
-            **style.BELOW_HEAD, 'hspace': 0.28, 'height_ratios': [2.0, 1.0, 1.0]})
-        lines = (colours.predicted, colours.measured, colours.error)
+        panels = figure.subplots(2, 1, sharex=True, gridspec_kw={
+            **style.BELOW_HEAD, 'hspace': 0.28, 'height_ratios': [2.0, 1.0]})
+        lines = (colours.predicted, colours.measured)
         end = TAIL_SHOWN + max(float(motion.tool.seconds[-1]) for motion in motions.values())
         for (name, motion), colour in zip(motions.items(), lines, strict=False):
             tool = motion.tool
             distance = np.linalg.norm(tool.position - tool.position[0], axis=1)
-            z = np.clip(tool.rotation[:, :, 2] @ tool.rotation[0, :, 2], -1.0, 1.0)
             line = {'color': colour, 'linewidth': 1.4}
             panels[0].plot(motion.along.seconds, np.degrees(motion.tilt), label=name, **line)
             seconds = np.append(tool.seconds, end)  # at rest after its motion
-            for panel, values in (
-                    (panels[1], distance), (panels[2], np.degrees(np.arccos(z)))):
-                panel.plot(seconds, np.append(values, values[-1]), **line)
+            panels[1].plot(seconds, np.append(distance, distance[-1]), **line)
             for panel in panels:
                 panel.axvline(tool.seconds[-1], color=colour, linewidth=0.8, linestyle=':')
         for panel, title in zip(panels, (
-                'tilt of the package from its reference (deg)',
-                'distance of the tool (m)', 'tilt of the tool (deg)'), strict=True):
+                'bending of the cup (deg)', 'distance of the tool (m)'), strict=True):
             style.name_panel(panel, title)
         panels[0].set_xlim(0.0, end)
         panels[-1].set_xlabel('time (s)')

@@ -71,8 +71,6 @@ class Source:
     frame_id : str
     notes : tuple of str
         Notes on reading the plan.
-    moves : str
-        Name of the moved body in the message.
     recorded : Trajectory or None
         Measured poses of E; None for a planned motion.
     path : str
@@ -87,7 +85,6 @@ class Source:
     tool: Trajectory
     frame_id: str
     notes: tuple[str, ...] = ()
-    moves: str = ''
     recorded: Trajectory | None = None
     path: str = ''
     values: Values = field(default_factory=lambda: Values({}))
@@ -428,10 +425,7 @@ def _source_of_plan(
         return Source(tool, arm.root, joints=joints)
     tool = plan_of(stamps, read.poses, read.twists, read.accelerations,
                    values.tool_twist.frame).trajectory()
-    moves = (*read.names, '')[0]
-    if moves != values.frames.package:
-        tool = at_tip(tool, conversion.tip_of(values))
-    return Source(tool, read.frame_id, moves=moves)
+    return Source(at_tip(tool, conversion.tip_of(values)), read.frame_id)
 
 
 def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:

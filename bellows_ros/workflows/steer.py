@@ -8,12 +8,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.cup_package import mean_square
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.parameters.conversion import parameter_std, uncertain_of
 from bellows_ros.core.planning import steering
-from bellows_ros.core.planning.limits import demands, Limits, NO_LIMIT, read_rates, stretched
+from bellows_ros.core.planning.limits import (
+    demands,
+    exceeded,
+    Limits,
+    NO_LIMIT,
+    read_rates,
+    stretched,
+)
 from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -21,8 +28,14 @@ from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, results, safe_yaml
 from bellows_ros.report.sentences import sentence
 from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.plan import extended, MotionSource, NO_FACTOR, plan_with_cup, Source
-import numpy as np
+from bellows_ros.workflows.plan import (
+    bending,
+    extended,
+    MotionSource,
+    NO_FACTOR,
+    plan_with_cup,
+    Source,
+)
 
 TAIL = 2.0
 """Duration of the predicted swing after the end of the motion, s."""
@@ -34,32 +47,27 @@ class SteeredMotion(NamedTuple):
     tool: Trajectory
     prediction: PlanPrediction
     added_time: float
-    """Additional time beyond the plan until the package arrives, s."""
+    """Additional time beyond the plan, s."""
     along: Trajectory
     """Motion of the tool until `TAIL` after the end, N points."""
     states: Array
     """States of B in the world (N, 13): position, quaternion, body twist."""
-    reference: Trajectory
-    """Reference motion of B, N points."""
     expected_swing: float
     """RMS of the residual swing over the uncertainty of cup and package, rad."""
 
     @property
     def tilt(self) -> Array:
-        """Rotation of the package (N,) from its reference, rad."""
-        R = quaternion_to_rotation(self.states[:, 3:7])
-        rotation = log_so3(np.swapaxes(self.reference.rotation, -1, -2) @ R)
-        return np.asarray(np.linalg.norm(rotation, axis=1))
+        """Bending of the cup (N,), rad."""
+        return bending(self.along.rotation, quaternion_to_rotation(self.states[:, 3:7]))
 
     def summary(self) -> dict[str, float]:
         """Return the numbers of a summary, SI units."""
-        off = np.linalg.norm(self.states[:, :3] - self.reference.position, axis=1)
         return {
             'duration': float(self.tool.seconds[-1]), 'added_time': self.added_time,
-            'largest_tilt': float(self.tilt.max()), 'path_error': float(off.max()),
             'expected_swing': self.expected_swing,
             **{name: size for name, size in self.prediction.summary().items()
-               if name in ('swing_left', 'settled_after', 'smallest_safety_factor')},
+               if name in ('peak_bending', 'swing_left', 'settled_after',
+                           'smallest_safety_factor')},
             **demands(self.tool)}
 
 
@@ -75,7 +83,7 @@ class SteerReport(CommandResult):
     method : str
         One of `core.planning.steering.METHODS`.
     motions : mapping
-        Motions by method, 'as planned', and with the inverse also 'zvd', if they can be predicted.
+        The motion by the method, and 'as planned' if it can be predicted.
     steered : Steered
         Motion steered by the method.
     time_scale : float
@@ -100,35 +108,13 @@ class SteerReport(CommandResult):
         """Return notes on the motion."""
         steered, allowed = self.steered, max(steering.ALLOWED_TIME, self.source.duration)
         is_short = steered.residual <= SETTLED_ANGLE
-        shaping = {'zv': 'shaped_less', self.method: 'shaped', 'inverse': ''}.get(
+        shaping = {'zv': 'shaped_less', self.method: 'shaped'}.get(
             steered.method, 'unchanged' if is_short else 'unchanged_too_long')
         return (*self.source.notes, *(
-            sentence('planning', code, duration=steered.smoothed, scale=self.time_scale,
+            sentence('planning', code, scale=self.time_scale,
                      limit=self.limit, method=steered.method, modes=len(steered.modes),
                      residual=steered.residual, allowed=allowed)
-            for code, applies in (
-                ('smoothed', steered.smoothed > 0.0), ('slowed', self.time_scale > 1.0),
-                (shaping, bool(shaping))) if applies))
-
-    @property
-    def advice(self) -> str:
-        """Return the recommended method, and the relative sensitivity of the inverse."""
-        if 'zvd' not in self.motions or self.method == 'zvd':
-            return ''
-        inverse, zvd = self.motions['inverse'], self.motions['zvd']
-        if not self.uncertain:
-            return (
-                'The sensitivity is unknown, as no standard deviation is given. Use zvd, or set '
-                "package.mass_std and package.com_std; 'bellows identify' writes cup.*_std.")
-        swings = [math.degrees(motion.expected_swing) for motion in (inverse, zvd)]
-        longer = 1e3 * (zvd.added_time - inverse.added_time)
-        finding = (
-            'Given the uncertainty of cup and package, the inverse is expected to leave '
-            f'{swings[0]:.2g} degrees and ZVD {swings[1]:.2g}, in {longer:.0f} ms more.')
-        best = 'zvd, or identify cup and package better'
-        if inverse.expected_swing <= max(SETTLED_ANGLE, zvd.expected_swing):
-            best = 'the inverse'
-        return f'{finding} Use {best}.'
+            for code, applies in (('slowed', self.time_scale > 1.0), (shaping, True)) if applies))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
@@ -138,10 +124,9 @@ class SteerReport(CommandResult):
             'beside': {name: motion.summary() for name, motion in self.motions.items()
                        if name != self.method},
             'time_scale': self.time_scale, 'limit': self.limit,
-            'smoothed': self.steered.smoothed,
             'modes': self.steered.modes,
             'residual_swing': self.steered.residual,
-            'advice': self.advice, 'notes': self.notes,
+            'notes': self.notes,
             'plan': self.source.path, 'frame_id': self.source.frame_id})
 
 
@@ -150,12 +135,12 @@ def steer_plan(
     limits: File | Mapping[str, object] = '', urdf: str = '', topic: str = '',
 ) -> SteerReport:
     """
-    Steer a plan of the tool, or of the package, so that the package does not swing.
+    Steer a plan of the tool so that the package does not swing.
 
     Parameters
     ----------
     path, settings, urdf, topic
-        As in `workflows.plan.plan`. A plan of the frame in frames.package is a plan of B.
+        As in `workflows.plan.plan`.
     method : str
         One of `core.planning.steering.METHODS`.
     limits : path or mapping
@@ -172,21 +157,12 @@ def steer_plan(
     bounds = read_limits(
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
     source = plan_with_cup(path, settings, urdf, topic)
-    model, of_package = source.model, source.moves == source.values.frames.package
     bound = bool(limits) or source.joints is not None
-    scale, limit = _slowdown(source, method, of_package, bounds) if bound else (1.0, '')
-    reference = timed(source.tool, scale)
-    steered = steering.steer(model, reference, method, of_package)
-    arrival = float((reference if method == 'inverse' else steered.tool).seconds[-1])
-    motions = {method: _effect(source, steered.tool, steered.package, arrival)}
+    scale, limit = _slowdown(source, method, bounds) if bound else (1.0, '')
+    steered = steering.steer(source.model, timed(source.tool, scale), method)
+    motions = {method: _effect(source, steered.tool)}
     with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
-        planned = steering.tool_above(model, source.tool) if of_package else source.tool
-        motions['as planned'] = _effect(
-            source, planned, steering.hanging(model, planned), source.duration)
-        if method == 'inverse':
-            other = steering.steer(model, reference, 'zvd', of_package)
-            motions['zvd'] = _effect(
-                source, other.tool, other.package, float(other.tool.seconds[-1]))
+        motions['as planned'] = _effect(source, source.tool)
     return SteerReport(
         source, method, motions, steered, scale, limit, bool(parameter_std(source.values).any()))
 
@@ -220,7 +196,7 @@ def read_limits(content: object) -> Limits:
     return Limits(rates, lower, upper, safety, acceleration)
 
 
-def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> tuple[float, str]:
+def _slowdown(source: Source, method: str, limits: Limits) -> tuple[float, str]:
     """Return the factor of the duration within the limits, and the limit that requires it."""
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
@@ -229,34 +205,31 @@ def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> 
     low, high = source.tool.position.min(axis=0), source.tool.position.max(axis=0)
     for axis, least, most, lower, upper in zip(
             'xyz', low, high, limits.low, limits.high, strict=True):
-        if not of_package and (least < lower or most > upper):
+        if least < lower or most > upper:
             raise BellowsError(
                 f'The plan leaves the limit workspace at any speed: {axis} from {least:.4g} to '
                 f'{most:.4g} m; expected {lower:g} to {upper:g}. Plan another motion, or correct '
                 'workspace.')
 
-    def motion(scale: float) -> tuple[Trajectory, float, tuple[float, str]]:
-        tool = steering.steer(source.model, timed(source.tool, scale), method, of_package).tool
+    def limit_at(scale: float) -> str:
+        tool = steering.steer(source.model, timed(source.tool, scale), method).tool
         factor = math.inf
         if grip is not None and limits.safety_factor > 0.0:
             factor = PlanSimulation(source.model, grip, tool, tail=TAIL).safety(1.0)
-        joints = source.joints
-        return tool, factor, (1.0, '') if joints is None else joint_excess(
-            joints.arm, joints.along(tool, source.tool), limits.joint_acceleration)
+        joints, limit = source.joints, exceeded(limits, tool, factor)
+        return limit or ('' if joints is None else joint_excess(
+            joints.arm, joints.along(tool, source.tool), limits.joint_acceleration)[1])
 
-    return stretched(limits, motion)
+    return stretched(limit_at)
 
 
-def _effect(
-    source: Source, tool: Trajectory, reference: Trajectory, arrival: float
-) -> SteeredMotion:
-    """Return the effect of a motion of the tool on the package, which arrives at a time (s)."""
+def _effect(source: Source, tool: Trajectory) -> SteeredMotion:
+    """Return the effect of a motion of the tool on the package."""
     model = source.model
     run, longer = PlanSimulation(model, source.grip, tool), extended(tool, TAIL)
     square = mean_square(
         uncertain_of(source.values), model,
         lambda changed: float(run.with_model(changed).predict().summary()['swing_left']))
     return SteeredMotion(
-        tool, run.predict(), arrival - source.duration, longer,
-        PlanSimulation(model, None, longer, tail=0.0).states(), extended(reference, TAIL),
-        math.sqrt(square))
+        tool, run.predict(), float(tool.seconds[-1]) - source.duration, longer,
+        PlanSimulation(model, None, longer, tail=0.0).states(), math.sqrt(square))

@@ -125,7 +125,6 @@ UNREADABLE = [
     ('compare cup.yaml cup.yaml', "'cup.yaml'"), ('convert recording --out x', "'recording'"),
     ('PLAN point.yaml', "'waypoints.poses'"),
     ('PLAN transport.yaml --topic /x', "topic is '/x' ... 'transport.yaml'"),
-    ('STEER inverse fast.yaml', '45 degrees'),
     ('simulate CUP --motion dance.yaml --out new', "'kind' ... multi_sine ... dance"),
 ]
 NOT_ALLOWED = [

@@ -194,13 +194,13 @@ def test_a_steered_transport_shows_floor_trail_and_tilt(root, tmp_path):
         return drawn
 
     report = steer(root / 'bags/transport.yaml', read_parameters(root / 'bags/tossing.yaml'),
-                   method='inverse')
+                   method='zvd')
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(animation, '_draw', watched)
         animation.write_steering(tmp_path / 'a.gif', report, 'note', 4.0)
     tilts = {label: max(float(words.split()[1]) for name, (words,) in seen if name == label)
              for label in dict(seen)}
-    assert tilts['as planned'] > 15.0 and tilts['steered (inverse)'] < 0.5
+    assert tilts['as planned'] > 15.0 and tilts['steered (zvd)'] < 0.5
 
 
 pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")

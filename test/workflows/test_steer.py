@@ -121,7 +121,7 @@ def at_1_khz(joints, order):
 
 
 def test_steered_joints_move_the_tool_as_steered(arm, root, tmp_path):
-    joints, tool = answer(root, tmp_path, 'steer', '--method', 'inverse')
+    joints, tool = answer(root, tmp_path, 'steer', '--method', 'zvd')
     assert joints.names == arm.moving
     require_same_motion(arm, joints, tool)
     times = tool.times_ns[tool.times_ns <= joints.times_ns[-1]] / 1e9
@@ -153,6 +153,6 @@ def test_a_singular_path_is_refused_with_its_time(root, tmp_path, capsys):
     names = read_arm(UR5E, 'tool').moving
     straight = (*UR5E_START[:4], 0.1, UR5E_START[5])  # wrist 2 turns through zero
     write_request(straight, names, tmp_path / 'plan.yaml', by=-0.2)
-    assert run(root, tmp_path, 'steer', '--method', 'inverse') == 2
+    assert run(root, tmp_path, 'plan') == 2
     assert not (tmp_path / 'out').exists()
     assert 'singular at 0.' in capsys.readouterr().err

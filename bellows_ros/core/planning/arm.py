@@ -159,15 +159,6 @@ class Arm(NamedTuple):
             step = np.linalg.pinv(self.jacobian(position), rcond=MIN_RATIO) @ error[:, :, None]
             position = position + np.clip(step[:, :, 0], -MAX_JOINT_STEP, MAX_JOINT_STEP)
         worst = int(np.argmax(np.abs(error).max(axis=1)))
-        R = self.tool(position)[0][:, :3, :3]
-        axes, sizes, _ = np.linalg.svd(np.hstack(list(R @ self.jacobian(position)[:, 3:])))
-        fixed = axes[:, sizes < MIN_RATIO]  # no joint rotates the tool about these
-        tilt = float(np.linalg.norm(fixed.T @ R[worst] @ error[worst, 3:]))
-        if tilt > MIN_RATIO:
-            raise BellowsError(
-                'The arm cannot tilt its tool: no joint turns it about some axis, but the motion '
-                f'needs {math.degrees(tilt):.2g} degrees about it. Use the method zv or zvd, '
-                'which keep the orientations of the plan, or a plan without tilts.')
         raise BellowsError(
             f'The arm cannot reach {np.round(T[worst, :3, 3], 3).tolist()} m from the joint '
             'positions of the start. Make the workspace smaller, or start away from '

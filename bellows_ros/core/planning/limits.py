@@ -1,24 +1,22 @@
 """Speed, acceleration and jerk; shortest times of motions within limits and with a safe grip."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.model.cup_package import PERTURBATION, perturbed, Uncertain
-from bellows_ros.core.model.equilibrium import largest_step, nominal_system_matrix
+from bellows_ros.core.model.equilibrium import nominal_system_matrix
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.parameters.checks import Settings
-from bellows_ros.core.planning.plan_prediction import COARSE_STEP_FACTOR, PlanSimulation
+from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
-import scipy  # whose parts are loaded as they are used
 
 RATES = {
     'speed': 'm/s', 'acceleration': 'm/s^2', 'jerk': 'm/s^3',
@@ -26,16 +24,18 @@ RATES = {
 """Limited quantities and their units."""
 
 MAX_STRETCH = 20.0
-"""Largest factor on the time of a plan."""
-
-MIN_STRETCH = 1.02
-"""Smallest relative step of the search for the factor on the time."""
-
+"""Largest factor on the time of a plan within limits: arms run at 5 % of their speed or more."""
+STRETCH_STEP = 1.02
+"""Ratio of neighbouring factors in the scan: a swing of 1 s that cancels is seen to 20 ms."""
 STRETCH_RESOLUTION = 1.001
-"""Resolution of the factor on the time, as a ratio."""
-STEEPNESS = 4
-"""Exponent by which the demands on a steered tool fall with the time more steeply than for a rigid
-package, at most: the inverse takes two more derivatives of the package's motion."""
+"""Resolution of the factor on the time, as a ratio: 1 ms in a motion of 1 s."""
+
+SCAN_START, SCAN_END = 0.02, 10.0
+"""Smallest and largest time scale of a plan in the scan for a safe grip."""
+SCAN_STEP = 1.006
+"""Ratio of neighbouring time scales in the scan, which changes the safety factor by about 1 %."""
+TOLERANCE = 1.0001
+"""Resolution of the shortest safe time scale, as a ratio: the accuracy of the integration."""
 
 NO_LIMIT = 1e12
 """Placeholder for no limit."""
@@ -48,10 +48,6 @@ def read_rates(settings: Settings, default: float | None = None) -> dict[str, fl
         name: (angular if name.startswith('angular') else linear).number(
             name.removeprefix('angular_'), default, unit, above=0.0)
         for name, unit in RATES.items()}
-
-
-class TooFastError(BellowsError):
-    """Error for a motion that would bend the cup too far; a slower motion may exist."""
 
 
 class Limits(NamedTuple):
@@ -95,78 +91,58 @@ def demands(tool: Trajectory) -> dict[str, float]:
         float(at[1]) / NS_PER_S)
 
 
-def stretched(
-    limits: Limits, motion: Callable[[float], tuple[Trajectory, float, tuple[float, str]]]
+def exceeded(limits: Limits, tool: Trajectory, safety_factor: float) -> str:
+    """Return the name of the first limit that a motion exceeds, '' if none."""
+    rates = demands(tool)
+    inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
+    checks = {name: rates[name] <= limit for name, limit in limits.rates.items()}
+    checks['workspace'] = bool(inside.all())
+    checks['safety_factor'] = safety_factor >= limits.safety_factor
+    return next((name for name, is_kept in checks.items() if not is_kept), '')
+
+
+def first_allowed(
+    limit_at: Callable[[float], str], scales: tuple[float, float, float], resolution: float
 ) -> tuple[float, str]:
     """
-    Return the smallest factor on time with which a motion keeps limits, and the last exceeded.
+    Return the first time scale within limits, and the limit of faster motions.
+
+    All scales are scanned from the fastest up, because limits need not be monotone in speed: swing
+    builds up or cancels. The interval before the first allowed scale is bisected.
 
     Parameters
     ----------
-    limits : Limits
-        Limits of the motion.
-    motion : callable
-        Function of a factor on time that returns the motion, its smallest safety factor, and the
-        factor on time required by the joints of the arm with their limit, (1, '') if none; it
-        raises `TooFastError` if no motion is that fast.
+    limit_at : callable
+        Function of a time scale that returns the exceeded limit, '' if none.
+    scales : (float, float, float)
+        Smallest and largest time scale, and ratio of neighbouring ones.
+    resolution : float
+        Resolution of the result, as a ratio.
 
     Raises
     ------
     BellowsError
-        If no factor suffices.
+        If no scale is allowed.
 
     """
-    def needed(scale: float) -> tuple[float, str]:
-        """Return the smallest required factor on time, 1 if none is required, and the limit."""
-        try:
-            tool, safety_factor, *joints = motion(scale)
-        except TooFastError:
-            if scale >= MAX_STRETCH:
-                raise
-            return MIN_STRETCH, 'bending'
-        rates = demands(tool)
-        inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
-        factors = [
-            *(((rates[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
-              for i, name in enumerate(RATES)),
-            (1.0 if inside.all() else MIN_STRETCH, 'workspace'),
-            (1.0 if safety_factor >= limits.safety_factor else MIN_STRETCH, 'safety_factor'),
-            *joints]
-        return max([(1.0, ''), *(each for each in factors if each[0] > 1.0)])
-
-    below, scale, reason = 1.0, 1.0, ''
-    while True:
-        factor, limit = needed(scale)
-        if not limit:
-            break
-        if scale >= MAX_STRETCH:
+    scale, end, step = scales
+    below, limit = scale, ''
+    while found := limit_at(scale):
+        if scale >= end:
             raise BellowsError(
-                f'The motion exceeds the limit {limit} even at {MAX_STRETCH:g} times its '
-                'duration. Check the limits.')
-        below, reason = scale, limit
-        scale = min(scale * max(factor, MIN_STRETCH), MAX_STRETCH)
-    while scale > STRETCH_RESOLUTION * below:
+                f'The motion exceeds the limit {found} even at {end:g} times its duration. Check '
+                'the limits.')
+        below, limit, scale = scale, found, min(scale * step, end)
+    while scale > resolution * below:
         middle = math.sqrt(scale * below)
-        _, limit = needed(middle)
-        below, scale, reason = (middle, scale, limit) if limit else (below, middle, reason)
-    return scale, reason
+        found = limit_at(middle)
+        below, scale, limit = (middle, scale, found) if found else (below, middle, limit)
+    return scale, limit
 
 
-MAX_TIME_SCALE = 10.0
-"""Largest time scale of the search."""
-
-MIN_TIME_SCALE = 0.02
-"""Smallest time scale of the search."""
-
-SCAN_STEP = 0.006
-"""Relative spacing of the time scales in the scan."""
-
-UPDATE_WITHIN = 0.03
-"""Relative distance from the required factor, and relative change of scale, within which standard
-deviations are not recomputed."""
-
-TOLERANCE = 1e-4
-"""Relative accuracy of the shortest time scale."""
+def stretched(limit_at: Callable[[float], str]) -> tuple[float, str]:
+    """Return the smallest factor on time within limits, and the last exceeded; `first_allowed`."""
+    return first_allowed(limit_at, (1.0, MAX_STRETCH, STRETCH_STEP), STRETCH_RESOLUTION)
 
 
 class Fastest(NamedTuple):
@@ -184,9 +160,6 @@ def fastest(
     """
     Return the shortest time scale at which safety factor minus two sigma stays at `required`.
 
-    The safety factor is not monotone in speed, as swing builds up or cancels: all scales are
-    scanned from the fastest up, and the first safe one is refined.
-
     Parameters
     ----------
     uncertain : Uncertain
@@ -201,68 +174,36 @@ def fastest(
     Returns
     -------
     Fastest or None
-        None if no time scale up to `MAX_TIME_SCALE` keeps the limits.
+        None if no time scale up to `SCAN_END` keeps the limits.
 
     """
-    longest = largest_step(model)
-    _, first = np.unique(tool.stamps_ns // 4_000_000, return_index=True)  # points 4 ms apart
-    thin = tool.select(np.unique([*first, len(tool) - 1]))  # with its ends
     slowest = float(np.abs(np.linalg.eigvals(nominal_system_matrix(model))).min())
-    tail = min(2.0, 2.0 * math.pi / slowest)  # a period of the slowest mode, s
-    quick = PlanSimulation(model, grip, thin, tail=tail, longest=COARSE_STEP_FACTOR * longest)
-    spread = [quick.with_model(each) for _, *both in perturbed(uncertain, model) for each in both]
-    fine = PlanSimulation(model, grip, tool, tail=tail, longest=longest)
-
-    def margin(scale: float, part: float, run: PlanSimulation) -> float:
-        """Return the safety factor minus two sigma, minus the required safety factor."""
-        needed = required / max(1.0 - 2.0 * part, 0.01)
-        # a run far below the required factor is aborted
-        return run.safety(scale, 0.95 * needed) / needed - 1.0
+    run = PlanSimulation(model, grip, tool, tail=min(2.0, 2.0 * math.pi / slowest))  # a period
+    spread = [run.with_model(each) for _, *both in perturbed(uncertain, model) for each in both]
+    part = 0.0  # standard deviation relative to the safety factor
 
     def sigma(scale: float) -> float:
-        """Return the standard deviation relative to the safety factor."""
-        factors = [run.safety(scale) for run in spread]
+        factors = [each.safety(scale) for each in spread]
         return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (
-            2.0 * PERTURBATION * quick.safety(scale))
+            2.0 * PERTURBATION * run.safety(scale))
+
+    def is_low(scale: float) -> bool:
+        needed = required / max(1.0 - 2.0 * part, 0.01)
+        return run.safety(scale, needed) < needed
+
+    def limit_at(scale: float) -> str:
+        nonlocal part
+        if not is_low(scale):
+            part = sigma(scale)
+        return 'safety_factor' if is_low(scale) else ''
 
     speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
-    scale = max(MIN_TIME_SCALE, speed / MAX_TOOL_SPEED)
-    part, updated_at, past = 0.0, 0.0, [-1.0, -1.0]
-    while scale < MAX_TIME_SCALE:
-        excess = margin(scale, part, quick)
-        if excess < past[1] > max(past[0], -SCAN_STEP):  # a scale in between may be safe
-            scale, excess = _local_maximum(partial(margin, part=part, run=quick), scale)
-        if excess > -UPDATE_WITHIN and scale > (1.0 + UPDATE_WITHIN) * updated_at:
-            part, updated_at = sigma(scale), scale
-            excess = margin(scale, part, quick)
-        if excess >= 0.0:
-            part, updated_at = sigma(scale), scale
-            if margin(scale, part, quick) >= 0.0:
-                return _narrowed(partial(margin, part=part, run=fine), scale, fine, part)
-        past = [past[1], excess]
-        scale *= 1.0 + SCAN_STEP
-    return None
-
-
-def _local_maximum(margin: Callable[[float], float], scale: float) -> tuple[float, float]:
-    """Return the time scale and size of the largest margin in the last two steps of the scan."""
-    lowest = scale / (1.0 + SCAN_STEP) ** 2
-    top = scipy.optimize.minimize_scalar(
-        lambda s: -margin(s), bounds=(lowest, scale), method='bounded',
-        options={'xatol': 0.01 * SCAN_STEP * scale})
-    return (float(top.x), -float(top.fun)) if top.fun <= 0.0 else (scale, margin(scale))
-
-
-def _narrowed(
-    margin: Callable[[float], float], scale: float, run: PlanSimulation, part: float
-) -> Fastest:
-    """Return the shortest safe time scale near a safe one, by bisection with fine steps."""
-    low, high = scale / (1.0 + SCAN_STEP), scale
-    while margin(high) < 0.0:  # safe with coarse steps only
-        low, high = high, (1.0 + TOLERANCE) * high
-    while high > (1.0 + TOLERANCE) * low:
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if margin(middle) >= 0.0 else (middle, high)
-    factor, slower, faster = (run.safety(part * high) for part in (1.0, 1.01, 0.99))
-    slope = (slower - faster) / (0.02 * high)
-    return Fastest(high, factor, part * factor, abs(part * factor / slope) if slope else 0.0)
+    try:
+        scale, _ = first_allowed(
+            limit_at, (max(SCAN_START, speed / MAX_TOOL_SPEED), SCAN_END, SCAN_STEP), TOLERANCE)
+    except BellowsError:
+        return None
+    factor, slower, faster = (run.safety(scale * ratio) for ratio in (1.0, 1.01, 0.99))
+    slope = (slower - faster) / (0.02 * scale)
+    std = sigma(scale) * factor
+    return Fastest(scale, factor, std, abs(std / slope) if slope else 0.0)
