@@ -10,11 +10,12 @@ import pytest
 NAMES = ('predictor', 'identifier', 'cup_thesis')
 
 
-@pytest.mark.parametrize('name', NAMES)
+@pytest.mark.parametrize('name', (*NAMES, 'ur'))
 def test_every_value_has_its_unit(name, root):
-    """Find a comment on every line that holds a value."""
-    lines = (root / 'config' / f'{name}.yaml').read_text().splitlines()
-    for line in lines:
+    """Find a comment on every line that holds a value, and read the file."""
+    file = root / 'config' / f'{name}.yaml'
+    assert read_parameters(file)
+    for line in file.read_text().splitlines():
         text, _, comment = line.partition('#')
         is_heading = text.strip().endswith(':')
         assert comment.strip() or is_heading or not text.strip(), line
