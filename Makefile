@@ -148,7 +148,7 @@ $(VENV)/docs-ready: setup.py | $(VENV)/ready
 # What only some tests need, and is too heavy for everyone.
 $(VENV)/extras-ready: setup.py | $(VENV)/ready
 	@.ci/install $(BIN)/python 'ffmpeg, a notebook kernel, MuJoCo' \
-	    --editable '.[notebook,video]' 'mujoco>=3.1'
+	    --editable '.[notebook]' 'mujoco>=3.1'
 	@touch $@
 
 .venv-oldest/ready: setup.py .ci/oldest.txt

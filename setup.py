@@ -18,7 +18,6 @@ EXTRAS = {
     # Completes commands, options and parameters in the shell; ROS brings it.
     'complete': ['argcomplete>=2'],
     # The program ffmpeg, for animations as .mp4 where the system has none (170 MB).
-    'video': ['imageio-ffmpeg>=0.5'],
     # What runs notebooks/; open them with any Jupyter.
     'notebook': ['ipykernel>=6.29', 'nbclient>=0.10', 'matplotlib>=3.8'],
     'docs': ['sphinx>=7.2', 'myst-parser>=3', 'furo>=2024.1'],
@@ -81,12 +80,11 @@ setup(
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: [
-        'py.typed', '**/*.toml', '**/*.pyi', 'files/motion.script',
-        'report/page.html', 'report/style.css']},
+        'py.typed', '**/*.toml', '**/*.pyi', 'files/motion.script']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
     install_requires=[
-        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'mcap>=1.2', 'PyYAML>=6.0'],
+        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'rich>=13', 'mcap>=1.2', 'PyYAML>=6.0'],
     extras_require=EXTRAS,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

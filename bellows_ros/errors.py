@@ -77,7 +77,6 @@ PACKAGES = {
     'fast': 'numba',
     'ros': "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
     'plot': 'matplotlib',
-    'video': 'imageio-ffmpeg',
     'dask': 'distributed'}
 
 

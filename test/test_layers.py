@@ -29,7 +29,7 @@ FOR_ALL = {'errors', 'version'}
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')
 OPTIONAL = {
-    'argcomplete', 'imageio_ffmpeg', 'matplotlib', 'mpl_toolkits', 'numba', 'PIL'}
+    'argcomplete', 'matplotlib', 'mpl_toolkits', 'numba', 'PIL'}
 LATE = {
     'bellows_ros/__init__.py': ('bellows_ros.library',),
     'bellows_ros/library.py': ('bellows_ros.workflows',),
@@ -39,7 +39,7 @@ LATE = {
         'bellows_ros.core.parameters.table', 'bellows_ros.files',
         'bellows_ros.nodes.guarding'),
     'bellows_ros/demo/steps.py': ('bellows_ros.nodes.bag_player',),
-    'bellows_ros/plots/__init__.py': ('bellows_ros.plots.pictures',),
+    'bellows_ros/workflows/identification.py': ('bellows_ros.workflows.replay',),
     'bellows_ros/workflows/identify.py': (
         'bellows_ros.workflows.compare', 'bellows_ros.workflows.replay',
         'bellows_ros.workflows.workers'),

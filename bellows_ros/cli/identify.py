@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
         console.warn(
             f'{", ".join(sorted(lost))} of the former {arguments.out} are not in the new one, '
             'which has the identified cup alone. State them in another file.')
-    return options.Outcome(result, usable, then)
+    return options.Outcome(result, usable, then, draw=arguments.plot)
 
 
 def _names(path: str) -> set[str]:

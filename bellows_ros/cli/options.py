@@ -11,7 +11,7 @@ import re
 from typing import Any, NamedTuple
 
 from bellows_ros.core.parameters import checks, table
-from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bag_folder, File, parameter_files, results
 from bellows_ros.version import __version__
 
@@ -57,9 +57,10 @@ def run_command(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress, console.asking():
         done: Outcome = command.run(arguments, console)
         if done.draw:
-            from bellows_ros.plots import style
+            from bellows_ros import plots
 
-            style.write_figure(done.draw, done.result.plot())
+            result = done.result[0] if isinstance(done.result, tuple) else done.result
+            plots.write(done.draw, result)
         if getattr(arguments, 'json', None):
             content = done.content or {**results.plain(done.result), 'version': __version__}
             more: dict[str, Any] = {} if done.inputs is None else {
@@ -87,13 +88,11 @@ def require_absent(output: str, force: bool) -> None:
 
 
 def require_drawable(arguments: argparse.Namespace) -> None:
-    """Raise for a name for --plot that is not the name of a picture or, with ffmpeg, of a film."""
+    """Raise for a name for --plot that is not the name of a picture."""
     if getattr(arguments, 'plot', ''):
-        from bellows_ros.plots import style
+        from bellows_ros import plots
 
-        require_pictures()
-        films = style.FILMS if arguments.command == 'steer' else ()
-        style.require_picture(arguments.plot, (*style.PICTURES, *films))
+        plots.require_ending(arguments.plot)
 
 
 def read_settings(

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
 def _draw(file: str, recorded: Recording, played: 'Played') -> None:
     """Draw the poses that the predictor answered, and the recorded ones of the package."""
-    from bellows_ros.plots import pictures, style
+    from bellows_ros import plots
 
     if played.predicted is None:
         raise BellowsError(
@@ -57,7 +57,7 @@ def _draw(file: str, recorded: Recording, played: 'Played') -> None:
             'first, in the same ROS_DOMAIN_ID, and see its log.')
     compared = compare_recorded(
         played.predicted, recorded.measured_tool, recorded.measured_package)
-    style.write_figure(file, pictures.prediction_figure(
+    plots.write_figure(file, plots.comparison_figure(
         recorded.since_start(compared.stamps_ns), compared,
         'Package: predicted live, and measured', f'relative to the tool; {recorded.name}'))
 

@@ -45,13 +45,13 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
         parameter_files.write_parameters(arguments.out, result.observed.parameters, [
             f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
     if arguments.report:
-        from bellows_ros.report.build import replay_report
+        from bellows_ros.report.build import replay_page
 
-        atomic.write_text(arguments.report, replay_report(result, arguments.params))
+        atomic.write_text(arguments.report, replay_page(result, arguments.params))
     failing = result.validation.failing(limit)
     worse = failing if arguments.limit is not None else result.validation.worse_than_noise
     return options.Outcome(
-        (result, limit), not worse,
+        (result, limit), not worse, draw=arguments.plot,
         content=result.as_json(limit, arguments.params) if arguments.json else {})
 
 

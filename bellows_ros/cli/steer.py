@@ -3,8 +3,6 @@
 import argparse
 import math
 
-from bellows_ros.plots.animation import write_steering
-from bellows_ros.plots.style import FILMS
 from bellows_ros.report.text import formatted
 from bellows_ros.workflows import plan, steer
 
@@ -25,10 +23,7 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     if arguments.out:
         plan.write_prediction(
             arguments.out, report.source, motion.tool, motion.prediction.states, arguments.force)
-    is_film = arguments.plot.lower().endswith(FILMS)
-    if is_film:
-        write_steering(arguments.plot, report, f'{arguments.plan}', 0.25)
-    return Outcome(report, inputs=[arguments.plan], draw='' if is_film else arguments.plot)
+    return Outcome(report, inputs=[arguments.plan], draw=arguments.plot)
 
 
 def print_result(report: steer.SteerReport, console: Console) -> None:

@@ -12,6 +12,7 @@ import tempfile
 import time
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros import plots
 from bellows_ros.cli.console import Console, NOT_USABLE, OK, Progress, run_guarded
 from bellows_ros.core.geometry.jit import IS_NEW
 from bellows_ros.core.identification.result import Fit
@@ -22,7 +23,6 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bags, parameter_files
 from bellows_ros.nodes.command import require_ros
-from bellows_ros.plots import pictures, style
 from bellows_ros.report.text import percent, print_cup
 from bellows_ros.workflows import identification, identify, warm_up
 from bellows_ros.workflows.recordings import load as load_recording
@@ -46,7 +46,7 @@ RELIABLE = tuple(
     for word in ('-p', f'qos_overrides./tool_arm/{topic}.subscription.{setting}'))
 """Arguments with which the predictor takes part in an exchange without loss."""
 
-PICTURES = {'light': 'demo.png', 'dark': 'demo_dark.png'}
+PICTURE = 'demo.png'
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -99,15 +99,14 @@ def run(bags: Path, out: Path, console: Console) -> int:
     comparison = residuals.compare_recorded(
         exchange.predicted, recorded.measured_tool, recorded.measured_package)
     seconds = recorded.since_start(comparison.stamps_ns)
-    for theme, name in PICTURES.items():
-        style.write_figure(out / name, pictures.prediction_figure(
-            seconds, comparison, 'Package: predicted live, and measured',
-            'relative to the tool; the cup was identified from another recording', theme))
+    plots.write_figure(out / PICTURE, plots.comparison_figure(
+        seconds, comparison, 'Package: predicted live, and measured',
+        'relative to the tool; the cup was identified from another recording'))
     accurate = _print_result(
         result.fit, comparison.scores, exchange, recorded.noise.package, console)
     console.line()
-    files = ', '.join((*PICTURES.values(), 'cup.yaml', 'fit.json'))
-    console.line(f'Wrote {files} to {out}, after {time.monotonic() - start:.0f} s.')
+    console.line(f'Wrote {PICTURE}, cup.yaml and fit.json to {out}, after '
+                 f'{time.monotonic() - start:.0f} s.')
     console.line('Next, look at a recording of yours: bellows info BAG')
     return OK if accurate else NOT_USABLE
 

@@ -2,19 +2,27 @@
 
 from collections.abc import Sequence
 import math
-from typing import Protocol, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.identification.result import Fit, UNITS
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
+from bellows_ros.errors import shown
 from bellows_ros.workflows.recordings import offset_sentence
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from .sentences import listed, many, sentence
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.replay import Observed, Replay
+
+
+MAX_TEXT = 5000
+"""Longest paragraph or cell, characters."""
 
 
 def with_error(value: float, error: float, unit: str = '') -> str:
@@ -67,27 +75,41 @@ def display_unit(unit: str) -> tuple[float, str]:
     return (1e3, f'm{unit}') if unit in ('m', 's', 'N s') else (1.0, unit)
 
 
-class Writer(Protocol):
-    """The console of a command, or a section of a page."""
+class Writer:
+    """Lines, sentences, tables and warnings on a console of rich; foreign text is escaped."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
 
     def line(self, text: str = '', style: str = '') -> None:
         """Write a line, by default an empty one."""
+        self.console.print(Text(shown(text, MAX_TEXT), style))
 
     def paragraph(self, *texts: str, style: str = '') -> None:
         """Write sentences."""
+        for text in texts:
+            self.line(text, style)
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
-        """Write rows in columns."""
+        """Write rows in columns below a head; all but the first may be right-aligned."""
+        self.line(title, 'bold')
+        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2))
+        for number, name in enumerate(rows[0]):
+            table.add_column(Text(name), justify='right' if right and number else 'left',
+                             overflow='fold')
+        for row in rows[1:]:
+            table.add_row(*(Text(shown(cell, MAX_TEXT)) for cell in row))
+        self.console.print(table)
+        self.line()
 
     def warn(self, *texts: str) -> None:
         """Write warnings."""
+        for text in texts:
+            self.line(f'warning: {text}', 'yellow')
 
 
-def print_identification(
-    result: 'Identification', out: Writer, details: Writer | None = None
-) -> None:
-    """Print the cup, with samples and findings, which a page has elsewhere."""
-    details = details or out
+def print_identification(result: 'Identification', out: Any) -> None:
+    """Print the cup, with samples and findings."""
     fit, verdict = result.fit, result.verdict
     sentences = verdict.sentences if verdict else ()
     if verdict:
@@ -99,9 +121,9 @@ def print_identification(
     out.line()
     for simulated in verdict.simulated if verdict else ():
         if not all(map(math.isfinite, simulated.rms)):
-            details.paragraph(simulated.sentence)
+            out.paragraph(simulated.sentence)
             continue
-        details.table([
+        out.table([
             ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, DISPLAY_UNITS, strict=True))),
             *((name, *(f'{x:.3g}' for x in DISPLAY_FACTORS * values))
               for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
@@ -110,14 +132,14 @@ def print_identification(
         if result.refusals:
             out.line('K and P of the refused fit, for diagnosis only:')
         print_cup(fit, out)
-    _print_samples(result, details)
+    _print_samples(result, out)
     if fit.converged:
-        details.paragraph(sentence('report', 'condition', number=fit.condition_number))
-    details.paragraph(*result.findings[len(sentences):])
+        out.paragraph(sentence('report', 'condition', number=fit.condition_number))
+    out.paragraph(*result.findings[len(sentences):])
     out.warn(*result.warnings)
 
 
-def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
+def print_cup(fit: Fit, out: Any, title: str = '') -> None:
     """Print K and P with standard errors, a line per direction; with couplings all entries."""
     structure = structure_named(fit.structure)
     exact, given = fit.exactly_given, fit.from_given is not None
@@ -159,7 +181,7 @@ def _in_percent(error: float, value: float) -> str:
 
 
 def print_relaxation(
-    strengths: tuple[float, float], errors: tuple[float, float], out: Writer
+    strengths: tuple[float, float], errors: tuple[float, float], out: Any
 ) -> None:
     """Print the relaxation of the rubber, if any."""
     if any(strengths):
@@ -168,7 +190,7 @@ def print_relaxation(
                 zip(strengths, errors, strict=True), 1)]))
 
 
-def _print_samples(result: 'Identification', out: Writer) -> None:
+def _print_samples(result: 'Identification', out: Any) -> None:
     """Print the number of used samples, and the faults of the poses of each topic."""
     fit = result.fit
     out.paragraph(sentence(
@@ -187,7 +209,7 @@ def _print_samples(result: 'Identification', out: Writer) -> None:
                 f'  {where}{stream["topic"]}: {", ".join(faults)}; {rejected} near these')
 
 
-def print_replay(result: 'Replay', out: Writer, limit: float = MAX_NRMSE) -> None:
+def print_replay(result: 'Replay', out: Any, limit: float = MAX_NRMSE) -> None:
     """Print the errors per axis and their meaning."""
     rest = result.validation.runs[0].start == 'equilibrium'
     out.line(f'Replay of {result.bag}', 'bold')
@@ -211,7 +233,7 @@ def print_replay(result: 'Replay', out: Writer, limit: float = MAX_NRMSE) -> Non
     out.warn(*result.warnings)
 
 
-def _print_observed(observed: 'Observed', out: Writer) -> None:
+def _print_observed(observed: 'Observed', out: Any) -> None:
     """Print the gain by measured poses, and alarms."""
     errors = [column((DISPLAY_FACTORS * estimate.scores.rms).tolist())
               for estimate in observed.estimates.values()]

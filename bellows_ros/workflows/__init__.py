@@ -16,7 +16,7 @@ from bellows_ros.version import __version__
 class CommandResult:
     """A result that has `as_json()`."""
 
-    figure: ClassVar[Callable[['CommandResult', str], Any]]
+    figure: ClassVar[Callable[['CommandResult'], Any]]
     """Function that draws the result, set by `plots`."""
 
     def as_json(self) -> dict[str, Any]:
@@ -35,14 +35,13 @@ class CommandResult:
         """
         write_json(path, {**self.as_json(), 'version': __version__})
 
-    def plot(self, theme: str = 'light') -> Any:
+    def shown(self) -> 'CommandResult':
+        """Return the result that a picture shows."""
+        return self
+
+    def plot(self) -> Any:
         """
         Draw the result.
-
-        Parameters
-        ----------
-        theme : {'light', 'dark'}
-            Colours for a light or a dark background.
 
         Returns
         -------
@@ -54,4 +53,4 @@ class CommandResult:
             If matplotlib is not installed.
 
         """
-        return self.figure(theme)
+        return self.figure()

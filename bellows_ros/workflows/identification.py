@@ -1,6 +1,7 @@
 """An identified cup as sentences, as a cup file, and as JSON."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 import math
@@ -9,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import samples
-from bellows_ros.core.identification.quantities import KINDS, payload_of
+from bellows_ros.core.identification.quantities import as_found, KINDS, payload_of
 from bellows_ros.core.identification.result import Fit, parameter_units
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
@@ -21,12 +22,18 @@ from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
 from bellows_ros.core.sensors.table import SENSORS
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.gripper import gripper_sentence
-from bellows_ros.workflows.recordings import Failed, is_measured, offset_sentence, world_sentence
+from bellows_ros.workflows.recordings import (
+    Failed,
+    is_measured,
+    offset_sentence,
+    values_of_each,
+    world_sentence,
+)
 from bellows_ros.workflows.static import length_sentence, StaticResult
 from bellows_ros.workflows.verdict import FitVerdict
 import numpy as np
@@ -403,6 +410,22 @@ class Identification(CommandResult):
                 'versions': results.versions()},
             'failed': [{'bag': bag, 'error': reason} for bag, reason in self.failed],
             'version': __version__})
+
+    def shown(self) -> CommandResult:
+        """Return the first free simulation."""
+        return next(self.replays())
+
+    def replays(self) -> 'Iterator[Replay]':
+        """Yield free simulations of the validation recordings, then of those of the fit."""
+        from bellows_ros.workflows.replay import validated
+
+        yield from self.validations
+        parameters = dict(zip(map(str, self.values.bags), values_of_each(self.cup_values()),
+                              strict=True))
+        for number, recording in enumerate(self.recordings):
+            with suppress(UnstableError):
+                yield validated(parameters[recording.name],
+                                as_found(recording, self.fit.nuisances, number))
 
     @property
     def refusals(self) -> tuple[str, ...]:

@@ -208,6 +208,13 @@ class PlanReport(CommandResult):
         return curves(source.values, source.model, source.grip, extended(source.tool, after))
 
     @property
+    def bodies(self) -> tuple[Trajectory, Trajectory]:
+        """Tool and package, including the time after a plan that ends at rest."""
+        tool = extended(self.source.tool, TAIL_SHOWN if self.prediction.ends_at_rest else 0.0)
+        states = PlanSimulation(self.source.model, None, tool, tail=0.0).states()
+        return tool, simulation.ToolRows(tool.stamps_ns, states).trajectory()
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the motion."""
         source, prediction = self.source, self.prediction

@@ -15,7 +15,7 @@ from bellows_ros.core.model.validity_range import outside_loads
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
 from bellows_ros.core.toss.release import HeldMotion, Toss, toss
@@ -67,6 +67,15 @@ class TossResult(CommandResult):
     def covariance(self) -> Array:
         """Covariance of the landing (6, 6), m and rad."""
         return self.parts.covariance
+
+    @property
+    def bodies(self) -> tuple[Trajectory, Trajectory]:
+        """Tool and package, held, released and flying to its landing."""
+        stamps_ns = sample_stamps(RATE, self.toss.landing_time, int(self.source.tool.stamps_ns[0]))
+        tool, package = (simulation.ToolRows(stamps_ns, rows).trajectory() for rows in (
+            self.case.held.along(self.case.release, self.case.switched,
+                                 (stamps_ns - stamps_ns[0]) / NS_PER_S)))
+        return tool, package
 
     def shares(self) -> list[Share]:
         """Return the contribution of each uncertain parameter, the largest first."""
@@ -183,11 +192,9 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
         If the output exists, or cannot be written.
 
     """
-    stamps_ns = sample_stamps(RATE, result.toss.landing_time, int(result.source.tool.stamps_ns[0]))
-    rows, states = result.case.held.along(
-        result.case.release, result.case.switched, (stamps_ns - stamps_ns[0]) / NS_PER_S)
-    tool = simulation.ToolRows(stamps_ns, rows).trajectory()
-    plan.write_prediction(path, result.source, tool, states, replace_bag)
+    tool, package = result.bodies
+    plan.write_prediction(
+        path, result.source, tool, simulation.tool_rows(package), replace_bag)
 
 
 def _require_request(

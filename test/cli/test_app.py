@@ -58,8 +58,7 @@ for line in {lines!r}:
 @pytest.mark.parametrize(('arguments', 'named'), [
     (['indentify'], "'indentify'.*'identify'"), (['xyz'], "'xyz'.* 'identify'"),
     (['replay'], 'BAG'), (['simulate', '--out', 'x'], '--motion'),
-    (['replay', 'bag', '--jsn', 'x'], "'--jsn'.*'--json'"),
-    (['plot', 'path', 'bag', '--outt', 'x'], "'--outt'.*'--out'")])
+    (['replay', 'bag', '--jsn', 'x'], "'--jsn'.*'--json'")])
 def test_a_wrong_command_line_is_explained(arguments, named, bellows):
     """Say in two lines what is wrong and where help is, and end with 2."""
     done = bellows(*arguments)

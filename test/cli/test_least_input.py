@@ -32,8 +32,7 @@ LEAST = {
     'toss': ['throw.yaml', '--params', 'cup.yaml', '--release', '2.95'],
     'excite': ['--params', 'cup.yaml', '--limits', 'limits.yaml', '--time', '5', '--hold', '0',
                '--out', 'excited', '--force'],
-    'simulate': ['--params', 'cup.yaml', '--motion', 'move.yaml', '--out', 'made', '--force'],
-    'plot': ['motion', 'recording', '--params', 'cup.yaml', '--out', 'p.png', '--force']}
+    'simulate': ['--params', 'cup.yaml', '--motion', 'move.yaml', '--out', 'made', '--force']}
 """The least arguments of each command; None where its own tests have them."""
 NEEDED = {('toss', 'box'): 'package.size', ('toss', 'all'): 'package.size'}
 """The parameter that a command asks for without a group."""
@@ -89,15 +88,3 @@ def test_commands_run_with_their_least_input(command, more, kitchen, bellows):
     write_yaml(kitchen / 'cup.yaml', without(GROUPS['all']))
     done = bellows(command, *LEAST[command], *more, cwd=kitchen)
     assert done.returncode in (0, 1) and 'Traceback' not in done.stderr, done.stderr
-
-
-@pytest.mark.parametrize('kind', ['motion', 'spectra', 'path', 'deflection', 'prediction'])
-def test_pictures_are_drawn_of_the_least_input(kind, kitchen, bellows):
-    """Without box and grip; the margin of an unknown grip is refused."""
-    write_yaml(kitchen / 'cup.yaml', without(GROUPS['all']))
-    rest = ['recording', '--params', 'cup.yaml', '--out', f'{kind}.png']
-    done = bellows('plot', kind, *rest, cwd=kitchen)
-    assert done.returncode == 0, done.stderr
-    if kind == 'motion':
-        done = bellows('plot', 'margin', *rest[:3], '--out', 'm.png', cwd=kitchen)
-        assert done.returncode == 2 and 'cup.lip_radius' in done.stderr

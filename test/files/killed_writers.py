@@ -37,7 +37,7 @@ def result(path, number):
 def picture(path, number):
     """Write a picture; without matplotlib the bytes of one."""
     try:
-        from bellows_ros.plots.style import write_figure
+        from bellows_ros.plots import write_figure
         from matplotlib.figure import Figure
     except ImportError:
         write_bytes(path, bytes([number]) * 500_000)

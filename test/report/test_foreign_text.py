@@ -5,13 +5,13 @@ import copy
 import json
 import os
 
+from bellows_ros import plots
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import plans
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import read_result
-from bellows_ros.plots import style
 from bellows_ros.workflows.plan import read_plan
 import numpy as np
 import pytest
@@ -123,6 +123,6 @@ def test_frames_and_topics_of_a_recording(bellows, tmp_path):  # noqa: F811
 def test_pictures(note, tmp_path):
     """In the conditions above the panels."""
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
-    with style.picture('Title', note, 'light') as (figure, _):
-        style.write_figure(tmp_path / 'a.png', figure)
-        style.inline_svg(figure)
+    with plots.picture('Title', note) as figure:
+        plots.write_figure(tmp_path / 'a.png', figure)
+        plots.svg_of(figure)

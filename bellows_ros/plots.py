@@ -1,0 +1,399 @@
+"""
+Pictures of results and animations of their motion, made with matplotlib (extra `plot`).
+
+A measured quantity is a wide pale line, a predicted quantity a thin strong line on top, in colours
+that are distinct with all common kinds of colour vision.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+import io
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply, exp_so3
+from bellows_ros.core.live.load import equivalent_box
+from bellows_ros.core.model.simulation import ToolRows
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.residuals import AXES, Comparison, DISPLAY_FACTORS, DISPLAY_UNITS
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.toss.landing import ellipse
+from bellows_ros.core.toss.release import flight_path
+from bellows_ros.errors import BellowsError, require_pictures, shown
+from bellows_ros.files import File
+from bellows_ros.files.atomic import write_bytes
+from bellows_ros.workflows import CommandResult
+import numpy as np
+
+TEXT, QUIET, GRID, MEASURED, PREDICTED, ERROR = (
+    '#1b1f24', '#57606a', '#e3e6ea', '#7593b1', '#b3261e', '#5b4a9e')
+THREE = (PREDICTED, ERROR, MEASURED)
+"""Colours of x, y and z, and of several motions."""
+
+STYLE: Mapping[Any, Any] = {
+    'font.size': 9.0, 'text.color': TEXT, 'text.parse_math': False, 'axes.labelcolor': TEXT,
+    'axes.edgecolor': QUIET, 'axes.grid': True, 'axes.axisbelow': True, 'axes.linewidth': 0.6,
+    'axes.spines.top': False, 'axes.spines.right': False, 'axes.titlesize': 9.5,
+    'axes.titlelocation': 'left', 'axes.xmargin': 0.0, 'xtick.color': QUIET, 'ytick.color': QUIET,
+    'grid.color': GRID, 'grid.linewidth': 0.6, 'legend.frameon': False, 'legend.fontsize': 8.0,
+    'svg.fonttype': 'none', 'svg.hashsalt': 'bellows_ros', 'path.simplify_threshold': 0.5}
+
+ENDINGS = ('.png', '.svg', '.pdf', '.gif')
+FRAME_RATE = 12.0
+"""Frames of an animation per second."""
+SHORTEST, LONGEST = 6.0, 20.0
+"""Durations of an animation, s: shorter motions are slowed down, longer ones are cut."""
+TAIL = 1.0
+"""Time shown after the end of a plan, s."""
+MIN_SPAN = np.repeat([2.0, 0.1], 3)
+"""Smallest range of an axis with measured coordinates, mm and degrees: the noise of cameras."""
+GAP_PERIODS = 3.0
+"""Shortest gap that interrupts a line, median periods."""
+MAX_FACTOR = 4.0
+"""Largest drawn safety factor, relative to the required factor."""
+CUP_RADIUS, RINGS, CONVOLUTIONS = 0.020, 13, 2.5
+"""Radius (m), number of circles, and number of folds of the drawn cup."""
+CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+EDGES = [[i, i | bit] for i in range(8) for bit in (1, 2, 4) if not i & bit]
+FACES = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
+"""Corners of a unit box, and its edges and faces as indices of corners."""
+
+
+class Scene(NamedTuple):
+    """Poses of E and B over common times, of B for comparison if any, with cup and package."""
+
+    label: str
+    tool: Trajectory
+    package: Trajectory
+    outline: Trajectory | None
+    values: Values
+
+
+def require_ending(path: File) -> None:
+    """Raise for a picture without matplotlib, or with an unknown ending of its name."""
+    require_pictures()
+    if Path(path).suffix.lower() not in ENDINGS:
+        raise BellowsError(f"Picture '{path}' must end in {', '.join(ENDINGS[:-1])}, or in .gif "
+                           'for an animation.')
+
+
+def write(path: File, result: CommandResult) -> None:
+    """
+    Write the picture of a result, or with .gif an animation, whole or not at all.
+
+    Raises
+    ------
+    BellowsError
+        If matplotlib is missing, or the file cannot be written.
+
+    """
+    require_ending(path)
+    if Path(path).suffix.lower() == '.gif':
+        shown = result.shown()
+        write_bytes(path, animation([*DRAWINGS[type(shown).__name__][1](shown)]))
+    else:
+        write_figure(path, figure_of(result))
+
+
+def write_figure(path: File, figure: Any) -> None:
+    """Write a figure in the format of the name's ending, whole or not at all."""
+    ending = Path(path).suffix.lower()[1:]
+    write_bytes(path, encoded(figure, ending))
+
+
+def svg_of(figure: Any) -> str:
+    """Return a figure as an SVG element."""
+    return '<svg ' + encoded(figure, 'svg').decode().partition('<svg ')[2]
+
+
+def encoded(figure: Any, ending: str) -> bytes:
+    """Return the file of a figure, the same for the same figure."""
+    import matplotlib
+
+    data = io.BytesIO()
+    with matplotlib.rc_context(dict(STYLE)):
+        figure.savefig(data, format=ending, dpi=150, metadata={
+            'svg': {'Date': None}, 'pdf': {'CreationDate': None}}.get(ending))
+    return data.getvalue()
+
+
+@contextmanager
+def picture(title: str, note: str, size: tuple[float, float] = (9.4, 7.2)) -> Iterator[Any]:
+    """Provide a figure of a size (inches) with a title and its conditions, without a window."""
+    require_pictures()
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(size, layout='constrained')
+        figure.suptitle(f'{title}\n{shown(note, 150)}', x=0.01, ha='left', fontsize=11.0)
+        yield figure
+
+
+def figure_of(result: CommandResult) -> Any:
+    """Return the figure of a result; of an identification, of its first free simulation."""
+    shown = result.shown()
+    return DRAWINGS[type(shown).__name__][0](shown)
+
+
+CommandResult.figure = figure_of
+
+
+def series(
+    panel: Any, title: str, x: Array, values: Array, std: Array, names: Sequence[str]
+) -> None:
+    """Draw a line for each column of values (N, M), with bands of two standard deviations."""
+    for value, band, colour, name in zip(values.T, 2.0 * std.T, THREE, names, strict=False):
+        panel.fill_between(x, value - band, value + band, color=colour, alpha=0.25, linewidth=0.0)
+        panel.plot(x, value, color=colour, linewidth=1.2, label=name)
+    panel.set_title(title)
+    panel.legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncols=4)
+
+
+def comparison_figure(seconds: Array, comparison: Comparison, title: str, note: str) -> Any:
+    """
+    Draw predicted and measured coordinates (N, 6) over time (s), each with its error below.
+
+    Lines are interrupted at missing values.
+    """
+    steps = np.diff(seconds)
+    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
+    t, measured, predicted = (np.insert(rows, gaps, np.nan, axis=0) for rows in (
+        seconds, DISPLAY_FACTORS * comparison.measured, DISPLAY_FACTORS * comparison.predicted))
+    scores = comparison.scores
+    with picture(title, note, (11.0, 8.4)) as figure:
+        panels = figure.subplots(6, 2, sharex=True, height_ratios=(3.2, 1.0) * 3)
+        for i, (axis, unit, factor) in enumerate(
+                zip(AXES, DISPLAY_UNITS, DISPLAY_FACTORS, strict=True)):
+            upper, lower = panels[2 * (i % 3):2 * (i % 3) + 2, i // 3]
+            upper.plot(t, measured[:, i], color=MEASURED, linewidth=3.6, label='measured')
+            upper.plot(t, predicted[:, i], color=PREDICTED, linewidth=0.9, label='predicted')
+            lower.plot(t, (predicted - measured)[:, i], color=ERROR, linewidth=0.6,
+                       label='predicted minus measured')
+            low, high = upper.get_ylim()
+            lack = 0.5 * max(0.0, MIN_SPAN[i] - (high - low))
+            upper.set_ylim(low - lack, high + lack)
+            upper.set_ylabel(f'{axis} ({unit})')
+            lower.set_ylabel('error', color=ERROR)
+            upper.set_title(f'error RMS {factor * scores.rms[i]:.2g} {unit}, largest '
+                            f'{factor * scores.largest[i]:.2g} {unit}', loc='right', fontsize=8.5)
+        for panel in panels[-1]:
+            panel.set_xlabel('time (s)')
+        handles = [line for panel in panels[:2, 0] for line in panel.get_lines()]
+        figure.legend(handles=handles, loc='upper right', ncols=3)
+    return figure
+
+
+def replay_figure(result: Any) -> Any:
+    """Draw the free simulation of a replay."""
+    return comparison_figure(
+        result.recording.since_start(result.validation.stamps_ns), result.validation,
+        'Package: predicted, and measured', f'{result.bag}, relative to the tool')
+
+
+def plan_figure(report: Any) -> Any:
+    """Draw package and grip along a plan, with bands of two standard deviations."""
+    curves, prediction = report.curves, report.prediction
+    t, values, std = curves.seconds, curves.values, curves.std
+    offset = values[:, :3] - curves.tool
+    note = f'{report.source.path}; dotted: end of the plan' + (
+        '; bands: two standard deviations' if np.any(std > 0.0) else '')
+    with picture('Package and grip along the plan', note) as figure:
+        panels = figure.subplots(3, 2, sharex=True).ravel()
+        panels[0].plot(t, curves.tool, color=QUIET)
+        series(panels[0], 'position (m), grey: the tool', t, values[:, :3], std[:, :3], 'xyz')
+        series(panels[1], 'safety factor', t, values[:, 4:6], std[:, 4:6], ('peel', 'slip'))
+        if prediction.grip is None:
+            panels[1].set_title('safety factor: set cup.lip_radius, vacuum.holding')
+        panels[1].axhline(report.least, color=TEXT, linewidth=0.8, linestyle='--')
+        panels[1].axhspan(0.0, 1.0, color=PREDICTED, alpha=0.12, linewidth=0.0)
+        panels[1].set_ylim(0.0, MAX_FACTOR * report.least)
+        series(panels[2], 'package seen from the tool tip (mm)', t, 1e3 * (offset - offset[0]),
+               1e3 * std[:, :3], 'xyz')
+        series(panels[3], 'force at the lip (N)', t, values[:, 6:9], std[:, 6:9], 'xyz')
+        series(panels[4], 'bending of the cup (deg)', t, np.degrees(values[:, 3:4]),
+               np.degrees(std[:, 3:4]), ['angle'])
+        series(panels[5], 'moment at the lip (N m)', t, values[:, 9:], std[:, 9:], 'xyz')
+        for panel in panels:
+            panel.axvline(report.source.duration, color=QUIET, linewidth=0.8, linestyle=':')
+        for panel in panels[-2:]:
+            panel.set_xlabel('time (s)')
+    return figure
+
+
+def steer_figure(report: Any) -> Any:
+    """Draw the tilt of the package and the path length of the tool in several motions."""
+    with picture('The motion as planned and steered', report.source.path) as figure:
+        tilts, paths = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+        for (name, motion), colour in zip(report.motions.items(), THREE, strict=False):
+            t, tool = motion.along.seconds, motion.along.position
+            tilts.plot(t, np.degrees(motion.tilt), color=colour, label=name)
+            paths.plot(t, np.linalg.norm(tool - tool[0], axis=1), color=colour)
+        tilts.set_title('tilt of the package from its reference (deg)')
+        tilts.set_xlim(0.0, TAIL + max(m.tool.seconds[-1] for m in report.motions.values()))
+        tilts.legend()
+        paths.set(title='distance of the tool from its start (m)', xlabel='time (s)')
+    return figure
+
+
+def toss_figure(result: Any) -> Any:
+    """Draw a toss from the side and from above, and its landing enlarged."""
+    toss, case, tool = result.toss, result.case, result.source.tool.position
+    path, landing = flight_path(case.held.model, toss, 60), np.array(toss.landing[0][:2])
+    held = case.held.states[case.held.times <= toss.release_time]
+    switched = held[np.searchsorted(case.held.times[:len(held)], case.switched) - 1]
+    note = (f'{result.source.path}: valve {case.switched:.3f} s, lets go {toss.release_time:.3f} '
+            f's, lands {toss.landing_time:.3f} s')
+    with picture('Toss', note, (11.0, 7.2)) as figure:
+        side, above, close = figure.subplot_mosaic(
+            [['side', 'side'], ['above', 'close']], width_ratios=(2.0, 1.0)).values()
+        for panel, rows in ((side, [0, 2]), (above, [0, 1])):
+            for points, mark, colour, name in (
+                    (tool, '-', MEASURED, 'tool'), (held, '--', PREDICTED, 'package, held'),
+                    (path, '-', PREDICTED, 'package, flying'),
+                    (switched[None], 'v', TEXT, 'valve'), (path[:1], 'o', TEXT, 'lets go')):
+                panel.plot(*points[:, rows].T, mark, color=colour, linewidth=1.2, label=name)
+            panel.set_aspect('equal', anchor='W')
+        side.axhline(case.release.height, color=TEXT, linewidth=1.0)
+        side.set_ylabel('z (m), from the side')
+        above.set(xlabel='x (m)', ylabel='y (m), from above')
+        for panel, origin, scale in ((above, 0.0 * landing, 1.0), (close, landing, 1e3)):
+            panel.plot(*(scale * (landing - origin + ellipse(result.covariance, 121))).T,
+                       color=ERROR, label='95 % ellipse of the landing')
+            if result.drawn is not None:
+                panel.plot(*(scale * (landing - origin + result.drawn.errors[:, :2])).T, '.',
+                           markersize=2.0, color=ERROR, alpha=0.5, label='drawn tosses')
+            if result.aim is not None:
+                panel.plot(*(scale * (result.aim.target - origin)), '+', color=TEXT, markersize=12,
+                           label='target')
+        close.set(title='landing from above (mm)', xlabel='x from the prediction',
+                  ylabel='y from the prediction')
+        close.margins(0.1)
+        close.set_aspect('equal', adjustable='datalim')
+        figure.legend(handles=above.get_legend_handles_labels()[0], ncols=3, loc='upper right')
+    return figure
+
+
+# ----------------------------------------------------------------------------------- animations
+
+
+def replay_scenes(result: Any) -> Iterator[Scene]:
+    """Yield the free simulation of a replay, with the measured package as an outline."""
+    validation = result.validation
+    tool, package = (resample(body, validation.stamps_ns)
+                     for body in (validation.tool, validation.package))
+    position, rotation = np.hsplit(validation.measured, 2)
+    outline = Trajectory(
+        tool.stamps_ns, tool.position + apply(tool.rotation, np.nan_to_num(position)),
+        tool.rotation @ exp_so3(np.nan_to_num(rotation)))
+    yield Scene(f'{result.bag}; outline: measured', tool, package, outline, result.values)
+
+
+def plan_scenes(report: Any) -> Iterator[Scene]:
+    """Yield the predicted motion along a plan."""
+    tool, package = report.bodies
+    yield Scene(report.source.path, tool, package, None, report.source.values)
+
+
+def steer_scenes(report: Any) -> Iterator[Scene]:
+    """Yield the motions as planned and as steered, with the reference as an outline."""
+    for name in ('as planned', report.method):
+        if motion := report.motions.get(name):
+            last = motion.tool.seconds[-1] + TAIL
+            package = ToolRows(motion.along.stamps_ns, motion.states).trajectory()
+            tool, package, outline = (body.select(motion.along.seconds <= last) for body in (
+                motion.along, package, motion.reference))
+            yield Scene(name, tool, package, outline, report.source.values)
+
+
+def toss_scenes(result: Any) -> Iterator[Scene]:
+    """Yield the toss until its landing."""
+    tool, package = result.bodies
+    yield Scene(result.source.path, tool, package, None, result.source.values)
+
+
+def animation(scenes: Sequence[Scene]) -> bytes:
+    """Return scenes side by side as an endless GIF."""
+    last = max(float(scene.tool.seconds[-1]) for scene in scenes)
+    speed = min(1.0, last / SHORTEST)
+    times, images = np.arange(0.0, min(last, LONGEST), speed / FRAME_RATE), []
+    with picture('Tool, cup and package', f'{speed:.2g} times real time', (8.0, 4.8)) as figure:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from PIL import Image
+
+        canvas = FigureCanvasAgg(figure)
+        panels = [_space(panel, scene) for panel, scene in zip(figure.subplots(
+            1, len(scenes), squeeze=False,
+            subplot_kw={'projection': '3d', 'computed_zorder': False})[0], scenes, strict=True)]
+        for t in times:
+            drawn = [artist for panel, scene in zip(panels, scenes, strict=True)
+                     for artist in _bodies(panel, scene, t)]
+            drawn.append(figure.text(0.99, 0.02, f'{t:.2f} s', ha='right'))
+            canvas.draw()
+            figure.set_layout_engine('none')
+            images.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(
+                64, dither=Image.Dither.NONE))
+            for artist in drawn:
+                artist.remove()
+    data = io.BytesIO()
+    images[0].save(data, 'gif', save_all=True, append_images=images[1:], loop=0,
+                   duration=round(1000.0 / FRAME_RATE))
+    return data.getvalue()
+
+
+def _space(panel: Any, scene: Scene) -> Any:
+    """Return a panel that shows a whole scene in equal scales."""
+    bodies = np.vstack([scene.tool.position, scene.package.position])
+    margin = 0.6 * max(equivalent_box(scene.values))
+    low, high = bodies.min(axis=0) - margin, bodies.max(axis=0) + margin
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]),
+              title=scene.label)
+    panel.set_box_aspect(high - low, zoom=1.15)
+    panel.view_init(12.0, -50.0)
+    panel.plot(*scene.package.position.T, color=MEASURED, linewidth=0.8)
+    panel.set_axis_off()
+    return panel
+
+
+def _bodies(panel: Any, scene: Scene, t: float) -> list[Any]:
+    """Draw the bodies at a time (s), and return their artists."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+
+    i = min(int(np.searchsorted(scene.tool.seconds, t)), len(scene.tool) - 1)
+    box = CORNERS * equivalent_box(scene.values)
+    (tool_o, tool_R), (body_o, body_R) = (
+        (body.position[i], body.rotation[i]) for body in (scene.tool, scene.package))
+    lip_o = body_o - body_R @ np.array(scene.values.package.com)
+    reach = scene.values.cup.length * 3.0  # m, to a lip that holds the package
+    artists: list[Any] = [Poly3DCollection(
+        list((body_o + box @ body_R.T)[FACES]), facecolor=PREDICTED, edgecolor=TEXT, alpha=0.5,
+        linewidth=0.8)]
+    if np.linalg.norm(lip_o - tool_o) < reach:
+        artists.append(Line3DCollection(
+            list(cup_rings(tool_o, tool_R, lip_o, body_R)), colors=MEASURED, linewidths=1.6))
+    arm = np.array([tool_o, tool_o + 0.1 * tool_R[:, 2]])  # m
+    artists.append(Line3DCollection([arm], colors=QUIET, linewidths=7.0))
+    if scene.outline is not None:
+        corners = scene.outline.position[i] + box @ scene.outline.rotation[i].T
+        artists.append(Line3DCollection(list(corners[EDGES]), colors=ERROR, linewidths=1.2))
+    for order, artist in enumerate(artists, 2):
+        artist.set_zorder(order)
+        panel.add_collection3d(artist)
+    return artists
+
+
+def cup_rings(tool_o: Array, tool_R: Array, lip_o: Array, lip_R: Array) -> Array:
+    """Return the circles (RINGS, 25, 3) of a cup from the tool tip to the lip, m."""
+    angle, s = np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, 1.0, RINGS)[:, None, None]
+    circle = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    radius = CUP_RADIUS * (0.75 + 0.2 * np.cos(2.0 * np.pi * CONVOLUTIONS * (s - 1.0)))
+    ends = (1.0 - s) * (circle @ tool_R.T), s * (circle @ lip_R.T)
+    return np.asarray((1.0 - s) * tool_o + s * lip_o + radius * (ends[0] + ends[1]))
+
+
+DRAWINGS: Mapping[str, tuple[Callable[[Any], Any], Callable[[Any], Iterator[Scene]]]] = {
+    'Replay': (replay_figure, replay_scenes), 'PlanReport': (plan_figure, plan_scenes),
+    'SteerReport': (steer_figure, steer_scenes), 'TossResult': (toss_figure, toss_scenes)}
+"""Functions that draw a result of a type: its figure, and the scenes of its animation."""
