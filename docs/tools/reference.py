@@ -159,47 +159,6 @@ def _exit_codes() -> Iterator[str]:
     yield '| 141 | the reader of the output has closed it |'
 
 
-STUB = FOLDER.parents[1] / 'bellows_ros/core/parameters/values.pyi'
-"""File with the types of the parameters as attributes, for mypy."""
-
-STUB_TYPES: Mapping[str, str] = {
-    'bool': 'bool', 'integer': 'int', 'double': 'float', 'string': 'str',
-    'double_array': 'tuple[float, ...]', 'string_array': 'tuple[str, ...]'}
-"""Python types of the kinds of parameters."""
-
-
-def stub() -> Iterator[str]:
-    """Yield the lines of the type stub of `Values`, one class for each group of parameters."""
-    yield from (
-        '# Made by docs/tools/reference.py; change table.toml and run it again.',
-        'from collections.abc import Iterator, Mapping', 'from typing import Any', '')
-    classes: dict[str, list[str]] = {'': []}
-    for parameter in PARAMETERS.values():
-        group, _, leaf = parameter.name.rpartition('.')
-        parts = group.split('.') if group else []
-        for depth, part in enumerate(parts):
-            path = '.'.join(parts[:depth + 1])
-            if path not in classes:
-                classes[path] = []
-                classes['.'.join(parts[:depth])].append(f'    {part}: {_class_of(path)}')
-        classes[group].append(f'    {leaf}: {STUB_TYPES[parameter.kind]}')
-    of_all = classes.pop('')
-    for path, lines in reversed(classes.items()):
-        yield from (f'class {_class_of(path)}:', *lines, '')
-    yield from (
-        'class Values(Mapping[str, Any]):', *of_all,
-        '    def __init__(self, items: Mapping[str, Any]) -> None: ...',
-        '    def __getitem__(self, name: str) -> Any: ...',
-        '    def __iter__(self) -> Iterator[str]: ...',
-        '    def __len__(self) -> int: ...',
-        '    def replaced(self, items: Mapping[str, Any]) -> Values: ...')
-
-
-def _class_of(path: str) -> str:
-    """Return the name of the class of a group."""
-    return ''.join(word.capitalize() for word in path.replace('.', '_').split('_')) + 'Group'
-
-
 PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
     'parameters.md': parameters,
     'topics.md': topics,
@@ -212,14 +171,8 @@ def text_of(name: str) -> str:
     return '\n'.join(PAGES[name]()).rstrip() + '\n'
 
 
-def stub_text() -> str:
-    """Return the text of the stub."""
-    return '\n'.join(stub()) + '\n'
-
-
 def main() -> None:
-    """Write the stub, and the pages that are named, or all."""
-    write_text(STUB, stub_text())
+    """Write the pages that are named, or all."""
     FOLDER.mkdir(exist_ok=True)
     for name in sys.argv[1:] or PAGES:
         write_text(FOLDER / name, text_of(name))

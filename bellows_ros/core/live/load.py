@@ -165,7 +165,7 @@ class Load:
         """Return the pressure below ambient in the cup (Pa): measured, or vacuum.holding."""
         if self.pressure is None:
             return float(self._values.vacuum.holding)
-        return max(self._values.vacuum.ambient - self.pressure, 0.0)
+        return max(float(self._values.vacuum.ambient) - self.pressure, 0.0)
 
     def reset(self) -> tuple[Safety | None, Distance | None, float]:
         """Return safety factor, distance and largest bending (rad) since the last call."""

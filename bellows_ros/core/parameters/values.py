@@ -1,4 +1,4 @@
-"""Values of parameters, read by attribute: `values.package.mass`; mypy checks names and types."""
+"""Values of parameters, read by attribute: `values.package.mass`."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -23,7 +23,6 @@ class Values(Group, Mapping[str, Any]):
     """
     Immutable values of parameters, by dotted name or by attribute.
 
-    The types of the attributes are in `values.pyi`, which `make reference` writes from the table.
     A parameter without a value is not a key, and raises `NotSetError` as an attribute.
 
     Parameters
