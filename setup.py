@@ -40,7 +40,6 @@ EXTRAS = {
         'ruff>=0.6',
         'check-jsonschema>=0.29',
         'mypy>=1.10',
-        'types-PyYAML',
         'scipy-stubs',
         'flake8>=7',
         'flake8-blind-except',
@@ -84,7 +83,8 @@ setup(
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
     install_requires=[
-        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'rich>=13', 'mcap>=1.2', 'PyYAML>=6.0'],
+        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'ruamel.yaml>=0.17.21', 'rich>=13',
+        'mcap>=1.2'],
     extras_require=EXTRAS,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

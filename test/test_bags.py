@@ -8,7 +8,7 @@ from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 from .workflows.two_clocks import TOPICS
 
@@ -29,7 +29,7 @@ def test_all_together_are_below_six_megabytes(bags):
 
 @pytest.mark.parametrize('name', NAMES)
 def test_the_files_make_the_recording_again(bags, name, tmp_path):
-    motion = yaml.safe_load((bags / f'{name}.yaml').read_text())
+    motion = YAML(typ='safe').load((bags / f'{name}.yaml').read_text())
     cup = 'rubber_cup.yaml' if name == 'rubber' else 'cup.yaml'
     report = simulate_recording(read_parameters(bags / cup), motion, tmp_path / name)
 

@@ -6,7 +6,7 @@ import re
 from xml.etree import ElementTree
 
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 DISPLAYS = ('Grid', 'Pose', 'MarkerArray', 'Path')  # of the plugins that come with RViz
 
@@ -20,7 +20,7 @@ def topics_of(content):
 def test_layouts_show_topics_of_the_predictor(name, root):
     """Name no topic that no node has."""
     text = (root / 'config' / name).read_text()
-    content = yaml.safe_load(text) if name.endswith('.rviz') else json.loads(text)
+    content = YAML(typ='safe').load(text) if name.endswith('.rviz') else json.loads(text)
     shown = topics_of(content)
     nodes = ''.join(path.read_text() for path in (root / 'bellows_ros' / 'nodes').glob('*.py'))
     assert {'/tool_arm/pose', '/package/pose', '/package/measured', '/package/plan_path',
@@ -63,7 +63,7 @@ def test_every_plot_of_the_foxglove_layout_is_of_fields_that_messages_have(root,
 
 def test_every_display_of_rviz_has_a_class_and_a_topic(root):
     """Give each display what RViz asks for, with policies as RViz spells them."""
-    content = yaml.safe_load((root / 'config' / 'predictor.rviz').read_text())
+    content = YAML(typ='safe').load((root / 'config' / 'predictor.rviz').read_text())
     for display in content['Visualization Manager']['Displays']:
         assert display['Class'] in {f'rviz_default_plugins/{name}' for name in DISPLAYS}
         assert display['Enabled'] and display['Value']

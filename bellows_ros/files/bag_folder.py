@@ -149,7 +149,7 @@ def _listed_files(folder: Path) -> Listing:
     """Return the files a folder's metadata lists."""
     if not (folder / METADATA).is_file():
         return _without_metadata(folder)
-    content = safe_yaml.load(folder / METADATA, aliases=True)
+    content = safe_yaml.load(folder / METADATA)
     information = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
     if not isinstance(information, dict):
         raise _damaged(folder, "it has no 'rosbag2_bagfile_information'")

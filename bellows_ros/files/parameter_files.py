@@ -7,7 +7,6 @@ a decimal point.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-import math
 from os.path import commonprefix
 from pathlib import Path
 import textwrap
@@ -19,7 +18,6 @@ from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml
 from bellows_ros.files.atomic import write_text
-import yaml
 
 NODES = ('identifier', 'predictor')
 _SECTION = 'ros__parameters'
@@ -229,16 +227,16 @@ def _rows(name: str, value: tuple[Any, ...], indent: str, unit: str) -> Iterator
         yield f'{indent}{opening}{cells}{closing}{unit}'
 
 
-class _Dumper(yaml.SafeDumper):
-    """PyYAML's safe dumper, with quotes around all texts."""
-
-
-_Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar(
-    'tag:yaml.org,2002:str', text, "'" if text.isprintable() else '"'))
-
-
 def _scalar(value: object) -> str:
     """Return a value in a form for every version of YAML: doubles with a decimal point."""
-    text = yaml.dump([value], Dumper=_Dumper, default_flow_style=True, width=math.inf,
-                     allow_unicode=True)
-    return text.strip()[1:-1]
+    if isinstance(value, tuple):
+        return f'[{", ".join(map(_scalar, value))}]'
+    if isinstance(value, str):
+        if value.isprintable():
+            return "'" + value.replace("'", "''") + "'"
+        return '"' + ''.join(c if c.isprintable() and c not in '"\\' else f'\\U{ord(c):08x}'
+                             for c in value) + '"'
+    if isinstance(value, float):
+        digits, e, exponent = repr(value).partition('e')
+        return digits + '.0' * ('.' not in digits) + e + exponent
+    return str(value).lower()

@@ -3,6 +3,7 @@
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from functools import partial
 import io
+import json
 import os
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from unittest import mock
 from bellows_ros.cli import main
 from bellows_ros.files.parameter_files import read_parameters
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 from ..conftest import ROOT
 
@@ -19,7 +20,7 @@ KNOWN = dict(read_parameters(ROOT / 'bags' / 'package.yaml'))
 TRUTH = {**KNOWN, **read_parameters(ROOT / 'bags' / 'cup.yaml')}
 """What is known of the recordings beforehand, and what they are made with."""
 MOTION = {
-    **yaml.safe_load((ROOT / 'bags' / 'identification.yaml').read_text()),
+    **YAML(typ='safe').load((ROOT / 'bags' / 'identification.yaml').read_text()),
     'duration': 8.0, 'rest_duration': 1.0,
     'tool': {'rate_hz': 300.0, 'noise': {'position': 1e-5, 'rotation': 2e-5}},
     'package': {'rate_hz': 240.0, 'noise': {'position': 2e-5, 'rotation': 1e-4},
@@ -35,7 +36,7 @@ TRANSPORT = {
 
 def write_yaml(path, content):
     """Write a YAML file."""
-    path.write_text(yaml.safe_dump(dict(content)))
+    path.write_text(json.dumps(dict(content)))
     return path
 
 

@@ -10,7 +10,7 @@ import bellows_ros
 from bellows_ros.cli import add_arguments, COMMANDS, Output
 import pytest
 
-HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'yaml', 'rclpy')
+HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'ruamel', 'rclpy')
 
 
 def test_help_names_every_command(bellows, quietly):

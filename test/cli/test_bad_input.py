@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
-import yaml
+from ruamel.yaml import YAML
 
 from .conftest import contents, KNOWN, TRANSPORT, write_yaml
 from ..conftest import ROOT
@@ -55,13 +55,13 @@ def write_bad_files(folder):
     """Write parameters, motions and limits that are wrong."""
     write_yaml(folder / 'massless.yaml', {n: v for n, v in KNOWN.items() if n != 'package.mass'})
     (folder / 'sentence.yaml').write_text('just a sentence')
-    motion = yaml.safe_load((folder / 'motion.yaml').read_text())
+    motion = YAML(typ='safe').load((folder / 'motion.yaml').read_text())
     write_yaml(folder / 'dance.yaml', {**motion, 'kind': 'dance'})
     write_yaml(folder / 'transport.yaml', TRANSPORT)
     write_yaml(folder / 'point.yaml', {**TRANSPORT, 'waypoints': {'poses': []}})
     quick = {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.2}]}
     write_yaml(folder / 'fast.yaml', {**TRANSPORT, 'waypoints': quick})
-    limits = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
+    limits = YAML(typ='safe').load((ROOT / 'config' / 'limits_example.yaml').read_text())
     write_yaml(folder / 'arm.yaml', limits)
     write_yaml(folder / 'noiseless.yaml', {**limits, 'tracking': {'tool': {'rate_hz': 500.0}}})
     write_yaml(folder / 'speedless.yaml', {**limits, 'linear': None})

@@ -6,7 +6,7 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.files.plans import plans_in
 import numpy as np
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 from .conftest import write_yaml
 from ..conftest import ROOT
@@ -14,7 +14,7 @@ from ..conftest import ROOT
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason='numba is not installed: a design takes minutes interpreted')
 
-LIMITS = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
+LIMITS = YAML(typ='safe').load((ROOT / 'config' / 'limits_example.yaml').read_text())
 
 
 @pytest.fixture(scope='module')

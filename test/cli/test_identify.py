@@ -9,7 +9,7 @@ from bellows_ros.core.model.grip import RELEASE_NAMES
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 from .conftest import TRUTH, write_yaml
 
@@ -49,7 +49,7 @@ def test_finds_a_valve_in_tosses(bellows, succeed, root, tmp_path):
     closed = [word for name, value in (
         ('opening', 0), ('blow_off', 0), ('sticking', 0), ('delay', 0.012), ('tau', 0.015))
         for word in ('--set', f'release.{name}={value}')]  # for a faster fit
-    motion = yaml.safe_load((root / 'bags' / 'tosses.yaml').read_text())
+    motion = YAML(typ='safe').load((root / 'bags' / 'tosses.yaml').read_text())
     motion['waypoints']['repeat'] = 8
     motion['release']['times'] = motion['release']['times'][:8]
     done = bellows('simulate', '--params', cup, *closed, '--motion',

@@ -6,7 +6,7 @@ from bellows_ros.cli import COMMANDS
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.files.parameter_files import read_parameters
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 from .conftest import write_yaml
 from ..conftest import ROOT
@@ -56,7 +56,7 @@ def kitchen(workshop, identified, tmp_path_factory):
         'kind': 'waypoints', 'rest_duration': 0.5,
         'waypoints': {'poses': [{'position': [0.3, 0.0, 0.0], 'move': 0.5}]},
         'tool': {'rate_hz': 250.0}, 'package': {'rate_hz': 200.0}})
-    limits = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
+    limits = YAML(typ='safe').load((ROOT / 'config' / 'limits_example.yaml').read_text())
     write_yaml(folder / 'limits.yaml', {**limits, 'highest_frequency': 1.5})
     return folder
 

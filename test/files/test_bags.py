@@ -1,6 +1,7 @@
 """Reading recordings that rosbags wrote, in every storage and compression, and what is refused."""
 
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -15,7 +16,7 @@ from bellows_ros.files.bags import read_streams, topics
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 from . import recordings as made
 
@@ -24,9 +25,9 @@ COUNT = 20
 
 def change_metadata(folder, **changes):
     """Change entries of metadata.yaml, return all of them."""
-    content = yaml.safe_load((folder / 'metadata.yaml').read_text())
+    content = YAML(typ='safe').load((folder / 'metadata.yaml').read_text())
     content['rosbag2_bagfile_information'].update(changes)
-    (folder / 'metadata.yaml').write_text(yaml.safe_dump(content))
+    (folder / 'metadata.yaml').write_text(json.dumps(content))
     return content['rosbag2_bagfile_information']
 
 
@@ -199,7 +200,7 @@ def test_metadata_of_every_version_is_read(tmp_path, version, storage):
         topic['topic_metadata']['offered_qos_profiles'] = '- history: 3\n  depth: 0\n' if (
             version < 9) else [{'history': 'unknown', 'deadline': {'sec': 1, 'nsec': 0}}]
         topic['topic_metadata'].pop('type_description_hash')
-    (folder / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': info}))
+    (folder / 'metadata.yaml').write_text(json.dumps({'rosbag2_bagfile_information': info}))
     assert len(read_streams(folder, {'p': 'a'})['p']) == 4
 
 

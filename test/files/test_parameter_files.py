@@ -1,6 +1,5 @@
 """Parameter files: what is read from them, and that what is written reads back the same."""
 
-
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.table import PARAMETERS
@@ -13,7 +12,7 @@ from bellows_ros.files.parameter_files import (
 )
 from hypothesis import given, settings, strategies
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 PACKAGE = {
     'package.mass': 2.17, 'package.inertia': (0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0),
@@ -138,8 +137,10 @@ def test_doubles_keep_every_digit_and_their_point(value):
     written = line.split()[1]
     assert float(written) == value
     assert '.' in written
-    # YAML 1.1, as PyYAML itself has it, also takes it for a number.
-    assert yaml.safe_load(text)['/**']['ros__parameters']['package']['mass'] == value
+    for version in ((1, 1), (1, 2)):
+        reader = YAML(typ='safe', pure=True)
+        reader.version = version
+        assert reader.load(text)['/**']['ros__parameters']['package']['mass'] == value
 
 
 def test_a_value_that_is_not_allowed_is_not_written(tmp_path):

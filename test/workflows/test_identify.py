@@ -31,7 +31,7 @@ from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 from .two_clocks import rewritten
 from ..files.recordings import POSE, TWIST
@@ -153,7 +153,7 @@ def test_package_files_must_be_one_for_each_recording():
 
 def test_each_recording_may_have_its_own_topics(root, true_cup, tmp_path):
     """Take topics and axes of each recording from its file; the package's from there, too."""
-    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text()) | {
+    motion = YAML(typ='safe').load((root / 'bags/identification.yaml').read_text()) | {
         'duration': 12.0, 'seed': 7, 'world': 'motive_y_up',
         'topics': {'tool_pose': '/arm', 'package_pose': '/box'}}
     own = {'package.mass': 1.2, 'package.inertia': [0.003, 0.0045, 0.0068, 0.0, 0.0, 0.0],

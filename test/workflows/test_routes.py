@@ -14,13 +14,13 @@ from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.simulate import simulate_recording
 from numpy.testing import assert_allclose
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 
 @pytest.fixture(scope='module')
 def settings(root, known, true_cup, tmp_path_factory):
     """Return the parameters of two short recordings of the motion of bags/identification."""
-    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
+    motion = YAML(typ='safe').load((root / 'bags/identification.yaml').read_text())
     folder = tmp_path_factory.mktemp('settings')
     bags = [str(folder / name) for name in ('first', 'second')]
     for seed, bag in enumerate(bags, 1):

@@ -1,6 +1,7 @@
 """Simulated recordings: true to an independent integrator, and what their motion file says."""
 
 import copy
+import json
 
 from bellows_ros.core.geometry.lie import log_so3, transform
 from bellows_ros.core.model.cup_package import Cup, Package
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from rosbags.highlevel import AnyReader
-import yaml
+from ruamel.yaml import YAML
 
 from ..core import oracle
 
@@ -292,8 +293,8 @@ def test_errors_leave_no_files(tmp_path, parameters, content, named):
 def example(root, kind):
     """Return the example's settings, with the block of another kind in place of the first."""
     text = (root / 'config' / 'motion_example.yaml').read_text()
-    content = yaml.safe_load(text)
-    others = yaml.safe_load(
+    content = YAML(typ='safe').load(text)
+    others = YAML(typ='safe').load(
         '\n'.join(line[3:] for line in text.splitlines() if line.startswith('#| '))
     )
     assert set(others) | {'multi_sine'} == set(MOTION_KINDS)
@@ -332,7 +333,7 @@ def test_a_plan_takes_the_place_of_the_motion(tmp_path, down):
 
     A motion file as a plan moves as it does on its own, also where the world is tilted.
     """
-    (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(motion()))
+    (tmp_path / 'plan.yaml').write_text(json.dumps(motion()))
     other = motion(duration=1.0, multi_sine={'position': {'y': {
         'amplitude': [0.01], 'frequency': [2.0]}}})
     report = simulate_recording(

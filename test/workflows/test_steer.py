@@ -1,5 +1,7 @@
 """Limits of motions in a file, and joint trajectories: steered, and in the shortest safe time."""
 
+import json
+
 from bellows_ros.cli import main
 from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
 from bellows_ros.core.planning.arm import read_arm
@@ -14,7 +16,6 @@ from bellows_ros.files.plans import plans_in
 from bellows_ros.workflows.steer import read_limits, steer_plan
 import numpy as np
 import pytest
-import yaml
 
 from ..core.planning.arms import SEVEN, SEVEN_START, UR5E, UR5E_START
 
@@ -69,7 +70,7 @@ def write_request(start, names, path, by=0.0):
         'time_from_start': {'sec': 0, 'nanosec': round(8e8 * t[k])}} for k in range(len(t))]
     points[-1]['velocities'] = [0.0] * len(start)
     header = {'stamp': {'sec': 0, 'nanosec': 0}, 'frame_id': ''}
-    path.write_text(yaml.safe_dump({
+    path.write_text(json.dumps({
         'header': header, 'joint_names': list(names), 'points': points}))
 
 

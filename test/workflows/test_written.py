@@ -8,13 +8,13 @@ from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 
 @pytest.fixture(scope='module')
 def bag(root, true_cup, tmp_path_factory):
     """Return a recording of the motion of bags/identification, shorter."""
-    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
+    motion = YAML(typ='safe').load((root / 'bags/identification.yaml').read_text())
     folder = str(tmp_path_factory.mktemp('written') / 'bag')
     simulate_recording(true_cup, {**motion, 'seed': 5, 'duration': 8.0}, folder)
     return folder
