@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.errors import BellowsError, install
+from bellows_ros.core.geometry.jit import COMPILED, NOT_COMPILED
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report.sentences import listed, many
 from bellows_ros.report.text import column, display_unit, formatted, print_identification
@@ -32,8 +32,8 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
 
     if not COMPILED and settings.get('fit.method', 'output_error') == 'output_error':
         console.warn(
-            'numba is not installed, and without it the fit takes about 15 s for each '
-            f'second recorded. Install it ({install("fast")}), or set fit.method: least_squares.')
+            f'Nothing is compiled, as {NOT_COMPILED}: the fit takes about 15 s for each second '
+            'recorded. Consider fit.method: least_squares.')
     result = identify(settings, console.progress, arguments.params, arguments.jobs,
                       arguments.dask, arguments.force)
     if arguments.report:

@@ -22,11 +22,11 @@ from std_srvs.srv import Trigger
 
 from .node_parameters import ManagedNode, QOS_PREFIX, TableNode
 from .pipeline import Pipeline
-from ..core.geometry.jit import COMPILED
+from ..core.geometry.jit import COMPILED, NOT_COMPILED
 from ..core.live.load import check_live
 from ..core.parameters import checks
 from ..core.parameters.conversion import grip_of
-from ..errors import BellowsError, install, MAX_MESSAGE, shown
+from ..errors import BellowsError, MAX_MESSAGE, shown
 from ..report import health
 
 REPORT_PERIOD = 1.0
@@ -218,8 +218,7 @@ class PredictorNode(ManagedNode):
             self.get_logger().warning(sentence)
         inputs = [each.topic for each in (pipeline.pose_in, pipeline.twist_in) if each]
         if not COMPILED:
-            log('numba is not installed: a prediction takes 100 times as long. To install it: '
-                f'{install("fast")}')
+            log(f'A prediction takes 100 times as long, as {NOT_COMPILED}.')
         log(f'Listens to {" and ".join(inputs)}, publishes '
             f'{pipeline.outputs.pose.name}.')
         if grip_of(values, 0.0 if values.vacuum.signal == 'pressure' else None) is None:

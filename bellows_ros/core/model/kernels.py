@@ -17,7 +17,7 @@ kernel is compiled separately for cups that relax.
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
+from bellows_ros.core.geometry.jit import as_inputs, inlined_entry, inlined_kernel
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector, ZERO
 import numpy as np
 
@@ -48,21 +48,21 @@ ORIGIN: tuple[Vector, Quaternion, Vector, Vector] = (ZERO, (0.0, 0.0, 0.0, 1.0),
 """State of a frame at rest in the origin of A."""
 
 
-@kernel
+@inlined_kernel
 def matrix_of(numbers: Any) -> Matrix:
     """Return nine numbers, row by row, as a 3x3 matrix."""
     return (numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
             numbers[7], numbers[8])
 
 
-@kernel
+@inlined_kernel
 def blocks_of(numbers: Any) -> Blocks:
     """Return 27 numbers as the blocks of K or P."""
     # Slices, as numba compiles a kernel anew for each constant index that it receives.
     return matrix_of(numbers[:9]), matrix_of(numbers[9:18]), matrix_of(numbers[18:])
 
 
-@kernel
+@inlined_kernel
 def strains_of(numbers: Any) -> Strains:
     """Return twelve numbers as two internal strains."""
     return (
@@ -83,7 +83,7 @@ def law_of(model: ModelTuple) -> LawTuple:
     return model[0][2][3:], model[0][4:]
 
 
-@kernel
+@inlined_kernel
 def model_of(row: Any, law: LawTuple) -> ModelTuple:
     """Return the model of the numbers of `model_row`, with stretch and branches of `law_of`."""
     K = blocks_of(row[2:29])
@@ -93,26 +93,26 @@ def model_of(row: Any, law: LawTuple) -> ModelTuple:
         (row[78], row[79], row[80]))
 
 
-@kernel
+@inlined_kernel
 def multiply_blocks(M: Blocks, a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return the product M [a; b] of a symmetric 6x6 matrix in blocks and a six-vector."""
     return (t3.add(t3.apply(M[0], a), t3.apply(M[1], b)),
             t3.add(t3.apply_transposed(M[1], a), t3.apply(M[2], b)))
 
 
-@kernel
+@inlined_kernel
 def strain(o: Vector, R: Matrix) -> tuple[Vector, Vector]:
     """Return h = [(I + R^T) o; (R - R^T)^vee] (3.18) of H = S2_H_S1 = (R, o)."""
     return t3.add(o, t3.apply_transposed(R, o)), (R[7] - R[5], R[2] - R[6], R[3] - R[1])
 
 
-@kernel
+@inlined_kernel
 def add_scaled_strain(a: Strain, factor: float, b: Strain) -> Strain:
     """Return a + factor * b."""
     return t3.add_scaled(a[0], factor, b[0]), t3.add_scaled(a[1], factor, b[1])
 
 
-@kernel
+@inlined_kernel
 def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) -> Strain:
     """Return h + sum_b r_b (h - z_b), the strain that K multiplies."""
     if len(strains) == 0:
@@ -122,7 +122,7 @@ def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) 
     return add_scaled_strain(add_scaled_strain(total, -r, strains[0]), -s, strains[1])
 
 
-@kernel
+@inlined_kernel
 def spring_wrench(
     o: Vector, R: Matrix, K: Blocks, branches: tuple[Branch, ...] = (), strains: Strains = ()
 ) -> Wrench:
@@ -137,7 +137,7 @@ def spring_wrench(
     return stress_wrench(o, R, stretched(K, h, multiply_blocks(K, e[0], e[1])))
 
 
-@kernel
+@inlined_kernel
 def stretched(K: Blocks, h: Strain, s: Strain) -> Strain:
     """Return the stress s plus 4 times the gradient of a h_z^3 + b h_z (h_rx^2 + h_ry^2)."""
     if len(K) == 3:
@@ -149,7 +149,7 @@ def stretched(K: Blocks, h: Strain, s: Strain) -> Strain:
         (s[1][0] + bending * x, s[1][1] + bending * y, s[1][2]))
 
 
-@kernel
+@inlined_kernel
 def stress_wrench(o: Vector, R: Matrix, s: Strain) -> Wrench:
     """
     Return -1/4 J^T s for the pose (R, o) of S1 in S2.
@@ -164,7 +164,7 @@ def stress_wrench(o: Vector, R: Matrix, s: Strain) -> Wrench:
     return t3.scale(-ENERGY_FACTOR, force), t3.scale(-ENERGY_FACTOR, moment)
 
 
-@kernel
+@inlined_kernel
 def damper_wrench(o: Vector, R: Matrix, v: Vector, w: Vector, P: Blocks) -> Wrench:
     """
     Return the damper wrench on the package at S1, f1 = -1/2 (P + X^T P X) v1 (3.32, 3.33).
@@ -179,14 +179,14 @@ def damper_wrench(o: Vector, R: Matrix, v: Vector, w: Vector, P: Blocks) -> Wren
     return t3.scale(-0.5, force), t3.scale(-0.5, moment)
 
 
-@kernel
+@inlined_kernel
 def spring_frames(cup: CupTuple, o_E_S: Vector, R_E_S: Matrix) -> Vector:
     """Return the origin of S1 in S2, o = l2 z + l1 R z + E_o_S (3.13); its rotation is R_E_S."""
     o = t3.add_scaled(o_E_S, cup[0], (R_E_S[2], R_E_S[5], R_E_S[8]))
     return o[0], o[1], o[2] + (cup[1] - cup[0])
 
 
-@entry
+@inlined_entry
 def cup_wrench(
     cup: CupTuple, o_E_S: Vector, R_E_S: Matrix, v_ES: Vector, w_ES: Vector, strains: Strains = ()
 ) -> Wrench:
@@ -204,13 +204,13 @@ def cup_wrench(
     return f, (m[0] - l1 * f[1], m[1] + l1 * f[0], m[2])  # X(S_H_S1)^-T (3.25)
 
 
-@kernel
+@inlined_kernel
 def wrench_at_com(com: Vector, f: Vector, m: Vector) -> Wrench:
     """Return the wrench moved from S to B: X(S_H_B)^T f_S (2.28) with S_H_B = (I, com)."""
     return f, t3.subtract(m, t3.cross(com, f))
 
 
-@entry
+@inlined_entry
 def lip_relative_to_tool(
     com: Vector, tool: State, body: State
 ) -> tuple[Vector, Matrix, Vector, Vector]:
@@ -229,7 +229,7 @@ def lip_relative_to_tool(
     return o_E_S, R_E_S, t3.subtract(v_S, v_tool), t3.subtract(body[3], w_tool)
 
 
-@kernel
+@inlined_kernel
 def newton_euler(
     package: PackageTuple, gravity: Vector, R_A_B: Matrix, v: Vector, w: Vector, f: Vector,
     tau: Vector,
@@ -246,7 +246,7 @@ def newton_euler(
     return dv, dw
 
 
-@entry
+@inlined_entry
 def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
     """Return the wrench of the cup on the package at the lip, in S axes, for a state."""
     cup, package, _ = model
@@ -254,7 +254,7 @@ def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
     return cup_wrench(cup, o_E_S, R_E_S, v_ES, w_ES, body[4:])
 
 
-@entry
+@inlined_entry
 def lip_strain(model: ModelTuple, tool: State, body: State) -> Strain:
     """Return the strain h of the cup (3.18) for a state."""
     cup, package, _ = model
@@ -262,14 +262,14 @@ def lip_strain(model: ModelTuple, tool: State, body: State) -> Strain:
     return strain(spring_frames(cup, o_E_S, R_E_S), R_E_S)
 
 
-@kernel
+@inlined_kernel
 def strain_rate(h: Strain, z: Strain, tau: float) -> Strain:
     """Return dz/dt = (h - z) / tau."""
     rate = 1.0 / tau
     return t3.scale(rate, t3.subtract(h[0], z[0])), t3.scale(rate, t3.subtract(h[1], z[1]))
 
 
-@kernel
+@inlined_kernel
 def strain_rates(model: ModelTuple, tool: State, body: State) -> Strains:
     """Return the rates of the internal strains; empty for a cup that does not relax."""
     strains, branches = body[4:], model[0][4:]
@@ -279,25 +279,25 @@ def strain_rates(model: ModelTuple, tool: State, body: State) -> Strains:
     return strain_rate(h, strains[0], branches[0][1]), strain_rate(h, strains[1], branches[1][1])
 
 
-@kernel
+@inlined_kernel
 def with_twist(state: State, v: Vector, w: Vector) -> State:
     """Return a state with its twist replaced."""
     return (state[0], state[1], v, w, *state[4:])
 
 
-@kernel
+@inlined_kernel
 def with_rotation(state: State, q: Quaternion) -> State:
     """Return a state with its orientation replaced."""
     return (state[0], q, *state[2:])
 
 
-@kernel
+@inlined_kernel
 def with_strains(state: State, strains: Strains) -> State:
     """Return a state with its internal strains replaced."""
     return (state[0], state[1], state[2], state[3], *strains)
 
 
-@entry
+@inlined_entry
 def relaxed(cup: CupTuple, h: Strain, body: State) -> State:
     """Return a state with both internal strains at h, their value after a long rest."""
     if len(cup) == 4:
@@ -305,7 +305,7 @@ def relaxed(cup: CupTuple, h: Strain, body: State) -> State:
     return with_strains(body, (h, h))
 
 
-@entry
+@inlined_entry
 def body_acceleration(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Vector]:
     """Return the rate of the package's body twist, m/s^2 and rad/s^2 (3.42)."""
     _, package, gravity = model
@@ -318,7 +318,7 @@ ToolSegment = tuple[float, Vector, Vector, Vector, Vector, Quaternion, Vector, V
 """Duration (s), position cubic (four coefficients), start orientation, rotation cubic (three)."""
 
 
-@entry
+@inlined_entry
 def tool_segment(start: State, end: State, duration: float) -> ToolSegment:
     """
     Return the cubic Hermite curve between two tool samples.
@@ -335,26 +335,26 @@ def tool_segment(start: State, end: State, duration: float) -> ToolSegment:
     return duration, start[0], *hermite(step, a1, a1_end), start[1], *hermite(phi, c1, c1_end)
 
 
-@kernel
+@inlined_kernel
 def hermite(step: Vector, slope: Vector, slope_end: Vector) -> tuple[Vector, Vector, Vector]:
     """Return the coefficients of s, s^2 and s^3 of a cubic Hermite curve that starts at zero."""
     quadratic = t3.add_scaled(t3.add_scaled(t3.scale(3.0, step), -2.0, slope), -1.0, slope_end)
     return slope, quadratic, t3.add_scaled(t3.add(slope, slope_end), -2.0, step)
 
 
-@kernel
+@inlined_kernel
 def cubic(s: float, c1: Vector, c2: Vector, c3: Vector) -> Vector:
     """Return c1 s + c2 s^2 + c3 s^3."""
     return t3.scale(s, t3.add_scaled(c1, s, t3.add_scaled(c2, s, c3)))
 
 
-@kernel
+@inlined_kernel
 def cubic_slope(s: float, c1: Vector, c2: Vector, c3: Vector) -> Vector:
     """Return c1 + 2 c2 s + 3 c3 s^2."""
     return t3.add_scaled(c1, 2.0 * s, t3.add_scaled(c2, 1.5 * s, c3))
 
 
-@entry
+@inlined_entry
 def tool_at(segment: ToolSegment, s: float) -> State:
     """Return the tool's pose and body twist at the fraction s of the segment."""
     duration, o0, a1, a2, a3, q0, c1, c2, c3 = segment
@@ -367,7 +367,7 @@ def tool_at(segment: ToolSegment, s: float) -> State:
         t3.scale(1.0 / duration, t3.body_rate(phi, cubic_slope(s, c1, c2, c3))))
 
 
-@entry
+@inlined_entry
 def extrapolated(tool: State, duration: float) -> State:
     """Return the tool after a duration (s) of constant linear and angular velocity in A."""
     o, q, v, w = tool[:4]
@@ -377,7 +377,7 @@ def extrapolated(tool: State, duration: float) -> State:
             t3.apply_transposed(t3.rotation_matrix(q_later), velocity), w)
 
 
-@kernel
+@inlined_kernel
 def stage_state(
     body: State, h: float, do: Vector, sigma: Vector, dv: Vector, dw: Vector, dz: Strains = ()
 ) -> State:
@@ -389,7 +389,7 @@ def stage_state(
         t3.add_scaled(body[3], h, dw), *moved_strains(body[4:], h, dz))
 
 
-@kernel
+@inlined_kernel
 def moved_strains(strains: Strains, h: float, rates: Strains) -> Strains:
     """Return internal strains plus h times their rates."""
     if len(strains) == 0:
@@ -398,7 +398,7 @@ def moved_strains(strains: Strains, h: float, rates: Strains) -> Strains:
         add_scaled_strain(strains[0], h, rates[0]), add_scaled_strain(strains[1], h, rates[1]))
 
 
-@kernel
+@inlined_kernel
 def rotation_rate(sigma: Vector, w: Vector) -> Vector:
     """
     Return the rate of sigma in R0 exp(sigma) for the body rate w, to the order of RKMK4.
@@ -410,19 +410,19 @@ def rotation_rate(sigma: Vector, w: Vector) -> Vector:
     return t3.add_scaled(t3.add_scaled(w, 0.5, once), 1.0 / 12.0, t3.cross(sigma, once))
 
 
-@kernel
+@inlined_kernel
 def weighted(a: Vector, b: Vector, c: Vector, d: Vector) -> Vector:
     """Return (a + 2 b + 2 c + d) / 6, the Runge-Kutta mean of four stages."""
     return t3.scale(1.0 / 6.0, t3.add(t3.add(a, d), t3.scale(2.0, t3.add(b, c))))
 
 
-@kernel
+@inlined_kernel
 def weighted_pair(a: Strain, b: Strain, c: Strain, d: Strain) -> Strain:
     """Return the `weighted` mean of four pairs of vectors."""
     return weighted(a[0], b[0], c[0], d[0]), weighted(a[1], b[1], c[1], d[1])
 
 
-@kernel
+@inlined_kernel
 def weighted_strains(a: Strains, b: Strains, c: Strains, d: Strains) -> Strains:
     """Return the `weighted` mean of four rates of internal strains."""
     if len(a) == 0:
@@ -430,7 +430,7 @@ def weighted_strains(a: Strains, b: Strains, c: Strains, d: Strains) -> Strains:
     return weighted_pair(a[0], b[0], c[0], d[0]), weighted_pair(a[1], b[1], c[1], d[1])
 
 
-@kernel
+@inlined_kernel
 def rates(
     model: ModelTuple, tool: State, body: State, w: Vector
 ) -> tuple[Vector, Vector, Vector, Vector, Strains]:
@@ -440,7 +440,7 @@ def rates(
     return do, w, dv, dw, strain_rates(model, tool, body)
 
 
-@kernel
+@inlined_kernel
 def stages(
     model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
 ) -> tuple[State, State, State, State]:
@@ -462,7 +462,7 @@ def stages(
     return body2, body3, body4, with_rotation(end, (k * q[0], k * q[1], k * q[2], k * q[3]))
 
 
-@kernel
+@inlined_kernel
 def step(
     model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
 ) -> State:
@@ -470,7 +470,7 @@ def step(
     return stages(model, body, tool, tool_middle, tool_end, h)[3]
 
 
-@kernel
+@inlined_kernel
 def advance(
     model: ModelTuple, body: State, start: State, end: State, duration: float, substeps: int
 ) -> State:
@@ -486,7 +486,7 @@ def advance(
     return body
 
 
-@entry
+@inlined_entry
 def checked_wrench(
     model: ModelTuple, tool: State, body: State, reach: float
 ) -> tuple[Wrench, bool]:

@@ -34,7 +34,7 @@ def run(script, path=PACKAGE.parent, **environment):
     """Return what a script prints in a new interpreter, and its errors."""
     env = {name: value for name, value in os.environ.items() if name != 'NUMBA_CACHE_DIR'}
     env |= {'PYTHONPATH': str(path), 'PYTHONDONTWRITEBYTECODE': '1', **environment}
-    done = subprocess.run([sys.executable, '-P', '-c', script], cwd=path, env=env, text=True,
+    done = subprocess.run([sys.executable, '-P', '-c', script], cwd='/', env=env, text=True,
                           capture_output=True, timeout=500)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout), done.stderr
@@ -93,6 +93,19 @@ def test_damaged_code_is_removed_and_a_cache_that_cannot_be_written_is_not_neede
     (found, hits, none), err = run(MOVED, NUMBA_CACHE_DIR=str(blocked))
     assert (found, hits, none) == (first, 0, 'None')
     assert err.count('Compiled code cannot be stored') == 1
+
+
+@pytest.mark.parametrize(('fault', 'reason'), [
+    ("ImportError('Numba needs NumPy 2.3 or less')", 'numba cannot be loaded (Numba needs NumPy'),
+    ("OSError('libllvmlite.so: no such file')", 'numba cannot be loaded (libllvmlite.so'),
+    ("ModuleNotFoundError('no numba')", 'numba is not installed')])
+def test_numba_that_cannot_be_loaded_is_not_needed_and_says_why(tmp_path, fault, reason):
+    (tmp_path / 'numba.py').write_text(f'raise {fault}')
+    (found, hits, _), _ = run(MOVED, f'{tmp_path}{os.pathsep}{PACKAGE.parent}')
+    told, _ = run("""import json
+from bellows_ros.core.geometry import jit
+print(json.dumps(jit.NOT_COMPILED))""", f'{tmp_path}{os.pathsep}{PACKAGE.parent}')
+    assert hits == 0 and len(found) == 4 and told.startswith(reason)
 
 
 def test_work_aside_is_done_in_another_process(tmp_path, capfd):
