@@ -23,7 +23,6 @@ GROUPS = {
 """Parts of the names of optional parameters, by group."""
 LEAST = {
     'info': ['recording'], 'convert': None, 'play': None, 'parameters': [], 'warm-up': None,
-    'rehearse': None,
     'identify': ['recording', '--params', 'package.yaml'],
     'static': ['recording', '--params', 'cup.yaml'],
     'replay': ['recording', '--params', 'cup.yaml'],
