@@ -87,8 +87,7 @@ class Pipeline(Predicting):
         is_new = COMPILED and time.process_time() - begun > COMPILE_TIME
         self.compiler = compile_aside(compile_topics, values) if is_new else None
         if is_new:
-            node.get_logger().info(
-                "Compiled; 'bellows warm-up' compiles everything once, before a start.")
+            node.get_logger().info('Compiled; the next start needs no compilation.')
         self._compiled = {_kernels_of(values)}
         self.live = LivePredictor.from_parameters(node.values)
         self.outputs = Outputs(self)

@@ -22,7 +22,7 @@ GROUPS = {
     'all': ('_std', 'cup.lip_radius', 'vacuum.', 'package.size', 'release.', 'landing.')}
 """Parts of the names of optional parameters, by group."""
 LEAST = {
-    'info': ['recording'], 'convert': None, 'play': None, 'parameters': [], 'warm-up': None,
+    'info': ['recording'], 'convert': None, 'parameters': [],
     'identify': ['recording', '--params', 'package.yaml'],
     'static': ['recording', '--params', 'cup.yaml'],
     'replay': ['recording', '--params', 'cup.yaml'],
