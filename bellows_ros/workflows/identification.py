@@ -322,7 +322,7 @@ class Identification(CommandResult):
     @property
     def findings(self) -> tuple[str, ...]:
         """Findings in addition to K and P, as sentences."""
-        static, consistency = self.static, self.consistency
+        consistency = self.consistency
         return (
             *(self.verdict.sentences if self.verdict else (
                 (NO_VERDICT,) * bool(self.values.topics.package_pose))),
@@ -332,7 +332,6 @@ class Identification(CommandResult):
             *self._free_sentences(),
             *gripper_sentence(self.values),
             *_standstill_sentences(self),
-            *((static.verdict,) if static and static.spring else ()),
             *((consistency.verdict,) if consistency and not consistency.differs else ()),
             *(text for each in self.validations for text in (
                 *offset_sentence(each.bag, each.time_offset), each.sentence)))

@@ -35,7 +35,7 @@ from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.gripper import with_gripper
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
-from bellows_ros.workflows.static import read_standstills, StaticResult, with_spring
+from bellows_ros.workflows.static import read_standstills, StaticResult
 from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
 import numpy as np
 
@@ -355,9 +355,8 @@ def _identify(
         tuple(recordings), _consistency(parts, effective, progress, pairs), verdict=verdict,
         assumed=assumed, **more)
     if static:
-        identified = replace(identified, static=with_spring(
-            static._replace(cup_length=identified.cup_length), identified.cup,
-            values.gravity.magnitude))
+        identified = replace(
+            identified, static=static._replace(cup_length=identified.cup_length))
     identified = replace(identified, validations=tuple(_validated(identified, progress)))
     progress('done', 1.0)
     return identified

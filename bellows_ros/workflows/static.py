@@ -1,30 +1,22 @@
-"""Static recordings: the cup's length, and a check of its spring."""
+"""Recordings of standstills: the cup's length."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 import math
 import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.identification import statics
 from bellows_ros.core.identification.quantities import given_std
-from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.parameters.conversion import cup_of
+from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.pose_faults import NO_INERTIA
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
-from bellows_ros.files import File, parameter_files, results
+from bellows_ros.files import results
 from bellows_ros.report.sentences import sentence
-from bellows_ros.version import __version__
 from bellows_ros.workflows import recordings as reading
-from bellows_ros.workflows.recordings import no_progress, Progress
+from bellows_ros.workflows.recordings import Progress
 import numpy as np
-
-StaticBag = tuple[str, Mapping[str, Any]]
-"""A recording, and its individual parameters, such as its package."""
 
 
 class StaticResult(NamedTuple):
@@ -41,8 +33,6 @@ class StaticResult(NamedTuple):
         Reason for the missing length, or ''.
     cup_length : float
         Assumed length of the cup, m.
-    spring : tuple of PoseCheck or None
-        Check of the spring in every pose; None without a stiffness.
 
     """
 
@@ -50,34 +40,11 @@ class StaticResult(NamedTuple):
     length: statics.CupLength | None
     no_length: str
     cup_length: float
-    spring: tuple[statics.PoseCheck, ...] | None = None
 
     @property
     def standstills(self) -> list[Standstill]:
         """All standstills."""
         return [still for recording in self.recordings for still in standstills_in(recording)[0]]
-
-    @property
-    def creep(self) -> str:
-        """A sentence on creep of rubber in the standstills; '' without creep."""
-        creeps = np.array([still.creep for still in self.standstills if still.creep.any()])
-        if not len(creeps):
-            return ''
-        shift, angle = (float(np.linalg.norm(part, axis=1).max()) for part in np.hsplit(creeps, 2))
-        return sentence('static', 'creep', count=len(creeps), all=len(self.standstills),
-                        position=shift, rotation=angle)
-
-    @property
-    def passed(self) -> bool:
-        """Whether the spring model contradicts no pose."""
-        return not any(map(statics.is_off, self.spring or ()))
-
-    @property
-    def verdict(self) -> str:
-        """A sentence on the spring; '' without a check of the spring."""
-        return self.spring and sentence(
-            'static', 'holds' if self.passed else 'off', count=len(self.spring),
-            failing=sum(map(statics.is_off, self.spring))) or ''
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -106,12 +73,6 @@ class StaticResult(NamedTuple):
                 }},
             'no_estimate': self.no_length,
             'cup_length': self.cup_length,
-            'spring': self.spring and {
-                'passed': self.passed, 'verdict': self.verdict,
-                'poses': [
-                    {'tilt': pose.standstill.tilt,
-                     **results.attributes(pose, 'measured', 'predicted', 'verdict')}
-                    for pose in self.spring]},
             'recordings': [
                 {**recording.as_json(), 'unsettled': failed, 'standstills': [results.attributes(
                     still, 'start_ns', 'duration', 'tilt', 'samples', 'lip', 'creep')
@@ -176,52 +137,6 @@ def static_bags(values: Values) -> list[tuple[str, Values]]:
     return list(zip(map(os.fspath, values.static.bags), each, strict=True))
 
 
-def static_check(
-    bags: Sequence[StaticBag], settings: Mapping[str, Any], progress: Progress = no_progress
-) -> StaticResult:
-    """
-    Find the standstills of recordings, estimate the cup length, and check the spring.
-
-    Parameters
-    ----------
-    bags : sequence of StaticBag
-        Recordings of one cup with known masses.
-    settings : mapping
-        Parameters by name. The spring is checked if cup.stiffness is given, with cup.length, or
-        otherwise the estimated length.
-    progress : callable, optional
-        Callback with the current step and its completed fraction (0 to 1).
-
-    Raises
-    ------
-    BellowsError
-        If a parameter or a recording is unusable, or they determine neither a cup length nor a
-        check of the spring.
-
-    """
-    if not bags:
-        raise BellowsError('No static recording is given. Name one or more rosbag2 folders.')
-    each = [
-        (bag, resolve({'package.inertia': NO_INERTIA, **settings, **of_bag}, PACKAGE_PARAMETERS))
-        for bag, of_bag in bags]
-    values = each[0][1]
-    result = _read(each, values, progress)
-    if result.length is not None and 'cup.length' not in settings:
-        result = result._replace(cup_length=result.length.length)
-    if 'cup.stiffness' in settings:
-        return with_spring(result, cup_of(values), values.gravity.magnitude)
-    if result.length is None:
-        raise BellowsError(f'{result.no_length} To check the spring instead, give cup.stiffness.')
-    return result
-
-
-def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
-    """Return the result with a cup's spring checked in every pose, at its length."""
-    cup = replace(cup, length=result.cup_length)
-    return result._replace(spring=tuple(
-        statics.check_pose(cup, still, gravity) for still in result.standstills))
-
-
 def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress) -> StaticResult:
     """Return the result of recordings, each with its parameters; twists are irrelevant at rest."""
     recordings = list[Recording]()
@@ -246,24 +161,3 @@ def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress
             result.standstills, values.gravity.magnitude)._replace(com_std=com_std))
     except UndeterminedError as error:
         return result._replace(no_length=str(error))
-
-
-def save_length(result: StaticResult, path: File) -> None:
-    """
-    Write the estimated cup length as a parameter file.
-
-    Raises
-    ------
-    BellowsError
-        If no length was estimated, or the file cannot be written.
-
-    """
-    if result.length is None:
-        raise BellowsError(result.no_length)
-    bags = ', '.join(recording.name for recording in result.recordings)
-    header = [
-        f'Cup length estimated by bellows_ros {__version__} from {bags}:',
-        f'{length_sentence(result.length)}.']
-    parameter_files.write_parameters(path, {
-        'cup.length': result.length.length,
-        'cup.length_std': min(result.length.total_std, 1.0)}, header)

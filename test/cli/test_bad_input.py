@@ -22,7 +22,7 @@ SHORT = {
     'excite --params cup.yaml --out new --csv new.csv --limits', 'TOSS':
     f'toss {BAGS}/throw.yaml --params {BAGS}/tossing.yaml --json new.json', 'STEER':
     'steer --params cup.yaml --json new.json --out new --method', 'PLAN':
-    'plan --params cup.yaml --json new.json --out new', 'STATIC': 'static --params package.yaml',
+    'plan --params cup.yaml --json new.json --out new',
     'IDENTIFY': 'identify recording --params package.yaml'}
 """What lines begin with or share; the cell is what stands in the folder."""
 
@@ -100,7 +100,6 @@ READ = [
     'IDENTIFY --out recording/recording.mcap',
     'IDENTIFY --set output.json=recording/recording.mcap',
     'identify --params bags.yaml --set bags=x --json recording/metadata.yaml',
-    'static --params bags.yaml --json recording/recording.mcap',
     'replay recording CUP --report cup.yaml',
     'plot motion recording CELL --out x.png --json package.yaml',
     'convert poses.tum --topic /p --out poses.tum',
@@ -117,7 +116,7 @@ UNWRITABLE = [
     ('STEER zv transport.yaml --plot plan.avi', '.pdf, .gif or .mp4'),
 ]
 UNREADABLE = [
-    ('identify CELL', 'bags'), ('STATIC', 'rosbag2'),
+    ('identify CELL', 'bags'),
     ('info none --write-params new.yaml', "'none'"), ('identify bad.mcap CELL', "'bad.mcap'"),
     ('identify other CELL', "'/tool_arm/pose' ... /arm/pose, /box/pose ... topics.tool_pose"),
     ('identify twists CELL', f"'/tool_arm/pose' ... {TWIST} ... {POSE}"),
@@ -131,7 +130,6 @@ NOT_ALLOWED = [
     ('identify recording --params massless.yaml', 'package.mass: 2.17 ... kg'),
     ('plan transport.yaml', 'package.mass ... bellows info ... --params FILE'),
     ('IDENTIFY --set fit.structur=full', "--set fit.structur: ... 'fit.structure'"),
-    ('STATIC m0 m1 --mass 1', '1 masses ... 2 recordings ... --mass'),
     ('info recording --from soon', '--from: recording.start'),
     ('STEER zv transport.yaml --limits safe.yaml', 'cup.lip_radius'),
     ('EXCITE misspelt.yaml --time 6', "'bendig' ... 'bending'"),

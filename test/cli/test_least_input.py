@@ -24,7 +24,6 @@ GROUPS = {
 LEAST = {
     'info': ['recording'], 'convert': None, 'parameters': [],
     'identify': ['recording', '--params', 'package.yaml'],
-    'static': ['recording', '--params', 'cup.yaml'],
     'replay': ['recording', '--params', 'cup.yaml'],
     'plan': ['move.yaml', '--params', 'cup.yaml'],
     'steer': ['move.yaml', '--params', 'cup.yaml', '--method', 'zvd'],
@@ -66,7 +65,7 @@ def test_every_command_has_its_least_input():
 
 @pytest.mark.parametrize('group', GROUPS)
 @pytest.mark.parametrize('command', [
-    'plan', 'steer', 'toss', 'simulate', 'replay', 'static'])
+    'plan', 'steer', 'toss', 'simulate', 'replay'])
 def test_commands_run_without_an_optional_group(command, group, kitchen, bellows):
     """End to end, with a result as JSON; or name the parameter that is needed."""
     write_yaml(kitchen / 'cup.yaml', without(GROUPS[group]))

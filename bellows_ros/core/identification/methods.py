@@ -125,8 +125,7 @@ def _require_motion(result: Fit) -> None:
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             f'nor {UNLOADED_PARAMETER}, which no weight loads. Move the tool in all directions at '
-            "1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
-            'static.bags.')
+            '1-3 Hz, and along the cup at 4-6 Hz; standstills are for static.bags.')
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:

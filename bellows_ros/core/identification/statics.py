@@ -1,20 +1,17 @@
 """
-The cup's length from standstills (4.2), and a check of its spring.
+The cup's length from standstills (4.2), and their part of a fit.
 
-The spring is checked pose by pose. Lengths of the cup under several loads, extrapolated, give its
-length without load.
+Lengths of the cup under several loads, extrapolated, give its length without load.
 
 Standstills are part of a fit: the deviations of their mean poses from the equilibrium of the model
 add to the information on all unknowns.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
 from bellows_ros.core.model.jacobians import PARAMETER_COLUMNS, parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -22,7 +19,7 @@ from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import UndeterminedError, UnexplainedError, UnstableError
+from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 from scipy.special import chdtrc
@@ -213,57 +210,6 @@ def _linear_range(coefficients: Array, largest: float) -> float:
     bent = np.abs(polyval(loads, coefficients) - tangent) > 0.05 * np.abs(
         coefficients[1] * loads)
     return float(loads[int(np.argmax(bent))]) if bent.any() else largest
-
-
-class PoseCheck(NamedTuple):
-    """
-    Predicted and measured equilibrium in one pose of the tool.
-
-    Parameters
-    ----------
-    standstill : Standstill
-        The measured standstill.
-    measured, predicted : ndarray (6,)
-        Deflection of the lip in the tool from nominal, m and rad; predicted is nan if the cup
-        cannot carry the package.
-    verdict : str
-        'within noise', 'good', 'off' or 'no equilibrium'.
-
-    """
-
-    standstill: Standstill
-    measured: Array
-    predicted: Array
-    verdict: str
-
-
-def is_off(pose: PoseCheck) -> bool:
-    """Return whether the spring model contradicts a pose."""
-    return pose.verdict in ('off', 'no equilibrium')
-
-
-def check_pose(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
-    """
-    Compare the measured equilibrium of a standstill with the equilibrium of the model (3.9).
-
-    Gravity (m/s^2) points along -z of the world; damping has no effect.
-    """
-    nominal = np.array([0.0, 0.0, -cup.length, 0.0, 0.0, 0.0])
-    measured = still.lip - nominal
-    try:
-        position, q = static_equilibrium(
-            model_tuple(cup, still.payload, gravity), _state(still.tool))[:2]
-    except UnstableError:
-        return PoseCheck(still, measured, np.full(6, np.nan), 'no equilibrium')
-    predicted = replace(still, package=Trajectory(
-        still.package.stamps_ns, np.array([position]),
-        lie.quaternion_to_rotation(np.array([q])))).lip - nominal
-    deviation, size = np.linalg.norm(
-        np.reshape([predicted - measured, measured], (2, 2, 3)), axis=2)
-    is_beyond = deviation > 3.0 * np.sqrt(3.0) * np.array(still.error)
-    is_wrong = is_beyond & (deviation > 0.05 * size)
-    return PoseCheck(still, measured, predicted, (
-        'off' if is_wrong.any() else 'good' if is_beyond.any() else 'within noise'))
 
 
 def _state(body: Trajectory) -> State:

@@ -355,7 +355,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
         f'{1e3 * best.scatter[0]:.2g} ms; '
         f'expected less than {1e3 * MAX_RMS:g} mm, and {1e3 * DELAY_STD:g} ms. The '
         'likeliest cause is a wrong package.mass, cup.stiffness or cup.length, or a valve stamped '
-        'by another clock; check the first with bellows static.')
+        'by another clock.')
 
 
 def _identifiable(
