@@ -93,9 +93,8 @@ class Planning:
         """Publish the package along a plan and, for its subscribers, the plan without swing."""
         try:
             plan, tool, joints = read(message)
-            prediction = self._predict(tool, TAIL)
+            self._outcome = prediction = self._predict(tool, TAIL)
             self._publish(plan, tool, prediction)
-            self._outcome = prediction
             if (status := self.status) and status.level > Level.OK:
                 self._pipeline.node.get_logger().warning(f'Plan: {status.message}')
             if joints is None and self._steered.subscribed:

@@ -82,7 +82,7 @@ def of_load(factor, bending):
     (of_prediction(phase='coasting'), Level.WARN, 'Coasting'),
     (of_prediction(restarts={'gap': 2}), Level.WARN, '2 x'),
     (of_prediction(restarts={'no_equilibrium': 1}), Level.ERROR, 'package.mass'),
-    (of_prediction(twist_verdict='other_axes'), Level.WARN, 'tool_twist.frame'),
+    (of_prediction(twist_verdict='does_not_fit'), Level.WARN, 'tool_twist.frame'),
     (of_prediction(has_covariance=False), Level.WARN, 'package/odometry'),
     (of_load(None, 0.1), Level.OK, 'cup.lip_radius'), (of_load(2.0, 0.1), Level.OK, 'Within'),
     (of_load(1.234, 0.1), Level.WARN, '1.23 (peel), below safety.least, 1.5'),

@@ -563,8 +563,6 @@ class LivePredictor:
             predictions = self.flush()
             self.restarts[reason] += 1
             self._forget_motion()
-        if self._screen.suspect:
-            self.package.settling.inflate(stamp_ns, *self._screen.suspect)
         self.arrivals.add(arrival_ns)
         self.pairing.add_pose(self.tool.pose(stamp_ns, position, quaternion_xyzw))
         return predictions + self._release()
@@ -753,10 +751,8 @@ class LivePredictor:
         if twist is not None:
             start, seconds = (ORIGIN, 0.0) if last is None else (
                 last.tool, (pose.stamp_ns - last.stamp_ns) / NS_PER_S)
-            now, excess, suspicion, jump = self.tool.measured(pose, twist, start, seconds)
+            now, excess = self.tool.measured(pose, twist, start, seconds)
             if last is None or excess <= 1.0:
-                if last is not None and suspicion > 1.0:
-                    self.package.settling.inflate(pose.stamp_ns, *jump)
                 return None, now
             self._counts['twist_misses_pose'] += 1
         self.twists_estimated += 1

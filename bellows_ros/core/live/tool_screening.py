@@ -4,7 +4,6 @@ Screening of the tool's poses and twists: a state machine over stamps, frames an
 Each pose is accepted, rejected with a reason, or accepted as a restart with a reason. A single
 implausible pose is rejected; a consistent run of them is accepted, so that the predictor recovers
 when a clock was set, a recording restarts, a driver changes its frame or a tool was moved unseen.
-If two tools publish on one topic, the poses of the first tool are accepted.
 """
 
 import math
@@ -14,15 +13,14 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
-from bellows_ros.core.recording.conventions import MAX_MOTION
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen
 from bellows_ros.core.signals.trajectory import NS_PER_S
 
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
-    'future_stamp', 'frame_id', 'repeated_pose', 'jump', 'millimetres', 'twist_nan',
-    'twist_too_fast', 'twist_frame_id', 'twist_misses_pose', 'twist_unpaired')
+    'future_stamp', 'frame_id', 'jump', 'millimetres', 'twist_nan', 'twist_too_fast',
+    'twist_frame_id', 'twist_misses_pose', 'twist_unpaired')
 """Reasons for rejecting poses and twists of the tool."""
 
 JUMP_RUN = 5
@@ -41,23 +39,8 @@ MAX_ACCELERATION = (100.0, 1000.0)
 JUMP_TOLERANCE = (0.02, 0.2)
 """Largest displacement and rotation without a jump of an arm without acceleration, m and rad."""
 
-SUSPECT_ACCELERATION = (40.0, 400.0)
-"""Suspicious acceleration of an arm, m/s^2 and rad/s^2."""
-
-SUSPECT_TOLERANCE = (0.015, 0.15)
-"""Largest unsuspicious displacement and rotation of an arm without acceleration, m and rad."""
-
-SUSPICION_AFTER_JUMPS = 0.2
-"""Fraction of the suspicious limit that applies after rejected poses."""
-
 JITTER = 0.025
 """Largest error of stamps, s, as of bursts of messages that are stamped on arrival."""
-
-MAX_DECELERATION = (30.0, 300.0)
-"""Largest deceleration of an arm to a stop within one sample, m/s^2 and rad/s^2."""
-
-STOP_TOLERANCE = (3e-4, 1.5e-3)
-"""Noise of a pose at a stop, m and rad."""
 
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
@@ -71,27 +54,6 @@ class TwistSample(NamedTuple):
     angular: Vector
 
 
-class PoseStep(NamedTuple):
-    """Motion from one pose to a later one."""
-
-    excess: float
-    """Size relative to the limit of an arm; above 1 is impossible."""
-    suspicion: float
-    """Size relative to the suspicious limit."""
-    jump: tuple[float, float]
-    """Deviation from a steady motion, m and rad."""
-    speeds: tuple[float, float]
-    """Smaller speed (m/s) and rate (rad/s) of this step and the previous step, so that a single
-    jump does not count as motion."""
-    velocity: Vector
-    """Velocity in axes of the poses' frame, m/s."""
-    rate: Vector
-    """Angular velocity in the tool's axes, rad/s."""
-
-
-REST = PoseStep(0.0, 0.0, (0.0, 0.0), (0.0, 0.0), ZERO, ZERO)
-
-
 class Reference(NamedTuple):
     """The pose with which the next one is compared."""
 
@@ -100,14 +62,15 @@ class Reference(NamedTuple):
     quaternion_xyzw: Quaternion
     period: float
     """Time since the previous pose, s; 0 for the first, with the tool at rest."""
-    step: PoseStep
-    """Step from the previous pose."""
+    velocity: Vector
+    """Velocity since the previous pose in axes of the poses' frame, m/s."""
+    rate: Vector
+    """Angular velocity since the previous pose in the tool's axes, rad/s."""
 
-    def step_to(self, stamp_ns: int, o: Vector, q: Quaternion) -> PoseStep:
-        """Return the step to a later pose."""
-        return PoseStep(*_pose_step(
-            self.position, self.quaternion_xyzw, self.step.velocity, self.step.rate, self.period,
-            o, q, (stamp_ns - self.stamp_ns) / NS_PER_S))
+    def step_to(self, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[float, Vector, Vector]:
+        """Return size relative to the limit of an arm, velocity and rate of a step to a pose."""
+        return pose_step(*self[1:3], self.velocity, self.rate, self.period, o, q,
+                         (stamp_ns - self.stamp_ns) / NS_PER_S)
 
 
 @kernel
@@ -117,12 +80,12 @@ def change(a: Vector, b: Vector) -> tuple[float, float]:
 
 
 @entry
-def _pose_step(
+def pose_step(
     o: Vector, q: Quaternion, velocity: Vector, rate: Vector, period: float,
     other_o: Vector, other_q: Quaternion, seconds: float,
-) -> tuple[float, float, tuple[float, float], tuple[float, float], Vector, Vector]:
+) -> tuple[float, Vector, Vector]:
     """
-    Return the `PoseStep` from a pose to another after some seconds, as a tuple for numba.
+    Return size relative to the limit of an arm, velocity and rate of a step between two poses.
 
     The change of velocity is multiplied by the shorter of the two periods, and reduced in a steady
     motion, so that bursts and jitter of stamps do not count as jumps.
@@ -130,25 +93,19 @@ def _pose_step(
     shift = t3.subtract(other_o, o)
     rotation = t3.rotation_between(q, other_q)
     v, w = t3.scale(1.0 / seconds, shift), t3.scale(1.0 / seconds, rotation)
-    velocity_change, speed = change(velocity, v)
-    rate_change, angular_speed = change(rate, w)
-    shorter = min(seconds, period) if period > 0.0 else seconds
-    jump, angle_jump = velocity_change * shorter, rate_change * shorter
-    jitter, angle_jitter = JITTER * speed, JITTER * angular_speed
-    squared = 0.5 * (seconds + shorter) * shorter
     excess = pose_distance((t3.norm(shift), t3.norm(rotation)), (
         SHIFT_TOLERANCE + screening.MAX_TOOL_SPEED * seconds,
         ROTATION_TOLERANCE + screening.MAX_TOOL_RATE * seconds))
-    suspicion, jumps = 0.0, (jump, angle_jump)
-    if period != UNKNOWN_PERIOD:
-        excess = max(excess, pose_distance(jumps, (
-            JUMP_TOLERANCE[0] + jitter + MAX_ACCELERATION[0] * squared,
-            JUMP_TOLERANCE[1] + angle_jitter + MAX_ACCELERATION[1] * squared)))
-    if period > 0.0:
-        suspicion = pose_distance(jumps, (
-            SUSPECT_TOLERANCE[0] + jitter + SUSPECT_ACCELERATION[0] * squared,
-            SUSPECT_TOLERANCE[1] + angle_jitter + SUSPECT_ACCELERATION[1] * squared))
-    return excess, suspicion, jumps, (speed, angular_speed), v, w
+    if period == UNKNOWN_PERIOD:
+        return excess, v, w
+    velocity_change, speed = change(velocity, v)
+    rate_change, angular_speed = change(rate, w)
+    shorter = min(seconds, period) if period > 0.0 else seconds
+    squared = 0.5 * (seconds + shorter) * shorter
+    jumps = velocity_change * shorter, rate_change * shorter
+    return max(excess, pose_distance(jumps, (
+        JUMP_TOLERANCE[0] + JITTER * speed + MAX_ACCELERATION[0] * squared,
+        JUMP_TOLERANCE[1] + JITTER * angular_speed + MAX_ACCELERATION[1] * squared))), v, w
 
 
 class ToolArrivals:
@@ -233,8 +190,6 @@ class Screen(StampScreen):
         Frame of the accepted poses, if named.
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
-    suspect : (float, float) or None
-        Jump (m, rad) from a steady motion to the newest accepted pose, None if plausible.
 
     """
 
@@ -250,10 +205,9 @@ class Screen(StampScreen):
         """Accept any next stamp and position, in the same frame."""
         self.forget_stamps()
         self._last: Reference | None = None
-        self._step = REST  # from there, if its place was judged
-        self.suspect: tuple[float, float] | None = None
+        self._velocity = self._rate = ZERO  # of the step from there
         self._elsewhere: Reference | None = None  # newest of the rejected poses
-        self._elsewhere_run = 0
+        self._run = 0
 
     def judge(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
@@ -278,14 +232,16 @@ class Screen(StampScreen):
 
         """
         reason = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
-        if not reason or reason not in REFUSALS:
-            moved = self._elsewhere if reason == 'moved' else None
+        if reason not in REFUSALS:
             if reason:
+                velocities = self._velocity, self._rate
                 self.forget_motion()
+                if reason == 'moved':
+                    self._velocity, self._rate = velocities
             self.accept_stamp(stamp_ns, arrival_ns, reason)
-            self._last = moved or Reference(
-                stamp_ns, position, quaternion_xyzw, self.period_ns / NS_PER_S, self._step)
-            self._elsewhere = None
+            self._last = Reference(stamp_ns, position, quaternion_xyzw, self.period_ns / NS_PER_S,
+                                   self._velocity, self._rate)
+            self._elsewhere, self._run = None, 0
         return reason
 
     def _judge(
@@ -304,56 +260,21 @@ class Screen(StampScreen):
         return self.judge_stamp(stamp_ns, arrival_ns) or self._judge_place(stamp_ns, o, q)
 
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> str:
-        """Reject poses of a tracker that has lost its body: repeated or distant poses."""
+        """Reject distant poses, unless they are consistent with each other for some time."""
         last = self._last
         if t3.norm(o) > screening.MAX_PLACE:
             return 'millimetres'
         if last is None:
             return ''
-        if o == last.position and q == last.quaternion_xyzw:
-            self._step, self.suspect = REST, None
-            return 'repeated_pose' if _cannot_stop(last) else ''
-        is_doubted = self._elsewhere is not None
-        if is_doubted:  # the time since the last pose may be a burst's
+        other = self._elsewhere
+        if other is not None:  # the period before the rejected poses may be a burst's
             last = last._replace(period=(stamp_ns - last.stamp_ns) / NS_PER_S)
-        self._step = step = last.step_to(stamp_ns, o, q)
-        if step.excess <= 1.0 and not (is_doubted and self._is_elsewhere(stamp_ns, o, q)):
-            limit = SUSPICION_AFTER_JUMPS if is_doubted else 1.0
-            self.suspect = step.jump if step.suspicion > limit else None
+        excess, self._velocity, self._rate = last.step_to(stamp_ns, o, q)
+        if excess <= 1.0:
             return ''
-        self._note_elsewhere(stamp_ns, o, q)
-        if self._elsewhere_run >= JUMP_RUN:
-            return 'moved'
-        is_far = t3.norm(o) > MAX_MOTION and (
-            t3.norm(t3.subtract(o, last.position)) > SHIFT_TOLERANCE)
-        return 'millimetres' if is_far else 'jump'
-
-    def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
-        """Return whether a pose is near the last rejected pose, not the last accepted one."""
-        refused, last = self._elsewhere, self._last
-        if refused is None or last is None or stamp_ns <= refused.stamp_ns:
-            return False
-        of_refused, of_accepted = (
-            pose_distance(each._replace(period=0.0).step_to(stamp_ns, o, q).jump, JUMP_TOLERANCE)
-            for each in (refused, last))
-        return of_refused < of_accepted
-
-    def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:
-        """Count successive consistent poses far from the last accepted one."""
-        before, self._elsewhere = self._elsewhere, Reference(stamp_ns, o, q, UNKNOWN_PERIOD, REST)
-        if before is not None and stamp_ns > before.stamp_ns:
-            step = before.step_to(stamp_ns, o, q)
-            if step.excess <= 1.0:
-                seconds = (stamp_ns - before.stamp_ns) / NS_PER_S
-                self._elsewhere = self._elsewhere._replace(period=seconds, step=step)
-                self._elsewhere_run += 1
-                return
-        self._elsewhere_run = 1
-
-
-def _cannot_stop(last: Reference) -> bool:
-    """Return whether an arm is too fast to be at rest one sample later."""
-    return any(
-        (speed - deceleration * last.period) * last.period > tolerance
-        for speed, deceleration, tolerance in zip(
-            last.step.speeds, MAX_DECELERATION, STOP_TOLERANCE, strict=True))
+        self._elsewhere = Reference(stamp_ns, o, q, UNKNOWN_PERIOD, ZERO, ZERO)
+        excess = math.inf
+        if other is not None and stamp_ns > other.stamp_ns:
+            excess, self._velocity, self._rate = other.step_to(stamp_ns, o, q)
+        self._run = self._run + 1 if excess <= 1.0 else 1
+        return 'moved' if self._run >= JUMP_RUN else 'jump'

@@ -3,8 +3,8 @@ The tool's twist at the stamps of its poses: measured, interpolated or estimated
 
 Measured twists come in any order and at any rate (`Pairing`). A twist with the stamp of the pose
 is used unchanged; a pose between two twists gets an interpolated twist; for other poses, after a
-short wait, the twist is estimated from the last poses. Measured twists are checked against the
-poses, in both choices of axes (`ToolMotion`).
+short wait, the twist is estimated from the last poses by the Savitzky-Golay filter at the end of
+its window. Measured twists are checked against these estimates (`ToolMotion`).
 """
 
 from collections import deque
@@ -19,7 +19,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.live.tool_screening import TwistSample
-from bellows_ros.core.model.kernels import extrapolated, State
+from bellows_ros.core.model.kernels import State
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -34,6 +34,13 @@ MAX_QUEUE = 256
 """Largest number of waiting poses."""
 
 
+MAX_SPAN_NS = 30_000_000
+"""Longest interval between two twists in which a twist is interpolated, ns."""
+
+MAX_ALONE = 3
+"""Number of successive poses without a twist after which poses no longer wait."""
+
+
 class Pairing:
     """
     Queues of poses and twists, and the rule for the release of poses.
@@ -42,7 +49,7 @@ class Pairing:
     ----------
     expect : bool
         Whether a pose waits for its twist. Set by callers that know of a publisher of twists, and
-        by successful pairs.
+        by twists that come soon after their poses.
     interpolated : int
         Number of poses with interpolated twists.
 
@@ -58,12 +65,9 @@ class Pairing:
         self._poses: deque[PoseSample] = deque()
         self._twists: deque[TwistSample] = deque(maxlen=32)
         self._before: TwistSample | None = None
-        self._newest_ns = self._last_emitted_ns = -1
-        self._pose_period_ns = self._twist_period_ns = 0.0
-        self._newest_twist_ns = -1
-        self._run = 0  # number of poses with a twist in a row; negative without
-        self._last_paired = False
-        self._without_twist: deque[int] = deque(maxlen=16)  # stamps released without a twist
+        self._newest_ns = self._released_ns = -1
+        self._alone = self._since_twist = 0  # poses without a twist, poses since the last twist
+        self._sparse = 0  # successive twists with several poses before each
 
     @property
     def waiting(self) -> int:
@@ -77,69 +81,48 @@ class Pairing:
 
     def add_pose(self, pose: PoseSample) -> None:
         """Queue a pose; stamps increase."""
-        if self._newest_ns >= 0:
-            self._pose_period_ns = smoothed(self._pose_period_ns, pose.stamp_ns - self._newest_ns)
         self._newest_ns = pose.stamp_ns
+        self._since_twist += 1
         self._poses.append(pose)
 
     def add_twist(self, twist: TwistSample) -> None:
-        """Queue a twist, or compare it if its pose has already been released."""
-        stamp_ns = twist.stamp_ns
+        """Queue a twist, or let poses wait if its pose has been released without it."""
+        stamp_ns, twists = twist.stamp_ns, self._twists
         self._received += 1
-        self._drop_leaps(stamp_ns)
-        if self._twists and stamp_ns <= self._twists[-1].stamp_ns:
+        while twists and twists[-1].stamp_ns > max(stamp_ns, self._newest_ns + MAX_WAIT_NS):
+            twists.pop()  # their stamps were wrong
+        if twists and stamp_ns <= twists[-1].stamp_ns:
             return
-        newest_ns, self._newest_twist_ns = self._newest_twist_ns, max(
-            self._newest_twist_ns, stamp_ns)
-        if 0 <= newest_ns < stamp_ns:
-            self._twist_period_ns = smoothed(self._twist_period_ns, stamp_ns - newest_ns)
-        if abs(stamp_ns - self._last_emitted_ns) <= PAIRING_TOLERANCE_NS:
-            if not self._last_paired:  # its pose was released before
-                self._last_paired = True
-                self._pairs += 1
-                self._count(True)
+        self._sparse = self._sparse + 1 if self._since_twist > 1 else 0
+        self._since_twist = 0
+        if stamp_ns > self._released_ns + PAIRING_TOLERANCE_NS:
+            twists.append(twist)
+            return
+        if self._alone and self._newest_ns - stamp_ns <= MAX_WAIT_NS:
+            self.expect = True
+        if self._before is None or stamp_ns > self._before.stamp_ns:
             self._before = twist
-        elif stamp_ns < self._last_emitted_ns:
-            self._note_late(stamp_ns)
-            if self._before is None or stamp_ns > self._before.stamp_ns:
-                self._before = twist
-        else:
-            self._twists.append(twist)
-
-    def _drop_leaps(self, stamp_ns: int) -> None:
-        """Drop twists with later stamps when an earlier twist follows: their stamps were wrong."""
-        while self._twists and self._twists[-1].stamp_ns > max(
-            stamp_ns, self._newest_ns + MAX_WAIT_NS
-        ):
-            self._twists.pop()
-            self._newest_twist_ns = self._twists[-1].stamp_ns if self._twists else -1
 
     def release_waiting_poses(self) -> None:
         """Release all waiting poses without their twists."""
         if self._poses:
-            self.expect, self._run = False, 0
+            self.expect = False
 
     def ready(self) -> Iterator[tuple[PoseSample, TwistSample | None]]:
         """Yield the released poses with their twists, oldest first."""
         while self._poses:
             pose = self._poses[0]
             twist = self._twist_of(pose.stamp_ns)
-            # twists for fewer than two of three poses
-            sparse = self._twist_period_ns > 1.5 * self._pose_period_ns > 0
-            if twist is None and self.expect and not sparse:
-                overdue = (self._newest_ns - pose.stamp_ns > MAX_WAIT_NS
-                           or len(self._poses) > MAX_QUEUE)
-                if not (overdue or self._twists):  # a newer twist shows that this one is lost
+            if twist is None and self.expect and not (self._twists or self._sparse > 1):
+                if (self._newest_ns - pose.stamp_ns <= MAX_WAIT_NS
+                        and len(self._poses) <= MAX_QUEUE):
                     return
-                self._count(False)
-                self.expect = self.expect and not overdue
+                self.expect = False
             self._poses.popleft()
-            self._last_emitted_ns, self._last_paired = pose.stamp_ns, twist is not None
-            if twist is None:
-                self._without_twist.append(pose.stamp_ns)
-            else:
-                self._pairs += 1
-                self._count(True)
+            self._released_ns = pose.stamp_ns
+            self._pairs += twist is not None
+            self._alone = self._alone + 1 if twist is None else 0
+            self.expect = self.expect and self._alone < MAX_ALONE
             yield pose, twist
 
     def _twist_of(self, stamp_ns: int) -> TwistSample | None:
@@ -156,34 +139,14 @@ class Pairing:
     def _interpolated(self, stamp_ns: int) -> TwistSample | None:
         """Return the twist interpolated at a stamp between the neighbouring twists."""
         before, after = self._before, self._twists[0]
-        if before is None or before.stamp_ns >= stamp_ns:
+        if before is None or before.stamp_ns >= stamp_ns or (
+                after.stamp_ns - before.stamp_ns > MAX_SPAN_NS):
             return None
-        span = after.stamp_ns - before.stamp_ns
-        if span > 30_000_000:  # ns
-            return None
+        s = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
         self.interpolated += 1
-        s = (stamp_ns - before.stamp_ns) / span
         return TwistSample(stamp_ns, *(
             t3.add_scaled(t3.scale(1.0 - s, a), s, b)
             for a, b in zip(before[1:], after[1:], strict=True)))
-
-    def _note_late(self, stamp_ns: int) -> None:
-        """Let poses wait for twists again, as a twist came after the release of its pose."""
-        if self._newest_ns - stamp_ns <= MAX_WAIT_NS and any(
-                abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist):
-            self._count(True)
-
-    def _count(self, is_paired: bool) -> None:
-        """Let poses wait for twists after poses with a twist, and not after poses without."""
-        self._run = max(self._run, 0) + 1 if is_paired else min(self._run, 0) - 1
-        if not -3 < self._run < 2:  # consecutive poses without a twist, and with one
-            self.expect = is_paired
-
-
-def smoothed(mean: float, value: float) -> float:
-    """Return a running mean with a new value, which is limited to twice the mean."""
-    # one lost twist hardly changes the mean
-    return mean + 0.1 * (min(value, 2.0 * mean) - mean) if mean else value
 
 
 HISTORY = 5
@@ -216,26 +179,18 @@ def pose_with_slope(rows: Any, count: int, at: int) -> State:
         return o, q, ZERO, ZERO
     span = rows[count - 1][0] - rows[0][0]
     s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
-    d0, d1, d2 = ZERO, ZERO, ZERO  # moments of the displacements
-    p0, p1, p2 = ZERO, ZERO, ZERO  # moments of the rotation vectors
     for i in range(count):
         s = (rows[i][0] - rows[at][0]) / span
-        d = t3.subtract((rows[i][1], rows[i][2], rows[i][3]), o)
-        qi = (rows[i][4], rows[i][5], rows[i][6], rows[i][7])
-        p = t3.rotation_between(q, qi)
         s1, s2, s3, s4 = s1 + s, s2 + s * s, s3 + s * s * s, s4 + s * s * s * s
-        d0, d1, d2 = t3.add(d0, d), t3.add_scaled(d1, s, d), t3.add_scaled(d2, s * s, d)
-        p0, p1, p2 = t3.add(p0, p), t3.add_scaled(p1, s, p), t3.add_scaled(p2, s * s, p)
     w0, w1, w2 = slope_weights(float(count), s1, s2, s3, s4)
-    weights = w0 / span, w1 / span, w2 / span
-    velocity, rate = weighted_sum(weights, d0, d1, d2), weighted_sum(weights, p0, p1, p2)
+    velocity, rate = ZERO, ZERO
+    for i in range(count):
+        s = (rows[i][0] - rows[at][0]) / span
+        weight = (w0 + s * (w1 + s * w2)) / span
+        shift = t3.subtract((rows[i][1], rows[i][2], rows[i][3]), o)
+        turn = t3.rotation_between(q, (rows[i][4], rows[i][5], rows[i][6], rows[i][7]))
+        velocity, rate = t3.add_scaled(velocity, weight, shift), t3.add_scaled(rate, weight, turn)
     return o, q, t3.apply_transposed(t3.rotation_matrix(q), velocity), rate
-
-
-@kernel
-def weighted_sum(w: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
-    """Return w0 x + w1 y + w2 z."""
-    return t3.add_scaled(t3.add_scaled(t3.scale(w[0], x), w[1], y), w[2], z)
 
 
 @kernel
@@ -267,12 +222,6 @@ FORGETTING = 0.98
 MAX_MISFIT = 0.25
 """Largest fraction of the mean square of correct twists that poses do not explain."""
 
-LAG_RANGE = 1e-3, 2e-2
-"""Range of the corrected lag of the poses behind their twists, s."""
-
-LAG_DEVIATIONS = 5.0
-"""Smallest significant lag, standard deviations."""
-
 MAX_JERK = 5e3
 """Largest jerk of an arm, m/s^3."""
 
@@ -286,24 +235,6 @@ ANGLE_TOLERANCE = 0.15
 """Tolerance of a rotation in addition to the largest angular jerk, rad."""
 
 
-@entry
-def misfits(
-    q: Quaternion, linear: Vector, angular: Vector, v: Vector, w: Vector
-) -> tuple[float, float, float]:
-    """
-    Return the squares of the body twist (v, w) and of the measured twist's deviation from it.
-
-    The measured twist (linear, angular) is taken in axes of the world, then of the tool; rotations
-    are weighted by `ROTATION_LEVER`.
-    """
-    R = t3.rotation_matrix(q)
-    return (
-        squared(v, w),
-        squared(t3.subtract(t3.apply_transposed(R, linear), v),
-                t3.subtract(t3.apply_transposed(R, angular), w)),
-        squared(t3.subtract(linear, v), t3.subtract(angular, w)))
-
-
 @kernel
 def squared(v: Vector, w: Vector) -> float:
     """Return the square of a twist, with rotation weighted by `ROTATION_LEVER`."""
@@ -311,36 +242,34 @@ def squared(v: Vector, w: Vector) -> float:
 
 
 @entry
+def misfit(tool: State, v: Vector, w: Vector) -> tuple[float, float]:
+    """Return the squares of an estimated body twist, and of a measured twist's deviation."""
+    return squared(v, w), squared(t3.subtract(tool[2], v), t3.subtract(tool[3], w))
+
+
+@entry
 def with_measured_twist(
     before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
-    seconds: float, lag: float,
-) -> tuple[State, float, float, tuple[float, float]]:
+    seconds: float,
+) -> tuple[State, float]:
     """
     Return the tool with a measured twist, and its deviation from the twists' integral.
 
-    A pose that lags (s) behind its twist is extrapolated by the twist.
-
-    The deviation is given relative to the largest possible deviation of an arm, relative to the
-    suspicious deviation, and as a shift (m) and an angle (rad). The shift between two poses
-    differs from the mean velocity times the time by at most j t^3 / 12, with the largest jerk j.
+    The deviation is relative to the largest possible deviation of an arm: the shift between two
+    poses differs from the mean velocity times the time by at most j t^3 / 12, with the largest
+    jerk j.
     """
     R_before, R = t3.rotation_matrix(before[1]), t3.rotation_matrix(q)
     v, w = linear, angular
     if in_world:
         v, w = t3.apply_transposed(R, linear), t3.apply_transposed(R, angular)
-    if lag > 0.0:
-        ahead = extrapolated((o, q, v, w), lag)
-        o, q = ahead[0], ahead[1]
     mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R, v)))
     shift = t3.norm(t3.subtract(t3.subtract(o, before[0]), t3.scale(seconds, mean)))
     rotation = t3.rotation_between(before[1], q)
     angle = t3.norm(t3.subtract(rotation, t3.scale(0.5 * seconds, t3.add(before[3], w))))
-    cubed, miss = seconds * seconds * seconds / 12.0, (shift, angle)
-    excess = pose_distance(miss, (
+    cubed = seconds * seconds * seconds / 12.0
+    return (o, q, v, w), pose_distance((shift, angle), (
         SHIFT_TOLERANCE + MAX_JERK * cubed, ANGLE_TOLERANCE + MAX_ANGULAR_JERK * cubed))
-    suspicion = pose_distance(miss, (
-        SHIFT_TOLERANCE + 5e2 * cubed, ANGLE_TOLERANCE + 5e3 * cubed))  # m/s^3, rad/s^3
-    return (o, q, v, w), excess, suspicion, miss
 
 
 class ToolMotion:
@@ -348,8 +277,7 @@ class ToolMotion:
     Motion of E from messages of its pose and twist, or of another frame of the tool.
 
     A missing twist is the slope of a quadratic, fitted by least squares to the last positions and
-    rotation vectors. Measured twists are regularly compared with such slopes. If the slopes lag
-    behind the twists, the poses are late, and are extrapolated.
+    rotation vectors. Measured twists are regularly compared with such slopes.
 
     Parameters
     ----------
@@ -363,9 +291,7 @@ class ToolMotion:
         self._rows, = as_inputs(np.zeros((HISTORY, 8)))
         self._in_world = in_world
         self._tip: tuple[Vector, Quaternion] | None = None
-        self._recent: deque[tuple[Quaternion, Vector, Vector]] = deque(maxlen=LATER_POSES + 1)
-        self._lag = 0.0
-        self._products = np.zeros(4)  # of acceleration a and difference d: a a, a d, d d; count
+        self._recent: deque[State] = deque(maxlen=LATER_POSES + 1)
         self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
@@ -378,7 +304,7 @@ class ToolMotion:
         self._count = self._origin_ns = self._compared = 0
         self._recent.clear()
         self._due_ns = -1
-        self._squares: tuple[float, ...] = 0.0, 0.0, 0.0  # see `misfits`
+        self._squares = 0.0, 0.0  # see `misfit`
 
     def pose(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> PoseSample:
         """Return the pose of E in the world from the pose of the frame, m."""
@@ -401,41 +327,21 @@ class ToolMotion:
 
     def measured(
         self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
-    ) -> tuple[State, float, float, tuple[float, float]]:
+    ) -> tuple[State, float]:
         """Return the result of `with_measured_twist` for E at the newest pose."""
         q = pose.quaternion_xyzw
         if self._tip is not None:
             twist = _at_tip(twist, *self._tip, q, self._in_world)
-        self._recent.append((q, twist.linear, twist.angular))
+        now, excess = with_measured_twist(
+            before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds)
+        self._recent.append(now)
         if len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
             self._due_ns = pose.stamp_ns + PERIOD_NS
-            slope = self.state(LATER_POSES)[2:4]
-            squares = misfits(*self._recent[0], *slope)
-            self._squares = tuple(FORGETTING * before + new for before, new in zip(
-                self._squares, squares, strict=True))
+            energy, deviation = misfit(self._recent[0], *self.state(LATER_POSES)[2:4])
+            self._squares = (FORGETTING * self._squares[0] + energy,
+                             FORGETTING * self._squares[1] + deviation)
             self._compared += 1
-            self._compare_velocity(slope[0])
-        return with_measured_twist(
-            before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds,
-            self._lag)
-
-    def _compare_velocity(self, slope: Vector) -> None:
-        """Estimate the lag of the poses: their slope (m/s, body axes) against the twist."""
-        (q, first, _), (_, last, _) = self._recent[0], self._recent[-1]
-        newest = self._count - 1
-        seconds = self._rows[newest][0] - self._rows[newest - LATER_POSES][0]
-        R = t3.rotation_matrix(q)
-        if self._in_world:
-            slope = t3.apply(R, slope)
-        a, d = t3.scale(1.0 / seconds, t3.subtract(last, first)), t3.subtract(first, slope)
-        self._products += np.array((t3.dot(a, a), t3.dot(a, d), t3.dot(d, d), 1.0))
-        aa, ad, dd, count = self._products.tolist()
-        found = ad / max(aa, 1e-12)
-        std = math.sqrt(max(dd - found * ad, 0.0) / (3.0 * count * max(aa, 1e-12)))
-        is_late = self.verdict == 'fits' and (
-            max(LAG_RANGE[0], LAG_DEVIATIONS * std) < found < LAG_RANGE[1])
-        step = 0.01 * PERIOD_NS / NS_PER_S  # of the twist at most, while the lag changes
-        self._lag += min(max(found * is_late - self._lag, -step), step)
+        return now, excess
 
     def estimated(self, has_before: bool) -> tuple[State | None, State]:
         """Return E at the last two poses, or one, with twists estimated from poses alone."""
@@ -445,16 +351,13 @@ class ToolMotion:
 
     @property
     def verdict(self) -> str:
-        """Verdict on measured twists: 'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
-        energy, *misfit = self._squares
+        """Verdict on measured twists: 'unknown', 'fits' or 'does_not_fit'."""
+        energy, deviation = self._squares
         weight = (1.0 - FORGETTING ** self._compared) / (1.0 - FORGETTING)
         if self._compared < 20 or not (  # a first verdict takes 20 comparisons
                 1e-3 * weight < energy < math.inf):  # (m/s)^2; noise dominates below
             return 'unknown'
-        chosen, other = misfit if self._in_world else misfit[::-1]
-        if not chosen > MAX_MISFIT * energy:
-            return 'fits'
-        return 'other_axes' if other < 0.25 * chosen else 'does_not_fit'
+        return 'does_not_fit' if deviation > MAX_MISFIT * energy else 'fits'
 
 
 def _at_tip(

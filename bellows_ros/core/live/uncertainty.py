@@ -281,15 +281,6 @@ class Settling:
         # m/s, rad/s, m/s^2, rad/s^2
         self.now = self._error_at_rest(stamp_ns, 0.5, 1.0, 5.0, 25.0)
 
-    def inflate(self, stamp_ns: int, shift: float, rotation: float) -> None:
-        """Add an implausible shift (m) and rotation (rad) of the tool to the error."""
-        before = self.now or Unsettled(stamp_ns, 0.0, 0.0, 0.0, 0.0)
-        self.now = before._replace(
-            since_ns=stamp_ns, shift=max(shift, before.shift),
-            rotation=max(rotation, before.rotation))
-        self._samples = []
-        self._until_ns = stamp_ns + self._duration_ns(self.now)
-
     def update(self, stamp_ns: int, tool: State) -> Unsettled | None:
         """Return the remaining error at a sample of the tool; after a start estimate its twist."""
         if self._samples:

@@ -197,7 +197,7 @@ def test_nothing_is_bridged_without_leave(messages):
 
 @pytest.mark.parametrize(('sent_in', 'said', 'verdict'), [
     ('world', 'world', 'fits'), ('tool', 'tool', 'fits'),
-    ('tool', 'world', 'other_axes'), ('world', 'tool', 'other_axes'),
+    ('tool', 'world', 'does_not_fit'), ('world', 'tool', 'does_not_fit'),
     ('nonsense', 'world', 'does_not_fit'),
 ])
 def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):

@@ -130,14 +130,6 @@ def test_poses_of_two_drivers_in_two_frames_are_not_mixed():
         assert driver.send(1, frame='map') == ['frame_id']
 
 
-@pytest.mark.parametrize('repeats', [1, 3, 200])
-def test_repeated_pose_of_a_moving_tool_is_lost_tracking(repeats):
-    driver = Driver(speed=0.5)
-    frozen = (0.5 * 99 * PERIOD * 1e-9, 0.0, 0.0)
-    assert driver.send(repeats, position=frozen) == ['repeated_pose'] * repeats
-    assert driver.send(10) == [GOOD] * 10
-
-
 def test_tool_that_comes_to_rest_may_repeat_its_pose():
     screen, o, v = Screen(), 0.0, 0.5
     for k in range(200):  # stops with 5 m/s^2, as arms do
@@ -153,14 +145,11 @@ def test_scattered_positions_are_rejected():
 
 
 @SPEEDS
-@pytest.mark.parametrize('apart', [0.04, 0.08, 0.3])
+@pytest.mark.parametrize('apart', [0.08, 0.3])
 def test_of_two_tools_on_one_topic_the_first_is_followed(period_ns, apart):
     driver = Driver(period_ns=period_ns, sent=0)
     places = [(0.0, 0.0, 0.0), (apart, 0.0, 0.0)]
     verdicts = [driver.send(1, position=places[k % 2])[0] for k in range(200)]
-    if apart < 0.05 and period_ns > 10 * MS:  # an arm could just do it: it is suspect
-        assert driver.screen.suspect
-        return
     assert verdicts == [GOOD, 'jump'] * 100
     assert driver.send(20, position=places[0]) == [GOOD] * 20
 
@@ -181,7 +170,7 @@ def test_a_start_in_motion_is_believed_soon(period_ns, speed):
     driver = Driver(speed=speed, period_ns=period_ns, sent=0)
     verdicts = driver.send(100)
     assert sum(v in REFUSALS for v in verdicts) <= JUMP_RUN
-    assert verdicts[10:] == [GOOD] * 90 and not driver.screen.suspect
+    assert verdicts[10:] == [GOOD] * 90
 
 
 @pytest.mark.parametrize('noise', [1e-4, 1e-3])
@@ -200,7 +189,6 @@ def test_noise_jitter_and_bursts_are_no_jumps(period_ns, noise):
         turn = 0.5 * math.sin(5.0 * t) + 5.0 * noise * rng.standard_normal()
         q = (0.0, 0.0, math.sin(0.5 * turn), math.cos(0.5 * turn))
         assert screen.judge(stamp, 'base', tuple(o.tolist()), q) == GOOD, k
-        assert not screen.suspect
 
 
 def test_sign_of_a_quaternion_is_no_jump():
@@ -229,13 +217,3 @@ def test_a_glitch_costs_the_same_along_each_axis(period_ns, noise):
                 quaternion_product(q, exp_quaternion(tuple(off[3:].tolist()))), stamp_ns))
         costs[axis] = [k for k, verdict in enumerate(verdicts) if verdict]
     assert costs == dict.fromkeys(range(6), [*range(19, 800, 20)])
-
-
-@pytest.mark.parametrize(('share', 'is_doubted'), [(0.12, False), (0.3, True), (0.8, True)])
-def test_doubt_begins_at_a_fifth_of_its_limit_after_a_refused_pose(share, is_doubted):
-    shift = share * 0.015  # in the tolerance of the doubt without refused poses
-    for jumps in (0, 1):
-        driver = Driver()
-        assert driver.send(jumps, position=(0.5, 0.0, 0.0)) == ['jump'] * jumps
-        assert driver.send(position=(shift, 0.0, 0.0)) == [GOOD]
-        assert bool(driver.screen.suspect) == (is_doubted and jumps == 1)
