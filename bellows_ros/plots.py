@@ -224,14 +224,14 @@ def plan_figure(report: Any) -> Any:
 
 
 def steer_figure(report: Any) -> Any:
-    """Draw the tilt of the package and the path length of the tool in several motions."""
+    """Draw the bending of the cup and the path length of the tool in several motions."""
     with picture('The motion as planned and steered', report.source.path) as figure:
         tilts, paths = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
         for (name, motion), colour in zip(report.motions.items(), THREE, strict=False):
             t, tool = motion.along.seconds, motion.along.position
             tilts.plot(t, np.degrees(motion.tilt), color=colour, label=name)
             paths.plot(t, np.linalg.norm(tool - tool[0], axis=1), color=colour)
-        tilts.set_title('tilt of the package from its reference (deg)')
+        tilts.set_title('bending of the cup (deg)')
         tilts.set_xlim(0.0, TAIL + max(m.tool.seconds[-1] for m in report.motions.values()))
         tilts.legend()
         paths.set(title='distance of the tool from its start (m)', xlabel='time (s)')
@@ -298,14 +298,14 @@ def plan_scenes(report: Any) -> Iterator[Scene]:
 
 
 def steer_scenes(report: Any) -> Iterator[Scene]:
-    """Yield the motions as planned and as steered, with the reference as an outline."""
+    """Yield the motions as planned and as steered."""
     for name in ('as planned', report.method):
         if motion := report.motions.get(name):
             last = motion.tool.seconds[-1] + TAIL
             package = ToolRows(motion.along.stamps_ns, motion.states).trajectory()
-            tool, package, outline = (body.select(motion.along.seconds <= last) for body in (
-                motion.along, package, motion.reference))
-            yield Scene(name, tool, package, outline, report.source.values)
+            tool, package = (body.select(motion.along.seconds <= last)
+                             for body in (motion.along, package))
+            yield Scene(name, tool, package, None, report.source.values)
 
 
 def toss_scenes(result: Any) -> Iterator[Scene]:

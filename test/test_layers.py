@@ -6,8 +6,8 @@ import re
 import subprocess
 import sys
 
-SENTENCES = 'report.sentences'
-"""A module of `report` that stands below `workflows`, and makes sentences of their findings."""
+SENTENCES = 'sentences'
+"""Modules of `report` that stand below `workflows`, and make sentences of their findings."""
 
 # What each room may import of this package beside itself and what all may use.
 ALLOWED = {
@@ -90,7 +90,8 @@ def room_of(file, root):
 def room_named(name):
     """Return the room in which an imported name of the package stands."""
     inside = name.removeprefix('bellows_ros.')
-    return SENTENCES if inside.startswith(SENTENCES) else '.'.join(name.split('.')[1:2])
+    return SENTENCES if inside.startswith(('report.sentences', 'report.findings')) else (
+        '.'.join(name.split('.')[1:2]))
 
 
 @cache

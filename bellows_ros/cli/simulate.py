@@ -5,6 +5,7 @@ from collections import Counter
 import math
 
 from bellows_ros.files.safe_yaml import load
+from bellows_ros.report.findings import text
 from bellows_ros.report.sentences import many
 from bellows_ros.workflows.simulate import simulate_recording, SimulationReport
 
@@ -33,7 +34,7 @@ def print_result(report: SimulationReport, console: Console) -> None:
     console.line(f'The cup bends by up to {math.degrees(report.largest_bending_rad):.1f} degrees, '
                  f'at {report.largest_bending_time_s:.2f} s.')
     if report.margin:
-        console.paragraph(report.margin.sentence)
+        console.paragraph(text(report.margin.finding))
     if report.tosses:
         late = [1e3 * (toss.release_time - toss.valve_time) for toss in report.tosses]
         console.line(f'{len(late)} tosses, released {min(late):.1f} to {max(late):.1f} ms after '

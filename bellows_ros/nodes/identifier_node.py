@@ -87,7 +87,7 @@ class IdentifierNode(TableNode):
 
     def _show(self, result: Identification) -> dict[str, table.Value]:
         """Make the result parameters of this node; return all parameters of the cup."""
-        for line in result.findings:
+        for line in result.notes:
             self.get_logger().info(line)
         for warning in result.warnings:
             self.get_logger().warning(warning)

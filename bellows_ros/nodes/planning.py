@@ -14,8 +14,10 @@ from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from .guarding import LATCHED, Worker
 from .outputs import Predicting, Topic
+from ..core.findings import Finding, Level
 from ..core.geometry.lie import quaternion_to_rotation
-from ..core.model.grip import safety_sentence
+from ..core.model.grip import safety_finding
+from ..core.model.validity_range import flip_finding
 from ..core.parameters.conversion import parameter_envelope, tip_of
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.plan_prediction import PlanPrediction, PlanSimulation
@@ -25,8 +27,8 @@ from ..core.signals.trajectory import at_tip, from_tip, Trajectory
 from ..errors import BellowsError
 from ..files import plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
-from ..report.health import Level, number, Status
-from ..report.sentences import flip_warning
+from ..report.findings import warnings
+from ..report.health import number, Status
 
 TAIL = 2.0
 """Predicted time after the end of a plan, s."""
@@ -137,10 +139,10 @@ class Planning:
             return outcome
         safety, outside = outcome.smallest_safety, outcome.outside(
             parameter_envelope(values), values.package.mass, values.vacuum.holding)
-        message = ' '.join(filter(None, (
-            safety_sentence(*safety, 0.0, values.safety.least) if outcome.grip else '',
-            f'Outside the validity range: {"; ".join(outside)}.' if outside else '',
-            flip_warning(outcome.bending))))
+        message = ' '.join(warnings(filter(None, (
+            safety_finding(*safety, 0.0, values.safety.least) if outcome.grip else None,
+            Finding('outside', Level.WARN, {'ranges': '; '.join(outside)}) if outside else None,
+            flip_finding(outcome.bending)))))
         released = outcome.grip is not None and safety[0] < 1.0
         level = Level.ERROR if released else Level.WARN if message else Level.OK
         return Status('plan', level, message or 'The plan is within all given limits.', {

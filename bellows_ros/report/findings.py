@@ -1,12 +1,12 @@
 """Renderers of findings: sentences for the terminal and pages, an entry for JSON files."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 import tomllib
 from typing import Any
 
-from bellows_ros.core.findings import Finding
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.report.sentences import formatted
 
 
@@ -21,6 +21,11 @@ def text(finding: Finding) -> str:
     fact = facts()[finding.code]
     return ' '.join(formatted(fact[part], topic=finding.topic, **finding.numbers)
                     for part in ('what', 'do') if part in fact)
+
+
+def warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Return the sentences of findings that need attention."""
+    return tuple(text(finding) for finding in findings if finding.level > Level.OK)
 
 
 def prevents(finding: Finding, use: str) -> bool:

@@ -8,11 +8,11 @@ OK: works as intended. WARN: works, but needs attention. ERROR: does not work.
 
 from collections import deque
 from collections.abc import Mapping
-from enum import IntEnum
 from functools import partial
 import math
 from typing import NamedTuple
 
+from bellows_ros.core.findings import Level as Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.live.load import Load, Safety
 from bellows_ros.core.live.predictor import LivePredictor
@@ -92,14 +92,6 @@ REASONS: Mapping[str, str] = {**messages.REASONS, **{
     code.partition('.')[2]: text.format(gap=LONGEST_GAP_NS / NS_PER_S)
     for code, text in texts('live').items() if code.startswith(('refusals.', 'restarts.'))}}
 """Reasons for rejecting a message or for a restart, in words."""
-
-
-class Level(IntEnum):
-    """Levels of REP-107, as in diagnostic_msgs/DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
 
 
 class Status(NamedTuple):

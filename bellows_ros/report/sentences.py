@@ -24,7 +24,6 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.result import Finding
-from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING, TYPICAL_BENDING
 from bellows_ros.core.recording import alignment
 from bellows_ros.errors import shown
 import numpy as np
@@ -72,13 +71,6 @@ def sentence(room: str, code: str, **numbers: Any) -> str:
 def formatted(text: str, **numbers: Any) -> str:
     """Return a text with its fields, values in SI units, filled in."""
     return _Sentence().vformat(text, (), numbers)
-
-
-def flip_warning(angle: float, code: str = 'flips', begin: float = 0.0) -> str:
-    """Return the warning on a bending angle (rad) of the cup, '' for an allowed one."""
-    return '' if angle <= PEAK_MOMENT_BENDING else sentence(
-        'planning', code, angle=angle, limit=PEAK_MOMENT_BENDING, typical=TYPICAL_BENDING,
-        begin=begin)
 
 
 def listed(items: Sequence[str]) -> str:

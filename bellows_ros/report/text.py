@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from .findings import text as text_of
 from .sentences import listed, many, sentence
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def print_identification(result: 'Identification', out: Any) -> None:
     _print_samples(result, out)
     if fit.converged:
         out.paragraph(sentence('report', 'condition', number=fit.condition_number))
-    out.paragraph(*result.findings[len(sentences):])
+    out.paragraph(*result.notes[len(sentences):])
     out.warn(*result.warnings)
 
 
@@ -223,7 +224,7 @@ def print_replay(result: 'Replay', out: Any, limit: float = MAX_NRMSE) -> None:
     out.paragraph(
         validation.verdict(limit),
         sentence('report', 'compared', samples=validation.scores.samples),
-        *([result.margin.sentence] if result.margin else []),
+        *([text_of(result.margin.finding)] if result.margin else []),
         *offset_sentence(result.bag, result.time_offset))
     if result.live:
         out.paragraph(sentence('report', 'live', counts=', '.join(

@@ -8,8 +8,10 @@ Results draw and write themselves. Rarely needed modules are loaded at their fir
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+from bellows_ros.core.findings import Finding
 from bellows_ros.files import File
 from bellows_ros.files.results import write_json
+from bellows_ros.report import findings
 from bellows_ros.version import __version__
 
 
@@ -18,6 +20,16 @@ class CommandResult:
 
     figure: ClassVar[Callable[['CommandResult'], Any]]
     """Function that draws the result, set by `plots`."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Facts on the result."""
+        return ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings that need attention."""
+        return findings.warnings(self.findings)
 
     def as_json(self) -> dict[str, Any]:
         """Return all numbers by name, SI units, null for unknown values."""

@@ -320,7 +320,7 @@ class Identification(CommandResult):
                 np.array(delay_std), 's')
 
     @property
-    def findings(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """Findings in addition to K and P, as sentences."""
         consistency = self.consistency
         return (
@@ -389,7 +389,7 @@ class Identification(CommandResult):
         return results.with_units({
             **fit_json(self.fit),
             'warnings': self.warnings,
-            'findings': self.findings,
+            'findings': self.notes,
             'cup_length': self.cup_length,
             'found_parameters': {
                 name: {'value': value, 'std': std, 'units': {'value': unit, 'std': unit}}

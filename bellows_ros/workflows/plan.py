@@ -1,6 +1,6 @@
 """Prediction of a planned motion: reading of the plan, the package, and its uncertainty."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 import math
@@ -8,14 +8,16 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.live.predictor import points_down
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, model_tuple
-from bellows_ros.core.model.grip import Grip, safety_sentence
+from bellows_ros.core.model.grip import Grip, safety_finding
 from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.values import Values
@@ -30,7 +32,7 @@ from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
 from bellows_ros.files.messages import POSE, TWIST
 from bellows_ros.files.trajectory_files import read_tum
-from bellows_ros.report.sentences import flip_warning, sentence
+from bellows_ros.report.findings import entry, text
 from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
@@ -52,7 +54,7 @@ START_DEVIATIONS = 3.0
 MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
 
-NO_FACTOR = sentence('planning', 'no_factor')
+NO_FACTOR = text(Finding('no_factor'))
 
 
 MotionSource = File | Trajectory
@@ -69,8 +71,8 @@ class Source:
     tool : Trajectory
         Motion of E in the plan's frame with body twists.
     frame_id : str
-    notes : tuple of str
-        Notes on reading the plan.
+    notes : tuple of Finding
+        Findings on reading the plan.
     recorded : Trajectory or None
         Measured poses of E; None for a planned motion.
     path : str
@@ -84,7 +86,7 @@ class Source:
 
     tool: Trajectory
     frame_id: str
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     recorded: Trajectory | None = None
     path: str = ''
     values: Values = field(default_factory=lambda: Values({}))
@@ -215,19 +217,18 @@ class PlanReport(CommandResult):
         return tool, simulation.ToolRows(tool.stamps_ns, states).trajectory()
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Return warnings about the motion."""
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the motion."""
         source, prediction = self.source, self.prediction
-        safety = NO_FACTOR if prediction.grip is None else safety_sentence(
+        safety = Finding('no_factor') if prediction.grip is None else safety_finding(
             *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
         x, y, z = source.tool.rotation[0, :, 2].tolist()
         return (*source.notes, *filter(None, (
-            sentence('live', 'faults.above') if points_down((x, y, z), source.model[2]) else '',
-            safety,
-            flip_warning(prediction.bending),
-            '' if source.begins_at_rest else sentence('planning', 'begins_in_motion'),
-            '' if prediction.ends_at_rest else sentence('planning', 'ends_in_motion'),
-            f'Outside the validity range: {"; ".join(self.outside)}.' if self.outside else '')))
+            Finding('above') if points_down((x, y, z), source.model[2]) else None,
+            safety, flip_finding(prediction.bending),
+            None if source.begins_at_rest else Finding('begins_in_motion'),
+            None if prediction.ends_at_rest else Finding('ends_in_motion'),
+            outside_finding(self.outside))))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
@@ -241,7 +242,7 @@ class PlanReport(CommandResult):
                 'fastest_scale_std': fastest and fastest.scale_std} if self.sought else {}),
             'plan': self.source.path, 'frame_id': self.source.frame_id,
             'points': len(self.source.tool), 'least_safety_factor': self.least,
-            'warnings': self.warnings})
+            'findings': [*map(entry, self.findings)], 'warnings': self.warnings})
 
 
 def plan(
@@ -305,6 +306,11 @@ def _deviations(
     """Return the standard deviations of a function of the model; 0 for exact parameters."""
     _, parts = contributions(conversion.uncertain_of(values), model, compute)
     return np.asarray(np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(model))
+
+
+def outside_finding(ranges: Sequence[str]) -> Finding | None:
+    """Return the finding on exceeded validity ranges, None without any."""
+    return Finding('outside', Level.WARN, {'ranges': '; '.join(ranges)}) if ranges else None
 
 
 def bending(R_world_tool: Array, R_world_lip: Array) -> Array:
@@ -384,9 +390,8 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
         tool = from_rest(tool)
     elif source.recorded is not None and not simulation.stands(np.asarray(tool.twist)[0]):
         tool, (linear, angular) = with_fitted_start(tool, measured)
-        notes = (*notes, (
-            'The first acceleration of the tool is fitted to its poses, with a standard error of '
-            f'{linear:.2g} m/s^2 and {angular:.2g} rad/s^2.'))
+        notes = (*notes, Finding(
+            'fitted_start', Level.WARN, {'linear': linear, 'angular': angular}))
     return replace(source, tool=tool, path=os.fspath(path), values=values, notes=notes)
 
 
@@ -415,8 +420,8 @@ def _source_of_first(
     values: Values, urdf: str, file: Path, recording: Any,
 ) -> Source:
     """Return the first of some plans, each with its topic, with a note if there are several."""
-    where = f', on {read[0][0]}' if read[0][0] else ''
-    notes = [f"'{file}' has {len(read)} plans; using the first{where}."] if len(read) > 1 else []
+    notes = [Finding('first_of_plans', Level.WARN, {
+        'count': len(read), 'name': read[0][0]}, os.fspath(file))] if len(read) > 1 else []
     return replace(_source_of_plan(read[0][1], values, urdf, recording), notes=tuple(notes))
 
 
@@ -480,7 +485,7 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
         motion, rates, axes = _with_rates(
             motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
     tool = at_tip(_checked_motion(motion, rates, axes, name, given), conversion.tip_of(values))
-    return Source(tool, poses.frame_id, contents.notes,
+    return Source(tool, poses.frame_id,
                   recorded=at_tip(poses.trajectory(), conversion.tip_of(values)))
 
 

@@ -237,7 +237,7 @@ class Replay(CommandResult):
     values: Values
     recording: Recording
     validation: Validation
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
     live: Live | None = None
     observed: Observed | None = None
 

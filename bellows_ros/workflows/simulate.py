@@ -15,7 +15,7 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
-from bellows_ros.core.model.validity_range import PEAK_MOMENT_BENDING
+from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
@@ -28,7 +28,7 @@ from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bag_writer, File, messages
-from bellows_ros.report.sentences import flip_warning
+from bellows_ros.report.findings import warnings
 from bellows_ros.workflows.plan import bending, read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
@@ -145,11 +145,12 @@ def simulate_recording(
     if truth_file:
         atomic.write_bytes(truth_file, _truth_bytes(
             cup_of(values), recipe, plans, truth, R_world_level))
-    angle, worst, warnings = _bending(truth)
+    angle, worst = _bending(truth)
     return SimulationReport(
         bag, truth_file, recipe.motion.duration,
         {messages.topic: len(messages.stamps_ns) for messages in recorded}, _events(recipe, plans),
-        angle, worst, warnings, _smallest_margin(values, truth, recipe),
+        angle, worst, warnings(filter(None, [flip_finding(angle)])),
+        _smallest_margin(values, truth, recipe),
         truth.tosses)
 
 
@@ -262,12 +263,8 @@ def _truth_bytes(
     return file.getvalue()
 
 
-def _bending(truth: Truth) -> tuple[float, float, tuple[str, ...]]:
-    """Return the largest bending (rad), its time (s), and a warning."""
-    seconds = truth.tool.seconds
+def _bending(truth: Truth) -> tuple[float, float]:
+    """Return the largest bending (rad), and its time (s)."""
     angle = np.where(truth.held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
     worst = int(np.argmax(angle))
-    beyond = seconds[angle > PEAK_MOMENT_BENDING]
-    return float(angle[worst]), float(seconds[worst]), tuple(
-        flip_warning(float(angle[worst]), 'flips_later', begin)
-        for begin in beyond[:1])
+    return float(angle[worst]), float(truth.tool.seconds[worst])

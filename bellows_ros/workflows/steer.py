@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.cup_package import mean_square
@@ -21,12 +22,12 @@ from bellows_ros.core.planning.limits import (
     read_rates,
     stretched,
 )
-from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation, SETTLED_ANGLE
+from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, results, safe_yaml
-from bellows_ros.report.sentences import sentence
+from bellows_ros.report.findings import text
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import (
     bending,
@@ -104,17 +105,22 @@ class SteerReport(CommandResult):
     uncertain: bool
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """Return notes on the motion."""
-        steered, allowed = self.steered, max(steering.ALLOWED_TIME, self.source.duration)
-        is_short = steered.residual <= SETTLED_ANGLE
-        shaping = {'zv': 'shaped_less', self.method: 'shaped'}.get(
-            steered.method, 'unchanged' if is_short else 'unchanged_too_long')
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the motion."""
+        steered = self.steered
+        numbers = {
+            'scale': self.time_scale, 'limit': self.limit, 'method': steered.method,
+            'modes': len(steered.modes), 'residual': steered.residual,
+            'allowed': max(steering.ALLOWED_TIME, self.source.duration)}
+        shaping = 'shaped' if steered.method in steering.METHODS else 'unchanged'
         return (*self.source.notes, *(
-            sentence('planning', code, scale=self.time_scale,
-                     limit=self.limit, method=steered.method, modes=len(steered.modes),
-                     residual=steered.residual, allowed=allowed)
+            Finding(code, Level.OK, numbers)
             for code, applies in (('slowed', self.time_scale > 1.0), (shaping, True)) if applies))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on the motion."""
+        return tuple(map(text, self.findings))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""

@@ -6,12 +6,13 @@ import math
 import os
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.grip import RELEASE_NAMES
-from bellows_ros.core.model.validity_range import outside_loads
+from bellows_ros.core.model.validity_range import flip_finding, outside_loads
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.values import Values
@@ -21,7 +22,7 @@ from bellows_ros.core.toss import landing, release_fit
 from bellows_ros.core.toss.release import HeldMotion, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import bags, File, messages, results
-from bellows_ros.report.sentences import flip_warning, sentence
+from bellows_ros.report.findings import entry, warnings
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
 import numpy as np
@@ -124,7 +125,8 @@ class TossResult(CommandResult):
             'tumbling': toss.tumbling,
             'budget': _budget(self.shares()),
             'budget_of_groups': _budget(self.groups()),
-            'warnings': self.warnings, 'plan': self.source.path}
+            'findings': [*map(entry, self.findings)], 'warnings': self.warnings,
+            'plan': self.source.path}
         if self.aim is not None:
             content['target'] = {
                 'position': list(self.aim.target), 'valve_time': self.aim.switched,
@@ -147,33 +149,26 @@ class TossResult(CommandResult):
             np.subtract([self.toss.landing[0][:2]], self.aim.target)))
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings for the user."""
-        warnings = [*self.source.notes]
-        held, values = self.case.held, self.source.values
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the toss."""
+        held, values, release = self.case.held, self.source.values, self.source.values.release
         lost_at = held.lost_before(self.case.switched)
-        if lost_at is not None:
-            warnings.append(sentence(
-                'planning', 'lost_before', lost=lost_at, switched=self.case.switched))
         before = held.times <= self.toss.release_time
         angle = float(np.max(plan.bending(*(
             quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states)))))
-        warnings += filter(None, [flip_warning(angle, 'flips_before_release')])
-        if held.mode == 'delay' and not self.case.release.law[5]:
-            warnings.append(sentence('planning', 'no_lip'))
-        if outside := outside_loads(
+        return (*self.source.notes, *filter(None, (
+            None if lost_at is None else Finding(
+                'lost_before', Level.WARN, {'lost': lost_at, 'switched': self.case.switched}),
+            flip_finding(angle),
+            Finding('no_lip') if held.mode == 'delay' and not self.case.release.law[5] else None,
+            plan.outside_finding(outside_loads(
                 (values.cup.valid_mass, values.cup.valid_vacuum), values.package.mass,
-                values.vacuum.holding):
-            warnings.append(f'Outside the validity range of the cup: {"; ".join(outside)}.')
-        if conversion.beyond_masses(values):
-            lightest, heaviest = values.release.mass_range
-            warnings.append(sentence('planning', 'beyond_masses', mass=values.package.mass,
-                                     lightest=lightest, heaviest=heaviest))
-        if self.aim is not None and not self.reached:
-            turned = ' in this orientation' if self.aim.angle else ''
-            warnings.append(sentence(
-                'planning', 'out_of_reach', turned=turned, distance=self.aim.distance))
-        return tuple(warnings)
+                values.vacuum.holding)),
+            Finding('beyond_masses', Level.WARN, {'mass': values.package.mass, **dict(zip(
+                ('lightest', 'heaviest'), release.mass_range, strict=True))})
+            if conversion.beyond_masses(values) else None,
+            None if self.aim is None or self.reached else Finding(
+                'out_of_reach', Level.WARN, {'distance': self.aim.distance}))))
 
 
 def _budget(shares: list[Share]) -> list[dict[str, Any]]:
@@ -313,17 +308,22 @@ class ReleaseResult(NamedTuple):
     values: Values
 
     @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the drops."""
+        fit, count = self.fit, len(self.left_out)
+        numbers = ', '.join(
+            f'{RELEASE_NAMES[k]} ({fit.law[k]:.3g} ± {fit.std[k]:.2g} '
+            f'{RELEASE_UNITS[RELEASE_NAMES[k]]}'.rstrip() + ')' for k in fit.not_identifiable)
+        return tuple(filter(None, (
+            Finding('release_given', Level.WARN, {'numbers': numbers}) if numbers else None,
+            Finding('unused_drops', Level.WARN, {
+                'count': count, 'all': count + len(self.used),
+                'reasons': '; '.join(self.left_out)}) if count else None)))
+
+    @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings for the user."""
-        count, fixed, fit = len(self.left_out), self.fit.not_identifiable, self.fit
-        numbers = (f'{RELEASE_NAMES[k]} ({fit.law[k]:.3g} +- {fit.std[k]:.2g} '
-                   f'{RELEASE_UNITS[RELEASE_NAMES[k]]}'.rstrip() + ')' for k in fixed)
-        return tuple(text for text, applies in (
-            (f'Not identifiable from these drops, so the given or default value is used: '
-             f'{", ".join(numbers)}. Tosses of other masses are less certain; drops of a '
-             'package of half or twice the mass would determine more.', fixed),
-            (f'{count} of {count + len(self.used)} valve-offs are not used: '
-             f'{"; ".join(self.left_out)}.', count)) if applies)
+        """Sentences of the findings."""
+        return warnings(self.findings)
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
         """Return mass (kg), drops, release (s; NaN if later), and rms (m, m/s)."""

@@ -175,10 +175,10 @@ def test_each_recording_may_have_its_own_topics(root, true_cup, tmp_path):
     assert [part.payload.mass for part in result.parts] == [1.8, 1.2]
     compared = result.consistency
     assert not compared.differs
-    assert compared.sentences[-1] in set(result.findings) - set(result.warnings)
+    assert compared.sentences[-1] in set(result.notes) - set(result.warnings)
     differing = replace(result, consistency=compared._replace(std=1e-6 * compared.std))
     assert differing.consistency.sentences[-1] in (
-        set(differing.warnings) - set(differing.findings))
+        set(differing.warnings) - set(differing.notes))
     with pytest.raises(BellowsError, match=r'topics\.tool_pose.*package\.files'):
         identify({**own, **settings})
 
@@ -199,7 +199,7 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path
     assert count == 9 and chi2 < 2.0
     K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
     assert_allclose(np.diag(joined.fit.stiffness), K, rtol=0.01)
-    assert any('9 standstills are part of the fit' in line for line in joined.findings)
+    assert any('9 standstills are part of the fit' in line for line in joined.notes)
     save(joined, tmp_path / 'cup.yaml', tmp_path / 'fit.json', cell_path=tmp_path / 'cell.yaml')
     values = read_parameters(tmp_path / 'cup.yaml')
     assert values['cup.length'] == length and values['cup.length_std'] == pytest.approx(std)
@@ -218,7 +218,7 @@ def test_a_validation_comes_with_the_fit(shipped, root):
         **shipped[0].values, 'validation.bags': [str(root / 'bags/validation')]})
     (validated,) = result.validations
     assert validated.validation.failing() == ()
-    assert any('predicted within 5 %' in line for line in result.findings)
+    assert any('predicted within 5 %' in line for line in result.notes)
     assert f'{validated.bag}: The recording leaves the validity range' in result.warnings[-1]
     assert 'bending about x is -13.' in result.warnings[-1]  # twice what the fit has seen
 
@@ -375,7 +375,7 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
     assert value == pytest.approx(result.cup_length, abs=1e-8)
     error = result.fit.stiffness[2, 2] - 9200.0
     assert abs(error) < 4.0 * result.fit.stiffness_std[2, 2] < 0.05 * 9200.0
-    assert any(line.startswith('cup.length was estimated') for line in result.findings)
+    assert any(line.startswith('cup.length was estimated') for line in result.notes)
     assert result.refusals == () and np.all(result.verdict.simulated[0].rms[:3] < 3e-4)
 
 

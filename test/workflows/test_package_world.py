@@ -82,13 +82,13 @@ def test_the_transform_and_the_cup_are_found_together(result, true_cup):
 def test_offset_is_printed_and_written_into_its_file(result, bag, settings, tmp_path):
     """Replay with the cup file: the transform is in it."""
     assert any('recording.package_world was estimated: position 1' in line and 'degrees' in line
-               for line in result.findings)
+               for line in result.notes)
     save(result, tmp_path / 'cup.yaml', None, cell_path=tmp_path / 'cell.yaml')
     kept = read_parameters(tmp_path / 'cell.yaml')
     pose = result.parts[0].package_world.pose
     (offset,), (error,) = result.fit.delays, result.fit.delays_std
     assert any(f'{1e3 * offset:.3f} ms ±' in line and 'later than' in line
-               for line in result.findings)
+               for line in result.notes)
     assert 'later than the camera stamp of the same instant' in (tmp_path / 'cup.yaml').read_text()
     assert kept['recording.package_world'] == ' '.join(f'{x:.10g}' for x in pose)
     content = json.loads(format_json(result.as_json()))

@@ -323,11 +323,11 @@ def test_fastest_and_curves(bag, tmp_path):
 
 def test_lost_grip_and_unknown_grip_are_reported(bag):
     weak = figures(bag, values={'vacuum.holding': 2e4})
-    assert 'the cup lets go' in weak['warnings'][0]
+    assert 'The cup lets go' in weak['warnings'][0]
     low = figures(bag, values={'safety.least': 20.0})
     assert 'below safety.least, 20' in low['warnings'][0]
     unknown = figures(bag, values={'vacuum.holding': 0.0})
-    assert 'set cup.lip_radius' in unknown['warnings'][0]
+    assert 'Set cup.lip_radius' in unknown['warnings'][0]
     assert unknown['smallest_safety_mode'] is None
     soft = figures(bag, values={
         'cup.stiffness': np.diag([5400.0, 5400.0, 9200.0, 0.3, 0.3, 1.35]).ravel().tolist()})

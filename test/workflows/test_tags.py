@@ -79,7 +79,7 @@ def fitted(path, motion, times, pixels, k=NO_LENS, numbers=(7,), **given):
         replace(encoded('/detections', DETECTIONS, arrays), stamps_ns=stamps),
         encoded('/info', 'sensor_msgs/msg/CameraInfo', [calibration('plumb_bob', k)])])
     found = identify({**GIVEN, **given, 'bags': [str(path)]})
-    assert found.fit.converged and not found.refusals, found.findings
+    assert found.fit.converged and not found.refusals, found.notes
     error = np.diag(found.fit.stiffness)[SHOWN] / TRUE - 1.0
     return found, error, np.sqrt(np.diag(found.fit.covariance))[:4] / TRUE
 

@@ -13,6 +13,7 @@ below 1 if the grip is lost.
 import math
 from typing import NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import entry, kernel
@@ -209,11 +210,11 @@ class Margin(NamedTuple):
     time: float
 
     @property
-    def sentence(self) -> str:
-        """The margin as a sentence."""
-        consequence = ': the cup would have let go' if self.factor < 1.0 else ''
-        return (f'The smallest safety factor of the grip is {self.factor:.3g} ({self.mode}, at '
-                f'{self.time:.2f} s){consequence}.')
+    def finding(self) -> Finding:
+        """The margin as a finding."""
+        return Finding('margin' if self.factor >= 1.0 else 'lets_go',
+                       Level.OK if self.factor >= 1.0 else Level.ERROR,
+                       {**self._asdict(), 'std': 0.0})
 
 
 def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
@@ -224,12 +225,12 @@ def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
         float(seconds[row]))
 
 
-def safety_sentence(factor: float, mode: str, time: float, std: float, required: float) -> str:
-    """Return a sentence about a safety factor that is too small, else ''."""
+def safety_finding(
+    factor: float, mode: str, time: float, std: float, required: float
+) -> Finding | None:
+    """Return the finding on a safety factor that is too small, else None."""
     if math.isinf(factor) or (factor >= 1.0 and factor - 2.0 * std >= required):
-        return ''
-    sigma, less = (f' ± {std:.2g}', ' less two standard deviations') if std > 0.0 else ('', '')
-    finding = ': the cup lets go' if factor < 1.0 else (
-        f',{less} below safety.least, {required:g}')
-    return (f'The smallest safety factor is {factor:.3g}{sigma} ({mode}, at {time:.3f} s)'
-            f'{finding}. Move slower, or raise the vacuum.')
+        return None
+    code, level = ('lets_go', Level.ERROR) if factor < 1.0 else ('unsafe', Level.WARN)
+    return Finding(code, level, {
+        'factor': factor, 'mode': mode, 'time': time, 'std': std, 'required': required})

@@ -10,6 +10,7 @@ from decimal import Context, ROUND_CEILING, ROUND_FLOOR
 import math
 from typing import Any
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import frozen_array
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS, DISPLAY_UNITS
@@ -240,3 +241,9 @@ def _loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> list[tupl
             found.append((abs(value - 0.5 * (low + high)) / half,
                           f'the {name} is {scale * value:.4g} {unit}, seen {seen}'))
     return found
+
+
+def flip_finding(angle: float) -> Finding | None:
+    """Return the finding on a bending angle (rad) beyond the largest moment, else None."""
+    return None if angle <= PEAK_MOMENT_BENDING else Finding('flips', Level.WARN, {
+        'angle': angle, 'limit': PEAK_MOMENT_BENDING, 'typical': TYPICAL_BENDING})

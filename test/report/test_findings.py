@@ -1,0 +1,43 @@
+"""The table of findings: every fact makes its sentences, whatever its numbers are."""
+
+from string import Formatter
+
+from bellows_ros.core.findings import Finding, Level
+from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.report.findings import entry, facts, prevents, text, warnings
+from bellows_ros.report.sentences import SENTENCE_UNITS
+import pytest
+
+
+def fields(fact):
+    """Return the fields of a fact with their formats."""
+    return {field.partition('[')[0]: form or '' for part in ('what', 'do')
+            for _, field, form, _ in Formatter().parse(fact.get(part, '')) if field}
+
+
+@pytest.mark.parametrize('code', facts())
+def test_a_fact_makes_sentences(code):
+    """Know its keys, parameters and units; print numbers, names, and none."""
+    fact = facts()[code]
+    assert fact['what'].endswith('.') and fact.get('prevents', 'fit') in ('fit', 'replay')
+    assert set(fact) <= {'what', 'do', 'sets', 'prevents'}
+    assert set(fact.get('sets', ())) <= {*PARAMETERS}
+    for value in (0.5, None):
+        numbers = {}
+        for name, form in fields(fact).items():
+            unit = form.rpartition(' ')[2]
+            is_count = form.startswith('# ')
+            assert is_count or unit in SENTENCE_UNITS or not unit or unit[-1] in 'defg%', form
+            numbers[name] = 1 if is_count or form.endswith('d') else value if form else 'name'
+        topic = numbers.pop('topic', '')
+        made = text(Finding(code, Level.WARN, numbers, topic))
+        assert made and '{' not in made
+
+
+def test_a_finding_is_rendered():
+    """As sentences, as an entry of JSON, and by the use that it prevents."""
+    finding = Finding('no_factor')
+    assert text(finding).startswith('The safety factor') and 'Set cup.lip_radius' in text(finding)
+    assert entry(finding)['sets'] == ['cup.lip_radius', 'vacuum.holding']
+    assert warnings([finding, Finding('no_factor', Level.OK)]) == (text(finding),)
+    assert not prevents(finding, 'fit')
