@@ -60,8 +60,8 @@ CORE_NEEDS = {'numpy', 'scipy', 'numba', 'bellows_ros'}
 
 
 CORE = (
-    'geometry', 'signals', 'model', 'sensors', 'parameters', 'recording', 'observer', 'planning',
-    'toss', 'synthetic', 'identification', 'live', 'excitation')
+    'findings', 'geometry', 'signals', 'model', 'sensors', 'parameters', 'recording', 'observer',
+    'planning', 'toss', 'synthetic', 'identification', 'live', 'excitation')
 """The rooms of core, each above those that it may import."""
 
 
