@@ -8,9 +8,8 @@ masses, with the noise, drift and delay of an ATI Gamma or of a UR e-series; a p
 mm off its centre, its mass 10 % off and K 5 %; a gripper 2 % off, 1 % of gain errors
 by axis and 1 % of hysteresis. The camera has 30 Hz and white noise of 2 mm and 10 mrad. Errors of
 B are RMS in 8 s of pick-and-place motions, without the first 0.1 s. The second table counts losses
-and slips of 5 mm within 10 ms, with their delays, and false alarms before. The third has RMS
-errors of K and mass of recordings of 10 s by poses and wrenches, after an empty run; the last
-errors and alarms in the cycles with contact of `benchmarks.cycles`, with wrenches of 100 Hz, the
+and slips of 5 mm within 10 ms, with their delays, and false alarms before. The last has errors and
+alarms in the cycles with contact of `benchmarks.cycles`, with wrenches of 100 Hz, the
 noise of a UR e-series, which the parameters do not state, and 1 % of gain errors.
 """
 
@@ -22,8 +21,12 @@ from benchmarks.cycles import cell_of, CYCLES, Follower, PHASES, WORSE
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from test.core.identification.felt import joint_fit  # noqa: I100, I201
-from test.core.observer.wrench_run import predict, SENSORS, simulated, STEP_NS
+from test.core.observer.wrench_run import (  # noqa: I100, I201
+    predict,
+    SENSORS,
+    simulated,
+    STEP_NS,
+)
 
 BEGIN = 0.1
 """Time from which errors count, s."""
@@ -68,15 +71,6 @@ def faults(sensor: str, fault: str, seeds: range) -> str:
         others += sum(delay < 0.0 for _, delay in alarms)
     slowest = f'{np.median(delays):.0f} ms | {np.max(delays):.0f} ms' if delays else '- | -'
     return f'| {sensor} | {fault} | {len(delays)} of {len(seeds)} | {slowest} | {others} |'
-
-
-def offline(sensor: str, seeds: range) -> str:
-    """Return errors of K and mass by poses and wrenches, after an empty run, in a table."""
-    runs: Any = np.array([joint_fit(seed, sensor)[1:] for seed in seeds])
-    errors, std = runs.transpose(1, 0, 2)
-    return (f'| {sensor} | ' + ' | '.join(
-        f'{100 * x:.1f} %' for x in np.sqrt(np.mean(errors**2, axis=0)))
-        + f' | {100 * np.mean(np.abs(errors) < 2.0 * std):.0f} % |')
 
 
 class Feeler(Follower):
@@ -137,7 +131,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split('\n')[1])
     parser.add_argument('--seeds', type=int, default=10, help='number of seeds')
     parser.add_argument('--seed', type=int, default=0, help='the first seed')
-    parser.add_argument('--only', choices=['errors', 'faults', 'contact', 'offline'])
+    parser.add_argument('--only', choices=['errors', 'faults', 'contact'])
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.seeds)
     if options.only in (None, 'errors'):
@@ -152,11 +146,6 @@ def main() -> None:
         for sensor in SENSORS:
             for fault in ('lost', 'slip'):
                 print(faults(sensor, fault, seeds), flush=True)
-    if options.only in (None, 'offline'):
-        print('\n| sensor | K x | K z | K rx | K rz | mass | within 2 standard errors |')
-        print('|---|---|---|---|---|---|---|')
-        for sensor in SENSORS:
-            print(offline(sensor, seeds), flush=True)
     if options.only in (None, 'contact'):
         with_contact(seeds)
 

@@ -53,7 +53,7 @@ def print_result(result: Info, console: Console) -> None:
         for line in _facts(topic):
             console.paragraph(f'  {topic.name}: {line}')
     console.line()
-    for role in ('tool', 'package', 'twist', *['wrench'] * bool(result.wrench)):
+    for role in ('tool', 'package', 'twist'):
         guess = getattr(result, role)
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
         name = f'probably {guess.topic}' if guess else 'not found'

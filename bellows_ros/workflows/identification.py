@@ -21,12 +21,10 @@ from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOf
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
-from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.gripper import gripper_sentence
 from bellows_ros.workflows.recordings import (
     Failed,
     is_measured,
@@ -62,8 +60,7 @@ FREE_PARAMETERS = {
 """Parameter and unit of each estimated quantity of cup and package."""
 
 CELL_PREFIXES = ('package.', 'recording.', 'topics.', 'tool_pose.', 'tool_twist.', 'gravity.',
-                 'measured.', 'filter.', 'vacuum.',
-                 *(prefix for sensor in SENSORS.values() for prefix in sensor.parameters))
+                 'measured.', 'filter.', 'vacuum.')
 """Prefixes of the parameters of a cell and its package."""
 
 
@@ -197,7 +194,7 @@ class Identification(CommandResult):
         given = {
             name: value for name, value in self.values.items()
             if name.startswith(CELL_PREFIXES) and value != table.PARAMETERS[name].default
-            and name not in ('package.files', 'recording.start', 'recording.end', 'gripper.bags')}
+            and name not in ('package.files', 'recording.start', 'recording.end')}
         if 'package/camera_info' in self.remappings:
             given['measured.type'] = 'detections'
         found = {name: each for name, each in self.found.items() if name != 'cup.length'}
@@ -218,8 +215,7 @@ class Identification(CommandResult):
     def remappings(self) -> dict[str, str]:
         """Recorded topics by input of the node."""
         topics = self.values.topics
-        inputs = {'tool_arm/pose': topics.tool_pose, 'package/measured': topics.package_pose,
-                  'tool_arm/wrench': topics.tool_wrench}
+        inputs = {'tool_arm/pose': topics.tool_pose, 'package/measured': topics.package_pose}
         if self.values.measured.type == 'tf':
             del inputs['package/measured']
         inputs = {name: topic for name, topic in inputs.items() if topic}
@@ -330,7 +326,6 @@ class Identification(CommandResult):
               for text in world_sentence(part.name, self._final_world(number))),
             *self._clock_sentences(),
             *self._free_sentences(),
-            *gripper_sentence(self.values),
             *_standstill_sentences(self),
             *((consistency.verdict,) if consistency and not consistency.differs else ()),
             *(text for each in self.validations for text in (

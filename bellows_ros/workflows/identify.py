@@ -27,13 +27,11 @@ from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import FIT
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bag_folder
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
-from bellows_ros.workflows.gripper import with_gripper
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult
 from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
@@ -98,9 +96,8 @@ def identify(
     """
     values = resolved(settings)
     conversion.fitted_structure(values)
-    values, static = with_gripper(values, progress), None
-    if values.static.bags:
-        static = read_standstills(values.replaced({**FULL_RANGE}), progress)
+    static = read_standstills(
+        values.replaced({**FULL_RANGE}), progress) if values.static.bags else None
     effective = values
     if static:
         effective = values.replaced({'cup.length': static.cup_length})
@@ -167,11 +164,6 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     yield ({*free} - {'length', 'package_marker', 'clock_rate', 'scale'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')
-    for topic in (f'topics.{role}' for role in SENSORS):
-        yield (values[topic] and values.fit.method == 'least_squares',
-               f"{topic} needs fit.method: output_error. Set it, or {topic}: ''.")
-    yield (not (values.topics.package_pose or values.topics.tool_wrench),
-           "topics.package_pose is '' and topics.tool_wrench, too: name the topic of one.")
     yield ('length' in free and values.static.length,
            f'{names}static.length estimates the length from standstills. Use one of the two.')
     bags, validation = values.bags, values.validation.bags
@@ -347,8 +339,7 @@ def _identify(
             for n, part in enumerate(parts)]
     recordings = whole_recordings(parts)
     progress(CAUSE_TESTS, FIT_ENDS)
-    seen = [recording for recording in recordings if recording.is_seen]
-    verdict = verdict_of(fit, seen, effective.cup.length, effective)
+    verdict = verdict_of(fit, recordings, effective.cup.length, effective)
     identified = identification.Identification(
         fit, values,
         tuple(reduced(part, effective.cup.length) for part in parts),

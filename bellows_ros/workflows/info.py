@@ -77,11 +77,8 @@ MAX_DISTANCE = 1.0
 SAMPLES = 2000
 """Number of compared samples of two streams."""
 
-KINDS = 'pose', 'twist', 'wrench'
+KINDS = 'pose', 'twist'
 """Contents of topics that are read."""
-
-PREDICTED_WRENCH = 'cup/wrench'
-"""Topic of the predictor, not of a sensor."""
 
 
 class TopicInfo(NamedTuple):
@@ -93,7 +90,7 @@ class TopicInfo(NamedTuple):
     name, type_name : str
     messages : int
     kind : str
-        Content 'pose', 'twist', 'pose and twist', 'wrench', or '' for an unusable type.
+        Content 'pose', 'twist', 'pose and twist', or '' for an unusable type.
     problem : str
         Reason for an unreadable topic of a suitable type; otherwise ''.
     frame_id : str
@@ -190,7 +187,7 @@ class Info(NamedTuple):
     path : str
     topics : tuple of TopicInfo
         Topics by name.
-    tool, package, twist, wrench : Guess or None
+    tool, package, twist : Guess or None
     rest_s : float or None
         Duration of the initial rest of both bodies, s.
     settings : mapping
@@ -211,7 +208,6 @@ class Info(NamedTuple):
     settings: Mapping[str, Any]
     notes: tuple[str, ...]
     checks: tuple[Judgement, ...] = ()
-    wrench: Guess | None = None
 
     @property
     def valve(self) -> str:
@@ -335,14 +331,12 @@ def _with_roles(
     pair = max(filter(None, pairs), key=lambda pair: pair.score, default=None)
     tool, package = (pair.tool, pair.package) if pair else _roles_by_name(poses)
     twist, in_degrees = _twist_of(poses[tool.topic], twists) if tool else (None, False)
-    wrench = _wrench_of(described, poses[tool.topic].frame_id if tool else '')
     settings: dict[str, Any] = {
         'bags': (os.fspath(path),), **span,
         **{f'topics.{role}': guess.topic for role, guess in
            (('tool_pose', tool), ('package_pose', package)) if guess},
         **({'topics.tool_twist': ''} if twist is None or in_degrees else
            {'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}),
-        **({'topics.tool_wrench': wrench.topic} if wrench else {}),
         **next(({'vacuum.signal': signal} for signal, (kind, parameter) in SIGNALS.items()
                 for topic in described if topic.type_name == kind
                 and is_named(topic.name, str(PARAMETERS[parameter].default))), {})}
@@ -363,19 +357,7 @@ def _with_roles(
     if in_degrees and twist:
         notes[:0] = remark_sentences([Remark('twist_in_degrees', {'topic': twist.topic})])
     return Info(str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes),
-                found, wrench)
-
-
-def _wrench_of(described: Sequence[TopicInfo], world: str) -> Guess | None:
-    """Return the only topic with wrenches of a sensor, and their axes."""
-    found = [topic for topic in described
-             if topic.kind == 'wrench' and not is_named(topic.name, PREDICTED_WRENCH)]
-    if len(found) != 1:
-        return None
-    (topic,) = found
-    axes = ('the axes of the world' if topic.frame_id == world else
-            'the axes of wrench.frame, the pose of the sensor in the tool, which you state')
-    return Guess(topic.name, (f"its frame '{shown(topic.frame_id)}' means {axes}",))
+                found)
 
 
 def _registration_settings(

@@ -14,7 +14,6 @@ from bellows_ros.core.geometry.lie import (
     quaternion_to_rotation,
     transform,
 )
-from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
@@ -22,10 +21,8 @@ from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.alignment import FIT, Remark, REPLAY
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
-from bellows_ros.core.recording.preparation import filtered_tool, prepare
+from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
-from bellows_ros.core.sensors.readings import Readings
-from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
@@ -80,8 +77,7 @@ def load(
     with_digest : bool
         Whether the digests of its files are computed.
     held : bool
-        Whether it is for a fit: only the holds are used, if vacuum.signal is set, and further
-        sensors are read.
+        Whether it is for a fit: only the holds are used, if vacuum.signal is set.
     accepted : str
         Code of a fault that is accepted.
 
@@ -92,7 +88,7 @@ def load(
 
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
-    roles = ('tool_pose', 'package_pose', 'tool_twist', *(SENSORS if held else ()))
+    roles = 'tool_pose', 'package_pose', 'tool_twist'
     topics = {role: values[f'topics.{role}'] for role in roles}
     if values.measured.type == 'tf':
         topics['package_pose'] = detections.TF_TOPIC
@@ -194,7 +190,6 @@ def prepare_streams(
     topics.
     """
     recording = _prepared(streams, settings, values, name, accepted)
-    recording = replace(recording, further=_further(recording, streams, values))
     return _with_sentences(recording, recording.report.remarks)
 
 
@@ -218,19 +213,6 @@ def _with_sentences(recording: Recording, remarks: Iterable[Remark]) -> Recordin
     """Return a recording with sentences on remarks as warnings."""
     return replace(recording, report=replace(recording.report, warnings=(
         *recording.report.warnings, *remark_sentences(remarks))))
-
-
-def _further(
-    recording: Recording, streams: Mapping[str, Any], values: Values
-) -> tuple[Readings, ...]:
-    """Return the measurements of further sensors, on the corrected clock of the tool."""
-    offset = recording.report.time_offset
-    return tuple(
-        sensor.of(
-            trajectory.earlier(streams[role], offset.value if offset else 0.0),
-            recording.aligned_tool, recording.tool_pose.frame_id,
-            recording.settings.R_world_recorded, values)
-        for role, sensor in SENSORS.items() if role in streams)
 
 
 def remark_sentences(remarks: Iterable[Remark], name: File = '') -> tuple[str, ...]:
@@ -286,7 +268,8 @@ def _prepared(
         tool, twist = trajectory.streams_at_tip(
             tool, twist, conversion.tip_of(values), values.tool_twist.frame == 'world')
     if 'package_pose' not in streams:
-        return _unseen(tool, settings, values, 'tool_wrench' in streams)
+        raise BellowsError(
+            "topics.package_pose is ''. Name the topic with the package's poses.")
     package = streams['package_pose']
     if values.recording.package_world == '':
         prepared.require_one_frame(tool, package)
@@ -304,22 +287,6 @@ def _prepared(
     recording = _joined(tool, package, twist, settings, values, registers)
     return replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found)))
-
-
-def _unseen(
-    tool: PoseStream, settings: PrepareSettings, values: Values, has_wrenches: bool
-) -> Recording:
-    """Return a recording with a package of unknown poses, simulated with the given cup."""
-    if not has_wrenches:
-        raise BellowsError(
-            "topics.package_pose is '', which only 'bellows identify' with topics.tool_wrench can "
-            "do without. Name the topic with the package's poses.")
-    body = simulate(conversion.one_cup_of(values), settings.payload, filtered_tool(tool, settings),
-                    gravity=settings.gravity)
-    back = settings.R_world_recorded.T
-    package = PoseStream('', tool.frame_id, body.stamps_ns, apply(back, body.position),
-                         back @ body.rotation)
-    return prepare(tool, package, replace(settings, package_frame='com', align_at_rest=False))
 
 
 def _joined(

@@ -4,7 +4,7 @@ from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.messages import BOOL, encode_bool, WRENCH
+from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.workflows.info import info, longest_hold
 import numpy as np
 import pytest
@@ -46,20 +46,6 @@ def described(folder, *recorded):
     """Record topics, and return what is said of the recording."""
     write_bag(folder / 'bag', recorded, replace=True)
     return info(folder / 'bag')
-
-
-def test_a_force_sensor_is_proposed_with_its_axes(m, tmp_path):
-    """But no wrench of the predictor; its axes are of the world by the frame of the poses."""
-    stamps = START_NS + np.rint(m['t'] * 1e9).astype(np.int64)
-    load = np.zeros((len(stamps), 6))
-    for frame, axes in (('sensor', 'axes of wrench.frame'), ('world', 'axes of the world')):
-        found = described(
-            tmp_path, poses('/tool', m['t'], m['o'], m['R']),
-            poses('/package', m['t'], m['o_p'], m['R_p']),
-            as_messages('/ft/wrench', WRENCH, stamps, load, frame),
-            as_messages('/a/cup/wrench', WRENCH, stamps, load, 'lip'))
-        assert found.settings['topics.tool_wrench'] == '/ft/wrench'
-        assert found.wrench and axes in found.wrench.why[0] and found.twist is None
 
 
 def test_poses_determine_roles_if_names_do_not(m, tmp_path):

@@ -60,12 +60,8 @@ OF_RECORDING = (
     Check(prepared_faults.low_pass, FIT, level=1),
     Check(prepared_faults.jumps, FIT, level=1),
     Check(prepared_faults.wrong_sensors, '', level=1),
-    Check(prepared_faults.wrong_length, FIT, level=2, needs_length=True),
-    Check(prepared_faults.wrong_set_up, FIT, level=2))
+    Check(prepared_faults.wrong_length, FIT, level=2, needs_length=True))
 """Checks of a prepared recording, in one world and on one clock."""
-
-OF_WRENCHES = OF_RECORDING[-1:]
-"""Checks of a recording without poses of the package."""
 
 
 def pose_remarks(poses: RecordedPoses) -> tuple[Remark, ...]:
@@ -77,8 +73,7 @@ def recording_remarks(
     recording: Recording, length: float | None = None
 ) -> tuple[Remark, ...]:
     """Return the remarks of the checks on a prepared recording of a cup with a length (m)."""
-    checks = [check for check in (OF_RECORDING if recording.is_seen else OF_WRENCHES)
-              if length is not None or not check.needs_length]
+    checks = [check for check in OF_RECORDING if length is not None or not check.needs_length]
     return _remarks(checks, (recording.tool_pose, recording.package_pose), recording, length)
 
 

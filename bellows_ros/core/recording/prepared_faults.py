@@ -12,11 +12,7 @@ from operator import attrgetter
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
-from bellows_ros.core.model.cup_package import gravity_vector
 from bellows_ros.core.model.structure import THESIS_LENGTH
-from bellows_ros.core.sensors.set_up import fault_of, Still
-from bellows_ros.core.sensors.weighing import Wrenches
-from bellows_ros.core.sensors.wrench import gripper_regressors, loads
 from bellows_ros.core.signals.resampling import common_span
 from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
@@ -28,7 +24,6 @@ from .alignment import Remark
 from .pose_faults import noise_of
 from .preparation import lasting_steps, MAX_POSE_STEPS, prepare
 from .recording import LOW_RATE_HZ, Recording
-from .standstills import Standstill, standstills_of
 
 TAG_ROTATION = 2e-3
 """Smallest noise of the orientation of a detected tag, rad: ten times a tracked body's."""
@@ -318,33 +313,3 @@ def jumps(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remar
         return  # the fit separates slips from tails
     yield Remark(code, {
         'size': size, 'at': float(stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S}, 'package')
-
-
-def wrong_set_up(recording: Recording, length: float) -> Iterator[Remark]:
-    """Yield a wrong set-up of the force-torque sensor, by the package's weight at standstills."""
-    felt = next((each for each in recording.further if isinstance(each, Wrenches)), None)
-    if felt is None:
-        return
-    stills = tuple[Standstill, ...]()
-    with suppress(BellowsError):
-        stills, _ = standstills_of(recording)
-    spans = [still.start_ns + felt.sensor.delay_ns + np.array([0, round(
-        still.duration * NS_PER_S)]) for still in stills]
-    felt_in = [felt.values[slice(*np.searchsorted(felt.stamps_ns, span))] for span in spans]
-    stills = tuple(still for still, values in zip(stills, felt_in, strict=True) if len(values))
-    if not stills:
-        return
-    tool, package = (np.vstack([np.hstack([
-        getattr(still, body).position[0], lie.rotation_to_quaternion(
-            getattr(still, body).rotation[0]), np.zeros(6)]) for still in stills])
-        for body in ('tool', 'package'))
-    mount, gravity = felt.sensor.mount, gravity_vector(recording.settings.gravity)
-    rest = np.zeros((len(stills), 6))
-    load = loads(recording.payload, gravity, np.hstack([package, rest]), tool, mount)
-    load += gripper_regressors(tool, rest, gravity, mount) @ np.array(felt.sensor.gripper)
-    axes = np.array([still.tool.rotation[0] for still in stills]) @ np.reshape(mount[1], (3, 3))
-    is_wrong, fault = fault_of(
-        Still(np.array([each.mean(axis=0) for each in felt_in if len(each)]), load, axes),
-        felt.sensor, recording.payload.mass * recording.settings.gravity)
-    if is_wrong:
-        yield Remark(f'wrench.{fault or "unknown"}', {'topic': 'topics.tool_wrench'})

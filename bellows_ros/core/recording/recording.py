@@ -629,7 +629,7 @@ class Recording:
     @property
     def is_seen(self) -> bool:
         """Whether the poses of the package are measured, by a topic."""
-        return bool(self.package_pose.name)
+        return True
 
     @property
     def valid(self) -> Mask:
@@ -707,7 +707,7 @@ class Recording:
                 noise.std, report.stamp_std * rms_twist(getattr(self, body))))
             if report.stamp_std else noise for noise, report, body in zip(
                 (of_tool, of_package), reports, ('tool', 'package'), strict=True))
-        return tool, package if self.is_seen else BodyNoise(UNSEEN_STD, 0.0)
+        return tool, package
 
     @cached_property
     def views(self) -> TagViews | None:

@@ -21,7 +21,6 @@ from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.model.simulation import row_state
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -228,22 +227,3 @@ def _times_unit_inertia(k: int, w: Vector) -> Vector:
         return t3.unit(k, w[k])
     i, j = (0, 1) if k == 3 else (0, 2) if k == 4 else (1, 2)
     return t3.add(t3.unit(i, w[j]), t3.unit(j, w[i]))
-
-
-def loads(
-    package: Package, gravity: Array, motion: Array, tool: Array, mount: Mount
-) -> Array:
-    """
-    Return the load (M, 6) of a moving package on a sensor by Newton and Euler, F axes, N and N m.
-
-    Motion (M, 19) is its state and its acceleration in body axes; tool (M, 13) the tool's state.
-    """
-    R, R_tool = (lie.quaternion_to_rotation(rows[:, 3:7]) for rows in (motion, tool))
-    o, axes, sign = mount
-    force = package.mass * (motion[:, 13:16] - gravity @ R)
-    rate = motion[:, 10:13]
-    moment = motion[:, 16:19] @ package.inertia + np.cross(rate, rate @ package.inertia)
-    back = np.swapaxes(R_tool @ np.reshape(axes, (3, 3)), 1, 2)
-    arm = lie.apply(back, motion[:, :3] - tool[:, :3] - R_tool @ np.array(o))
-    force, moment = lie.apply(back, lie.apply(R, force)), lie.apply(back, lie.apply(R, moment))
-    return np.asarray(-sign * np.hstack([force, moment + np.cross(arm, force)]))
