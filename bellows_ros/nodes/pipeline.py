@@ -34,6 +34,7 @@ from .guarding import COMPILE_TIME, GuardedNode, Worker
 from .node_parameters import ManagedNode
 from .outputs import Outputs, Predicting, QUEUE, Topic
 from .planning import Planning
+from ..core.findings import Finding, Level
 from ..core.geometry import lie
 from ..core.geometry.arrays import Array
 from ..core.geometry.jit import compile_aside, COMPILED
@@ -51,8 +52,8 @@ from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, shown
-from ..report import health
-from ..report.sentences import alarm_sentence, sentence
+from ..report import findings, health
+from ..report.sentences import alarm_sentence
 
 
 class Pipeline(Predicting):
@@ -751,7 +752,7 @@ class Observing:
 
     def _wrong_wrench(self, fault: str) -> str:
         """Return a sentence on a wrong set-up of the force-torque sensor."""
-        what = sentence('recording', f'wrench.{fault}', topic=self._wrench_in.topic)
+        what = findings.text(Finding(f'wrench_{fault}', Level.ERROR, {}, self._wrench_in.topic))
         return f'{what} The wrenches are not used.'
 
     def status(self, name: str) -> health.Status | None:

@@ -16,11 +16,13 @@ def facts() -> Mapping[str, Mapping[str, Any]]:
     return tomllib.loads(Path(__file__).with_name('findings.toml').read_text(encoding='utf-8'))
 
 
-def text(finding: Finding) -> str:
-    """Return fact and remedy of a finding as sentences."""
-    fact = facts()[finding.code]
-    return ' '.join(formatted(fact[part], topic=finding.topic, **finding.numbers)
-                    for part in ('what', 'do') if part in fact)
+def text(finding: Any) -> str:
+    """Return a finding as sentences: the fact, and of one that needs attention the remedy."""
+    fact, numbers = facts()[finding.code], dict(finding.numbers)
+    numbers.setdefault('topic', getattr(finding, 'topic', ''))
+    needed = getattr(finding, 'level', Level.WARN) > Level.OK
+    return ' '.join(formatted(fact[part], **numbers)
+                    for part in ('what', *['do'] * needed) if part in fact)
 
 
 def warnings(findings: Iterable[Finding]) -> tuple[str, ...]:

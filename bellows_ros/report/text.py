@@ -9,18 +9,28 @@ from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import shown
-from bellows_ros.workflows.recordings import offset_sentence
+from bellows_ros.workflows.recordings import offset_finding
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from .findings import text as text_of
-from .sentences import listed, many, sentence
+from .sentences import listed, many
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.replay import Observed, Replay
 
+
+LEGEND = (
+    'RMS and peak: error of a free simulation from start to end. live: RMS error of the live '
+    'predictor, from the messages as they came. noise: RMS error due to measurement noise '
+    'alone. NRMSE: RMS error over motion; * moves too little for a verdict, as noise alone is '
+    'more than 5 % of its motion.')
+TWO_ERRORS = (
+    'The first standard error is due to noise in the recordings; the second includes the '
+    'uncertainty of the given quantities (package.*_std, cup.length_std, recording.*_std): a '
+    'common factor on mass, inertia, K and P is not observable from poses.')
 
 MAX_TEXT = 5000
 """Longest paragraph or cell, characters."""
@@ -135,7 +145,7 @@ def print_identification(result: 'Identification', out: Any) -> None:
         print_cup(fit, out)
     _print_samples(result, out)
     if fit.converged:
-        out.paragraph(sentence('report', 'condition', number=fit.condition_number))
+        out.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
     out.paragraph(*result.notes[len(sentences):])
     out.warn(*result.warnings)
 
@@ -158,12 +168,12 @@ def print_cup(fit: Fit, out: Any, title: str = '') -> None:
     for part in (columns[:2], columns[2:]) if given else (columns[::2],):
         out.table(list(zip(names, *part, strict=True)), title=title)
     if given:
-        out.paragraph(sentence('report', 'two_errors'))
+        out.paragraph(TWO_ERRORS)
     print_relaxation(fit.relaxation, fit.relaxation_std, out)
     if any(fit.stretch):
-        out.paragraph(sentence('report', 'stretch', **{
-            name: f'{with_error(value, std)} {unit}' for name, value, std, unit in zip(
-                'ab', fit.stretch, fit.stretch_std, ('N/m^2', 'N'), strict=True)}))
+        out.paragraph('The cup is harder to stretch than to compress: cup.stretch ' + ', '.join(
+            f'{name} = {with_error(value, std)} {unit}' for name, value, std, unit in zip(
+                'ab', fit.stretch, fit.stretch_std, ('N/m^2', 'N'), strict=True)) + '.')
     for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]
@@ -186,16 +196,16 @@ def print_relaxation(
 ) -> None:
     """Print the relaxation of the rubber, if any."""
     if any(strengths):
-        out.paragraph(sentence('report', 'relaxation', strengths=[
+        found = ' and '.join(
             f'r{branch} = {with_error(strength, std)}' for branch, (strength, std) in enumerate(
-                zip(strengths, errors, strict=True), 1)]))
+                zip(strengths, errors, strict=True), 1))
+        out.paragraph(f'The rubber relaxes: {found}. K is the static stiffness.')
 
 
 def _print_samples(result: 'Identification', out: Any) -> None:
     """Print the number of used samples, and the faults of the poses of each topic."""
     fit = result.fit
-    out.paragraph(sentence(
-        'report', 'samples', used=fit.samples_used, rejected=fit.samples_rejected))
+    out.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
     for part, stream in ((part, part.report[name]) for part in result.parts
                          for name in ('tool_pose', 'package_pose')):
         counts = {f'{reason.replace("_", " ")} message': len(indices)
@@ -218,17 +228,17 @@ def print_replay(result: 'Replay', out: Any, limit: float = MAX_NRMSE) -> None:
         '(package relative to the tool, predicted minus measured; from '
         f'{"static equilibrium" if rest else "the measured state"})', style='dim')
     out.table(_error_rows(result), right=True)
-    out.paragraph(sentence('report', 'legend'), style='dim')
+    out.paragraph(LEGEND, style='dim')
     out.line()
     validation = result.validation
     out.paragraph(
         validation.verdict(limit),
-        sentence('report', 'compared', samples=validation.scores.samples),
+        f'{validation.scores.samples} samples compared.',
         *([text_of(result.margin.finding)] if result.margin else []),
-        *offset_sentence(result.bag, result.time_offset))
+        *map(text_of, offset_finding(result.bag, result.time_offset)))
     if result.live:
-        out.paragraph(sentence('report', 'live', counts=', '.join(
-            f'{count} {name}' for name, count in result.live.counts.items())))
+        counts = ', '.join(f'{count} {name}' for name, count in result.live.counts.items())
+        out.paragraph(f'Live, from the messages as they came: {counts}.')
     if result.observed:
         _print_observed(result.observed, out)
     out.warn(*result.warnings)

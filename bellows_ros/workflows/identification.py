@@ -23,14 +23,15 @@ from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, parameter_files, results
+from bellows_ros.report.findings import text as text_of
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import (
     Failed,
     is_measured,
-    offset_sentence,
+    offset_finding,
     values_of_each,
-    world_sentence,
+    world_finding,
 )
 from bellows_ros.workflows.static import length_sentence, StaticResult
 from bellows_ros.workflows.verdict import FitVerdict
@@ -323,13 +324,13 @@ class Identification(CommandResult):
             *(self.verdict.sentences if self.verdict else (
                 (NO_VERDICT,) * bool(self.values.topics.package_pose))),
             *(text for number, part in enumerate(self.parts)
-              for text in world_sentence(part.name, self._final_world(number))),
+              for text in map(text_of, world_finding(part.name, self._final_world(number)))),
             *self._clock_sentences(),
             *self._free_sentences(),
             *_standstill_sentences(self),
             *((consistency.verdict,) if consistency and not consistency.differs else ()),
             *(text for each in self.validations for text in (
-                *offset_sentence(each.bag, each.time_offset), each.sentence)))
+                *map(text_of, offset_finding(each.bag, each.time_offset)), each.sentence)))
 
     def _free_sentences(self) -> Iterator[str]:
         """Yield sentences about the parameters estimated by fit.free, lengths in mm."""
@@ -348,7 +349,7 @@ class Identification(CommandResult):
         """Yield sentences about the clocks of the recordings."""
         offsets = map(TimeOffset, self.fit.delays, self.fit.delays_std)
         for bag, offset in zip(self.bags, offsets, strict=False):
-            yield from offset_sentence(bag, offset)
+            yield from map(text_of, offset_finding(bag, offset))
 
     def _fit_warnings(self) -> tuple[str, ...]:
         """Return the warnings of the fit and its equations, unless detected faults cause them."""

@@ -128,7 +128,7 @@ def _require_no_faults(parts: Sequence[AnyRecording], values: Values, more: str 
     """Raise for recordings with faults that make a cup wrong."""
     for part in parts:
         reading.require_none(
-            reduced(part, values.cup.length).remarks, FIT, part.name, more=more)
+            reduced(part, values.cup.length).remarks, FIT, more)
 
 
 def resolved(settings: Mapping[str, Any]) -> Values:

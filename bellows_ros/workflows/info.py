@@ -13,6 +13,7 @@ import re
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
@@ -40,7 +41,7 @@ from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import read_contents
 from bellows_ros.files.messages import DETECTIONS
-from bellows_ros.report.sentences import sentence
+from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import remark_sentences, within_interval
 import numpy as np
@@ -225,9 +226,8 @@ class Info(NamedTuple):
 
 def check_sentence(check: Judgement) -> str:
     """Return a check before a fit and its result in words."""
-    name = sentence('commission', f'{check.code}.name')
-    code = f'{check.code}.{"passed" if check.passed else "failed"}'
-    return f'{name}: {sentence("commission", code, **check.numbers)}.'
+    return text(Finding(f'check_{check.code}', Level.OK if check.passed else Level.WARN,
+                        check.numbers))
 
 
 def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
@@ -389,7 +389,7 @@ def _registration_settings(
         remarks += more
     if not (separate or any(each.prevents for each in remarked)):
         found += _prepared_remarks(tool, package, settings)
-    error = ' '.join(remark_sentences([each for each in found if each.prevents], path))
+    error = ' '.join(remark_sentences([each for each in found if each.prevents]))
     notes += remark_sentences([each for each in found if not each.prevents])
     notes[:] = [error] if error else notes + remarks  # others are doubtful after an error
     return rest_s, () if error else checks_of(

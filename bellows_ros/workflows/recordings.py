@@ -6,6 +6,7 @@ import math
 import os
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.geometry.lie import (
     apply,
@@ -26,9 +27,9 @@ from bellows_ros.core.recording.recording import PrepareSettings, Recording, Tim
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
-from bellows_ros.errors import BellowsError, NoTopicError, shown, UnexplainedError
+from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import bag_folder, detections, File, parameter_files
-from bellows_ros.report.sentences import sentence
+from bellows_ros.report.findings import text
 import numpy as np
 
 Progress = Callable[..., None]
@@ -41,9 +42,6 @@ def no_progress(what: str, part: float = 0.0) -> None:
 
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 """Settings for reading whole recordings: plans, standstills, validations."""
-
-CONVERSIONS = {'millimetres': '--unit mm', 'quaternion_order': '--quaternion wxyz'}
-"""Options of `bellows convert` that correct a fault, by its code."""
 
 MIN_POSES = 20
 """Smallest number of poses of each body for a search for their faults."""
@@ -204,7 +202,7 @@ def checked(recording: Recording, length: float) -> Recording:
 
     """
     found = recording_remarks(recording, length)
-    require_none(found, REPLAY, recording.name)
+    require_none(found, REPLAY)
     return _with_sentences(replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found))), found)
 
@@ -215,34 +213,12 @@ def _with_sentences(recording: Recording, remarks: Iterable[Remark]) -> Recordin
         *recording.report.warnings, *remark_sentences(remarks))))
 
 
-def remark_sentences(remarks: Iterable[Remark], name: File = '') -> tuple[str, ...]:
-    """Return sentences on a recording, with the commands that convert wrong conventions."""
-    remarks = tuple(remarks)
-    said = [sentence('recording', remark.code, **remark.numbers) for remark in remarks]
-    commands = _conversions(remarks, name)
-    return (*said, *[sentence('recording', 'convert', commands=commands)] * bool(commands))
+def remark_sentences(remarks: Iterable[Remark]) -> tuple[str, ...]:
+    """Return sentences on a recording."""
+    return tuple(map(text, remarks))
 
 
-def _conversions(remarks: Iterable[Remark], name: File) -> str:
-    """Return the commands that correct units and quaternion orders, '' for none to correct."""
-    options: dict[str, list[str]] = {}
-    for remark in remarks:
-        if remark.code in CONVERSIONS:
-            for topic in remark.numbers['topic'].split("' and '"):
-                options.setdefault(topic, []).append(CONVERSIONS[remark.code])
-    source = first = shown(os.fspath(name)) or 'RECORDING'
-    commands = []
-    for number, own in enumerate(sorted({tuple(each) for each in options.values()}), 1):
-        out = f"{first.rstrip('/')}_converted{number if number > 1 else ''}"
-        topics = [f'--topic {topic}' for topic, each in options.items() if tuple(each) == own]
-        commands.append(f"bellows convert {source} {' '.join([*topics, *own])} --out {out}")
-        source = out
-    return ' && '.join(commands)
-
-
-def require_none(
-    remarks: Iterable[Remark], use: str, name: File = '', more: str = ''
-) -> None:
+def require_none(remarks: Iterable[Remark], use: str, more: str = '') -> None:
     """Raise for faults that prevent a use of a recording."""
     prevented = (REPLAY,) if use == REPLAY else (FIT, REPLAY)
     wrong = [remark for remark in remarks if remark.prevents in prevented]
@@ -250,7 +226,7 @@ def require_none(
         error = BellowsError if any(each.prevents == REPLAY for each in wrong) else (
             UnexplainedError)
         raise error(' '.join([
-            *remark_sentences(wrong, name),
+            *remark_sentences(wrong),
             'More may be wrong: correct this, and run it again.', *[more] * bool(more)]))
 
 
@@ -283,7 +259,7 @@ def _prepared(
             min(len(tool), len(package)) >= MIN_POSES) else ()
     found = tuple(remark for remark in found if remark.code != accepted)
     require_none([remark for remark in found if remark.code != 'tool_at_rest'],  # keeps its stamps
-                 FIT if registers else REPLAY, name)
+                 FIT if registers else REPLAY)
     recording = _joined(tool, package, twist, settings, values, registers)
     return replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found)))
@@ -355,26 +331,25 @@ def marker_alignment(values: Values) -> frames.Alignment | None:
     return frames.Alignment(np.eye(3), T[:3, :3], T[:3, :3].T @ T[:3, 3], np.zeros(3))
 
 
-def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
-    """Return a sentence about the time offset of a recording, unless unknown."""
+def offset_finding(bag: object, offset: TimeOffset | None) -> list[Finding]:
+    """Return the finding on the time offset of a recording, unless unknown."""
     if offset is None or not math.isfinite(offset.std):
         return []
     later, other = ('a tool', 'camera') if offset.value >= 0.0 else ('a camera', 'tool')
-    return [sentence('recording', 'offset', bag=str(bag), later=later, other=other,
-                     offset=abs(offset.value), std=offset.std)]
+    return [Finding('offset', Level.OK, {
+        'bag': str(bag), 'later': later, 'other': other, 'offset': abs(offset.value),
+        'std': offset.std})]
 
 
-def world_sentence(bag: object, estimated: prepared.PackageWorld | None) -> list[str]:
-    """Return a sentence about the estimated transform between the worlds, if any."""
+def world_finding(bag: object, estimated: prepared.PackageWorld | None) -> list[Finding]:
+    """Return the finding on the estimated transform between the worlds, if any."""
     if estimated is None:
         return []
-    position = ', '.join(f'{1e3 * x:.3f}' for x in estimated.pose[:3])
     errors = [f'{x:.2g}' for x in DISPLAY_FACTORS * estimated.std]
-    quaternion = ', '.join(f'{x:.6f}' for x in estimated.pose[3:])
-    return [
-        f'{bag}: recording.package_world was estimated: position {position} mm, quaternion (x y '
-        f'z w) {quaternion}; standard errors {", ".join(errors[:3])} mm at the middle of the '
-        f"package's path, {', '.join(errors[3:])} degrees."]
+    return [Finding('world', Level.OK, {
+        'bag': str(bag), 'position': ', '.join(f'{1e3 * x:.3f}' for x in estimated.pose[:3]),
+        'quaternion': ', '.join(f'{x:.6f}' for x in estimated.pose[3:]),
+        'position_std': ', '.join(errors[:3]), 'rotation_std': ', '.join(errors[3:])})]
 
 
 def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:

@@ -8,6 +8,7 @@ import os
 import time
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import result, samples
@@ -42,6 +43,7 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import detections, File, results
+from bellows_ros.report.findings import text
 from bellows_ros.report.sentences import alarm_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.holds import signals_of, spans_held
@@ -609,7 +611,7 @@ def _sensor_sentences(stream: PoseStream, is_tag: bool) -> tuple[str, ...]:
     """Return the warning of measured poses that are stated as of a tag, or not as of one."""
     body = stream.trajectory()
     outliers = find_outliers(body, LONGEST_GAP_NS)
-    return tuple(sentence('recording', remark.code, topic=stream.name, **remark.numbers)
+    return tuple(text(Finding(remark.code, Level.WARN, {'topic': stream.name, **remark.numbers}))
                  for remark in sensor_remarks(
                      body.select(outliers.good), timing(stream.stamps_ns).rate_hz,
                      outliers.excursions / len(stream), is_tag, stream.corners is not None))

@@ -1,10 +1,11 @@
 """Recordings of standstills: the cup's length."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import math
 import os
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.identification import statics
 from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.parameters.checks import ESTIMATE
@@ -13,7 +14,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import results
-from bellows_ros.report.sentences import sentence
+from bellows_ros.report.findings import text
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Progress
 import numpy as np
@@ -47,19 +48,24 @@ class StaticResult(NamedTuple):
         return [still for recording in self.recordings for still in standstills_in(recording)[0]]
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings for the user."""
-        warnings = list(length_warnings(self.length)) if self.length else []
-        if self.length and abs(self.length.length - self.cup_length) > 3e-4:  # m
-            warnings.append(sentence('static', 'other_length', given=self.cup_length,
-                                     found=self.length.length))
+    def findings(self) -> Iterator[Finding]:
+        """Findings on length and standstills."""
+        if self.length:
+            yield from self.length.remarks
+            if abs(self.length.length - self.cup_length) > 3e-4:  # m
+                yield Finding('other_length', Level.WARN, {
+                    'given': self.cup_length, 'found': self.length.length})
         for recording in self.recordings:
             settled, failed = standstills_in(recording)
             if failed:
-                warnings.append(sentence('static', 'unsettled', bag=recording.name, failed=failed,
-                                         all=failed + len(settled)))
-        return (*warnings, *(
-            f'{each.name}: {text}' for each in self.recordings for text in each.report.warnings))
+                yield Finding('unsettled', Level.WARN, {
+                    'bag': recording.name, 'failed': failed, 'all': failed + len(settled)})
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings for the user."""
+        return (*map(text, self.findings), *(
+            f'{each.name}: {words}' for each in self.recordings for words in each.report.warnings))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of a JSON file, in SI units."""
@@ -84,14 +90,14 @@ class StaticResult(NamedTuple):
 
 def length_sentence(length: statics.CupLength) -> str:
     """Return a length with its standard error, or a statement that there is no error."""
-    known = math.isfinite(length.length_std)
-    return sentence('static', 'length' if known else 'length_alone', length=length.length,
-                    std=length.total_std)
+    error = f'± {1e3 * length.total_std:.3f} mm' if math.isfinite(length.length_std) else (
+        'without a standard error')
+    return f'{1e3 * length.length:.3f} mm {error}'
 
 
 def length_warnings(length: statics.CupLength) -> tuple[str, ...]:
     """Return sentences on doubts about a length."""
-    return tuple(sentence('static', each.code, **each.numbers) for each in length.remarks)
+    return tuple(map(text, length.remarks))
 
 
 def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
@@ -149,8 +155,8 @@ def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress
         at_rest = parameters.replaced({'topics.tool_twist': '', 'fit.time_offset': False})
         recordings.append(reading.load(
             bag, at_rest, with_digest=True, accepted='tool_at_rest'))
-        for _, text in reading.duplicates((each.name, each.digest) for each in recordings):
-            raise BellowsError(text)
+        for _, words in reading.duplicates((each.name, each.digest) for each in recordings):
+            raise BellowsError(words)
     result = StaticResult(tuple(recordings), None, '', values.cup.length)
     com_std = max((
         float(given_std(own).get('com', np.zeros(3))[2]) for recording, (_, own) in zip(

@@ -298,7 +298,7 @@ def verdict_of(
     """
     tested = recordings[:MAX_TESTED]
     faults, sensors = (tuple(text for recording in tested for text in remark_sentences(
-        filter(chosen, recording.report.remarks), recording.name)) for chosen in (
+        filter(chosen, recording.report.remarks))) for chosen in (
             attrgetter('prevents'), lambda remark: remark.code in SENSORS))
     if not tested:
         return None

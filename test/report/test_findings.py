@@ -19,7 +19,7 @@ def fields(fact):
 def test_a_fact_makes_sentences(code):
     """Know its keys, parameters and units; print numbers, names, and none."""
     fact = facts()[code]
-    assert fact['what'].endswith('.') and fact.get('prevents', 'fit') in ('fit', 'replay')
+    assert fact['what'].endswith(('.', '}')) and fact.get('prevents', 'fit') in ('fit', 'replay')
     assert set(fact) <= {'what', 'do', 'sets', 'prevents'}
     assert set(fact.get('sets', ())) <= {*PARAMETERS}
     for value in (0.5, None):

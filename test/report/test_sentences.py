@@ -1,11 +1,10 @@
 """Sentences: each code has one, numbers have their unit, foreign text is shown safely."""
 
-from string import Formatter
 
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.errors import shown
 from bellows_ros.report import sentences
-from bellows_ros.report.sentences import alarm_sentence, SENTENCE_UNITS, TEXTS, texts
+from bellows_ros.report.sentences import alarm_sentence
 import numpy as np
 import pytest
 
@@ -38,39 +37,6 @@ def test_a_foreign_name_cannot_control_the_terminal(room):
     """Escape the name, and only the name."""
     assert room("'{name}' is lost.", name='\x1b[2J\n\udce9') == "'\\x1b[2J\\n\\udce9' is lost."
     assert len(room('{name}', name='a' * 10_000)) == sentences.MAX_TEXT
-
-
-def test_every_sentence_can_be_made():
-    """Have text for every code, with known units, and no unit outside of the fields."""
-    for file in TEXTS.glob('*.toml'):
-        for code, text in texts(file.stem).items():
-            where = f'{file.name}: {code}'
-            if code.endswith(('.sides', '.units')):
-                continue
-            assert text and text == text.strip(), where
-            for _, field, form, conversion in Formatter().parse(text):
-                assert field is None or (field and not conversion), where
-                unit = (form or '').rpartition(' ')[2]
-                is_unit = unit in SENTENCE_UNITS or (form or '').startswith('# ')
-                assert not unit or is_unit or unit[-1] in 'defg%', where
-
-
-@pytest.mark.parametrize('number', [1, 20])
-def test_every_sentence_is_formatted_with_numbers_of_its_kind(number):
-    """Print each count, number and text of every sentence, also as a list and as none."""
-    for file in TEXTS.glob('*.toml'):
-        for code, text in texts(file.stem).items():
-            if code.endswith(('.sides', '.units')):
-                continue
-            forms = {field: form for _, field, form, _ in Formatter().parse(text) if field}
-            counts = {field: number for field, form in forms.items()
-                      if form.startswith('# ') or form.endswith('d')}
-            for value in (0.5 * number, None, [0.5, 1.5]):
-                numbers = {field: 'name' if not form else counts.get(field, value)
-                           for field, form in forms.items()}
-                numbers |= {field.split('[')[0]: 9 * [0.5] for field in forms if '[' in field}
-                made = sentences.sentence(file.stem, code, **numbers)
-                assert made and '{' not in made.replace('{{', ''), f'{file.name}: {code}'
 
 
 @pytest.mark.parametrize('text', [

@@ -10,13 +10,13 @@ add to the information on all unknowns.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
 from bellows_ros.core.model.jacobians import PARAMETER_COLUMNS, parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import state_row
-from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError
@@ -91,14 +91,14 @@ class CupLength(NamedTuple):
         return float(np.hypot(self.length_std, self.com_std))
 
     @property
-    def remarks(self) -> tuple[Remark, ...]:
-        """Remarks on the length, by their codes in the texts 'static'."""
+    def remarks(self) -> tuple[Finding, ...]:
+        """Findings on the length."""
         masses, count = len(set(_groups(self.loads).tolist())), self.degrees_of_freedom
         told, known = np.isfinite([self.pick_std, self.length_std])
         numbers = {
             'size': float(np.sqrt(self.chi2 / max(count, 1))), 'masses': masses,
             'enough': MASSES_FOR_CUBIC, 'std': self.length_std, 'load': float(self.loads.min())}
-        return tuple(Remark(code, numbers) for code, applies in (
+        return tuple(Finding(code, Level.WARN, numbers) for code, applies in (
             ('wrong_mass' if told else 'scatter_or_wrong_mass',
              count and chdtrc(count, self.chi2) < MIN_PROBABILITY),
             ('two_masses', not known),
